@@ -1,0 +1,68 @@
+# zerodrift: every target sets up what it needs. `make help` lists them.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+
+VENV ?= .venv
+PYTHON ?= python3
+RUN := $(VENV)/bin/python
+SENSOR ?= examples/ft40
+READY := $(VENV)/.ready
+# PyTorch with two threads is a hundred times slower on such small networks than with one.
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: help setup check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+
+help: ## list the targets
+	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
+
+setup: $(READY) ## create .venv with the pinned dependencies and zerodrift itself
+
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "zerodrift needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1). Set PYTHON=."; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+firmware-model: $(READY) ## logs -> trained, quantized, generated and host-checked C (SENSOR=examples/ft40)
+	$(VENV)/bin/zerodrift firmware -C $(SENSOR)
+
+test: $(READY) ## the tests (under 6 minutes on two cores)
+	$(RUN) -m pytest -q -n 2 -m "not slow" tests
+
+test-all: $(READY) ## every test, the long proofs included
+	$(RUN) -m pytest -q -n 2 tests
+
+check: $(READY) ## formatting, lint, types, C format and static analysis
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy
+	$(VENV)/bin/clang-format --dry-run --Werror c_runtime/include/zerodrift/*.h c_runtime/tests/*.c
+	$(RUN) -m zerodrift.c_runtime.analyse
+
+format: $(READY) ## rewrite Python and C in the project's format
+	$(VENV)/bin/ruff format .
+	$(VENV)/bin/ruff check --fix .
+	$(VENV)/bin/clang-format -i c_runtime/include/zerodrift/*.h c_runtime/tests/*.c
+
+golden: $(READY) ## write the golden vectors and the runtime's table again; read the diff
+	$(RUN) -m zerodrift.c_runtime.write_table
+	$(RUN) tests/golden/regenerate.py
+
+c-test: $(READY) ## build the C runtime with CMake and run its ctest programs
+	$(VENV)/bin/cmake -S . -B build/cmake -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(VENV))/bin/ninja -DPython3_EXECUTABLE=$(abspath $(RUN))
+	$(VENV)/bin/cmake --build build/cmake
+	$(VENV)/bin/ctest --test-dir build/cmake --output-on-failure
+
+sizes: $(READY) ## flash, RAM and stack of the golden models, against the last recorded table
+	$(RUN) benchmarks/sizes.py
+
+bench: $(READY) ## every figure the documentation quotes (BENCH=--quick for the reduced form)
+	$(RUN) -m benchmarks $(BENCH)
+
+bench-hidden: $(READY) ## effects hidden in simulated logs and found again (BENCH=--quick)
+	$(RUN) benchmarks/bench_hidden.py $(BENCH)
+
+clean: ## remove what was built, keep the virtual environment
+	rm -rf build examples/*/build examples/*/firmware .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,77 @@
+"""Finds a C compiler on the host: $CC, then cc, gcc, clang, then the `ziglang` wheel."""
+
+import importlib.util
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from zerodrift.errors import CheckError, InputError
+
+RUNTIME_DIRECTORY = Path(__file__).parent
+INCLUDE_DIRECTORY = RUNTIME_DIRECTORY / "include" / "zerodrift"
+RUNTIME_FILES = (
+    INCLUDE_DIRECTORY / "zd_runtime.h",
+    RUNTIME_DIRECTORY / "src" / "zd_runtime.c",
+)
+"""What has to lie beside a generated model."""
+
+WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror")
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A host C compiler as a command."""
+
+    name: str
+    command: tuple[str, ...]
+
+    def run(self, arguments: list[str]) -> None:
+        """Compile.
+
+        Raises:
+            CheckError: the compiler failed; carries what it said.
+        """
+        done = subprocess.run(
+            [*self.command, *arguments], capture_output=True, text=True, check=False
+        )
+        if done.returncode != 0:
+            raise CheckError(
+                f"{shlex.join([*self.command, *arguments])} failed with exit code"
+                f" {done.returncode}:\n{done.stderr[-4000:]}"
+            )
+
+
+def find_compilers() -> list[Compiler]:
+    """Return the host compilers there are, the preferred one first."""
+    found: list[Compiler] = []
+    if os.environ.get("CC"):
+        command = shlex.split(os.environ["CC"])
+        if not shutil.which(command[0]):
+            raise InputError(f"CC={os.environ['CC']}: no such program; unset CC or correct it")
+        found.append(Compiler("cc", tuple(command)))
+    for name in ("gcc", "clang", "cc"):
+        path = shutil.which(name)
+        if path and not (name == "cc" and found):
+            found.append(Compiler(name, (path,)))
+    if importlib.util.find_spec("ziglang"):
+        found.append(Compiler("zig", (sys.executable, "-m", "ziglang", "cc")))
+    return found
+
+
+def find_compiler() -> Compiler:
+    """Return the preferred host compiler.
+
+    Raises:
+        InputError: there is none; says how to get one.
+    """
+    found = find_compilers()
+    if not found:
+        raise InputError(
+            "no C compiler found (looked for $CC, gcc, clang, cc and the ziglang wheel); the host"
+            " check needs one. Install gcc, or `pip install ziglang`."
+        )
+    return found[0]

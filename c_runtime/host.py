@@ -1,0 +1,132 @@
+"""A generated model compiled for the host and called through ctypes."""
+
+import ctypes
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.c_runtime.compilers import RUNTIME_FILES, WARNINGS, Compiler, find_compiler
+from zerodrift.codegen.generate import GeneratedCode
+from zerodrift.export.integer_model import IntegerModel
+
+
+@dataclass(frozen=True)
+class HostTrace:
+    """What the C gave for one sequence."""
+
+    drift: NDArray[np.int32]  # [T, K]
+    flags: NDArray[np.uint32]  # [T]
+    nodes: NDArray[np.int32]
+    """[T, N] the values of all nodes in order (a GRU: its Q1.30 state); N = 0 if not observed."""
+
+
+class HostModel:
+    """A compiled model; holds one state.
+
+    Args:
+        model: the integer model, for its shapes.
+        code: its C.
+        directory: where sources and the shared library are written.
+        compiler: host compiler; the preferred one if None.
+        flags: optimisation and other compiler flags.
+        observe: record every node's value; False compiles the source exactly as it is flashed.
+    """
+
+    def __init__(
+        self,
+        model: IntegerModel,
+        code: GeneratedCode,
+        directory: Path,
+        compiler: Compiler | None = None,
+        flags: tuple[str, ...] = ("-O2",),
+        *,
+        observe: bool = True,
+    ) -> None:
+        compiler = compiler or find_compiler()
+        directory.mkdir(parents=True, exist_ok=True)
+        write_sources(code, directory)
+        harness = directory / f"{code.prefix}_harness.c"
+        harness.write_text(code.harness, encoding="utf-8")
+        library = directory / f"{code.prefix}_{'observed' if observe else 'plain'}.so"
+        library.unlink(missing_ok=True)
+        compiler.run(
+            [
+                *WARNINGS,
+                *flags,
+                *(() if observe else ("-DZD_PLAIN",)),
+                "-shared",
+                "-fPIC",
+                f"-I{directory}",
+                str(harness),
+                str(directory / "zd_runtime.c"),
+                "-o",
+                str(library),
+            ]
+        )
+        self.model = model
+        self.library = library
+        self.observes = observe
+        self._values = sum(max(node.width, 1) for node in model.nodes) if observe else 0
+        self._lib = ctypes.CDLL(str(library))
+        self._lib.zd_state_size.restype = ctypes.c_uint32
+        self._lib.zd_selftest.restype = ctypes.c_uint32
+        self._lib.zd_pack.restype = ctypes.c_uint32
+        self._state = ctypes.create_string_buffer(self._lib.zd_state_size() + 16)
+
+    @property
+    def state_bytes(self) -> int:
+        """Size of the state struct on this host."""
+        return int(self._lib.zd_state_size())
+
+    def selftest(self) -> int:
+        """Return what the model's own self-test returns; 0 = passed."""
+        return int(self._lib.zd_selftest())
+
+    def pack(self, length: int) -> NDArray[np.int64]:
+        """Return the state as `length` numbers, in the order of `ModelState.pack`."""
+        packed = np.empty(length, dtype=np.int64)
+        count = int(self._lib.zd_pack(self._state, _pointer(packed)))
+        if count != length:
+            raise AssertionError(f"the C packs {count} numbers, the reference {length}")
+        return packed
+
+    def run(
+        self, codes: NDArray[np.int16], *, settled: bool = True, restart: bool = True
+    ) -> HostTrace:
+        """Run over codes [T, C]; from `settle` or `init` at codes[0], or on from the last call."""
+        codes = np.ascontiguousarray(codes, dtype=np.int16)
+        steps = codes.shape[0]
+        drift = np.empty((steps, len(self.model.outputs)), dtype=np.int32)
+        flags = np.empty(steps, dtype=np.uint32)
+        nodes = np.empty((steps, self._values), dtype=np.int32)
+        if restart:
+            self._lib.zd_start(self._state, _pointer(codes), ctypes.c_int(int(settled)))
+        self._lib.zd_run(
+            self._state,
+            _pointer(codes),
+            ctypes.c_uint32(steps),
+            _pointer(drift),
+            _pointer(flags),
+            _pointer(nodes) if self._values else None,
+        )
+        return HostTrace(drift, flags, nodes)
+
+
+def write_sources(code: GeneratedCode, directory: Path) -> list[Path]:
+    """Write model and runtime into `directory`, each file atomically; return their paths."""
+    texts = {code.header_name: code.header, code.source_name: code.source}
+    texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    written = []
+    for name, text in texts.items():
+        path = directory / name
+        temporary = directory / f".{name}.part"
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+        written.append(path)
+    return written
+
+
+def _pointer(array: NDArray[np.generic]) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)

@@ -1,0 +1,215 @@
+/* zerodrift runtime: the fixed-point kernels that every generated model calls.
+ *
+ * Specification: docs/reference/integer-arithmetic.md. C99, no heap, no float, no recursion, no
+ * variable-length array. All sizes are compile-time constants of the generated model, so that the
+ * compiler specialises each kernel. Every accumulator named here is bounded for any input; the
+ * generator proves the bound for the actual weights before it writes a model.
+ *
+ * SPDX-License-Identifier: Apache-2.0; the parts copied beside a generated model may be used under
+ * any terms (GENERATED-CODE-EXCEPTION.md).
+ */
+#ifndef ZD_RUNTIME_H
+#define ZD_RUNTIME_H
+
+#include <stdint.h>
+
+/* A model generated for another format must be regenerated: its constants mean something else. */
+#define ZD_RUNTIME_FORMAT 1
+
+#define ZD_TANH_NODES 513
+#define ZD_LOWPASS_FRACTION 24
+#define ZD_GRU_RELAX_STEPS 64
+#define ZD_GRU_H_LIMIT_Q30 1073709057 /* 2^30 - 2^15 + 1: |h| never exceeds it */
+
+/* tanh at -8, -8 + 1/32, ..., 8 in Q0.15. */
+extern const int16_t zd_tanh_nodes_q15[ZD_TANH_NODES];
+
+/* CRC-32 (reflected 0xEDB88320) of n bytes, continued from crc; start with 0. */
+uint32_t zd_crc32(uint32_t crc, const uint8_t *bytes, uint32_t n);
+
+/* Continues the CRC-32 with the four bytes of x, least significant first. */
+uint32_t zd_crc32_word(uint32_t crc, uint32_t x);
+
+/* --- Shifts and rounding: the only places where a signed number is shifted right. ------------- */
+
+/* C99 leaves the shift of a negative number to the compiler; all that are supported keep the sign. */
+typedef char zd_assert_arithmetic_shift[((-1 >> 1) == -1) ? 1 : -1];
+
+/* floor(x / 2^shift), 0 <= shift <= 31. */
+static inline int32_t zd_asr32(int32_t x, unsigned shift) { return x >> shift; }
+
+/* floor(x / 2^shift), 0 <= shift <= 63. */
+static inline int64_t zd_asr64(int64_t x, unsigned shift) { return x >> shift; }
+
+/* x / 2^shift to nearest, halves up; |x| < 2^63 - 2^(shift - 1), 0 <= shift <= 62. */
+static inline int64_t zd_round_shift64(int64_t x, unsigned shift) {
+    return zd_asr64(x + (int64_t)(((uint64_t)1 << shift) >> 1), shift);
+}
+
+/* a * b / 2^32 to nearest, halves up; any a, b except both -2^31. */
+static inline int32_t zd_mul_high(int32_t a, int32_t b) {
+    return (int32_t)zd_asr64(((int64_t)a * b) + ((int64_t)1 << 31), 32);
+}
+
+static inline int32_t zd_clamp32(int32_t x, int32_t low, int32_t high) {
+    return (x < low) ? low : ((x > high) ? high : x);
+}
+
+static inline int64_t zd_clamp64(int64_t x, int64_t low, int64_t high) {
+    return (x < low) ? low : ((x > high) ? high : x);
+}
+
+/* --- Activations ------------------------------------------------------------------------------ */
+
+/* tanh in Q0.26 of t in Q3.16, any int32: outside -8 .. 8 the end nodes hold. |result| < 2^26. */
+static inline int32_t zd_tanh_q26(int32_t t_q16) {
+    const uint32_t position = (uint32_t)(zd_clamp32(t_q16, -524288, 524287) + 524288);
+    const uint32_t index = position >> 11;
+    const int32_t fraction = (int32_t)(position & 2047u);
+    const int32_t start = zd_tanh_nodes_q15[index];
+    const int32_t slope = zd_tanh_nodes_q15[index + 1u] - start;
+    return (start * 2048) + (slope * fraction);
+}
+
+/* sigmoid in Q0.31 of twice t in Q3.16: 2^15 .. 2^31 - 2^15. */
+static inline int32_t zd_sigmoid_q31(int32_t half_t_q16) {
+    return (zd_tanh_q26(half_t_q16) + ((int32_t)1 << 26)) * 16;
+}
+
+/* --- Dot products: the caller's proof bounds the sum of absolute products by 2^31 - 1. -------- */
+
+static inline int32_t zd_dot_i16(const int16_t *w, const int16_t *x, uint32_t n) {
+    int32_t acc = 0;
+    for (uint32_t i = 0; i < n; i++) {
+        acc += (int32_t)w[i] * x[i];
+    }
+    return acc;
+}
+
+static inline int32_t zd_dot_i8(const int8_t *w, const int16_t *x, uint32_t n) {
+    int32_t acc = 0;
+    for (uint32_t i = 0; i < n; i++) {
+        acc += (int32_t)w[i] * x[i];
+    }
+    return acc;
+}
+
+/* --- Low-pass: v has ZD_LOWPASS_FRACTION more fractional bits than x (specification, 3.4). ---- */
+
+static inline int64_t zd_lowpass_rest(int32_t x, int32_t c_q24) {
+    return (int64_t)x * (((int32_t)1 << ZD_LOWPASS_FRACTION) - c_q24);
+}
+
+static inline int32_t zd_lowpass(int64_t *v, int32_t x, int32_t c_q24, int32_t m_q31,
+                                 unsigned shift) {
+    const int64_t y = *v + ((int64_t)x * c_q24);
+    const int64_t gap =
+        zd_round_shift64(((int64_t)x * ((int32_t)1 << ZD_LOWPASS_FRACTION)) - y, 22);
+    *v += zd_round_shift64(gap * m_q31, shift);
+    return (int32_t)zd_round_shift64(y, ZD_LOWPASS_FRACTION);
+}
+
+/* --- GRU (specification, 4) ------------------------------------------------------------------- */
+
+/* Constants of one layer. Rows are stored unit by unit, and within a unit r, u, n. */
+typedef struct {
+    const int16_t *w_x;           /* [H][3][I] */
+    const int16_t *w_h16;         /* [H][3][H], or NULL with 8-bit recurrent weights */
+    const int8_t *w_h8;           /* [H][3][H], or NULL */
+    const int32_t *multiplier;    /* [H][3], 8-bit weights only */
+    const int32_t *bias;          /* [H][4]: r, u, n outside, n inside the reset product */
+    uint8_t shift[3];             /* accumulator of r, u, n -> t_q16 */
+    uint8_t multiplier_shift[3];  /* 8-bit weights only */
+} zd_gru_t;
+
+/* w_h . h of one row, in the gate's accumulator format. */
+static inline int32_t zd_gru_recurrent(const zd_gru_t *gru, uint32_t row, unsigned gate,
+                                       const int16_t *h_q15, uint32_t hidden) {
+    int32_t acc;
+    if (gru->w_h8 == 0) {
+        acc = zd_dot_i16(&gru->w_h16[row * hidden], h_q15, hidden);
+    } else {
+        const int32_t product = zd_dot_i8(&gru->w_h8[row * hidden], h_q15, hidden);
+        acc = (int32_t)zd_round_shift64((int64_t)product * gru->multiplier[row],
+                                        gru->multiplier_shift[gate]);
+    }
+    return acc;
+}
+
+/* h + u (n - h). Since |n|, |h| <= 2^30 - 2^15 + 1 the difference fits 32 bits, and |h| stays. */
+static inline int32_t zd_gru_move(int32_t h_q30, int32_t n_q30, int32_t u_q31) {
+    return h_q30 + (2 * zd_mul_high(n_q30 - h_q30, u_q31));
+}
+
+/* The int16 copy of the state that the dot products read; |h_q15| <= 32767 by the invariant. */
+static inline void zd_gru_copy_state(const int32_t *h_q30, int16_t *h_q15, uint32_t hidden) {
+    for (uint32_t j = 0; j < hidden; j++) {
+        h_q15[j] = (int16_t)zd_asr32(h_q30[j] + (1 << 14), 15);
+    }
+}
+
+/* One step, reset gate after the recurrent product.
+ *   x      [inputs] features
+ *   h_q30  [hidden] state, updated
+ *   h_q15  [hidden] scratch
+ *   u_keep -1 for a step in time; 0 to relax towards rest, where u = 1/2 */
+static inline void zd_gru_step_after(const zd_gru_t *gru, uint32_t inputs, uint32_t hidden,
+                                     const int16_t *x, int32_t *h_q30, int16_t *h_q15,
+                                     int32_t u_keep) {
+    zd_gru_copy_state(h_q30, h_q15, hidden);
+    for (uint32_t j = 0; j < hidden; j++) {
+        const uint32_t row = 3u * j;
+        const int16_t *w_x = &gru->w_x[row * inputs];
+        const int32_t *bias = &gru->bias[4u * j];
+        const int32_t a_r = bias[0] + zd_dot_i16(w_x, x, inputs) +
+                            zd_gru_recurrent(gru, row, 0u, h_q15, hidden);
+        const int32_t a_u = bias[1] + zd_dot_i16(&w_x[inputs], x, inputs) +
+                            zd_gru_recurrent(gru, row + 1u, 1u, h_q15, hidden);
+        const int32_t a_nh = bias[3] + zd_gru_recurrent(gru, row + 2u, 2u, h_q15, hidden);
+        const int32_t r_q31 = zd_sigmoid_q31(zd_asr32(a_r, gru->shift[0]));
+        const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, gru->shift[1]));
+        const int32_t a_n = bias[2] + zd_dot_i16(&w_x[2u * inputs], x, inputs) +
+                            zd_mul_high(a_nh, r_q31);
+        const int32_t n_q30 = zd_tanh_q26(zd_asr32(a_n, gru->shift[2])) * 16;
+        h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & (1 << 30)));
+    }
+}
+
+/* One step, reset gate before the recurrent product; rh_q15 [hidden] is a second scratch. */
+static inline void zd_gru_step_before(const zd_gru_t *gru, uint32_t inputs, uint32_t hidden,
+                                      const int16_t *x, int32_t *h_q30, int16_t *h_q15,
+                                      int16_t *rh_q15, int32_t u_keep) {
+    zd_gru_copy_state(h_q30, h_q15, hidden);
+    for (uint32_t j = 0; j < hidden; j++) {
+        const uint32_t row = 3u * j;
+        const int32_t a_r = gru->bias[4u * j] + zd_dot_i16(&gru->w_x[row * inputs], x, inputs) +
+                            zd_gru_recurrent(gru, row, 0u, h_q15, hidden);
+        const int32_t r_q31 = zd_sigmoid_q31(zd_asr32(a_r, gru->shift[0]));
+        rh_q15[j] = (int16_t)zd_round_shift64((int64_t)h_q30[j] * r_q31, 46u);
+    }
+    for (uint32_t j = 0; j < hidden; j++) {
+        const uint32_t row = 3u * j;
+        const int16_t *w_x = &gru->w_x[row * inputs];
+        const int32_t *bias = &gru->bias[4u * j];
+        const int32_t a_u = bias[1] + zd_dot_i16(&w_x[inputs], x, inputs) +
+                            zd_gru_recurrent(gru, row + 1u, 1u, h_q15, hidden);
+        const int32_t a_n = bias[2] + zd_dot_i16(&w_x[2u * inputs], x, inputs) +
+                            zd_gru_recurrent(gru, row + 2u, 2u, rh_q15, hidden);
+        const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, gru->shift[1]));
+        const int32_t n_q30 = zd_tanh_q26(zd_asr32(a_n, gru->shift[2])) * 16;
+        h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & (1 << 30)));
+    }
+}
+
+/* 1 if every |h| is within its invariant: a state that violates it was damaged from outside. */
+static inline uint32_t zd_gru_state_is_sound(const int32_t *h_q30, uint32_t hidden) {
+    uint32_t sound = 1u;
+    for (uint32_t j = 0; j < hidden; j++) {
+        if ((h_q30[j] > ZD_GRU_H_LIMIT_Q30) || (h_q30[j] < -ZD_GRU_H_LIMIT_Q30)) {
+            sound = 0u;
+        }
+    }
+    return sound;
+}
+
+#endif /* ZD_RUNTIME_H */

@@ -1,0 +1,17 @@
+"""Writes the runtime's one generated file, src/zd_runtime.c, with the reference's table."""
+
+from zerodrift.c_runtime.compilers import RUNTIME_DIRECTORY
+from zerodrift.codegen.generate import make_environment
+from zerodrift.operations.tables import tanh_nodes
+
+RUNTIME_SOURCE = RUNTIME_DIRECTORY / "src" / "zd_runtime.c"
+
+
+def render_runtime_source() -> str:
+    """Return zd_runtime.c with the activation table that the reference uses."""
+    template = make_environment().get_template("zd_runtime.c.j2")
+    return template.render(nodes=tanh_nodes().tolist())
+
+
+if __name__ == "__main__":
+    RUNTIME_SOURCE.write_text(render_runtime_source(), encoding="utf-8")

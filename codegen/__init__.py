@@ -1,0 +1,1 @@
+"""From the integer model to C text: returns strings, writes nothing; the commands write."""

@@ -1,0 +1,153 @@
+"""Renders an integer model as one C header and one C source, deterministic to the byte."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from zerodrift import __version__
+from zerodrift.codegen.identifiers import (
+    sanitize_comment,
+    sanitize_identifier,
+    sanitize_identifiers,
+)
+from zerodrift.codegen.selftest import SELFTEST_SEED, SELFTEST_STEPS, compute_selftest, limits_of
+from zerodrift.export.integer_model import FORMAT, IntegerModel
+from zerodrift.operations.gru import IntegerGru
+from zerodrift.operations.node import IntegerNode
+
+STATEFUL = ("lowpass", "delay", "gru")
+
+
+@dataclass(frozen=True)
+class GeneratedCode:
+    """File names and texts of one model; the runtime's own files are added by the command."""
+
+    prefix: str
+    header: str
+    source: str
+    harness: str
+    """A host program's source that includes the model and runs it; never flashed."""
+
+    @property
+    def header_name(self) -> str:
+        """Name of the header, which the source includes."""
+        return f"{self.prefix}.h"
+
+    @property
+    def source_name(self) -> str:
+        """Name of the source."""
+        return f"{self.prefix}.c"
+
+
+def generate(model: IntegerModel) -> GeneratedCode:
+    """Return the C of a model.
+
+    Raises:
+        CheckError: a bound of the model does not hold; an unproven model is never generated.
+    """
+    bounds = {bound.where: bound.interval for bound in model.prove()}
+    stateful = [n for n in model.nodes if n.kind in STATEFUL]
+    layer = model.recurrent
+    fed_at_rest = [n for n in stateful if n is not layer or layer.window]  # a cold GRU is 0
+    needed_at_rest = _ancestors(model, fed_at_rest)
+    selftest_low, selftest_high = limits_of(model)
+    prefix = sanitize_identifier(model.name)
+    context = {
+        "model": model,
+        "version": __version__,
+        "format": FORMAT,
+        "prefix": prefix,
+        "PREFIX": prefix.upper(),
+        "title": sanitize_comment(model.name),
+        "channels": sanitize_identifiers((c.name for c in model.channels), "input"),
+        "outputs": [
+            n.upper() for n in sanitize_identifiers((o.name for o in model.outputs), "output")
+        ],
+        "guards": model.guards,
+        "steps_full": max(model.guards.warm_up_steps, 1),
+        "selftest_steps": SELFTEST_STEPS,
+        "selftest_seed": SELFTEST_SEED,
+        "selftest_crc": compute_selftest(model),
+        "selftest_low": selftest_low,
+        "selftest_high": selftest_high,
+        "bounds": bounds,
+        "stateful": stateful,
+        "rest_needed": needed_at_rest,
+        "rest_nodes": [n for n in model.nodes if n in stateful or n.name in needed_at_rest],
+        "settle_nodes": [n for n in model.nodes if layer and n.name in _ancestors(model, [layer])],
+    }
+    environment = make_environment()
+    return GeneratedCode(
+        prefix=prefix,
+        header=environment.get_template("model.h.j2").render(context),
+        source=environment.get_template("model.c.j2").render(context),
+        harness=environment.get_template("harness.c.j2").render(context),
+    )
+
+
+def _ancestors(model: IntegerModel, of: list[IntegerNode]) -> set[str]:
+    """Return the names of all nodes whose present values the nodes `of` need when they settle."""
+    nodes = {node.name: node for node in model.nodes}
+    found: set[str] = set()
+    stack = [name for node in of for name in node.inputs]
+    while stack:
+        name = stack.pop()
+        if name not in found:
+            found.add(name)
+            stack.extend(nodes[name].inputs)
+    return found
+
+
+@cache
+def make_environment() -> jinja2.Environment:
+    """Return the Jinja environment of all C templates."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("zerodrift.codegen", "templates"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,  # the output is C; every free text in it is sanitised
+    )
+    environment.filters["comment"] = sanitize_comment
+    environment.filters["numbers"] = format_numbers
+    environment.filters["int64"] = format_int64
+    environment.filters["by_unit"] = arrange_by_unit
+    environment.filters["number"] = format_float
+    return environment
+
+
+def format_numbers(values: Iterable[int], per_line: int = 12) -> str:
+    """Return an initialiser list's inside, wrapped and indented by four spaces."""
+    texts = [format_int32(int(v)) for v in values]
+    lines = [texts[i : i + per_line] for i in range(0, len(texts), per_line)]
+    return ",\n".join("    " + ", ".join(line) for line in lines)
+
+
+def format_int32(value: int) -> str:
+    """Return a C expression of type int for any int32 (the lowest has no literal)."""
+    return "(-2147483647 - 1)" if value == -(2**31) else str(value)
+
+
+def format_int64(value: int) -> str:
+    """Return a C99 constant expression for any int64."""
+    value = int(value)
+    return f"(-INT64_C({2**63 - 1}) - 1)" if value == -(2**63) else f"INT64_C({value})"
+
+
+def format_float(value: float) -> str:
+    """Return a number for a comment: the shortest text that reads back the same."""
+    return f"{value:.9g}"
+
+
+def arrange_by_unit(gru: IntegerGru, field: str) -> list[int]:
+    """Return a GRU array in the order of the C: unit by unit, within a unit gate by gate.
+
+    [3, H, n] becomes [H][3][n], [4, H] and [3, H] become [H][4] and [H][3].
+    """
+    array: Any = getattr(gru, field)
+    return [int(v) for v in np.moveaxis(array, 1, 0).ravel()]

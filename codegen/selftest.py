@@ -1,0 +1,52 @@
+"""The sequence that `selftest()` replays on the chip, and the CRC that it must find."""
+
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.reference import Reference
+from zerodrift.operations.signal import IntegerInput
+
+SELFTEST_STEPS = 64
+SELFTEST_SEED = 0x5EED1E57
+
+
+def draw_codes(low: list[int], high: list[int]) -> NDArray[np.int16]:
+    """Return the self-test's input codes [1, steps + 1, C]; the first row is where it settles.
+
+    A 32-bit linear congruential generator (Numerical Recipes: 1664525, 1013904223) gives one value
+    per channel and step; its upper 16 bits, scaled, spread over low .. high.
+    """
+    seed = SELFTEST_SEED
+    rows = []
+    for _ in range(SELFTEST_STEPS + 1):
+        row = []
+        for a, b in zip(low, high, strict=True):
+            seed = (seed * 1664525 + 1013904223) & 0xFFFFFFFF
+            row.append(a + (((seed >> 16) * (b - a + 1)) >> 16))
+        rows.append(row)
+    return np.array([rows], dtype=np.int16)
+
+
+def limits_of(model: IntegerModel) -> tuple[list[int], list[int]]:
+    """Return lowest and highest code of each channel; unused channels keep the full range."""
+    low, high = [-32768] * len(model.channels), [32767] * len(model.channels)
+    for node in model.nodes:
+        if isinstance(node, IntegerInput):
+            low[node.channel], high[node.channel] = node.low, node.high
+    return low, high
+
+
+def compute_selftest(model: IntegerModel) -> int:
+    """Return the CRC-32 over all drifts and flags of the self-test, each as 4 bytes, low first."""
+    codes = draw_codes(*limits_of(model))
+    reference = Reference(model)
+    state = reference.start(codes[:, 0].astype(np.int64), settled=True)
+    trace = reference.run(codes[:, 1:], state=state)
+    crc = 0
+    for drift, flags in zip(trace.drift[0], trace.flags[0], strict=True):
+        crc = zlib.crc32(drift.astype("<i4").tobytes(), crc)
+        crc = zlib.crc32(int(flags).to_bytes(4, "little"), crc)
+    return crc

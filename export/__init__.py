@@ -1,0 +1,1 @@
+"""From the trained compensator to the integer model, its NumPy reference and its golden vectors."""

@@ -1,0 +1,284 @@
+"""The integer model: channels, nodes, outputs and guards, as data; JSON in and out; its hash."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zerodrift.errors import InputError
+from zerodrift.operations.gru import IntegerGru
+from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.network import (
+    IntegerDrift,
+    IntegerFeatures,
+    IntegerGruLayer,
+    IntegerHead,
+)
+from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.signal import (
+    IntegerDelay,
+    IntegerDifference,
+    IntegerInput,
+    IntegerLowpass,
+    IntegerOffset,
+    IntegerProduct,
+)
+
+FORMAT = 1
+"""Version of the integer arithmetic; equals ZD_RUNTIME_FORMAT of the C runtime."""
+
+NODE_CLASSES: dict[str, type[IntegerNode]] = {
+    cls.kind: cls
+    for cls in (
+        IntegerInput,
+        IntegerOffset,
+        IntegerDifference,
+        IntegerProduct,
+        IntegerLowpass,
+        IntegerDelay,
+        IntegerFeatures,
+        IntegerGruLayer,
+        IntegerHead,
+        IntegerDrift,
+    )
+}
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One raw int16 input: physical value = offset + code * lsb."""
+
+    name: str
+    unit: str
+    lsb: float
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class OutputFormat:
+    """One int32 output: physical value = code / lsb_per_unit."""
+
+    name: str
+    unit: str
+    lsb_per_unit: int
+    full_scale: float
+
+
+@dataclass(frozen=True)
+class Guards:
+    """What the model checks about itself while it runs."""
+
+    warm_up_steps: int
+    """After `init` (not after `settle`) that many steps carry the warming-up flag."""
+    temperature_channel: int
+    temperature_low: int
+    temperature_high: int
+    """Codes; outside them the range flag is set."""
+    rate_max: int
+    """Codes per step; a larger change sets the rate flag."""
+
+
+FLAG_WARMING_UP = 1
+FLAG_TEMPERATURE_RANGE = 2
+FLAG_RATE_RANGE = 4
+FLAG_CLAMPED = 8
+FLAG_DAMAGED = 16
+
+
+@dataclass(frozen=True)
+class IntegerModel:
+    """Everything that the chip computes, and nothing else."""
+
+    name: str
+    sample_period_s: float
+    channels: tuple[Channel, ...]
+    nodes: tuple[IntegerNode, ...]
+    outputs: tuple[OutputFormat, ...]
+    guards: Guards
+    notes: dict[str, str] = field(default_factory=dict)
+    """For people (where it came from); part of the file, not of the hash."""
+
+    @property
+    def drift(self) -> IntegerDrift:
+        """The last node, which gives the answer."""
+        node = self.nodes[-1]
+        assert isinstance(node, IntegerDrift)
+        return node
+
+    @property
+    def recurrent(self) -> IntegerGruLayer | None:
+        """The GRU layer, if there is one."""
+        return next((n for n in self.nodes if isinstance(n, IntegerGruLayer)), None)
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of the canonical JSON without the notes, as 64 hexadecimal digits."""
+        body = self.to_json()
+        body.pop("notes")
+        return hashlib.sha256(canonical_json(body).encode()).hexdigest()
+
+    @property
+    def identity(self) -> int:
+        """The first 32 bits of the hash: the word that marks a state as this model's."""
+        return int(self.hash[:8], 16) or 1
+
+    def prove(self) -> list[Bound]:
+        """Return every bound the arithmetic relies on, for any int16 input codes.
+
+        Raises:
+            CheckError: a bound does not hold; the model must not be generated.
+        """
+        known: dict[str, list[Interval]] = {}
+        bounds: list[Bound] = []
+        for node in self.nodes:
+            out, relied_on = node.prove([known[name] for name in node.inputs])
+            known[node.name] = out
+            bounds.extend(relied_on)
+        return bounds
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain dicts, lists, numbers and strings."""
+        return {
+            "format": FORMAT,
+            "name": self.name,
+            "sample_period_s": self.sample_period_s,
+            "channels": [_plain(c) for c in self.channels],
+            "nodes": [{"kind": n.kind, **_plain(n)} for n in self.nodes],
+            "outputs": [_plain(o) for o in self.outputs],
+            "guards": _plain(self.guards),
+            "notes": dict(sorted(self.notes.items())),
+        }
+
+    def save(self, path: Path) -> None:
+        """Write the model with its hash, atomically."""
+        body = self.to_json()
+        body["hash"] = self.hash
+        temporary = path.with_suffix(path.suffix + ".part")
+        temporary.write_text(canonical_json(body) + "\n", encoding="utf-8")
+        temporary.replace(path)
+
+
+def canonical_json(body: Any) -> str:
+    """Return the one JSON text of a value: sorted keys, no spaces, no NaN."""
+    return json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return {
+            "dtype": value.dtype.name,
+            "shape": list(value.shape),
+            "data": value.ravel().tolist(),
+        }
+    if isinstance(value, np.integer):
+        return int(value)
+    if hasattr(value, "__dataclass_fields__"):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, tuple | list):
+        return [_plain(v) for v in value]
+    return value
+
+
+_INTEGER_TYPES = ("int8", "int16", "int32", "int64")
+
+
+def _array(path: str, body: Any) -> np.ndarray[Any, np.dtype[Any]]:
+    try:
+        dtype, shape, data = body["dtype"], body["shape"], body["data"]
+    except (TypeError, KeyError) as error:
+        raise InputError(f"{path}: expected an array with dtype, shape and data") from error
+    if dtype not in _INTEGER_TYPES or not all(isinstance(n, int) and n >= 0 for n in shape):
+        raise InputError(f"{path}: array of {dtype!r} with shape {shape!r}; expected integers")
+    size = 1
+    for n in shape:
+        size *= n
+    if len(data) != size or not all(type(v) is int for v in data):
+        raise InputError(f"{path}: {len(data)} entries do not fill shape {shape}")
+    info = np.iinfo(dtype)
+    if any(v < info.min or v > info.max for v in data):
+        raise InputError(f"{path}: an entry does not fit {dtype}")
+    return np.array(data, dtype=dtype).reshape(shape)
+
+
+def _typed(path: str, value: Any) -> Any:
+    if isinstance(value, dict) and "dtype" in value:
+        return _array(path, value)
+    if isinstance(value, list):
+        return tuple(_typed(path, v) for v in value)
+    return value
+
+
+def _build(cls: type[Any], path: str, body: Any) -> Any:
+    names = {f.name for f in fields(cls)}
+    if not isinstance(body, dict) or set(body) != names:
+        found = sorted(body) if isinstance(body, dict) else type(body).__name__
+        raise InputError(f"{path}: expected the fields {sorted(names)}, found {found}")
+    values = {
+        k: _build(IntegerGru, f"{path}.gru", v) if k == "gru" else _typed(f"{path}.{k}", v)
+        for k, v in body.items()
+    }
+    return cls(**values)
+
+
+def _nodes(path: str, bodies: Any) -> Iterator[IntegerNode]:
+    seen: set[str] = set()
+    for i, body in enumerate(bodies):
+        where = f"{path}: nodes[{i}]"
+        kind = body.get("kind") if isinstance(body, dict) else None
+        if kind not in NODE_CLASSES:
+            raise InputError(
+                f"{where}: unknown kind {kind!r}; expected one of {list(NODE_CLASSES)}"
+            )
+        node = _build(NODE_CLASSES[kind], where, {k: v for k, v in body.items() if k != "kind"})
+        missing = [name for name in node.inputs if name not in seen]
+        if missing or node.name in seen:
+            raise InputError(f"{where}: '{node.name}' reads {missing}, which are not earlier nodes")
+        seen.add(node.name)
+        yield node
+
+
+def load_model(path: Path) -> IntegerModel:
+    """Read a model written by `IntegerModel.save`.
+
+    Raises:
+        InputError: not JSON, another format, fields missing or unknown, entries that do not fit
+            their type, or a hash that does not match (the file was edited or damaged).
+    """
+    try:
+        body = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(
+            f"{path}: cannot be read as a model ({error}). Run `zerodrift export`."
+        ) from error
+    if not isinstance(body, dict) or body.get("format") != FORMAT:
+        raise InputError(
+            f"{path}: not an integer model of format {FORMAT}. Run `zerodrift export`."
+        )
+    claimed = body.pop("hash", None)
+    try:
+        model = IntegerModel(
+            name=body["name"],
+            sample_period_s=body["sample_period_s"],
+            channels=tuple(_build(Channel, f"{path}: channels", c) for c in body["channels"]),
+            nodes=tuple(_nodes(str(path), body["nodes"])),
+            outputs=tuple(_build(OutputFormat, f"{path}: outputs", o) for o in body["outputs"]),
+            guards=_build(Guards, f"{path}: guards", body["guards"]),
+            notes=body["notes"],
+        )
+    except KeyError as error:
+        raise InputError(
+            f"{path}: the field {error} is missing. Run `zerodrift export`."
+        ) from error
+    if not model.nodes or not isinstance(model.nodes[-1], IntegerDrift):
+        raise InputError(f"{path}: the last node is not 'drift'. Run `zerodrift export`.")
+    if model.hash != claimed:
+        raise InputError(
+            f"{path}: its hash is {model.hash[:12]}, the file claims {str(claimed)[:12]}; it was"
+            " edited or damaged. Run `zerodrift export`."
+        )
+    return model

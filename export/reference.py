@@ -1,0 +1,155 @@
+"""The integer model run in NumPy: the normative meaning of every bit, a batch of sequences at once.
+
+One step reads like the specification: each node in order takes its inputs' values and its state.
+The generated C must equal it at 0 LSB, flags and states included.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.export.integer_model import (
+    FLAG_CLAMPED,
+    FLAG_RATE_RANGE,
+    FLAG_TEMPERATURE_RANGE,
+    FLAG_WARMING_UP,
+    IntegerModel,
+)
+from zerodrift.operations.arithmetic import IntArray
+from zerodrift.operations.node import State
+from zerodrift.operations.signal import CODES
+
+Observer = Callable[[int, dict[str, IntArray]], None]
+"""Called after every step with its number and the values of all nodes."""
+
+
+@dataclass(frozen=True)
+class ModelState:
+    """The state of a batch of B running compensators."""
+
+    nodes: dict[str, State]
+    steps: IntArray  # [B] steps since `init`, saturating at max(warm_up_steps, 1)
+    previous: IntArray  # [B] last temperature code
+
+    def pack(self) -> IntArray:
+        """Return all of it as [B, n]: steps, previous, then each node's fields in order.
+
+        Delay lines and windows stand oldest first, whatever ring the C keeps them in.
+        """
+        batch = self.steps.size
+        columns = [self.steps[:, None], self.previous[:, None]]
+        for state in self.nodes.values():
+            columns += [state[key].reshape(batch, -1) for key in sorted(state)]
+        return np.concatenate(columns, axis=1)
+
+    def unpack(self, packed: IntArray) -> "ModelState":
+        """Return the state that `pack` turned into `packed` [B, n]; self gives the layout."""
+        batch, column = packed.shape[0], 2
+        nodes: dict[str, State] = {}
+        for name, state in self.nodes.items():
+            fields = {}
+            for key in sorted(state):
+                shape = state[key].shape[1:]
+                size = int(np.prod(shape, dtype=np.int64))
+                fields[key] = packed[:, column : column + size].reshape((batch, *shape))
+                column += size
+            nodes[name] = fields
+        return ModelState(nodes=nodes, steps=packed[:, 0], previous=packed[:, 1])
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What a run gave, step by step."""
+
+    drift: NDArray[np.int32]  # [B, T, K]
+    flags: NDArray[np.uint32]  # [B, T]
+    hidden: NDArray[np.int32]
+    """[B, T, H] state of a streaming GRU in Q1.30 after each step; H = 0 without one."""
+    state: ModelState
+
+
+class Reference:
+    """Runs an `IntegerModel`."""
+
+    def __init__(self, model: IntegerModel) -> None:
+        self.model = model
+        self._full = max(model.guards.warm_up_steps, 1)
+
+    def start(self, codes: IntArray, *, settled: bool) -> ModelState:
+        """Return the state before the first step, whose codes [B, C] are given.
+
+        Args:
+            codes: [B, C] raw input codes.
+            settled: True for `settle` (at rest at these codes), False for `init`, after which the
+                first step takes its linear parts to be at rest but the network to be cold.
+        """
+        values: dict[str, IntArray] = {CODES: codes.astype(np.int64)}
+        states: dict[str, State] = {}
+        for node in self.model.nodes:
+            states[node.name] = node.settle(values) if settled else node.rest(values)
+            _, values[node.name] = node.step(states[node.name], values)
+        batch = codes.shape[0]
+        return ModelState(
+            nodes=states,
+            steps=np.full(batch, self._full if settled else 0, dtype=np.int64),
+            previous=codes[:, self.model.guards.temperature_channel].astype(np.int64),
+        )
+
+    def step(
+        self, state: ModelState, codes: IntArray
+    ) -> tuple[ModelState, dict[str, IntArray], IntArray, IntArray]:
+        """Return the next state, all nodes' values, drift [B, K] and flags [B]."""
+        values: dict[str, IntArray] = {CODES: codes}
+        states: dict[str, State] = {}
+        for node in self.model.nodes:
+            states[node.name], values[node.name] = node.step(state.nodes[node.name], values)
+        drift = values[self.model.drift.name]
+        flags = self._flags(state, codes, values, drift)
+        after = ModelState(
+            nodes=states,
+            steps=np.minimum(state.steps + 1, self._full),
+            previous=codes[:, self.model.guards.temperature_channel],
+        )
+        return after, values, drift, flags
+
+    def _flags(
+        self, state: ModelState, codes: IntArray, values: dict[str, IntArray], drift: IntArray
+    ) -> IntArray:
+        guards = self.model.guards
+        temperature = codes[:, guards.temperature_channel]
+        outside = (temperature < guards.temperature_low) | (temperature > guards.temperature_high)
+        clamped = (self.model.drift.sum(values) != drift).any(axis=1)
+        return np.asarray(
+            FLAG_WARMING_UP * (state.steps < guards.warm_up_steps)
+            + FLAG_TEMPERATURE_RANGE * outside
+            + FLAG_RATE_RANGE * (np.abs(temperature - state.previous) > guards.rate_max)
+            + FLAG_CLAMPED * clamped
+        )
+
+    def run(
+        self,
+        codes: NDArray[np.int16],
+        *,
+        settled: bool = True,
+        state: ModelState | None = None,
+        observe: Observer | None = None,
+    ) -> Trace:
+        """Run T steps over codes [B, T, C], from `state` or else from a start at codes[:, 0]."""
+        batch, steps, _ = codes.shape
+        wide = codes.astype(np.int64)
+        now = state if state is not None else self.start(wide[:, 0], settled=settled)
+        layer = self.model.recurrent
+        streaming = layer is not None and not layer.window
+        hidden = layer.width if layer is not None and streaming else 0
+        drift = np.empty((batch, steps, len(self.model.outputs)), dtype=np.int32)
+        flags = np.empty((batch, steps), dtype=np.uint32)
+        states = np.empty((batch, steps, hidden), dtype=np.int32)
+        for t in range(steps):
+            now, values, drift[:, t], flags[:, t] = self.step(now, wide[:, t])
+            if layer is not None and streaming:
+                states[:, t] = now.nodes[layer.name]["h_q30"]
+            if observe is not None:
+                observe(t, values)
+        return Trace(drift=drift, flags=flags, hidden=states, state=now)

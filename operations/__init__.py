@@ -1,0 +1,1 @@
+"""The operations a compensator is made of, each in one place: float, integer, C and range faces."""

@@ -1,0 +1,65 @@
+"""The project's only integer arithmetic: one rounding rule, explicit saturation, exact products.
+
+Everything works on int64 arrays holding values that the C keeps in the widths named by the
+specification (`docs/reference/integer-arithmetic.md`); nothing may wrap, which the range rules
+prove for every model.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+IntArray = NDArray[np.int64]
+
+INT16_MIN, INT16_MAX = -(2**15), 2**15 - 1
+INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
+INT64_MIN, INT64_MAX = -(2**63), 2**63 - 1
+
+
+def round_shift(x: Any, shift: int) -> Any:
+    """Return x / 2**shift rounded to the nearest integer, halves upwards.
+
+    Args:
+        x: int64 array or int; |x| < 2**63 - 2**(shift - 1).
+        shift: 0 .. 62 bits.
+
+    Example:
+        >>> [round_shift(v, 1) for v in (-3, -2, -1, 0, 1, 2, 3)]
+        [-1, -1, 0, 0, 1, 1, 2]
+    """
+    if shift == 0:
+        return x
+    return (x + (1 << (shift - 1))) >> shift
+
+
+def saturate(x: Any, low: Any, high: Any) -> Any:
+    """Return x limited to low .. high, both included."""
+    if isinstance(x, int):
+        return min(max(x, low), high)
+    return np.clip(x, low, high)
+
+
+def matmul_exact(vector: NDArray[Any], matrix_t: NDArray[np.float64]) -> IntArray:
+    """Return the integer product vector @ matrix_t, computed by float64 BLAS without any rounding.
+
+    Args:
+        vector: [B, n] integers.
+        matrix_t: [n, m] integers stored as float64.
+
+    Limits: exact as long as every partial sum stays below 2**53. A 32-bit accumulator, which the
+    range rule of `dense` and `gru` has proven, is far below that.
+    """
+    return np.asarray(vector.astype(np.float64) @ matrix_t).astype(np.int64)
+
+
+def choose_exponent(largest: float, limit: int) -> int:
+    """Return the largest f <= 62 with largest * 2**f <= limit; it may be negative."""
+    if largest <= 0.0:
+        return 62
+    exponent = int(np.floor(np.log2(limit / largest)))
+    while largest * 2.0**exponent > limit:
+        exponent -= 1
+    while exponent < 62 and largest * 2.0 ** (exponent + 1) <= limit:
+        exponent += 1
+    return exponent

@@ -1,0 +1,187 @@
+"""The gated recurrent unit: float step, integer step, range rule and the order of its C data.
+
+Gate order is defined here and nowhere else: r (reset), u (update), n (candidate). The update gate
+is kept as u = 1 - z = sigmoid(-z_preactivation), since that is what the state moves by:
+
+    r = sigmoid(Wr x + Ur h + br)        u = sigmoid(Wu x + Uu h + bu)
+    n = tanh(Wn x + bn + r * (Un h + cn))          reset "after" the recurrent product (PyTorch)
+    n = tanh(Wn x + bn + Un (r * h))               reset "before" it (the paper)
+    h' = h + u * (n - h)
+
+The integer meaning is normative and specified in `docs/reference/integer-arithmetic.md`.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.arithmetic import IntArray, matmul_exact, round_shift
+from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.tables import sigmoid_q27, tanh_q26
+
+GATES = ("r", "u", "n")
+H_LIMIT_Q30 = 2**30 - 2**15 + 1
+"""|h| in Q1.30 never exceeds this: the recurrent invariant (see `prove_state`)."""
+R_Q31_MAX = (2**27 - 2**11) << 4
+RELAX_STEPS = 64
+U_RELAX_Q31 = 2**30
+
+
+@dataclass(frozen=True)
+class FloatGru:
+    """Weights of a GRU in float64, gates in the order r, u, n."""
+
+    w_x: NDArray[np.float64]  # [3, H, I]
+    w_h: NDArray[np.float64]  # [3, H, H]
+    bias: NDArray[np.float64]
+    """[4, H]: r, u, n outside the reset product, n inside it (0 for reset "before")."""
+    reset: str
+    """"after" or "before" the recurrent product."""
+
+    def step(self, x: NDArray[np.float64], h: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the next state [B, H] from features x [B, I] and state h [B, H]."""
+        u, n = self._gates(x, h)
+        return h + u * (n - h)
+
+    def settle(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the state at rest [B, H] under constant features x [B, I], relaxed from 0."""
+        h = np.zeros((x.shape[0], self.w_h.shape[1]))
+        for _ in range(RELAX_STEPS):
+            _, n = self._gates(x, h)
+            h = h + 0.5 * (n - h)
+        return h
+
+    def _gates(
+        self, x: NDArray[np.float64], h: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        r = _sigmoid(x @ self.w_x[0].T + h @ self.w_h[0].T + self.bias[0])
+        u = _sigmoid(x @ self.w_x[1].T + h @ self.w_h[1].T + self.bias[1])
+        n_x = x @ self.w_x[2].T + self.bias[2]
+        if self.reset == "after":
+            return u, np.tanh(n_x + r * (h @ self.w_h[2].T + self.bias[3]))
+        return u, np.tanh(n_x + (r * h) @ self.w_h[2].T)
+
+
+def _sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    return 0.5 * (1.0 + np.tanh(0.5 * x))
+
+
+@dataclass(frozen=True)
+class IntegerGru:
+    """A quantized GRU; every array is what the C holds, in the same order."""
+
+    w_x: NDArray[np.int16]  # [3, H, I]
+    w_h: NDArray[np.int16] | NDArray[np.int8]  # [3, H, H]
+    bias: NDArray[np.int32]
+    """[4, H]: r, u, n outside, n inside; the rounding halves of the shifts are folded in."""
+    shift: tuple[int, int, int]
+    """Right shift from the accumulator of gate r, u, n to the table's t_q16."""
+    reset: str
+    multiplier: NDArray[np.int32] | None = None
+    """[3, H] for int8 recurrent weights: row scale of w_h . h; None for int16."""
+    multiplier_shift: tuple[int, int, int] = (0, 0, 0)
+
+    @property
+    def hidden(self) -> int:
+        """Number of hidden units H."""
+        return int(self.w_h.shape[1])
+
+    @property
+    def inputs(self) -> int:
+        """Number of features I."""
+        return int(self.w_x.shape[2])
+
+    @cached_property
+    def _w_x_t(self) -> tuple[NDArray[np.float64], ...]:
+        return tuple(np.ascontiguousarray(w.T, dtype=np.float64) for w in self.w_x)
+
+    @cached_property
+    def _w_h_t(self) -> tuple[NDArray[np.float64], ...]:
+        return tuple(np.ascontiguousarray(w.T, dtype=np.float64) for w in self.w_h)
+
+    def _recurrent(self, gate: int, h_q15: IntArray) -> IntArray:
+        product = matmul_exact(h_q15, self._w_h_t[gate])
+        if self.multiplier is None:
+            return product
+        scaled = product * self.multiplier[gate].astype(np.int64)
+        return np.asarray(round_shift(scaled, self.multiplier_shift[gate]))
+
+    def _gates(self, x: IntArray, h_q30: IntArray) -> tuple[IntArray, IntArray]:
+        h_q15 = np.asarray(round_shift(h_q30, 15))
+        bias = self.bias.astype(np.int64)
+        a_r = bias[0] + matmul_exact(x, self._w_x_t[0]) + self._recurrent(0, h_q15)
+        a_u = bias[1] + matmul_exact(x, self._w_x_t[1]) + self._recurrent(1, h_q15)
+        r_q31 = sigmoid_q27(a_r >> self.shift[0]) << 4
+        u_q31 = sigmoid_q27(a_u >> self.shift[1]) << 4
+        a_n = bias[2] + matmul_exact(x, self._w_x_t[2])
+        if self.reset == "after":
+            a_nh = bias[3] + self._recurrent(2, h_q15)
+            a_n = a_n + round_shift(a_nh * r_q31, 32)
+        else:
+            rh_q15 = np.asarray(round_shift(h_q30 * r_q31, 46))
+            a_n = a_n + self._recurrent(2, rh_q15)
+        n_q30 = tanh_q26(a_n >> self.shift[2]) << 4
+        return u_q31, n_q30
+
+    def step(self, x: IntArray, h_q30: IntArray) -> IntArray:
+        """Return the next state [B, H] in Q1.30 from int16 features x [B, I] and state h_q30."""
+        u_q31, n_q30 = self._gates(x, h_q30)
+        return np.asarray(h_q30 + 2 * round_shift((n_q30 - h_q30) * u_q31, 32))
+
+    def settle(self, x: IntArray) -> IntArray:
+        """Return the state at rest [B, H] in Q1.30 under constant features x [B, I]."""
+        h_q30 = np.zeros((x.shape[0], self.hidden), dtype=np.int64)
+        for _ in range(RELAX_STEPS):
+            _, n_q30 = self._gates(x, h_q30)
+            h_q30 = np.asarray(h_q30 + 2 * round_shift((n_q30 - h_q30) * U_RELAX_Q31, 32))
+        return h_q30
+
+    def prove(self, name: str, features: list[Interval]) -> list[Bound]:
+        """Return the bounds of every accumulator for any features within their intervals.
+
+        Sums of absolute values bound every partial sum, whatever the order of summation.
+
+        Raises:
+            CheckError: an accumulator could overflow.
+        """
+        bounds: list[Bound] = []
+        h_q15 = 32767  # round_shift(H_LIMIT_Q30, 15)
+        for j in range(self.hidden):
+            for gate, gate_name in enumerate(GATES):
+                row = f"{name}.{gate_name}[{j}]"
+                from_x = sum(
+                    abs(int(w)) * f.magnitude
+                    for w, f in zip(self.w_x[gate, j], features, strict=True)
+                )
+                product = int(np.abs(self.w_h[gate, j].astype(np.int64)).sum()) * h_q15
+                if self.multiplier is not None:
+                    bounds.append(_symmetric(f"{row}.product", product, 32))
+                    scaled = product * abs(int(self.multiplier[gate, j]))
+                    shift = self.multiplier_shift[gate]
+                    bounds.append(_symmetric(f"{row}.scaled", scaled + (1 << shift >> 1), 64))
+                    product = (scaled >> shift) + 1
+                outside = abs(int(self.bias[gate, j])) + from_x
+                if gate_name == "n" and self.reset == "after":
+                    inside = abs(int(self.bias[3, j])) + product
+                    bounds.append(_symmetric(f"{row}.inside", inside, 32))
+                    product = (inside * R_Q31_MAX >> 32) + 1
+                bounds.append(_symmetric(row, outside + product, 32))
+        bounds.append(prove_state(name))
+        return [bound.check() for bound in bounds]
+
+
+def prove_state(name: str) -> Bound:
+    """Return the bound of n - h, which rests on the recurrent invariant |h| <= H_LIMIT_Q30.
+
+    Invariant, by induction from h = 0: let d = n - h. The step adds 2 round(d u / 2) which lies
+    within 1 of d u, and u <= 1 - 2**-16. Where |d| >= 2**16 the step therefore does not pass n, and
+    |n| <= 2**30 - 2**15; where |d| < 2**16 it passes n by at most 1.
+    """
+    reach = (2**30 - 2**15) + H_LIMIT_Q30
+    return _symmetric(f"{name}.state_step", reach, 32)
+
+
+def _symmetric(where: str, magnitude: int, bits: int) -> Bound:
+    return Bound(where, Interval(-magnitude, magnitude), bits)

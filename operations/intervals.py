@@ -1,0 +1,72 @@
+"""Intervals of integers, in exact arithmetic: what the range face of every operation returns."""
+
+from dataclasses import dataclass
+
+from zerodrift.errors import CheckError
+
+
+@dataclass(frozen=True)
+class Interval:
+    """All integers from low to high, both included."""
+
+    low: int
+    high: int
+
+    def __post_init__(self) -> None:
+        if self.low > self.high:
+            raise ValueError(f"empty interval {self.low} .. {self.high}")
+
+    @property
+    def magnitude(self) -> int:
+        """The largest absolute value in the interval."""
+        return max(abs(self.low), abs(self.high))
+
+    def __add__(self, other: "Interval") -> "Interval":
+        return Interval(self.low + other.low, self.high + other.high)
+
+    def __sub__(self, other: "Interval") -> "Interval":
+        return Interval(self.low - other.high, self.high - other.low)
+
+    def __mul__(self, other: "Interval") -> "Interval":
+        corners = [a * b for a in (self.low, self.high) for b in (other.low, other.high)]
+        return Interval(min(corners), max(corners))
+
+    def scale(self, factor: int) -> "Interval":
+        """Return the interval of factor * x."""
+        return self * Interval(factor, factor)
+
+    def round_shift(self, shift: int) -> "Interval":
+        """Return the interval of round_shift(x, shift)."""
+        if shift == 0:
+            return self
+        half = 1 << (shift - 1)
+        return Interval((self.low + half) >> shift, (self.high + half) >> shift)
+
+    def saturate(self, low: int, high: int) -> "Interval":
+        """Return the interval of saturate(x, low, high)."""
+        return Interval(min(max(self.low, low), high), min(max(self.high, low), high))
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One line of the certificate: a place in the arithmetic, what it reaches, what it holds."""
+
+    where: str
+    interval: Interval
+    bits: int
+    """Signed width that must hold the interval."""
+
+    def check(self) -> "Bound":
+        """Return self.
+
+        Raises:
+            CheckError: the interval does not fit; names the place, the bound and the remedy.
+        """
+        limit = 1 << (self.bits - 1)
+        if self.interval.low < -limit or self.interval.high > limit - 1:
+            raise CheckError(
+                f"{self.where}: can reach {self.interval.low} .. {self.interval.high}, which does"
+                f" not fit {self.bits} bits. The model is refused; narrow the input range, or scale"
+                " the weights of that row down."
+            )
+        return self

@@ -1,0 +1,207 @@
+"""The network's nodes in fixed point: features, recurrent layer (stream or window), head, drift."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.arithmetic import (
+    INT16_MAX,
+    INT16_MIN,
+    IntArray,
+    matmul_exact,
+    round_shift,
+    saturate,
+)
+from zerodrift.operations.gru import H_LIMIT_Q30, IntegerGru
+from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.node import IntegerNode, State, Values
+
+
+def _bound_row(
+    where: str, row: NDArray[np.int64], bias: int, inputs: list[Interval], bits: int
+) -> tuple[Interval, Bound]:
+    """Return the interval of bias + row . inputs and a bound that covers every partial sum."""
+    total = Interval(bias, bias)
+    partial = abs(bias)
+    for weight, interval in zip(row.tolist(), inputs, strict=True):
+        total = total + interval.scale(weight)
+        partial += abs(weight) * interval.magnitude
+    return total, Bound(where, Interval(-partial, partial), bits).check()
+
+
+@dataclass(frozen=True)
+class IntegerFeatures(IntegerNode):
+    """The front end's whitening: int16 features from 32-bit signals, 64-bit sums, one rounding."""
+
+    kind: ClassVar[str] = "features"
+    matrix: NDArray[np.int32]  # [I, J]
+    bias: NDArray[np.int64]
+    """[I], the rounding half folded in."""
+    shift: tuple[int, ...]
+
+    @property
+    def width(self) -> int:
+        """Number of features I."""
+        return int(self.matrix.shape[0])
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return saturate((bias + matrix . signals) >> shift) to int16."""
+        signals = np.stack([values[name] for name in self.inputs], axis=1)
+        total = signals @ self.matrix.astype(np.int64).T + self.bias
+        return {}, np.asarray(saturate(total >> np.array(self.shift), INT16_MIN, INT16_MAX))
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the 64-bit sums; the outputs are at most int16 by saturation."""
+        flat = [x[0] for x in inputs]
+        out, bounds = [], []
+        for i in range(self.width):
+            total, bound = _bound_row(
+                f"{self.name}[{i}]", self.matrix[i].astype(np.int64), int(self.bias[i]), flat, 64
+            )
+            shifted = Interval(total.low >> self.shift[i], total.high >> self.shift[i])
+            out.append(shifted.saturate(INT16_MIN, INT16_MAX))
+            bounds.append(bound)
+        return out, bounds
+
+
+@dataclass(frozen=True)
+class IntegerGruLayer(IntegerNode):
+    """A GRU over the features: one step per sample, or afresh over the last `window` samples.
+
+    The output is the hidden state in Q1.30.
+    """
+
+    kind: ClassVar[str] = "gru"
+    gru: IntegerGru
+    window: int
+    """0: the state is carried from sample to sample ("stream")."""
+
+    @property
+    def width(self) -> int:
+        """Number of hidden units H."""
+        return self.gru.hidden
+
+    def rest(self, values: Values) -> State:
+        """Return a cold state: h = 0, or a window filled with the present features."""
+        x = values[self.inputs[0]]
+        if self.window:
+            return {"window": np.repeat(x[:, None, :], self.window, axis=1)}
+        return {"h_q30": np.zeros((x.shape[0], self.gru.hidden), dtype=np.int64)}
+
+    def settle(self, values: Values) -> State:
+        """Return the state at rest under the present features."""
+        if self.window:
+            return self.rest(values)
+        return {"h_q30": self.gru.settle(values[self.inputs[0]])}
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return the next state and the hidden state in Q1.30."""
+        x = values[self.inputs[0]]
+        if not self.window:
+            h_q30 = self.gru.step(x, state["h_q30"])
+            return {"h_q30": h_q30}, h_q30
+        window = np.concatenate([state["window"][:, 1:], x[:, None, :]], axis=1)
+        h_q30 = np.zeros((x.shape[0], self.gru.hidden), dtype=np.int64)
+        for k in range(self.window):
+            h_q30 = self.gru.step(window[:, k], h_q30)
+        return {"window": window}, h_q30
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound every accumulator of the recurrent layer."""
+        return [Interval(-H_LIMIT_Q30, H_LIMIT_Q30)] * self.width, self.gru.prove(
+            self.name, inputs[0]
+        )
+
+
+@dataclass(frozen=True)
+class IntegerHead(IntegerNode):
+    """The network's linear output layer: int16 weights, the state in Q0.15, 32-bit sums."""
+
+    kind: ClassVar[str] = "head"
+    weights: NDArray[np.int16]  # [K, H]
+
+    @property
+    def width(self) -> int:
+        """Number of outputs K."""
+        return int(self.weights.shape[0])
+
+    @cached_property
+    def _weights_t(self) -> NDArray[np.float64]:
+        return np.ascontiguousarray(self.weights.T, dtype=np.float64)
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return weights . round_shift(h_q30, 15); the bias is part of `drift`."""
+        h_q15 = round_shift(values[self.inputs[0]], 15)
+        return {}, matmul_exact(h_q15, self._weights_t)
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the 32-bit sums."""
+        h_q15 = [h_q30.round_shift(15) for h_q30 in inputs[0]]
+        rows = [
+            _bound_row(f"{self.name}[{k}]", self.weights[k].astype(np.int64), 0, h_q15, 32)
+            for k in range(self.width)
+        ]
+        return [total for total, _ in rows], [bound for _, bound in rows]
+
+
+@dataclass(frozen=True)
+class IntegerDrift(IntegerNode):
+    """The answer: per output a 64-bit sum of signals and the head's row, rounded once and limited.
+
+    Inputs are the scalar signals in order and, last and only if `head` is set, the head's vector.
+    """
+
+    kind: ClassVar[str] = "drift"
+    coefficients: NDArray[np.int64]  # [K, J] for the J scalar signals
+    head_coefficients: NDArray[np.int64]  # [K]; zeros without a head
+    bias: NDArray[np.int64]
+    """[K], the rounding half folded in."""
+    shift: tuple[int, ...]
+    low: tuple[int, ...]
+    high: tuple[int, ...]
+    head: bool
+
+    @property
+    def width(self) -> int:
+        """Number of outputs K."""
+        return int(self.coefficients.shape[0])
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the scalar signals."""
+        return self.inputs[:-1] if self.head else self.inputs
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return saturate((bias + sum of products) >> shift, low, high)."""
+        drift = self.sum(values)
+        return {}, np.asarray(saturate(drift, np.array(self.low), np.array(self.high)))
+
+    def sum(self, values: Values) -> IntArray:
+        """Return the drift before it is limited to low .. high."""
+        batch = values[self.inputs[0]].shape[0]
+        total = np.broadcast_to(self.bias, (batch, self.width))
+        if self.signals:
+            signals = np.stack([values[name] for name in self.signals], axis=1)
+            total = total + signals @ self.coefficients.T
+        if self.head:
+            total = total + values[self.inputs[-1]] * self.head_coefficients
+        return np.asarray(total >> np.array(self.shift))
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the 64-bit sums; the outputs lie within low .. high by saturation."""
+        scalars = [x[0] for x in (inputs[:-1] if self.head else inputs)]
+        out, bounds = [], []
+        for k in range(self.width):
+            row = self.coefficients[k]
+            terms = list(scalars)
+            if self.head:
+                row = np.append(row, self.head_coefficients[k])
+                terms.append(inputs[-1][k])
+            total, bound = _bound_row(f"{self.name}[{k}]", row, int(self.bias[k]), terms, 64)
+            shifted = Interval(total.low >> self.shift[k], total.high >> self.shift[k])
+            out.append(shifted.saturate(self.low[k], self.high[k]))
+            bounds.append(bound)
+        return out, bounds

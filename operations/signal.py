@@ -1,0 +1,173 @@
+"""Scalar signals in fixed point: input, offset, difference, product, low-pass, delay."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from zerodrift.operations.arithmetic import IntArray, round_shift, saturate
+from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.node import IntegerNode, State, Values
+
+CODES = "codes"
+"""The values under this name are the raw input codes [B, C]."""
+LOWPASS_FRACTION = 24
+"""Extra fractional bits of the low-pass state, against stalling (see `IntegerLowpass`)."""
+
+
+@dataclass(frozen=True)
+class IntegerInput(IntegerNode):
+    """A raw int16 code, limited to its declared range and given `shift` fractional bits."""
+
+    kind: ClassVar[str] = "input"
+    channel: int
+    low: int
+    high: int
+    shift: int
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return saturate(code, low, high) << shift."""
+        code = values[CODES][:, self.channel]
+        return {}, np.asarray(saturate(code, self.low, self.high) << self.shift)
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the shifted code; holds for every int16 code because of the limits."""
+        out = Interval(self.low << self.shift, self.high << self.shift)
+        return [out], [Bound(self.name, out, 32).check()]
+
+
+@dataclass(frozen=True)
+class IntegerOffset(IntegerNode):
+    """x - offset."""
+
+    kind: ClassVar[str] = "offset"
+    offset: int
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return x - offset."""
+        return {}, values[self.inputs[0]] - self.offset
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the difference."""
+        out = inputs[0][0] - Interval(self.offset, self.offset)
+        return [out], [Bound(self.name, out, 32).check()]
+
+
+@dataclass(frozen=True)
+class IntegerDifference(IntegerNode):
+    """a - b, both at the same exponent."""
+
+    kind: ClassVar[str] = "difference"
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return a - b."""
+        return {}, values[self.inputs[0]] - values[self.inputs[1]]
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the difference, as if a and b were independent."""
+        out = inputs[0][0] - inputs[1][0]
+        return [out], [Bound(self.name, out, 32).check()]
+
+
+@dataclass(frozen=True)
+class IntegerProduct(IntegerNode):
+    """round_shift(a * b, shift), the product in 64 bits."""
+
+    kind: ClassVar[str] = "product"
+    shift: int
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return round_shift(a * b, shift)."""
+        product = values[self.inputs[0]] * values[self.inputs[1]]
+        return {}, np.asarray(round_shift(product, self.shift))
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the 64-bit product with its rounding half, and the 32-bit result."""
+        product = inputs[0][0] * inputs[1][0]
+        half = Interval(0, 1 << self.shift >> 1)
+        out = product.round_shift(self.shift)
+        return [out], [
+            Bound(f"{self.name}.product", product + half, 64).check(),
+            Bound(self.name, out, 32).check(),
+        ]
+
+
+@dataclass(frozen=True)
+class IntegerLowpass(IntegerNode):
+    """First-order low-pass, exact for inputs that are straight lines between samples.
+
+    With a = 1 - exp(-dt/tau) and c = 1 - a tau/dt the exact answer to a ramp is
+    y' = y + a (x - y) + c (x' - x); keeping v = y - c x instead of y saves the previous input:
+
+        y = v + c x        v' = v + a (x - y)
+
+    v has 24 fractional bits more than x. a = m * 2**-(31 + k) is given as mantissa and exponent, so
+    that a time constant of ten hours at 10 ms still moves the state for a difference of a few
+    millionths of a kelvin.
+    """
+
+    kind: ClassVar[str] = "lowpass"
+    c_q24: int
+    m_q31: int
+    shift: int
+    """31 + k - 22 for a = m_q31 * 2**-(31 + k)."""
+
+    def rest(self, values: Values) -> State:
+        """Return v at which y equals x exactly."""
+        x = values[self.inputs[0]]
+        return {"v": x * ((1 << LOWPASS_FRACTION) - self.c_q24)}
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return the next v and y rounded to x's format."""
+        x = values[self.inputs[0]]
+        y = state["v"] + x * self.c_q24
+        gap = round_shift((x << LOWPASS_FRACTION) - y, 22)
+        v = state["v"] + round_shift(gap * self.m_q31, self.shift)
+        return {"v": np.asarray(v)}, np.asarray(round_shift(y, LOWPASS_FRACTION))
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound y by the input's range and a margin for rounding.
+
+        Without rounding y is a weighted mean of past inputs (a >= c >= 0), so it stays in their
+        range. Each step adds at most 2**21 a + 1 to v by rounding, of which the share a decays per
+        step, so the deviation never exceeds (2**21 a + 1) / a.
+        """
+        x = inputs[0][0]
+        a_inverse = -(-(1 << (self.shift + 22)) // self.m_q31)
+        margin = (1 << 21) + a_inverse + 1
+        wide = x.scale(1 << LOWPASS_FRACTION) + Interval(-margin, margin)
+        gap = (x.scale(1 << LOWPASS_FRACTION) - wide).round_shift(22)
+        scaled = gap.scale(self.m_q31)
+        out = wide.round_shift(LOWPASS_FRACTION)
+        v = wide - x.scale(self.c_q24)
+        half = Interval(0, 1 << self.shift >> 1)
+        return [out], [
+            Bound(f"{self.name}.v", v, 64).check(),
+            Bound(f"{self.name}.y", wide, 64).check(),
+            Bound(f"{self.name}.gap", gap, 32).check(),
+            Bound(f"{self.name}.scaled", scaled + half, 64).check(),
+            Bound(self.name, out, 32).check(),
+        ]
+
+
+@dataclass(frozen=True)
+class IntegerDelay(IntegerNode):
+    """x as it was `steps` samples ago; at rest it was always what it is now."""
+
+    kind: ClassVar[str] = "delay"
+    steps: int
+
+    def rest(self, values: Values) -> State:
+        """Return a line filled with the present input, oldest first."""
+        x = values[self.inputs[0]]
+        return {"line": np.repeat(x[:, None], self.steps, axis=1)}
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return the line with the present input appended, and the oldest entry."""
+        x = values[self.inputs[0]]
+        line = state["line"]
+        return {"line": np.concatenate([line[:, 1:], x[:, None]], axis=1)}, line[:, 0]
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the output by the input's range."""
+        return [inputs[0][0]], [Bound(f"{self.name}.line", inputs[0][0], 32).check()]

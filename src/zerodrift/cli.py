@@ -1,0 +1,78 @@
+"""The command line: names the commands and loads each one's module only when it is called."""
+
+import importlib
+import sys
+
+import click
+
+from zerodrift import __version__
+from zerodrift.errors import ZerodriftError
+
+#: Command name -> one-line help. The command itself is `zerodrift.commands.<name>:command`.
+COMMANDS: dict[str, str] = {
+    "init": "Write a commented zerodrift.toml guessed from the logs' headers.",
+    "effects": "The catalogue of physical effects; with a name, everything about one.",
+    "compare": "Model against measurements, run by run; where it fails.",
+    "diagnose": "Name the physical effect that the model lacks.",
+    "add": "Add an effect, refit, and show the held-out error before and after.",
+    "remove": "Remove an effect, refit, and show the held-out error before and after.",
+    "history": "The staircase of errors so far.",
+    "train": "Fit the effects, then train the network on what is left.",
+    "export": "Write float ONNX, integer model and golden vectors.",
+    "firmware": "Everything up to C sources, built and checked bit for bit on the host.",
+    "verify": "Replay the golden vectors on every back end there is.",
+    "twin": "Write simulated logs of the six-axis sensor.",
+}
+
+
+class LazyGroup(click.Group):
+    """A click group that imports a command's module on first use, so that `--help` stays fast."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the command names in the order of a user's work."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import and return the command named `cmd_name`, or None for an unknown name."""
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"zerodrift.commands.{cmd_name}")
+        command = module.command
+        assert isinstance(command, click.Command)
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Resolve the command, naming the nearest ones when it is unknown."""
+        from zerodrift.errors import nearest
+
+        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
+            raise click.UsageError(f"no command '{args[0]}'{nearest(args[0], COMMANDS)}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the command list without importing any of the commands."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="zerodrift")
+def cli() -> None:
+    """Turn a sensor's temperature logs into fixed-point drift-compensation firmware."""
+
+
+def main() -> None:
+    """Run the command line; a user's error becomes one message on stderr and its exit code."""
+    try:
+        cli.main(standalone_mode=False)
+    except ZerodriftError as error:
+        click.echo(f"error: {error}", err=True)
+        sys.exit(error.exit_code)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except click.exceptions.Abort:
+        click.echo("interrupted; nothing was left half-written", err=True)
+        sys.exit(130)

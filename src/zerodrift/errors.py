@@ -1,0 +1,30 @@
+"""The errors a user can cause, and the exit code each one ends with."""
+
+import difflib
+from collections.abc import Iterable
+
+
+class ZerodriftError(Exception):
+    """Base of every error that is told to the user as one message, without a traceback."""
+
+    exit_code = 2
+
+
+class InputError(ZerodriftError):
+    """The input or the usage is wrong: the message says where, what, what was expected, what to do."""
+
+    exit_code = 2
+
+
+class CheckError(ZerodriftError):
+    """A check ran and failed: bits differ, a certificate was refused."""
+
+    exit_code = 1
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return `; did you mean 'x'?` for the known names closest to `name`, or an empty string."""
+    matches = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+    if not matches:
+        return ""
+    return "; did you mean " + " or ".join(f"'{match}'" for match in matches) + "?"
