@@ -26,7 +26,10 @@ SIGNAL_BITS = 30
 
 @dataclass(frozen=True)
 class Signal:
-    """An integer signal q and its meaning: physical value = q * scale + offset."""
+    """An integer signal q and its meaning: physical value = q * scale + offset.
+
+    A constant has no node (an empty name), scale 0 and its value as offset.
+    """
 
     node: str
     scale: float
@@ -77,14 +80,17 @@ class Lowering:
     def _lower(self, node: Node) -> Signal:
         if node.op == "input":
             return self._lower_input(node.source)
+        if node.op == "constant":
+            return Signal("", 0.0, node.constants[0])
         arguments = [self.lower(child) for child in node.inputs]
         match node.op:
             case "affine":
                 gain, offset = node.constants
                 x = arguments[0]
                 return replace(x, scale=x.scale * gain, offset=x.offset * gain + offset)
-            case "difference":
-                return self._lower_difference(*arguments)
+            case "total" | "difference":
+                sign = 1.0 if node.op == "total" else -1.0
+                return self._lower_sum(arguments[0], arguments[1], sign)
             case "product":
                 return self._multiply(*arguments)
             case "power" if node.constants[0] in (1.0, 2.0, 3.0, 4.0):
@@ -122,14 +128,20 @@ class Lowering:
         )
         return Signal(name, channel.lsb / 2**INPUT_SHIFT, channel.offset)
 
-    def _lower_difference(self, a: Signal, b: Signal) -> Signal:
-        if a.scale != b.scale:
+    def _lower_sum(self, a: Signal, b: Signal, sign: float) -> Signal:
+        """Return a + sign * b, which needs a node only where both move."""
+        offset = a.offset + sign * b.offset
+        if not b.node:
+            return replace(a, offset=offset)
+        if not a.node:
+            return Signal(b.node, sign * b.scale, offset)
+        if a.scale != -sign * b.scale:
             raise CheckError(
-                f"difference of '{a.node}' and '{b.node}' with different scales has no fixed-point"
+                f"the sum of '{a.node}' and '{b.node}' with different scales has no fixed-point"
                 " form in this version"
             )
         node = IntegerDifference(name=self._name("difference"), inputs=(a.node, b.node))
-        return Signal(self.append(node), a.scale, a.offset - b.offset)
+        return Signal(self.append(node), a.scale, offset)
 
     def _remove_offset(self, x: Signal) -> Signal:
         """Return the same physical signal with offset 0, as far as the format resolves it."""
@@ -140,6 +152,9 @@ class Lowering:
         return Signal(self.append(node), x.scale)
 
     def _multiply(self, a: Signal, b: Signal) -> Signal:
+        if not a.node or not b.node:
+            moving, factor = (b, a.offset) if not a.node else (a, b.offset)
+            return replace(moving, scale=moving.scale * factor, offset=moving.offset * factor)
         same = a == b
         a = self._remove_offset(a)
         b = a if same else self._remove_offset(b)
@@ -149,7 +164,7 @@ class Lowering:
         return Signal(self.append(node), a.scale * b.scale * 2.0**shift)
 
     def _lower_lowpass(self, x: Signal, tau_s: float) -> Signal:
-        if tau_s <= 0.0:
+        if tau_s <= 0.0 or not x.node:
             return x
         decay, b0, _ = lowpass_coefficients(self.sample_period_s, tau_s)
         share = 1.0 - decay
@@ -178,7 +193,7 @@ class Lowering:
                 f"a delay of {delay_s:g} s is no whole number of steps of"
                 f" {self.sample_period_s:g} s; this version has no fixed-point form for it"
             )
-        if steps == 0:
+        if steps == 0 or not x.node:
             return x
         node = IntegerDelay(name=self._name("delay"), inputs=(x.node,), steps=steps)
         return Signal(self.append(node), x.scale, x.offset)

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from zerodrift.errors import CheckError
 from zerodrift.export.integer_model import Channel, Guards, IntegerModel, OutputFormat
 from zerodrift.export.lowering import Lowering, Signal
+from zerodrift.export.onnx_reader import FloatNetwork
 from zerodrift.export.quantize_gru import quantize_gru, quantize_head
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN, choose_exponent
 from zerodrift.operations.graph import Node
-from zerodrift.operations.gru import FloatGru
 from zerodrift.operations.network import (
     IntegerDrift,
     IntegerFeatures,
@@ -26,17 +26,6 @@ FEATURE_HEADROOM = 1.25
 COEFFICIENT_LIMIT = 2**30
 SUM_LIMIT = 2**61
 """The 64-bit sums of drift and features stay below this, halves and biases included."""
-
-
-@dataclass(frozen=True)
-class FloatNetwork:
-    """A GRU and its linear head, as read from ONNX."""
-
-    gru: FloatGru
-    head: Array
-    """[K, H] in output units."""
-    head_bias: Array
-    """[K] in output units."""
 
 
 @dataclass(frozen=True)
@@ -97,13 +86,19 @@ def quantize(model: FloatModel, calibration: Calibration, weights: str = "int16"
         limits=calibration.code_limits,
         sample_period_s=model.sample_period_s,
     )
-    signals = [lowering.lower(node) for node in model.features]
-    offset = model.offset.astype(np.float64)
+    lowered = [lowering.lower(node) for node in model.features]
+    constant = np.array([s.node == "" for s in lowered], dtype=bool)
+    signals = [s for s in lowered if s.node]
+    coefficients = model.coefficients[~constant]
+    offset = (
+        model.offset
+        + np.array([s.offset for s in lowered if not s.node]) @ (model.coefficients[constant])
+    )
     head_exponents = None
     if model.network is not None:
         head_exponents = _lower_network(lowering, model, model.network, calibration, weights)
         offset = offset + model.network.head_bias
-    _lower_drift(lowering, model, signals, head_exponents, offset, calibration)
+    _lower_drift(lowering, model, signals, coefficients, head_exponents, offset, calibration)
     low, high = calibration.code_limits[0]
     integer = IntegerModel(
         name=model.name,
@@ -197,6 +192,7 @@ def _lower_drift(
     lowering: Lowering,
     model: FloatModel,
     signals: list[Signal],
+    weights: Array,
     head_exponents: NDArray[np.int64] | None,
     offset: Array,
     calibration: Calibration,
@@ -213,7 +209,7 @@ def _lower_drift(
     shifts, lows, highs = [], [], []
     for k, output in enumerate(model.outputs):
         row = np.zeros(len(inputs))
-        row[: len(signals)] = model.coefficients[:, k] * output.lsb_per_unit
+        row[: len(signals)] = weights[:, k] * output.lsb_per_unit
         physical_offsets = np.array([s.offset for s in inputs])
         constant = float(offset[k] * output.lsb_per_unit + row @ physical_offsets)
         if head_exponents is not None:
