@@ -17,9 +17,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import IntArray, matmul_exact, round_shift
+from zerodrift.operations.arithmetic import IntArray, round_shift
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.tables import sigmoid_q27, tanh_q26
+
+Array = NDArray[np.float64]
 
 GATES = ("r", "u", "n")
 H_LIMIT_Q30 = 2**30 - 2**15 + 1
@@ -69,6 +71,23 @@ def _sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
+class _Rows:
+    """An `IntegerGru` with the rows of its gates side by side, as float64 for the products."""
+
+    w_x_t: Array  # [I, 3 H]
+    w_h_t: Array  # [H, 3 H]
+    bias: Array  # [3 H]
+    shift: NDArray[np.int32]  # [3 H]
+    multiplier: IntArray  # [3 H]; empty for int16
+    multiplier_shift: IntArray  # [3 H]
+
+
+def _stack(weights: NDArray[np.int16] | NDArray[np.int8]) -> Array:
+    """Return weights [3, H, n] as [n, 3 H], for products with row vectors."""
+    return np.ascontiguousarray(weights.reshape(-1, weights.shape[2]).T, dtype=np.float64)
+
+
+@dataclass(frozen=True)
 class IntegerGru:
     """A quantized GRU; every array is what the C holds, in the same order."""
 
@@ -94,34 +113,45 @@ class IntegerGru:
         return int(self.w_x.shape[2])
 
     @cached_property
-    def _w_x_t(self) -> tuple[NDArray[np.float64], ...]:
-        return tuple(np.ascontiguousarray(w.T, dtype=np.float64) for w in self.w_x)
+    def _rows(self) -> _Rows:
+        multiplier = np.zeros(0) if self.multiplier is None else self.multiplier.ravel()
+        return _Rows(
+            w_x_t=_stack(self.w_x),
+            w_h_t=_stack(self.w_h),
+            bias=self.bias[:3].ravel().astype(np.float64),
+            shift=np.repeat(np.array(self.shift, dtype=np.int32), self.hidden),
+            multiplier=multiplier.astype(np.int64),
+            multiplier_shift=np.repeat(np.array(self.multiplier_shift), self.hidden),
+        )
 
-    @cached_property
-    def _w_h_t(self) -> tuple[NDArray[np.float64], ...]:
-        return tuple(np.ascontiguousarray(w.T, dtype=np.float64) for w in self.w_h)
+    def _recurrent(self, h_q15: IntArray, rows: slice) -> Array:
+        """Return w_h . h of some rows [B, rows] in their gates' accumulator formats.
 
-    def _recurrent(self, gate: int, h_q15: IntArray) -> IntArray:
-        product = matmul_exact(h_q15, self._w_h_t[gate])
+        Here and in `_gates` accumulators are integers held exactly in float64: the certificate
+        bounds them and their partial sums by 2**31.
+        """
+        product = h_q15.astype(np.float64) @ self._rows.w_h_t[:, rows]
         if self.multiplier is None:
-            return product
-        scaled = product * self.multiplier[gate].astype(np.int64)
-        return np.asarray(round_shift(scaled, self.multiplier_shift[gate]))
+            return np.asarray(product)
+        shift = self._rows.multiplier_shift[rows]
+        scaled = product.astype(np.int64) * self._rows.multiplier[rows] + (1 << shift >> 1)
+        return (scaled >> shift).astype(np.float64)
 
-    def _gates(self, x: IntArray, h_q30: IntArray) -> tuple[IntArray, IntArray]:
-        h_q15 = np.asarray(round_shift(h_q30, 15))
-        bias = self.bias.astype(np.int64)
-        a_r = bias[0] + matmul_exact(x, self._w_x_t[0]) + self._recurrent(0, h_q15)
-        a_u = bias[1] + matmul_exact(x, self._w_x_t[1]) + self._recurrent(1, h_q15)
-        r_q31 = sigmoid_q27(a_r >> self.shift[0]) << 4
-        u_q31 = sigmoid_q27(a_u >> self.shift[1]) << 4
-        a_n = bias[2] + matmul_exact(x, self._w_x_t[2])
-        if self.reset == "after":
-            a_nh = bias[3] + self._recurrent(2, h_q15)
-            a_n = a_n + round_shift(a_nh * r_q31, 32)
+    def _gates(self, x: IntArray, h_q30: IntArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Return u in Q0.31 and n in Q1.30, both [B, H]."""
+        hidden, after = self.hidden, self.reset == "after"
+        ru, n = slice(0, 2 * hidden), slice(2 * hidden, 3 * hidden)
+        from_x = x.astype(np.float64) @ self._rows.w_x_t + self._rows.bias
+        from_h = self._recurrent(round_shift(h_q30, 15), slice(0, n.stop if after else ru.stop))
+        a_ru = (from_x[:, ru] + from_h[:, ru]).astype(np.int32)
+        ru_q31 = sigmoid_q27(a_ru >> self._rows.shift[ru]) << 4
+        r_q31, u_q31 = ru_q31[:, :hidden], ru_q31[:, hidden:]
+        if after:
+            inside = (from_h[:, n] + self.bias[3]).astype(np.int64)
+            a_n = from_x[:, n].astype(np.int64) + round_shift(inside * r_q31, 32)
         else:
-            rh_q15 = np.asarray(round_shift(h_q30 * r_q31, 46))
-            a_n = a_n + self._recurrent(2, rh_q15)
+            rh_q15 = round_shift(h_q30 * r_q31, 46)
+            a_n = (from_x[:, n] + self._recurrent(rh_q15, n)).astype(np.int64)
         n_q30 = tanh_q26(a_n >> self.shift[2]) << 4
         return u_q31, n_q30
 

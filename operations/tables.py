@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import IntArray, saturate
 
+Int32Array = NDArray[np.int32]
+
 NODES = 513
 STEP_BITS = 11  # 2**11 inputs between two nodes
 T_MAX = 2**19 - 1
@@ -57,26 +59,28 @@ def tanh_nodes() -> NDArray[np.int16]:
 
 
 @cache
-def _nodes_and_slopes() -> tuple[IntArray, IntArray]:
-    nodes = tanh_nodes().astype(np.int64)
+def _starts_and_slopes() -> tuple[Int32Array, Int32Array]:
+    """Return the left node of each of the 512 intervals in Q0.26, and its rise in Q0.15."""
+    nodes = tanh_nodes().astype(np.int32)
     return nodes[:-1] << STEP_BITS, np.diff(nodes)
 
 
-def tanh_q26(t_q16: IntArray) -> IntArray:
+def tanh_q26(t_q16: NDArray[np.int32] | IntArray) -> Int32Array:
     """Return tanh(t) in Q0.26 for t in Q3.16, saturating outside -8 .. 8.
 
     No rounding takes place, hence tanh_q26(-t) = -tanh_q26(t) exactly.
     """
-    starts, slopes = _nodes_and_slopes()
-    position = saturate(t_q16, T_MIN, T_MAX) - T_MIN
+    starts, slopes = _starts_and_slopes()
+    position = saturate(t_q16, T_MIN, T_MAX).astype(np.int32) - T_MIN
     index = position >> STEP_BITS
     fraction = position & (2**STEP_BITS - 1)
-    return np.asarray(starts[index] + slopes[index] * fraction)
+    # 0 <= index < 512 by the saturation above; mode "clip" only leaves out numpy's own check
+    return starts.take(index, mode="clip") + slopes.take(index, mode="clip") * fraction
 
 
-def sigmoid_q27(half_t_q16: IntArray) -> IntArray:
+def sigmoid_q27(half_t_q16: NDArray[np.int32] | IntArray) -> Int32Array:
     """Return sigmoid(2 t) = (1 + tanh(t)) / 2 in Q0.27 for t in Q3.16.
 
     Limits: between 2**11 and 2**27 - 2**11; sigmoid_q27(-t) = 2**27 - sigmoid_q27(t) exactly.
     """
-    return np.asarray((1 << 26) + tanh_q26(half_t_q16))
+    return np.int32(1 << 26) + tanh_q26(half_t_q16)

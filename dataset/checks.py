@@ -1,0 +1,196 @@
+"""Checks of a log's values: vectorised first, the offending line only after one has failed."""
+
+import itertools
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.locate import locate_row
+from zerodrift.dataset.runs import Array
+from zerodrift.dataset.tables import Table
+from zerodrift.dataset.units import read_unit
+from zerodrift.errors import InputError
+
+Mask = NDArray[np.bool_]
+
+UNREADY_DEGC = -256.0
+"""What a TMP117 reports before its first conversion (code 0x8000; datasheet, table 7-2)."""
+COLDEST_DEGC = -200.0
+HOTTEST_DEGC = 500.0
+MIXED_RATIO = 1.5
+"""Blocks of a run whose median intervals differ by more than this are mixed sampling."""
+_SKIP = "or pass --skip-invalid to drop"
+
+
+def find_invalid_rows(table: Table, temperatures: Iterable[str]) -> Mask | None:
+    """Return the rows with a value that is no finite number or no temperature; None = none.
+
+    Args:
+        table: the parsed log.
+        temperatures: columns in degC, checked for plausibility too.
+    """
+    invalid: Mask | None = None
+    for column in table.columns:
+        wrong = find_invalid_values(table.columns[column], column in set(temperatures))
+        if wrong is not None:
+            invalid = wrong if invalid is None else invalid | wrong
+    return invalid
+
+
+def find_invalid_values(values: Array, is_temperature: bool) -> Mask | None:
+    """Return where a column is invalid; None, without making a mask, when it is nowhere."""
+    if not is_temperature:
+        # One pass without a mask: a sum of squares is finite only if every value is.
+        with np.errstate(over="ignore", invalid="ignore"):
+            if np.isfinite(np.dot(values, values)):
+                return None
+    low, high = (COLDEST_DEGC, HOTTEST_DEGC) if is_temperature else (-np.inf, np.inf)
+    if is_temperature and values.min() >= low and values.max() <= high:
+        return None
+    invalid = ~(np.isfinite(values) & (values >= low) & (values <= high))
+    return invalid if invalid.any() else None
+
+
+def explain_invalid_row(table: Table, invalid: Mask, temperatures: Iterable[str]) -> InputError:
+    """Return the error for the first invalid row, with its line and its text."""
+    row = int(np.argmax(invalid))
+    place = locate_row(table.source, table.position(row))
+    for column, values in table.columns.items():
+        is_temperature = column in set(temperatures)
+        if find_invalid_values(values[row : row + 1], is_temperature) is not None:
+            break
+    count = int(invalid.sum())
+    rows = "this row" if count == 1 else f"the {count} such rows"
+    text = place.values.get(column)
+    value = float(values[row])
+    if text is None or not text.strip():
+        return InputError(
+            f"{place.text}: column '{column}' is empty; expected a number. Fill it in, {_SKIP} "
+            f"{rows}."
+        )
+    if np.isnan(value) and text.strip().lower().lstrip("+-") != "nan":
+        hint = _explain_text(text)
+        return InputError(
+            f"{place.text}: column '{column}' holds '{text[:40]}', which is no number; expected a "
+            f"finite number.{hint} Correct the row, {_SKIP} {rows}."
+        )
+    if not np.isfinite(value):
+        return InputError(
+            f"{place.text}: column '{column}' is {text.strip()}; expected a finite number. "
+            f"Correct the row, {_SKIP} {rows}."
+        )
+    if value == UNREADY_DEGC:
+        return InputError(
+            f"{place.text}: {column} is -256 degC; the chip reports that before its first "
+            f"conversion; expected a measured temperature. Drop the row, {_SKIP} {rows}."
+        )
+    hint = guess_temperature_unit(column, values[np.isfinite(values)])
+    return InputError(
+        f"{place.text}: {column} is {value:g} degC; expected {COLDEST_DEGC:g} to "
+        f"{HOTTEST_DEGC:g} degC.{hint} Correct the unit or the row, {_SKIP} {rows}."
+    )
+
+
+def _explain_text(text: str) -> str:
+    """Return a hint at why a field that was meant as a number is none, or an empty string."""
+    bare = text.strip()
+    if bare.count(",") == 1 and bare.replace(",", "").lstrip("+-").isdigit():
+        return " Write the decimals with a point."
+    if bare != text and bare.replace(".", "").lstrip("+-").isdigit():
+        return " Remove the spaces after the number."
+    return ""
+
+
+def guess_temperature_unit(column: str, values: Array) -> str:
+    """Return a hint at the unit that temperatures may be in if not degC, or an empty string."""
+    middle = float(np.median(values))
+    whole = bool(np.all(values == np.round(values)))
+    if whole and abs(middle) > HOTTEST_DEGC:
+        return (
+            f" Whole numbers around {middle:g} look like raw codes or hundredths: a TMP117 gives "
+            "0.0078125 degC per LSB."
+        )
+    if read_unit(column) == "K" or 230 < middle < 360:
+        return f" Values around {middle:g} look like kelvin: subtract 273.15."
+    if read_unit(column) == "degF" or HOTTEST_DEGC < middle < 1000:
+        return f" Values around {middle:g} look like degF: subtract 32, then multiply by 5/9."
+    return ""
+
+
+def check_time(table: Table, column: str, start: int, stop: int) -> None:
+    """Raise InputError unless the times of rows `start` to `stop`, one run, rise."""
+    time_s = table.columns[column][start:stop]
+    interval_s = np.diff(time_s)
+    if interval_s.size == 0 or interval_s.min() > 0:
+        return
+    wrong = interval_s <= 0
+    row = start + 1 + int(np.argmax(wrong))
+    count = int(find_late_rows(time_s).sum())
+    rows = "the row" if count == 1 else f"the {count} rows"
+    before, now = float(table.columns[column][row - 1]), float(table.columns[column][row])
+    place = locate_row(table.source, table.position(row))
+    if now == before:
+        raise InputError(
+            f"{place.text}: {column} repeats {now:.10g} s; expected rising times within a run. "
+            "Write the time with more digits, select one unit of several by [logs] where, "
+            f"{_SKIP} {rows} that do not move on."
+        )
+    raise InputError(
+        f"{place.text}: {column} goes back from {before:.10g} to {now:.10g} s; expected rising "
+        "times within a run. If a new run begins here, split the file or add a `run` column; if "
+        f"a counter wrapped, unwrap it; {_SKIP} {rows} that do not move on."
+    )
+
+
+def find_late_rows(time_s: Array) -> Mask:
+    """Return the rows whose time is not later than that of every row before."""
+    late = np.zeros(time_s.size, dtype=np.bool_)
+    late[1:] = time_s[1:] <= np.maximum.accumulate(time_s)[:-1]
+    return late
+
+
+def check_sampling(table: Table, column: str, start: int, stop: int) -> None:
+    """Raise InputError when rows `start` to `stop` mix sample periods, say 1 s and 10 s.
+
+    Medians of up to 64 blocks are compared, so that lost rows, gaps and jitter do not matter.
+    """
+    interval_s = np.diff(table.columns[column][start:stop])
+    blocks = min(64, max(2, interval_s.size // 64))
+    if interval_s.size < 16:
+        return
+    edges = np.linspace(0, interval_s.size, blocks + 1).astype(int)
+    medians = np.array([np.median(interval_s[a:b]) for a, b in itertools.pairwise(edges)])
+    if medians.max() <= MIXED_RATIO * medians.min():
+        return
+    first = float(medians[0])
+    changed = (medians > MIXED_RATIO**0.5 * first) | (medians < first / MIXED_RATIO**0.5)
+    block = int(np.argmax(changed))
+    second = float(medians[block])
+    near = interval_s[edges[block - 1] : edges[block + 1]]
+    # The change is where intervals are nearer to the second period from there on.
+    is_second = np.abs(np.log(near / second)) < np.abs(np.log(near / first))
+    score = np.cumsum(np.where(is_second, -1, 1))
+    row = start + edges[block - 1] + int(np.argmax(score)) + 2
+    place = locate_row(table.source, table.position(min(row, stop - 1)))
+    raise InputError(
+        f"{place.text}: the sample period changes from {first:.4g} s to {second:.4g} s; expected "
+        "one period within a run. Split the file there, or bring the log to one period."
+    )
+
+
+def check_period(
+    label: str, median_s: float, sample_period_s: float, coarsest: float, where: str
+) -> None:
+    """Raise InputError when a log is too coarse for the firmware's step."""
+    if median_s <= coarsest * sample_period_s:
+        return
+    hint = ""
+    if 0.5 < median_s / sample_period_s / 1000 < 2:
+        hint = " The times look like milliseconds; write seconds."
+    raise InputError(
+        f"{label}: a row every {median_s:.4g} s, but {where} sets sample_period_s = "
+        f"{sample_period_s:g}; expected a row at least every {coarsest * sample_period_s:.4g} s, "
+        f"as what lies between rows cannot be made up.{hint} Set sample_period_s = {median_s:.4g}, "
+        "or log faster."
+    )

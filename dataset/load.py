@@ -1,0 +1,357 @@
+"""From zerodrift.toml to runs: selects, reads, checks and resamples the logs."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from zerodrift.config import Config, locate_key
+from zerodrift.dataset.checks import (
+    check_period,
+    check_sampling,
+    check_time,
+    explain_invalid_row,
+    find_invalid_rows,
+    find_late_rows,
+    guess_temperature_unit,
+)
+from zerodrift.dataset.locate import find_blank_rows, locate_row
+from zerodrift.dataset.naming import RunKey, name_runs, refuse_overlaps
+from zerodrift.dataset.resample import COARSEST, MIN_STEPS, Stretch, plan_stretches
+from zerodrift.dataset.runs import Array, Dataset, Run
+from zerodrift.dataset.selectors import Selection, expand_selectors
+from zerodrift.dataset.tables import Table, open_source, read_table
+from zerodrift.dataset.units import are_alike, read_unit
+from zerodrift.errors import InputError, nearest
+
+USES = ("train", "test", "dwell")
+SMALL_SPAN_K = 2.0
+"""Train logs that span less than this are noted: little can be learnt from them."""
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """One stretch to be filled, column by column."""
+
+    key: RunKey
+    part: int
+    stretch: Stretch
+    temperature_degC: Array  # noqa: N815 - the unit's own spelling
+    measured: Array
+    reference: Array
+    inputs: dict[str, Array]
+
+
+def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
+    """Read, check and resample every log of a project.
+
+    Args:
+        config: the project.
+        skip_invalid: drop invalid rows (no number, no temperature, time not rising) and note how
+            many, instead of raising.
+
+    Returns:
+        The runs by use, at `config.sample_period_s`; `notes` says what is worth a look.
+
+    Raises:
+        InputError: a log is missing, damaged, or holds what cannot be right.
+    """
+    notes: list[str] = []
+    pieces: dict[str, list[_Piece]] = {}
+    for use in USES:
+        pieces[use] = []
+        for selection in expand_selectors(config, use):
+            pieces[use] += _load_selection(config, selection, skip_invalid, notes)
+    learnt_or_tested = pieces["train"] + pieces["test"]
+    refuse_overlaps([piece.key for piece in learnt_or_tested if piece.part == 0])
+    names = name_runs([piece.key for use in USES for piece in pieces[use]], config.directory)
+    runs = {use: tuple(_finish(piece, names, config) for piece in pieces[use]) for use in USES}
+    _check_training(config, runs["train"], notes)
+    return Dataset(
+        train=runs["train"],
+        test=runs["test"],
+        dwell=runs["dwell"],
+        outputs=tuple(output.name for output in config.outputs),
+        units=tuple(output.unit for output in config.outputs),
+        full_scale=tuple(output.full_scale for output in config.outputs),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def list_columns(config: Config) -> dict[str, str]:
+    """Return column -> where the config names it, for every column that is read as numbers."""
+    columns = {
+        config.time_column: "[sensor] time",
+        config.temperature_column: "[sensor] temperature",
+    }
+    for output in config.outputs:
+        columns.setdefault(output.measured, f"[outputs.{output.name}] measured")
+    for output in config.outputs:
+        if isinstance(output.reference, str):
+            columns.setdefault(output.reference, f"[outputs.{output.name}] reference")
+    for name, column in config.inputs.items():
+        columns.setdefault(column, f"[inputs] {name}")
+    return columns
+
+
+def _load_selection(
+    config: Config, selection: Selection, skip_invalid: bool, notes: list[str]
+) -> list[_Piece]:
+    """Read one file and plan its stretches; resample column by column to keep the memory low."""
+    label = _label(selection.path, config.directory)
+    source = open_source(selection.path, label, config.where)
+    table = read_table(source, list_columns(config))
+    _keep_selected_runs(table, selection)
+    _check_values(config, table, skip_invalid, notes)
+    pieces = []
+    for span in _split_runs(config, table, skip_invalid, notes):
+        pieces += _plan_run(config, table, selection, span, notes)
+    _fill(config, table, pieces)
+    return pieces
+
+
+def _label(path: Path, directory: Path) -> str:
+    """Return how messages name a log: relative to the project where it lies within."""
+    return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
+
+
+def _keep_selected_runs(table: Table, selection: Selection) -> None:
+    source = table.source
+    if table.run_of_row is None:
+        if selection.run_pattern not in (None, "*"):
+            raise InputError(
+                f"{selection.where}: selects run '{selection.run_pattern}' of {source.label}, "
+                "which has no column 'run'. Add one, or leave the '#...' out."
+            )
+        return
+    accepted = [index for index, name in enumerate(table.runs) if selection.accepts(name)]
+    if not accepted:
+        shown = ", ".join(table.runs[:12])
+        raise InputError(
+            f"{selection.where}: {source.label} has no run '{selection.run_pattern}'"
+            f"{nearest(selection.run_pattern or '', table.runs)} It has: {shown}."
+        )
+    if len(accepted) < len(table.runs):
+        table.take(np.isin(table.run_of_row, accepted))
+
+
+def _check_values(config: Config, table: Table, skip_invalid: bool, notes: list[str]) -> None:
+    """Drop blank lines; raise for rows with invalid values, or drop them too."""
+    temperatures = {config.temperature_column}
+    temperatures |= {
+        column
+        for name, column in config.inputs.items()
+        if "temperature" in name or column.endswith("degC")
+    }
+    invalid = find_invalid_rows(table, temperatures)
+    if invalid is not None:
+        blank = find_blank_rows(table.source)
+        if blank:
+            table.take(~np.isin(table.positions, blank))
+            invalid = find_invalid_rows(table, temperatures)
+    if invalid is None:
+        return
+    count, rows = int(invalid.sum()), len(table)
+    if not skip_invalid or count == rows:
+        raise explain_invalid_row(table, invalid, temperatures)
+    notes.append(f"{table.source.label}: dropped {count} of {rows} rows that hold invalid values")
+    table.take(~invalid)
+
+
+def _split_runs(
+    config: Config, table: Table, skip_invalid: bool, notes: list[str]
+) -> list[tuple[str, int, int]]:
+    """Return (run, first row, row after the last) of each run, rows sorted by run, times checked.
+
+    The name is empty for a file without a `run` column.
+    """
+    spans = _list_run_spans(table)
+    if skip_invalid:
+        late = np.zeros(len(table), dtype=np.bool_)
+        time_s = table.columns[config.time_column]
+        for _, start, stop in spans:
+            late[start:stop] = find_late_rows(time_s[start:stop])
+        if late.any():
+            notes.append(
+                f"{table.source.label}: dropped {int(late.sum())} of {late.size} rows whose time "
+                "does not rise"
+            )
+            table.take(~late)
+            spans = _list_run_spans(table)
+    for _, start, stop in spans:
+        check_time(table, config.time_column, start, stop)
+    return spans
+
+
+def _list_run_spans(table: Table) -> list[tuple[str, int, int]]:
+    if table.run_of_row is None:
+        return [("", 0, len(table))]
+    codes = table.run_of_row
+    changes = np.flatnonzero(np.diff(codes)) + 1
+    if changes.size + 1 > np.unique(codes).size:
+        # Rows of several runs alternate in the file.
+        table.take(np.argsort(codes, kind="stable"))
+        codes = table.run_of_row
+        changes = np.flatnonzero(np.diff(codes)) + 1
+    bounds = [0, *changes.tolist(), codes.size]
+    spans = []
+    for start, stop in itertools.pairwise(bounds):
+        name = table.runs[int(codes[start])]
+        if not name:
+            place = locate_row(table.source, table.position(start))
+            raise InputError(
+                f"{place.text}: column 'run' is empty; expected the run's name in every row. Fill "
+                "it in."
+            )
+        spans.append((name, start, stop))
+    return spans
+
+
+def _plan_run(
+    config: Config,
+    table: Table,
+    selection: Selection,
+    span: tuple[str, int, int],
+    notes: list[str],
+) -> list[_Piece]:
+    """Choose how one run (or the part of it that is selected) becomes stretches of steps."""
+    run, start, stop = span
+    source = table.source
+    who = f"{source.label}: run '{run}'" if run else source.label
+    time_s = table.columns[config.time_column]
+    span_s = (0.0, math.inf)
+    if selection.cut is not None:
+        span_s = selection.cut.to_span(float(time_s[stop - 1] - time_s[start]))
+        cut = selection.cut.find_rows(time_s[start:stop])
+        start, stop = start + cut.start, start + cut.stop
+    if stop - start < 2:
+        raise InputError(_explain_too_few(who, stop - start, 0, config))
+    check_sampling(table, config.time_column, start, stop)
+    median_s = float(np.median(np.diff(time_s[start:stop])))
+    setting = locate_key(config.path, "sensor", "sample_period_s")
+    check_period(who, median_s, config.sample_period_s, COARSEST, setting)
+    stretches, gaps = plan_stretches(time_s, start, stop, config.sample_period_s)
+    long_enough = [stretch for stretch in stretches if stretch.steps >= MIN_STEPS]
+    if not long_enough:
+        steps = max(stretch.steps for stretch in stretches)
+        raise InputError(_explain_too_few(who, stop - start, steps, config))
+    _note_stretches(who, time_s, gaps, stretches, notes)
+    if median_s > 1.05 * config.sample_period_s:
+        notes.append(
+            f"{who}: a row every {median_s:.4g} s is interpolated to steps of "
+            f"{config.sample_period_s:g} s"
+        )
+    cut_text = selection.cut.text if selection.cut else ""
+    key = RunKey(selection.path, run, cut_text, span_s, selection.where)
+    return [_allocate(config, key, part, stretch) for part, stretch in enumerate(long_enough)]
+
+
+def _note_stretches(
+    who: str, time_s: Array, gaps: Sequence[int], stretches: Sequence[Stretch], notes: list[str]
+) -> None:
+    if gaps:
+        longest = max(gaps, key=lambda row: time_s[row + 1] - time_s[row])
+        length_s = float(time_s[longest + 1] - time_s[longest])
+        times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
+        notes.append(
+            f"{who}: interrupted {times} (longest {length_s:.4g} s, after {time_s[longest]:.6g} "
+            f"s); not bridged, read as {len(stretches)} stretches"
+        )
+    short = [stretch for stretch in stretches if stretch.steps < MIN_STEPS]
+    if short:
+        notes.append(
+            f"{who}: left out {len(short)} of {len(stretches)} stretches, of fewer than "
+            f"{MIN_STEPS} steps each"
+        )
+
+
+def _explain_too_few(who: str, rows: int, steps: int, config: Config) -> str:
+    return (
+        f"{who}: too few rows: {rows}, which is {steps} steps of {config.sample_period_s:g} s; "
+        f"expected at least {MIN_STEPS} steps without a gap. Record longer, or take it out of "
+        "[logs]."
+    )
+
+
+def _allocate(config: Config, key: RunKey, part: int, stretch: Stretch) -> _Piece:
+    # Column by column in memory: each column is written as it is read, and touched only then.
+    shape = (stretch.steps, len(config.outputs))
+    reference = np.zeros(shape, order="F")
+    for index, output in enumerate(config.outputs):
+        if not isinstance(output.reference, str) and output.reference != 0:
+            reference[:, index] = output.reference
+    return _Piece(
+        key, part, stretch, np.empty(stretch.steps), np.empty(shape, order="F"), reference, {}
+    )
+
+
+def _fill(config: Config, table: Table, pieces: Sequence[_Piece]) -> None:
+    """Resample each column into the pieces, letting go of it at once."""
+    for column in list(table.columns):
+        values = table.columns.pop(column)
+        for piece in pieces:
+            steps = piece.stretch.resample(values)
+            if column == config.temperature_column:
+                piece.temperature_degC[:] = steps
+            for index, output in enumerate(config.outputs):
+                if output.measured == column:
+                    piece.measured[:, index] = steps
+                if output.reference == column:
+                    piece.reference[:, index] = steps
+            for name, input_column in config.inputs.items():
+                if input_column == column:
+                    piece.inputs[name] = steps.copy()
+
+
+def _finish(piece: _Piece, names: dict[RunKey, str], config: Config) -> Run:
+    group = names[piece.key]
+    return Run(
+        name=group if piece.part == 0 else f"{group}#{piece.part + 1}",
+        group=group,
+        part=piece.part,
+        source=piece.key.path,
+        sample_period_s=config.sample_period_s,
+        time_s=piece.stretch.time_s,
+        temperature_degC=piece.temperature_degC,
+        measured=piece.measured,
+        reference=piece.reference,
+        inputs={name: piece.inputs[name] for name in config.inputs},
+    )
+
+
+def _check_training(config: Config, train: Sequence[Run], notes: list[str]) -> None:
+    """Refuse logs that nothing can be learnt from; note what looks odd."""
+    low = min(float(run.temperature_degC.min()) for run in train)
+    high = max(float(run.temperature_degC.max()) for run in train)
+    if low == high:
+        raise InputError(
+            f"{locate_key(config.path, 'logs', 'train')}: the temperature "
+            f"('{config.temperature_column}') is {low:g} degC in every row of the train logs; "
+            "expected it to move, as there is nothing to learn otherwise. Record a log with the "
+            "temperature changing, or name the right column."
+        )
+    if high - low < SMALL_SPAN_K:
+        notes.append(
+            f"the train logs span only {high - low:.2g} K ({low:.4g} to {high:.4g} degC); the "
+            "compensation holds nowhere else"
+        )
+    medians = np.array([np.median(run.temperature_degC) for run in train])
+    hint = guess_temperature_unit(config.temperature_column, medians)
+    if hint and (low > 0 or read_unit(config.temperature_column) not in ("", "degC")):
+        notes.append(f"'{config.temperature_column}' is read as degC.{hint}")
+    for index, output in enumerate(config.outputs):
+        measured = [run.measured[:, index] for run in train]
+        if min(part.min() for part in measured) == max(part.max() for part in measured):
+            notes.append(
+                f"'{output.measured}' of output {output.name} is {measured[0][0]:g} {output.unit} "
+                "in every row of the train logs: is the channel connected?"
+            )
+        suffix = read_unit(output.measured)
+        if suffix and not are_alike(suffix, output.unit):
+            notes.append(
+                f"'{output.measured}' ends in {suffix}, but [outputs.{output.name}] unit is "
+                f"{output.unit}"
+            )

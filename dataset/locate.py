@@ -1,0 +1,61 @@
+"""The second pass: line and text of a row that failed a check."""
+
+from dataclasses import dataclass
+
+import polars as pl
+
+from zerodrift.dataset.tables import Source, explain_unreadable
+from zerodrift.errors import InputError
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a row stands in its file."""
+
+    text: str
+    """`chamber_1.csv:17`, or `chamber_1.parquet: row 16` (rows count from 1)."""
+    values: dict[str, str | None]
+    """The row's fields as text; None where there is none."""
+
+
+def locate_row(source: Source, position: int) -> Place:
+    """Return the place of the row at `position` (from 0) among the rows that the filter keeps.
+
+    Raises:
+        InputError: the row cannot be read as text either, as it is not UTF-8.
+    """
+    try:
+        found = source.scan().slice(position, 1).select(pl.all().cast(pl.String)).collect()
+    except pl.exceptions.PolarsError as error:
+        raise InputError(explain_unreadable(source, error)) from error
+    values: dict[str, str | None] = found.row(0, named=True)
+    record = int(values.pop("_row") or 0)
+    if not source.is_csv:
+        return Place(f"{source.label}: row {record + 1}", values)
+    return Place(f"{source.label}:{_find_line(source, record)}", values)
+
+
+def find_blank_rows(source: Source) -> list[int]:
+    """Return the positions of a CSV's blank lines, which the parser takes for rows without fields.
+
+    Where a row filter is set there is nothing to find: blank lines do not pass it.
+    """
+    if not source.is_csv or source.where:
+        return []
+    with source.path.open("rb") as file:
+        next(file)
+        return [row for row, line in enumerate(file) if not line.strip()]
+
+
+def _find_line(source: Source, record: int) -> int:
+    """Return the 1-based line on which a record ends; a quoted field may hold line breaks."""
+    current, last, is_quoted = -1, 1, False
+    with source.path.open("rb") as file:
+        next(file)
+        for number, line in enumerate(file, start=2):
+            last = number
+            current += not is_quoted
+            is_quoted ^= line.count(b'"') % 2 == 1
+            if current == record and not is_quoted:
+                break
+    return last

@@ -1,0 +1,168 @@
+"""What `[logs]` selects: files by glob, runs by `#name`, a part of each run by `@from:to`."""
+
+import fnmatch
+import glob
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from zerodrift.config import Config, locate_key
+from zerodrift.dataset.runs import Array
+from zerodrift.errors import InputError, nearest
+
+CSV_SUFFIXES = (".csv", ".tsv", ".txt")
+PARQUET_SUFFIXES = (".parquet", ".pq")
+
+_CUT = re.compile(r"^(?P<rest>.+)@(?P<start>[^@#/]*):(?P<stop>[^@#/]*)$")
+_RUN = re.compile(r"^(?P<rest>.+?)#(?P<run>[^#/]+)$")
+_BOUND = re.compile(r"^(?P<number>\d+(\.\d*)?)(?P<percent>%?)$")
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One end of a cut: seconds since the run's first row, or a share of its duration."""
+
+    value: float
+    """Seconds, or a share 0..1."""
+    is_share: bool
+
+    def to_seconds(self, duration_s: float) -> float:
+        """Return this end in seconds since the first row of a run of `duration_s`."""
+        return self.value * duration_s if self.is_share else self.value
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A part of each run, from `start` up to but not including `stop`; None = to its end."""
+
+    text: str
+    """As written, for the run's name: `0%:60%`."""
+    start: Bound
+    stop: Bound | None
+
+    def to_span(self, duration_s: float) -> tuple[float, float]:
+        """Return the cut's two ends in seconds since the first row; the last may be infinite."""
+        start_s = self.start.to_seconds(duration_s)
+        if self.stop is None or (self.stop.is_share and self.stop.value >= 1):
+            return start_s, np.inf
+        return start_s, self.stop.to_seconds(duration_s)
+
+    def find_rows(self, time_s: Array) -> slice:
+        """Return the rows of a run (rising `time_s`) that the cut keeps."""
+        start_s, stop_s = self.to_span(float(time_s[-1] - time_s[0]))
+        first, last = np.searchsorted(time_s - time_s[0], (start_s, stop_s), side="left")
+        return slice(int(first), int(last))
+
+
+@dataclass(frozen=True)
+class Selection:
+    """One file that `[logs]` selects, and what of it."""
+
+    path: Path
+    run_pattern: str | None
+    """Pattern for the value of the `run` column; None = every run, and files without one."""
+    cut: Cut | None
+    where: str
+    """Place in zerodrift.toml, for messages."""
+
+    def accepts(self, run: str) -> bool:
+        """Tell whether the run of this name is selected."""
+        return self.run_pattern is None or fnmatch.fnmatchcase(run, self.run_pattern)
+
+
+def expand_selectors(config: Config, use: str) -> tuple[Selection, ...]:
+    """Return the files that `[logs] use` selects, sorted within each glob.
+
+    Args:
+        config: the project.
+        use: "train", "test" or "dwell".
+
+    Raises:
+        InputError: a selector is malformed, matches no file, or matches what is no log.
+    """
+    selectors: tuple[str, ...] = getattr(config, f"{use}_logs")
+    where = locate_key(config.path, "logs", use)
+    return tuple(
+        selection
+        for text in selectors
+        for selection in _expand_selector(config.directory, text, f"{where}: [logs] {use}")
+    )
+
+
+def _expand_selector(directory: Path, text: str, where: str) -> list[Selection]:
+    pattern, run_pattern, cut = text, None, None
+    # A file whose own name holds '#' or '@' is meant literally.
+    if not (directory / text).is_file():
+        if match := _CUT.match(pattern):
+            pattern = match["rest"]
+            cut = _parse_cut(match["start"], match["stop"], text, where)
+        elif "@" in Path(pattern).name and not _glob(directory, pattern):
+            raise _explain_cut(text, where)
+        if match := _RUN.match(pattern):
+            pattern, run_pattern = match["rest"], match["run"]
+    paths = _glob(directory, pattern)
+    if not paths:
+        raise InputError(_explain_no_match(directory, pattern, where))
+    for path in paths:
+        if path.suffix.lower() not in CSV_SUFFIXES + PARQUET_SUFFIXES:
+            raise InputError(
+                f"{where}: '{text}' selects {path.name}; expected logs that end in "
+                f"{', '.join(CSV_SUFFIXES + PARQUET_SUFFIXES)}. Narrow the glob."
+            )
+    return [Selection(path, run_pattern, cut, where) for path in paths]
+
+
+def _glob(directory: Path, pattern: str) -> list[Path]:
+    """Return the files that match, sorted by name; a plain name is never read as a pattern."""
+    if (directory / pattern).is_file():
+        return [directory / pattern]
+    # Path.glob refuses `..` and absolute patterns, which logs outside of the project need.
+    names = glob.glob(pattern, root_dir=directory, recursive=True)  # noqa: PTH207
+    return [path for name in sorted(names) if not (path := directory / name).is_dir()]
+
+
+def _parse_cut(start: str, stop: str, text: str, where: str) -> Cut:
+    first = _parse_bound(start, text, where) if start else Bound(0.0, False)
+    last = _parse_bound(stop, text, where) if stop else None
+    alike = last is not None and (last.is_share == first.is_share or first.value == 0)
+    if last is not None and alike and last.value <= first.value:
+        raise InputError(
+            f"{where}: '{text}' ends where it begins or before; expected FROM < TO after the '@'."
+        )
+    return Cut(f"{start}:{stop}", first, last)
+
+
+def _parse_bound(bound: str, text: str, where: str) -> Bound:
+    match = _BOUND.match(bound)
+    if match is None or (match["percent"] and float(match["number"]) > 100):
+        raise _explain_cut(text, where)
+    number = float(match["number"])
+    return Bound(number / 100, True) if match["percent"] else Bound(number, False)
+
+
+def _explain_cut(text: str, where: str) -> InputError:
+    return InputError(
+        f"{where}: '{text}' has no readable cut after the '@'; expected @FROM:TO in seconds since "
+        "the run's first row, as @0:3600, or in percent of its duration, as @0%:60%."
+    )
+
+
+def _explain_no_match(directory: Path, pattern: str, where: str) -> str:
+    folder = (directory / pattern).parent
+    known = sorted(path.name for path in folder.glob("*") if path.is_file())
+    logs = [name for name in known if Path(name).suffix in CSV_SUFFIXES + PARQUET_SUFFIXES]
+    if glob.has_magic(str(folder)):
+        found = "nothing matches"
+    elif not folder.is_dir():
+        found = f"there is no directory {folder}"
+    elif logs:
+        shown = ", ".join(logs[:8]) + (", ..." if len(logs) > 8 else "")
+        found = f"{folder} holds {shown}{nearest(Path(pattern).name, logs)}"
+    else:
+        found = f"{folder} holds no CSV or Parquet file"
+    return (
+        f"{where}: no file matches '{pattern}': {found}. Expected at least one log; correct the "
+        f"glob, which is relative to {directory}."
+    )

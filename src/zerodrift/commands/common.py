@@ -1,0 +1,66 @@
+"""Options that the commands share, and how each of them prints."""
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., object])
+
+
+def directory_option(function: Command) -> Command:
+    """Add `-C DIR`: the project directory, passed on as `directory: Path`."""
+    return click.option(
+        "-C",
+        "directory",
+        type=click.Path(exists=True, file_okay=False, path_type=Path),
+        default=Path(),
+        metavar="DIR",
+        help="The directory of zerodrift.toml (default: the current one).",
+    )(function)
+
+
+def json_option(function: Command) -> Command:
+    """Add `--json`, passed on as `as_json: bool`."""
+    return click.option(
+        "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else."
+    )(function)
+
+
+def skip_invalid_option(function: Command) -> Command:
+    """Add `--skip-invalid`, passed on as `skip_invalid: bool`."""
+    return click.option(
+        "--skip-invalid", is_flag=True, help="Drop invalid rows of the logs and say how many."
+    )(function)
+
+
+def print_json(value: object) -> None:
+    """Print one JSON object on stdout; NaN and infinity, which JSON lacks, are refused."""
+    click.echo(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def print_notes(notes: tuple[str, ...]) -> None:
+    """Print what was noticed on stderr, so that stdout stays the command's result."""
+    for note in notes:
+        click.echo(f"note: {note}", err=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all: a temporary file beside it takes its place."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        # mkstemp makes files for the owner alone; an ordinary file follows the user's umask.
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
