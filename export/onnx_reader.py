@@ -42,11 +42,20 @@ def read_network(path: Path) -> FloatNetwork:
             names the node and what is supported.
     """
     try:
-        model = onnx.load(str(path), load_external_data=False)
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error}). Export the network again.") from error
+    return read_network_bytes(content, str(path))
+
+
+def read_network_bytes(content: bytes, where: str) -> FloatNetwork:
+    """Return the network of an ONNX file's content; see `read_network`."""
+    try:
+        model = onnx.load_model_from_string(content)
         onnx.checker.check_model(model)
     except Exception as error:
-        raise InputError(f"{path}: cannot be read as ONNX ({error}). Export it again.") from error
-    return read_network_proto(model, str(path))
+        raise InputError(f"{where}: cannot be read as ONNX ({error}). Export it again.") from error
+    return read_network_proto(model, where)
 
 
 def read_network_proto(model: onnx.ModelProto, where: str) -> FloatNetwork:

@@ -1,0 +1,25 @@
+"""Runs every benchmark in turn: `python -m benchmarks [--quick] [NAME...]`."""
+
+import argparse
+import importlib
+import time
+
+NAMES = ("bench_main_job", "bench_kernels", "bench_logs", "bench_real", "bench_training")
+"""Modules of this folder, each with `main(quick: bool) -> None`."""
+
+
+def main() -> None:
+    """Run the benchmarks named on the command line, or all."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}")
+    parser.add_argument("--quick", action="store_true", help="a reduced form, for CI")
+    arguments = parser.parse_args()
+    for name in arguments.names or NAMES:
+        print(f"== {name}", flush=True)
+        start = time.perf_counter()
+        importlib.import_module(f"benchmarks.{name}").main(arguments.quick)
+        print(f"   ({time.perf_counter() - start:.1f} s)\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()

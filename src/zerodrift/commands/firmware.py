@@ -1,0 +1,100 @@
+"""`zerodrift firmware`: logs in, host-checked C out."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from zerodrift.commands.common import (
+    directory_option,
+    json_option,
+    print_json,
+    print_notes,
+    skip_invalid_option,
+)
+
+
+@click.command()
+@directory_option
+@json_option
+@skip_invalid_option
+def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
+    """Train if needed, quantize, generate C, and check it bit for bit on this host.
+
+    Writes <out>/<sensor>.h and .c with the runtime beside them, build/model.json and
+    build/golden.npz, and prints the errors in physical units with flash, RAM and stack. Nothing is
+    written unless every compared bit is equal.
+    """
+    from rich.console import Console
+
+    from zerodrift.commands.project import open_project, train_project
+    from zerodrift.verify.firmware import build_firmware
+
+    console = Console(stderr=True)
+    config, dataset = open_project(directory, skip_invalid)
+    print_notes(dataset.notes)
+    compensator = train_project(config, dataset, console)
+    with console.status("") as status:
+        firmware = build_firmware(config, dataset, compensator, status.update)
+    result = describe(firmware, config.directory)
+    if as_json:
+        print_json(result)
+        return
+    _print(firmware, config.directory)
+
+
+def describe(firmware: Any, directory: Path) -> dict[str, Any]:
+    """Return the command's JSON."""
+    size = firmware.footprint
+    return {
+        "bit_exact": firmware.check.failure is None,
+        "vectors": firmware.check.vectors,
+        "backends": list(firmware.check.backends),
+        "flash_bytes": size.flash_bytes,
+        "ram_bytes": size.ram_bytes,
+        "stack_bytes": size.stack_bytes,
+        "core": size.core,
+        "rmse": {
+            "uncompensated": {e.name: e.uncompensated for e in firmware.errors},
+            "float": {e.name: e.float_model for e in firmware.errors},
+            "integer": {e.name: e.integer_model for e in firmware.errors},
+        },
+        "bias": {e.name: e.integer_bias for e in firmware.errors},
+        "rmse_integer_to_float": {e.name: e.integer_to_float for e in firmware.errors},
+        "rmse_pct_fs": {e.name: e.percent_of_full_scale for e in firmware.errors},
+        "units": {e.name: e.unit for e in firmware.errors},
+        "held_out": firmware.held_out,
+        "runs": list(firmware.error_runs),
+        "model_hash": firmware.model.hash,
+        "files": [show_path(path, directory) for path in firmware.files],
+    }
+
+
+def show_path(path: Path, directory: Path) -> str:
+    """Return a path relative to the project where it lies inside it."""
+    return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
+
+
+def _print(firmware: Any, directory: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    kind = "held-out runs" if firmware.held_out else "TRAINING runs (no test logs are configured)"
+    table = Table(title=f"RMSE over the {kind}: {', '.join(firmware.error_runs)}")
+    for heading in ("output", "unit", "uncompensated", "float", "integer", "% FS", "int - float"):
+        table.add_column(heading, justify="left" if heading in ("output", "unit") else "right")
+    for e in firmware.errors:
+        numbers = (e.uncompensated, e.float_model, e.integer_model, e.percent_of_full_scale)
+        table.add_row(e.name, e.unit, *(f"{x:.4g}" for x in numbers), f"{e.integer_to_float:.2g}")
+    console.print(table)
+    size = firmware.footprint
+    console.print(
+        f"flash {size.flash_bytes} B, RAM {size.ram_bytes} B, stack {size.stack_bytes} B"
+        f" on {size.core}"
+    )
+    console.print(
+        f"bit-exact: {firmware.check.vectors} steps on {' = '.join(firmware.check.backends)}, every"
+        " node, state and flag, 0 LSB"
+    )
+    console.print("wrote " + ", ".join(show_path(path, directory) for path in firmware.files))
