@@ -1,6 +1,7 @@
 """A generated model compiled for the host and called through ctypes."""
 
 import ctypes
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,22 +50,22 @@ class HostModel:
         write_sources(code, directory)
         harness = directory / f"{code.prefix}_harness.c"
         harness.write_text(code.harness, encoding="utf-8")
-        library = directory / f"{code.prefix}_{'observed' if observe else 'plain'}.so"
+        arguments = [
+            *WARNINGS,
+            *flags,
+            *(() if observe else ("-DZD_PLAIN",)),
+            "-shared",
+            "-fPIC",
+            f"-I{directory}",
+            str(harness),
+            str(directory / "zd_runtime.c"),
+        ]
+        # The loader takes a library for the one it has already loaded under the same name.
+        build = [code.header, code.source, *compiler.command, *arguments]
+        digest = hashlib.sha256("\0".join(build).encode()).hexdigest()[:16]
+        library = directory / f"{code.prefix}_{digest}.so"
         library.unlink(missing_ok=True)
-        compiler.run(
-            [
-                *WARNINGS,
-                *flags,
-                *(() if observe else ("-DZD_PLAIN",)),
-                "-shared",
-                "-fPIC",
-                f"-I{directory}",
-                str(harness),
-                str(directory / "zd_runtime.c"),
-                "-o",
-                str(library),
-            ]
-        )
+        compiler.run([*arguments, "-o", str(library)])
         self.model = model
         self.library = library
         self.observes = observe

@@ -1,1 +1,1 @@
-"""Stage of zerodrift."""
+"""Logs to runs: selects, reads, checks them and brings them to one sample period."""

@@ -33,7 +33,7 @@ def measure_rate(run: Run) -> Array:
         [m] in K/s, one per window start; at least one.
     """
     window = max(1, min(round(RATE_WINDOW_S / run.sample_period_s), len(run) - 1))
-    rise_K = run.temperature_degC[window:] - run.temperature_degC[:-window]  # noqa: N806 - kelvin
+    rise_K = run.temperature_degC[window:] - run.temperature_degC[:-window]
     rate: Array = rise_K / (window * run.sample_period_s)
     return rate
 

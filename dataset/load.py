@@ -39,7 +39,7 @@ class _Piece:
     key: RunKey
     part: int
     stretch: Stretch
-    temperature_degC: Array  # noqa: N815 - the unit's own spelling
+    temperature_degC: Array
     measured: Array
     reference: Array
     inputs: dict[str, Array]
@@ -132,7 +132,8 @@ def _keep_selected_runs(table: Table, selection: Selection) -> None:
         shown = ", ".join(table.runs[:12])
         raise InputError(
             f"{selection.where}: {source.label} has no run '{selection.run_pattern}'"
-            f"{nearest(selection.run_pattern or '', table.runs)} It has: {shown}."
+            f"{nearest(selection.run_pattern or '', table.runs) or '.'} It has: {shown}; expected "
+            "one of these or a pattern such as run*. Correct the part after the '#'."
         )
     if len(accepted) < len(table.runs):
         table.take(np.isin(table.run_of_row, accepted))

@@ -84,10 +84,9 @@ class Averager:
         area = values - origin
         at_edge = self.since_s * area[self.in_force]
         area *= self.width_s
-        first, last = self.in_force[:-1], self.in_force[1:]
-        stop = max(int(last[-1]), 1)
-        whole = np.add.reduceat(area[:stop], np.minimum(first, stop - 1))
-        whole[first == last] = 0.0
+        # Whole samples from one edge to the next; what follows the last edge is left out.
+        whole = np.add.reduceat(area, self.in_force)[:-1]
+        whole[self.in_force[:-1] == self.in_force[1:]] = 0.0
         mean: Array = origin + (whole - at_edge[:-1] + at_edge[1:]) / self.period_s
         return mean
 

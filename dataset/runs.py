@@ -29,10 +29,13 @@ class Run:
     sample_period_s: float
     time_s: Array
     """[n] uniform, seconds on the log's own clock."""
-    temperature_degC: Array  # noqa: N815 - the unit's own spelling
+    temperature_degC: Array
     """[n] what the chip's thermometer reported."""
     measured: Array
-    """[n, K] the outputs before compensation, each in its unit, in the order of the config."""
+    """[n, K] the outputs before compensation, each in its unit, in the order of the config.
+
+    Stored output by output (Fortran order), as is `reference`.
+    """
     reference: Array
     """[n, K] what the outputs should have been; zero where the config names no reference."""
     inputs: Mapping[str, Array] = field(default_factory=dict)

@@ -154,15 +154,15 @@ def _explain_no_match(directory: Path, pattern: str, where: str) -> str:
     known = sorted(path.name for path in folder.glob("*") if path.is_file())
     logs = [name for name in known if Path(name).suffix in CSV_SUFFIXES + PARQUET_SUFFIXES]
     if glob.has_magic(str(folder)):
-        found = "nothing matches"
+        found = "nothing does."
     elif not folder.is_dir():
-        found = f"there is no directory {folder}"
+        found = f"there is no directory {folder}."
     elif logs:
         shown = ", ".join(logs[:8]) + (", ..." if len(logs) > 8 else "")
-        found = f"{folder} holds {shown}{nearest(Path(pattern).name, logs)}"
+        found = f"{folder} holds {shown}{nearest(Path(pattern).name, logs) or '.'}"
     else:
-        found = f"{folder} holds no CSV or Parquet file"
+        found = f"{folder} holds no CSV or Parquet file."
     return (
-        f"{where}: no file matches '{pattern}': {found}. Expected at least one log; correct the "
+        f"{where}: no file matches '{pattern}': {found} Expected at least one log; correct the "
         f"glob, which is relative to {directory}."
     )

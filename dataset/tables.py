@@ -269,8 +269,9 @@ def _explain_missing_column(source: Source, column: str, role: str) -> str:
     names = [name for name in source.names if not name.startswith("\0")]
     shown = ", ".join(names[:_SHOWN_NAMES]) + (", ..." if len(names) > _SHOWN_NAMES else "")
     place = f"{source.label}:1" if source.is_csv else source.label
+    hint = nearest(column, names) or "."
     return (
-        f"{place}: there is no column '{column}'{nearest(column, names)} Found: {shown}; expected "
+        f"{place}: there is no column '{column}'{hint} Found: {shown}; expected "
         f"the name that {role} gives. Correct the one or the other."
     )
 

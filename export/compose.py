@@ -25,10 +25,12 @@ TEMPERATURE_LSB_DEGC = 0.0078125
 """One count of the TMP117, 2**-7 K (Texas Instruments, TMP117 data sheet, temperature register)."""
 OUTPUT_STEPS = 1e6
 """One count of an output is the power of ten at or below full scale / 1e6."""
-TEMPERATURE_MARGIN_K = 2.0
+FLAG_MARGIN_K = 2.0
+"""The temperature is flagged when it is further than this from the calibrated range."""
 RANGE_MARGIN = 0.25
-"""Share of the calibrated span by which corrections and channels may go beyond it; so may the
-rate of the temperature."""
+"""Share of the calibrated span by which temperature, channels and corrections may go beyond it
+before they are limited, and share by which the temperature may move faster before it is flagged.
+A little extrapolation beats none; a lot of it is worth nothing."""
 WARM_SHARE = 1e-3
 """The model is warm when starts from cold and from rest differ by less than this share of the
 correction's range, for good."""
@@ -57,8 +59,17 @@ def describe_compensator(
     ops = GraphOperations(config.sample_period_s)
     physics = compensator.physics
     features = physics.graph(ops).features
+    coefficients = physics.coefficients
+    offset = np.zeros(len(config.outputs))
     front_end = compensator.front_end
-    taps = front_end.graph(ops) if front_end is not None else ()
+    taps: tuple[Node, ...] = ()
+    if front_end is not None:
+        taps = front_end.graph(ops)
+        moving = np.abs(compensator.linear).max(axis=1) > 0.0
+        if moving.any():  # the linear part rides on the taps
+            features = (*features, *taps)
+            coefficients = np.concatenate([coefficients, compensator.tap_coefficients])
+            offset = compensator.tap_offset
     channels, sources = _list_channels([*features, *taps], runs)
     return FloatModel(
         name=config.sensor_name,
@@ -70,8 +81,8 @@ def describe_compensator(
             for o in config.outputs
         ),
         features=features,
-        coefficients=physics.coefficients,
-        offset=np.zeros(len(config.outputs)),
+        coefficients=coefficients,
+        offset=offset,
         taps=taps,
         tap_mean=front_end.mean if front_end is not None else None,
         whitening=front_end.matrix if front_end is not None else None,
@@ -103,7 +114,8 @@ def _find_span(arrays: Sequence[Array]) -> tuple[float, float]:
 
 
 def _choose_lsb_per_unit(full_scale: float) -> int:
-    return 10 ** max(0, min(9, math.ceil(math.log10(OUTPUT_STEPS / full_scale))))
+    decades = math.ceil(math.log10(OUTPUT_STEPS / full_scale))
+    return int(10 ** max(0, min(9, decades)))
 
 
 def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> NDArray[np.int16]:
@@ -120,13 +132,12 @@ def calibrate(compensator: "Compensator", model: FloatModel, runs: Sequence[Run]
     """Return the ranges that the training runs showed, with their margins."""
     limits = []
     codes = [encode_inputs(model, run).astype(np.int64) for run in runs]
-    for index, channel in enumerate(model.channels):
+    spans = []
+    for index in range(len(model.channels)):
         low = min(int(c[:, index].min()) for c in codes)
         high = max(int(c[:, index].max()) for c in codes)
-        margin = (
-            TEMPERATURE_MARGIN_K / channel.lsb if index == 0 else RANGE_MARGIN * (high - low) + 1
-        )
-        limits.append((max(low - round(margin), -32768), min(high + round(margin), 32767)))
+        spans.append((low, high))
+        limits.append(_widen(low, high, RANGE_MARGIN * (high - low) + 1))
     rate = max(int(np.abs(np.diff(c[:, 0])).max(initial=0)) for c in codes)
     largest = np.zeros(0)
     if compensator.front_end is not None:
@@ -143,7 +154,13 @@ def calibrate(compensator: "Compensator", model: FloatModel, runs: Sequence[Run]
         drift_high=high_drift + margin_drift,
         rate_max=min(math.ceil(rate * (1.0 + RANGE_MARGIN)) + 2, 65535),
         warm_up_steps=0,
+        temperature_range=_widen(*spans[0], FLAG_MARGIN_K / model.channels[0].lsb),
     )
+
+
+def _widen(low: int, high: int, margin: float) -> tuple[int, int]:
+    """Return the int16 codes low - margin .. high + margin."""
+    return max(low - round(margin), -32768), min(high + round(margin), 32767)
 
 
 def measure_warm_up(model: IntegerModel, runs: Sequence[Run]) -> int:

@@ -58,7 +58,7 @@ class Calibration:
     """What the training logs showed: the ranges that formats and guards are chosen from."""
 
     code_limits: tuple[tuple[int, int], ...]
-    """Per channel: inputs outside are limited to these codes, and flagged for the temperature."""
+    """Per channel: inputs outside are limited to these codes."""
     feature_max: Array
     """[I'] largest absolute value of each network input."""
     drift_low: Array
@@ -67,6 +67,8 @@ class Calibration:
     rate_max: int
     """Temperature codes per step."""
     warm_up_steps: int
+    temperature_range: tuple[int, int] | None = None
+    """Codes outside of which the temperature is flagged; None for its code limits."""
 
 
 def quantize(model: FloatModel, calibration: Calibration, weights: str = "int16") -> IntegerModel:
@@ -99,7 +101,7 @@ def quantize(model: FloatModel, calibration: Calibration, weights: str = "int16"
         head_exponents = _lower_network(lowering, model, model.network, calibration, weights)
         offset = offset + model.network.head_bias
     _lower_drift(lowering, model, signals, coefficients, head_exponents, offset, calibration)
-    low, high = calibration.code_limits[0]
+    low, high = calibration.temperature_range or calibration.code_limits[0]
     integer = IntegerModel(
         name=model.name,
         sample_period_s=model.sample_period_s,

@@ -103,10 +103,13 @@ class Reference:
         """Return the next state, all nodes' values, drift [B, K] and flags [B]."""
         values: dict[str, IntArray] = {CODES: codes}
         states: dict[str, State] = {}
-        for node in self.model.nodes:
+        for node in self.model.nodes[:-1]:
             states[node.name], values[node.name] = node.step(state.nodes[node.name], values)
-        drift = values[self.model.drift.name]
-        flags = self._flags(state, codes, values, drift)
+        last = self.model.drift
+        unlimited = last.sum(values)
+        drift = last.limit(unlimited)
+        states[last.name], values[last.name] = {}, drift
+        flags = self._flags(state, codes, (unlimited != drift).any(axis=1))
         after = ModelState(
             nodes=states,
             steps=np.minimum(state.steps + 1, self._full),
@@ -114,13 +117,10 @@ class Reference:
         )
         return after, values, drift, flags
 
-    def _flags(
-        self, state: ModelState, codes: IntArray, values: dict[str, IntArray], drift: IntArray
-    ) -> IntArray:
+    def _flags(self, state: ModelState, codes: IntArray, clamped: NDArray[np.bool_]) -> IntArray:
         guards = self.model.guards
         temperature = codes[:, guards.temperature_channel]
         outside = (temperature < guards.temperature_low) | (temperature > guards.temperature_high)
-        clamped = (self.model.drift.sum(values) != drift).any(axis=1)
         return np.asarray(
             FLAG_WARMING_UP * (state.steps < guards.warm_up_steps)
             + FLAG_TEMPERATURE_RANGE * outside
@@ -138,18 +138,23 @@ class Reference:
     ) -> Trace:
         """Run T steps over codes [B, T, C], from `state` or else from a start at codes[:, 0]."""
         batch, steps, _ = codes.shape
-        wide = codes.astype(np.int64)
-        now = state if state is not None else self.start(wide[:, 0], settled=settled)
+        wide = np.ascontiguousarray(codes.swapaxes(0, 1), dtype=np.int64)  # step by step
+        now = state if state is not None else self.start(wide[0], settled=settled)
         layer = self.model.recurrent
         streaming = layer is not None and not layer.window
         hidden = layer.width if layer is not None and streaming else 0
-        drift = np.empty((batch, steps, len(self.model.outputs)), dtype=np.int32)
-        flags = np.empty((batch, steps), dtype=np.uint32)
-        states = np.empty((batch, steps, hidden), dtype=np.int32)
+        drift = np.empty((steps, batch, len(self.model.outputs)), dtype=np.int32)
+        flags = np.empty((steps, batch), dtype=np.uint32)
+        states = np.empty((steps, batch, hidden), dtype=np.int32)
         for t in range(steps):
-            now, values, drift[:, t], flags[:, t] = self.step(now, wide[:, t])
+            now, values, drift[t], flags[t] = self.step(now, wide[t])
             if layer is not None and streaming:
-                states[:, t] = now.nodes[layer.name]["h_q30"]
+                states[t] = now.nodes[layer.name]["h_q30"]
             if observe is not None:
                 observe(t, values)
-        return Trace(drift=drift, flags=flags, hidden=states, state=now)
+        return Trace(
+            drift=np.ascontiguousarray(drift.swapaxes(0, 1)),
+            flags=np.ascontiguousarray(flags.T),
+            hidden=np.ascontiguousarray(states.swapaxes(0, 1)),
+            state=now,
+        )

@@ -37,7 +37,7 @@ def saturate(x: Any, low: Any, high: Any) -> Any:
     """Return x limited to low .. high, both included."""
     if isinstance(x, int):
         return min(max(x, low), high)
-    return np.clip(x, low, high)
+    return np.minimum(np.maximum(x, low), high)
 
 
 def matmul_exact(vector: NDArray[Any], matrix_t: NDArray[np.float64]) -> IntArray:

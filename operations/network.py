@@ -47,11 +47,19 @@ class IntegerFeatures(IntegerNode):
         """Number of features I."""
         return int(self.matrix.shape[0])
 
+    @cached_property
+    def _matrix_t(self) -> IntArray:
+        return np.ascontiguousarray(self.matrix.T, dtype=np.int64)
+
+    @cached_property
+    def _shifts(self) -> IntArray:
+        return np.array(self.shift, dtype=np.int64)
+
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
         """Return saturate((bias + matrix . signals) >> shift) to int16."""
         signals = np.stack([values[name] for name in self.inputs], axis=1)
-        total = signals @ self.matrix.astype(np.int64).T + self.bias
-        return {}, np.asarray(saturate(total >> np.array(self.shift), INT16_MIN, INT16_MAX))
+        total = signals @ self._matrix_t + self.bias
+        return {}, np.asarray(saturate(total >> self._shifts, INT16_MIN, INT16_MAX))
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
         """Bound the 64-bit sums; the outputs are at most int16 by saturation."""
@@ -174,21 +182,35 @@ class IntegerDrift(IntegerNode):
         """Names of the scalar signals."""
         return self.inputs[:-1] if self.head else self.inputs
 
+    @cached_property
+    def _coefficients_t(self) -> IntArray:
+        return np.ascontiguousarray(self.coefficients.T)
+
+    @cached_property
+    def _shifts(self) -> IntArray:
+        return np.array(self.shift, dtype=np.int64)
+
+    @cached_property
+    def _limits(self) -> tuple[IntArray, IntArray]:
+        return np.array(self.low, dtype=np.int64), np.array(self.high, dtype=np.int64)
+
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
         """Return saturate((bias + sum of products) >> shift, low, high)."""
-        drift = self.sum(values)
-        return {}, np.asarray(saturate(drift, np.array(self.low), np.array(self.high)))
+        return {}, self.limit(self.sum(values))
 
     def sum(self, values: Values) -> IntArray:
         """Return the drift before it is limited to low .. high."""
-        batch = values[self.inputs[0]].shape[0]
-        total = np.broadcast_to(self.bias, (batch, self.width))
+        total = self.bias
         if self.signals:
             signals = np.stack([values[name] for name in self.signals], axis=1)
-            total = total + signals @ self.coefficients.T
+            total = total + signals @ self._coefficients_t
         if self.head:
             total = total + values[self.inputs[-1]] * self.head_coefficients
-        return np.asarray(total >> np.array(self.shift))
+        return np.asarray(total >> self._shifts)
+
+    def limit(self, drift: IntArray) -> IntArray:
+        """Return the drift limited to low .. high."""
+        return np.asarray(saturate(drift, *self._limits))
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
         """Bound the 64-bit sums; the outputs lie within low .. high by saturation."""

@@ -71,11 +71,11 @@ def tanh_q26(t_q16: NDArray[np.int32] | IntArray) -> Int32Array:
     No rounding takes place, hence tanh_q26(-t) = -tanh_q26(t) exactly.
     """
     starts, slopes = _starts_and_slopes()
-    position = saturate(t_q16, T_MIN, T_MAX).astype(np.int32) - T_MIN
+    position = saturate(t_q16, T_MIN, T_MAX).astype(np.int32, copy=False) - T_MIN
     index = position >> STEP_BITS
     fraction = position & (2**STEP_BITS - 1)
     # 0 <= index < 512 by the saturation above; mode "clip" only leaves out numpy's own check
-    return starts.take(index, mode="clip") + slopes.take(index, mode="clip") * fraction
+    return np.asarray(starts.take(index, mode="clip") + slopes.take(index, mode="clip") * fraction)
 
 
 def sigmoid_q27(half_t_q16: NDArray[np.int32] | IntArray) -> Int32Array:
@@ -83,4 +83,4 @@ def sigmoid_q27(half_t_q16: NDArray[np.int32] | IntArray) -> Int32Array:
 
     Limits: between 2**11 and 2**27 - 2**11; sigmoid_q27(-t) = 2**27 - sigmoid_q27(t) exactly.
     """
-    return np.int32(1 << 26) + tanh_q26(half_t_q16)
+    return np.asarray((1 << 26) + tanh_q26(half_t_q16))

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from zerodrift.train.compensator import Compensator
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import encode_inputs
+from zerodrift.train.compensator import Compensator
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from zerodrift.c_runtime.footprint import Footprint, measure_footprint
-from zerodrift.train.compensator import Compensator
 
+from zerodrift.c_runtime.footprint import Footprint, measure_footprint
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
@@ -18,6 +17,7 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.compose import compose_integer_model, encode_inputs
 from zerodrift.export.golden import compute_golden
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.train.compensator import Compensator
 from zerodrift.verify.errors_told import OutputError, tell_errors
 from zerodrift.verify.firmware_check import FirmwareCheck, check_firmware
 from zerodrift.verify.vectors import draw_sequences

@@ -11,7 +11,7 @@ class ZerodriftError(Exception):
 
 
 class InputError(ZerodriftError):
-    """The input or the usage is wrong: the message says where, what, what was expected, what to do."""
+    """The input or the usage is wrong: where, what was found, what was expected, what to do."""
 
     exit_code = 2
 

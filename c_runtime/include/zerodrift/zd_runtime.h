@@ -13,6 +13,10 @@
 
 #include <stdint.h>
 
+#if defined(__ARM_FEATURE_DSP)
+#include <arm_acle.h>
+#endif
+
 /* A model generated for another format must be regenerated: its constants mean something else. */
 #define ZD_RUNTIME_FORMAT 1
 
@@ -32,7 +36,7 @@ uint32_t zd_crc32_word(uint32_t crc, uint32_t x);
 
 /* --- Shifts and rounding: the only places where a signed number is shifted right. ------------- */
 
-/* C99 leaves the shift of a negative number to the compiler; all that are supported keep the sign. */
+/* C99 leaves the shift of a negative number to the compiler; all supported ones keep the sign. */
 typedef char zd_assert_arithmetic_shift[((-1 >> 1) == -1) ? 1 : -1];
 
 /* floor(x / 2^shift), 0 <= shift <= 31. */
@@ -78,9 +82,44 @@ static inline int32_t zd_sigmoid_q31(int32_t half_t_q16) {
 
 /* --- Dot products: the caller's proof bounds the sum of absolute products by 2^31 - 1. -------- */
 
+/* No partial sum can overflow, so the order of the terms is free: every variant gives the same
+ * sum. Chips take two neighbours at a time (ZD_LANES 2), in one instruction where they have a dual
+ * multiplier; compilers for vector units want the plain loop (ZD_LANES 1). */
+#if !defined(ZD_LANES)
+#if defined(__SSE2__) || defined(__ARM_NEON)
+#define ZD_LANES 1u
+#else
+#define ZD_LANES 2u
+#endif
+#endif
+
+#if (ZD_LANES == 1u) && defined(__GNUC__) && !defined(__clang__)
+#define ZD_ROLLED _Pragma("GCC unroll 1") /* or gcc -O3 unrolls the loop before vectorising it */
+#else
+#define ZD_ROLLED
+#endif
+
+/* acc + w . x of ZD_LANES neighbours. */
+static inline int32_t zd_mac(int32_t acc, const int16_t *w, const int16_t *x) {
+#if ZD_LANES == 1u
+    return acc + ((int32_t)w[0] * x[0]);
+#elif defined(__ARM_FEATURE_DSP)
+    const uint32_t w_pair = (uint16_t)w[0] | ((uint32_t)(uint16_t)w[1] << 16);
+    const uint32_t x_pair = (uint16_t)x[0] | ((uint32_t)(uint16_t)x[1] << 16);
+    return __smlad((int32_t)w_pair, (int32_t)x_pair, acc);
+#else
+    return acc + ((int32_t)w[0] * x[0]) + ((int32_t)w[1] * x[1]);
+#endif
+}
+
 static inline int32_t zd_dot_i16(const int16_t *w, const int16_t *x, uint32_t n) {
     int32_t acc = 0;
-    for (uint32_t i = 0; i < n; i++) {
+    uint32_t i = 0;
+    ZD_ROLLED
+    for (; i + ZD_LANES <= n; i += ZD_LANES) {
+        acc = zd_mac(acc, &w[i], &x[i]);
+    }
+    for (; i < n; i++) {
         acc += (int32_t)w[i] * x[i];
     }
     return acc;
@@ -92,6 +131,43 @@ static inline int32_t zd_dot_i8(const int8_t *w, const int16_t *x, uint32_t n) {
         acc += (int32_t)w[i] * x[i];
     }
     return acc;
+}
+
+/* Three rows of w, stored one after the other, times x: each x is read once for the three. */
+static inline void zd_dot3_i16(const int16_t *w, const int16_t *x, uint32_t n, int32_t acc[3]) {
+    int32_t a = 0;
+    int32_t b = 0;
+    int32_t c = 0;
+    uint32_t i = 0;
+    ZD_ROLLED
+    for (; i + ZD_LANES <= n; i += ZD_LANES) {
+        a = zd_mac(a, &w[i], &x[i]);
+        b = zd_mac(b, &w[n + i], &x[i]);
+        c = zd_mac(c, &w[(2u * n) + i], &x[i]);
+    }
+    for (; i < n; i++) {
+        a += (int32_t)w[i] * x[i];
+        b += (int32_t)w[n + i] * x[i];
+        c += (int32_t)w[(2u * n) + i] * x[i];
+    }
+    acc[0] = a;
+    acc[1] = b;
+    acc[2] = c;
+}
+
+static inline void zd_dot3_i8(const int8_t *w, const int16_t *x, uint32_t n, int32_t acc[3]) {
+    int32_t a = 0;
+    int32_t b = 0;
+    int32_t c = 0;
+    ZD_ROLLED
+    for (uint32_t i = 0; i < n; i++) {
+        a += (int32_t)w[i] * x[i];
+        b += (int32_t)w[n + i] * x[i];
+        c += (int32_t)w[(2u * n) + i] * x[i];
+    }
+    acc[0] = a;
+    acc[1] = b;
+    acc[2] = c;
 }
 
 /* --- Low-pass: v has ZD_LOWPASS_FRACTION more fractional bits than x (specification, 3.4). ---- */
@@ -113,27 +189,45 @@ static inline int32_t zd_lowpass(int64_t *v, int32_t x, int32_t c_q24, int32_t m
 
 /* Constants of one layer. Rows are stored unit by unit, and within a unit r, u, n. */
 typedef struct {
-    const int16_t *w_x;           /* [H][3][I] */
-    const int16_t *w_h16;         /* [H][3][H], or NULL with 8-bit recurrent weights */
-    const int8_t *w_h8;           /* [H][3][H], or NULL */
-    const int32_t *multiplier;    /* [H][3], 8-bit weights only */
-    const int32_t *bias;          /* [H][4]: r, u, n outside, n inside the reset product */
-    uint8_t shift[3];             /* accumulator of r, u, n -> t_q16 */
-    uint8_t multiplier_shift[3];  /* 8-bit weights only */
+    const int16_t *w_x;          /* [H][3][I] */
+    const int16_t *w_h16;        /* [H][3][H], or NULL with 8-bit recurrent weights */
+    const int8_t *w_h8;          /* [H][3][H], or NULL */
+    const int32_t *multiplier;   /* [H][3], 8-bit weights only */
+    const int32_t *bias;         /* [H][4]: r, u, n outside, n inside the reset product */
+    uint8_t shift[3];            /* accumulator of r, u, n -> t_q16 */
+    uint8_t multiplier_shift[3]; /* 8-bit weights only */
 } zd_gru_t;
 
-/* w_h . h of one row, in the gate's accumulator format. */
+/* An 8-bit row's product in its gate's accumulator format. */
+static inline int32_t zd_gru_rescale(const zd_gru_t *gru, uint32_t row, unsigned gate,
+                                     int32_t product) {
+    return (int32_t)zd_round_shift64((int64_t)product * gru->multiplier[row],
+                                     gru->multiplier_shift[gate]);
+}
+
+/* w_h . h of one row, in its gate's accumulator format. */
 static inline int32_t zd_gru_recurrent(const zd_gru_t *gru, uint32_t row, unsigned gate,
                                        const int16_t *h_q15, uint32_t hidden) {
     int32_t acc;
     if (gru->w_h8 == 0) {
         acc = zd_dot_i16(&gru->w_h16[row * hidden], h_q15, hidden);
     } else {
-        const int32_t product = zd_dot_i8(&gru->w_h8[row * hidden], h_q15, hidden);
-        acc = (int32_t)zd_round_shift64((int64_t)product * gru->multiplier[row],
-                                        gru->multiplier_shift[gate]);
+        acc = zd_gru_rescale(gru, row, gate, zd_dot_i8(&gru->w_h8[row * hidden], h_q15, hidden));
     }
     return acc;
+}
+
+/* The same of the three rows r, u, n of one unit, the first of which is `row`. */
+static inline void zd_gru_recurrent3(const zd_gru_t *gru, uint32_t row, const int16_t *h_q15,
+                                     uint32_t hidden, int32_t acc[3]) {
+    if (gru->w_h8 == 0) {
+        zd_dot3_i16(&gru->w_h16[row * hidden], h_q15, hidden, acc);
+    } else {
+        zd_dot3_i8(&gru->w_h8[row * hidden], h_q15, hidden, acc);
+        for (unsigned gate = 0; gate < 3u; gate++) {
+            acc[gate] = zd_gru_rescale(gru, row + gate, gate, acc[gate]);
+        }
+    }
 }
 
 /* h + u (n - h). Since |n|, |h| <= 2^30 - 2^15 + 1 the difference fits 32 bits, and |h| stays. */
@@ -159,17 +253,16 @@ static inline void zd_gru_step_after(const zd_gru_t *gru, uint32_t inputs, uint3
     zd_gru_copy_state(h_q30, h_q15, hidden);
     for (uint32_t j = 0; j < hidden; j++) {
         const uint32_t row = 3u * j;
-        const int16_t *w_x = &gru->w_x[row * inputs];
         const int32_t *bias = &gru->bias[4u * j];
-        const int32_t a_r = bias[0] + zd_dot_i16(w_x, x, inputs) +
-                            zd_gru_recurrent(gru, row, 0u, h_q15, hidden);
-        const int32_t a_u = bias[1] + zd_dot_i16(&w_x[inputs], x, inputs) +
-                            zd_gru_recurrent(gru, row + 1u, 1u, h_q15, hidden);
-        const int32_t a_nh = bias[3] + zd_gru_recurrent(gru, row + 2u, 2u, h_q15, hidden);
+        int32_t from_x[3];
+        int32_t from_h[3];
+        zd_dot3_i16(&gru->w_x[row * inputs], x, inputs, from_x);
+        zd_gru_recurrent3(gru, row, h_q15, hidden, from_h);
+        const int32_t a_r = bias[0] + from_x[0] + from_h[0];
+        const int32_t a_u = bias[1] + from_x[1] + from_h[1];
         const int32_t r_q31 = zd_sigmoid_q31(zd_asr32(a_r, gru->shift[0]));
         const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, gru->shift[1]));
-        const int32_t a_n = bias[2] + zd_dot_i16(&w_x[2u * inputs], x, inputs) +
-                            zd_mul_high(a_nh, r_q31);
+        const int32_t a_n = bias[2] + from_x[2] + zd_mul_high(bias[3] + from_h[2], r_q31);
         const int32_t n_q30 = zd_tanh_q26(zd_asr32(a_n, gru->shift[2])) * 16;
         h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & (1 << 30)));
     }

@@ -9,6 +9,8 @@ from typing import TypeVar
 
 import click
 
+from zerodrift.errors import InputError
+
 Command = TypeVar("Command", bound=Callable[..., object])
 
 
@@ -50,8 +52,18 @@ def print_notes(notes: tuple[str, ...]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all: a temporary file beside it takes its place."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    """Write a file whole or not at all: a temporary file beside it takes its place.
+
+    Raises:
+        InputError: the directory is missing or may not be written to.
+    """
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); expected a directory that this user "
+            "may write to. Check it, or name another by -C."
+        ) from error
     temporary = Path(name)
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from zerodrift.config import Config, load_config
 from zerodrift.dataset.runs import Dataset
+from zerodrift.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,5 +28,31 @@ def open_project(directory: Path, skip_invalid: bool = False) -> tuple[Config, D
 
 
 def train_project(config: Config, dataset: Dataset, console: "Console") -> "Compensator":
-    """Return the project's trained compensator, trained now unless build/ has it already."""
-    raise NotImplementedError
+    """Return the project's compensator: that in build/ if configuration and logs are the same."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.train.compensator import Compensator
+    from zerodrift.train.training import mark_inputs, read_settings, train
+
+    catalogue = load_catalogue(config.plugin_files)
+    mark = mark_inputs(config, dataset, read_settings(config.network))
+    try:
+        kept = Compensator.load(config.build_directory, catalogue)
+        if kept.trained_from == mark:
+            console.print("the logs and the model are those of the last training; not repeated")
+            return kept
+    except InputError:
+        pass  # missing or outdated: trained below, which replaces it
+    config.build_directory.mkdir(parents=True, exist_ok=True)
+    columns = (TextColumn("training"), BarColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, TimeElapsedColumn(), console=console) as bar:
+        task = bar.add_task("", total=1.0)
+        trained = train(
+            config,
+            dataset,
+            catalogue=catalogue,
+            report=lambda stage: bar.update(task, completed=stage.done, description=stage.text),
+        )
+    trained.compensator.save(config.build_directory)
+    return trained.compensator

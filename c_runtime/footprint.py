@@ -1,0 +1,169 @@
+"""Flash, RAM and stack of a generated model on a chip, read from what a cross-compiler makes of it.
+
+The compiler is the clang inside the `ziglang` wheel, so that no toolchain has to be installed.
+Flash counts code and constants of model and runtime, self-test included (a linker drops it where it
+is not called), the compiler's helper routines (64-bit arithmetic on small cores) excluded. RAM is
+the state struct; stack is the deepest chain of calls below `step`.
+"""
+
+import importlib.util
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from elftools.elf.elffile import ELFFile
+from elftools.elf.relocation import RelocationSection
+
+from zerodrift.c_runtime.compilers import Compiler
+from zerodrift.c_runtime.host import write_sources
+from zerodrift.codegen.generate import GeneratedCode
+from zerodrift.errors import InputError, nearest
+
+CORES: dict[str, tuple[str, ...]] = {
+    "cortex-m0plus": ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m0plus"),
+    "cortex-m3": ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m3"),
+    "cortex-m4": ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m4"),
+    # +dsp: the optional extension, which nearly every Cortex-M33 has
+    "cortex-m33": ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m33+dsp"),
+    "rv32imc": ("-target", "riscv32-freestanding", "-mcpu=generic_rv32+m+c"),
+}
+"""Core -> what makes the compiler build for it."""
+FLAGS = (
+    "-std=c99",
+    "-Os",
+    "-ffreestanding",
+    "-fno-unwind-tables",
+    "-fno-asynchronous-unwind-tables",
+    "-ffunction-sections",
+    "-fdata-sections",
+    "-fstack-size-section",
+)
+HELPER_STACK_BYTES = 32
+"""Taken for each routine of the compiler's own library, as the 64-bit product on a Cortex-M0+."""
+
+_IN_FLASH = (".text", ".rodata", ".srodata", ".data", ".sdata")
+_ENTRIES = ("init", "settle", "step")
+_STACK_SIZES = ".stack_sizes"
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """What a model needs of a chip, in bytes, compiled for size."""
+
+    core: str
+    flash_bytes: int
+    """Code and constants of model and runtime, self-test and activation table included; without
+    the compiler's own library (`helpers`)."""
+    ram_bytes: int
+    """The state struct, one per sensor."""
+    stack_bytes: int
+    """Of the deepest of init, settle and step, with everything that they call."""
+    helpers: tuple[str, ...]
+    """Routines of the compiler's library that are called, as 64-bit products on a Cortex-M0+."""
+
+
+def measure_footprint(code: GeneratedCode, core: str = "cortex-m4") -> Footprint:
+    """Return the footprint of a model, compiled with -Os.
+
+    Args:
+        code: the model's C.
+        core: one of `CORES`.
+
+    Raises:
+        InputError: the core is unknown, or the ziglang wheel is missing.
+        CheckError: the C does not compile for it.
+    """
+    if core not in CORES:
+        raise InputError(
+            f"core '{core}' is unknown{nearest(core, CORES)}; known are {', '.join(CORES)}"
+        )
+    if importlib.util.find_spec("ziglang") is None:
+        raise InputError("sizes need the ziglang wheel: `pip install ziglang`")
+    compiler = Compiler("zig", (sys.executable, "-m", "ziglang", "cc", *CORES[core]))
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        write_sources(code, folder)
+        unit = folder / "unit.c"  # one object holds model, runtime and a state to measure
+        unit.write_text(
+            f'#include "{code.source_name}"\n#include "zd_runtime.c"\n'
+            f"{code.prefix}_state_t zd_probe_state;\n",
+            encoding="utf-8",
+        )
+        target = folder / "unit.o"
+        compiler.run([*FLAGS, f"-I{folder}", "-c", str(unit), "-o", str(target)])
+        unit_object = _read(target)
+    return Footprint(
+        core=core,
+        flash_bytes=unit_object.flash,
+        ram_bytes=unit_object.sizes["zd_probe_state"],
+        stack_bytes=max(unit_object.find_depth(f"{code.prefix}_{entry}") for entry in _ENTRIES),
+        helpers=unit_object.helpers,
+    )
+
+
+@dataclass(frozen=True)
+class _Object:
+    """What a relocatable ELF compiled with FLAGS tells."""
+
+    flash: int
+    sizes: dict[str, int]
+    """Data symbol -> its size."""
+    frames: dict[str, int]
+    """Function -> bytes of its own stack frame."""
+    calls: dict[str, set[str]]
+    """Function -> the functions it calls."""
+    helpers: tuple[str, ...]
+
+    def find_depth(self, function: str) -> int:
+        """Return the worst stack of `function` with what it calls; there is no recursion."""
+        below = [self.find_depth(called) for called in self.calls.get(function, ())]
+        return self.frames[function] + max(below, default=0)
+
+
+def _read(path: Path) -> _Object:
+    with path.open("rb") as file:
+        elf = ELFFile(file)
+        table: Any = elf.get_section_by_name(".symtab")
+        symbols = list(table.iter_symbols())
+        functions = {  # by their section: each has one of its own
+            s["st_shndx"]: s.name for s in symbols if s["st_info"]["type"] == "STT_FUNC"
+        }
+        frames: dict[str, int] = {}
+        calls: dict[str, set[str]] = {name: set() for name in functions.values()}
+        for section in elf.iter_sections():
+            if not isinstance(section, RelocationSection):
+                continue
+            holder = elf.get_section(section["sh_info"])
+            for relocation in section.iter_relocations():
+                symbol = symbols[relocation["r_info_sym"]]
+                if symbol["st_shndx"] == "SHN_UNDEF" and symbol.name:
+                    function = symbol.name
+                    frames[function] = HELPER_STACK_BYTES
+                elif symbol["st_shndx"] in functions:
+                    function = functions[symbol["st_shndx"]]
+                else:
+                    continue
+                if holder.name.startswith(_STACK_SIZES):
+                    frames[function] = _read_uleb(holder.data(), relocation["r_offset"] + 4)
+                elif section["sh_info"] in functions and function != functions[section["sh_info"]]:
+                    calls[functions[section["sh_info"]]].add(function)
+        return _Object(
+            flash=sum(s["sh_size"] for s in elf.iter_sections() if s.name.startswith(_IN_FLASH)),
+            sizes={s.name: s["st_size"] for s in symbols if s["st_info"]["type"] == "STT_OBJECT"},
+            frames=frames,
+            calls=calls,
+            helpers=tuple(sorted(set(frames) - set(calls))),
+        )
+
+
+def _read_uleb(data: bytes, offset: int) -> int:
+    """Return the unsigned LEB128 number at `offset`."""
+    value, shift = 0, 0
+    while True:
+        byte = data[offset]
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value
+        offset, shift = offset + 1, shift + 7

@@ -1,0 +1,298 @@
+"""Runs made ready for having columns built for them again and again, at the rate that matters.
+
+Temperature moves over minutes, logs come at up to hundreds of hertz. Signals that hardly move
+within a block of samples are averaged over it first, and what depends on them alone is computed on
+the averages. What depends on a fast signal is computed at the full rate and then averaged; the
+deviations within blocks are kept for every few blocks, so that nothing fast is lost from sight.
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+from zerodrift.errors import InputError
+from zerodrift.operations.graph import GraphOperations, Node, evaluate, list_nodes
+from zerodrift.physics.effect import Feature
+from zerodrift.physics.rails import bridge
+from zerodrift.physics.reduction import Column, plan_reduction, select_means
+from zerodrift.physics.signals import SignalPlan, graph_inputs, name_signals, read_signals
+from zerodrift.physics.terms import Term, build_columns, build_features, find_owner
+
+Array = NDArray[np.float64]
+
+MOST_ROWS = 6_000
+"""Blocks in all runs together; more samples than that are averaged."""
+FEWEST_ROWS = 8
+"""Blocks of the shortest stretch."""
+SLOW_SHARE = 0.01
+"""A signal is slow if less than this share of its variance lies within blocks."""
+CACHED_COLUMNS = 400
+FEWEST_RUNS = 4
+"""With fewer runs, runs are cut into pieces that stand in for runs."""
+FEWEST_PIECES = 8
+"""As many pieces there are then, at least."""
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Sums of products of columns, per piece of time and octave.
+
+    Columns: J features, then slopes, then the offsets' columns, then the K drifts.
+    """
+
+    products: Array
+    """[G, L, C, C]."""
+    counts: Array
+    """[G, L] free coefficients behind each."""
+    features: tuple[Feature[Node], ...]
+    slopes: tuple[tuple[int, int], ...]
+    """(coordinate, feature) of each slope column."""
+    offsets: int
+    outputs: int
+    mask: NDArray[np.bool_]
+    """[J, K] which output sees which feature."""
+
+
+class Campaign:
+    """All training runs with their signals, reduced to octaves; see the module's first lines.
+
+    Args:
+        runs: the runs.
+        plan: what their signals are.
+        order: the catalogue's order, in which rewriting effects act.
+        tared: whether each run has an offset of its own.
+        set_aside: whether samples at a converter's rail are bridged.
+        most_rows: blocks in all runs together.
+    """
+
+    def __init__(
+        self,
+        runs: Sequence[Run],
+        plan: SignalPlan,
+        order: Sequence[str],
+        *,
+        tared: bool = True,
+        set_aside: bool = False,
+        most_rows: int = MOST_ROWS,
+    ) -> None:
+        self.runs = tuple(runs)
+        self.plan = plan
+        self.order = tuple(order)
+        self.tared = tared
+        self.groups = tuple(dict.fromkeys(run.group for run in runs))
+        count = len(self.groups)
+        self.pieces_per_run = 1 if count >= FEWEST_RUNS else -(-FEWEST_PIECES // count)
+        self.samples = sum(len(run) for run in runs)
+        reach = max(1, self.samples // most_rows)
+        block = max(1, min(reach, min(len(run) for run in runs) // FEWEST_ROWS))
+        self.reduction = plan_reduction(
+            [len(run) for run in runs],
+            [run.group for run in runs],
+            block,
+            reach,
+            self.pieces_per_run,
+        )
+        self.run_of_piece = np.repeat(np.arange(count), self.pieces_per_run)
+        """[G] the run that each piece belongs to."""
+        self.ops = GraphOperations(plan.sample_period_s)
+        self._signals = name_signals(self.ops, plan)
+        self._inputs = [graph_inputs(read_signals(run, plan)) for run in runs]
+        self._slow_inputs = {
+            name: self._lay_side_by_side([self.reduction.average(x[name]) for x in self._inputs])
+            for name in self._inputs[0]
+        }
+        self.slow = frozenset(name for name in self._slow_inputs if self._is_slow(name))
+        """Names of the signals that hardly move within a block."""
+        self._cache: OrderedDict[int, Column] = OrderedDict()
+        self.set_aside = set_aside
+        self._drifts = [self._reduce_drift(k, None) for k in range(len(plan.outputs))]
+        self._offsets = self._make_offsets()
+
+    @property
+    def block(self) -> int:
+        """Samples in a block."""
+        return self.reduction.block
+
+    @property
+    def levels(self) -> NDArray[np.int64]:
+        """[L] the octaves."""
+        return self.reduction.levels
+
+    @property
+    def counts(self) -> Array:
+        """[G, L] free coefficients of each piece and octave."""
+        return self.reduction.counts
+
+    @property
+    def means(self) -> NDArray[np.bool_]:
+        """[L] which octaves are the pieces' means."""
+        return select_means(self.reduction.levels)
+
+    @property
+    def unit_of_piece(self) -> NDArray[np.int64]:
+        """[G] the unit of evidence of each piece: its run, or with few runs the piece itself."""
+        if self.pieces_per_run == 1:
+            return self.run_of_piece
+        return np.arange(self.run_of_piece.size)
+
+    @property
+    def uses_means(self) -> bool:
+        """Whether the pieces' means carry information, beside the offsets' columns."""
+        return bool(self._offsets)
+
+    def build(self, terms: Sequence[Term]) -> tuple[Feature[Node], ...]:
+        """Return the features of the terms as nodes, without the constant.
+
+        Raises:
+            InputError: an effect fails, or gives something else than nodes.
+        """
+        features = build_features(self.ops, self._signals, terms, self.order)
+        for feature in features:
+            if not isinstance(feature.signal, Node):
+                raise InputError(
+                    f"{find_owner(feature, terms)}: feature '{feature.name}' is a "
+                    f"{type(feature.signal).__name__}; expected what an operation of `ops` returns."
+                )
+        return tuple(features[1:])
+
+    def column(self, node: Node, label: str = "") -> Column:
+        """Return the coefficients of a node's values over all runs, computed once.
+
+        Args:
+            node: what to compute.
+            label: whose it is, for messages.
+
+        Raises:
+            InputError: it is NaN or infinite somewhere.
+        """
+        key = id(node)
+        if key in self._cache:
+            self._cache.move_to_end(key)
+            return self._cache[key]
+        sources = {n.source for n in list_nodes([node]) if n.op == "input"}
+        if self.block == 1 or sources <= self.slow:
+            step_s = self.block * self.plan.sample_period_s
+            laid = evaluate([node], self._slow_inputs, step_s)[0]
+            rows = self.reduction.rows
+            column = self.reduction.reduce_means([x[:n] for x, n in zip(laid, rows, strict=True)])
+        else:
+            step_s = self.plan.sample_period_s
+            column = self.reduction.reduce([evaluate([node], x, step_s)[0] for x in self._inputs])
+        if not np.isfinite(column.octaves).all():
+            raise InputError(
+                f"{label or node!r}: some values are NaN or infinite; keep the arguments of each "
+                "operation where it is defined, or narrow the parameters' bounds."
+            )
+        self._cache[key] = column
+        if len(self._cache) > CACHED_COLUMNS:
+            self._cache.popitem(last=False)
+        return column
+
+    def sum(
+        self,
+        features: Sequence[Feature[Node]],
+        terms: Sequence[Term],
+        slopes: Sequence[tuple[int, int, Column]] = (),
+    ) -> Sums:
+        """Return the sums of products of features, slopes, offsets and drifts.
+
+        Args:
+            features: from `build`.
+            terms: what they were built from, for messages.
+            slopes: (coordinate, feature, column) of each slope.
+        """
+        columns = [
+            self.column(f.signal, f"{find_owner(f, terms)}: feature '{f.name}'") for f in features
+        ]
+        columns += [column for _, _, column in slopes]
+        columns += [*self._offsets, *self._drifts]
+        outputs = self.plan.outputs
+        mask = np.array(
+            [[f.output is None or f.output == output for output in outputs] for f in features],
+            dtype=bool,
+        ).reshape(len(features), len(outputs))
+        return Sums(
+            self.reduction.sum_products(columns),
+            self.counts,
+            tuple(features),
+            tuple((p, j) for p, j, _ in slopes),
+            len(self._offsets),
+            len(outputs),
+            mask,
+        )
+
+    def fill(self, terms: Sequence[Term], coefficients: Array) -> None:
+        """Fill samples at a converter's rail anew, by what a fitted model says of them.
+
+        A straight line across many of them misses the bend of a fast ramp; what the model leaves
+        is straight enough.
+
+        Args:
+            terms: the fitted model.
+            coefficients: [K, J] of its features, without the constant.
+        """
+        if not self.set_aside or not self.plan.saturated:
+            return
+        predictions = []
+        for run in self.runs:
+            signals = read_signals(run, self.plan)
+            columns = build_columns(signals, terms, self.order, self.plan.sample_period_s)[1:]
+            prediction = np.zeros(run.drift.shape)
+            for column, row in zip(columns, coefficients.T, strict=True):
+                prediction += column.signal[:, None] * row
+            predictions.append(prediction)
+        for name in self.plan.saturated:
+            k = self.plan.outputs.index(name)
+            self._drifts[k] = self._reduce_drift(k, predictions)
+
+    def _reduce_drift(self, k: int, predictions: Sequence[Array] | None) -> Column:
+        """Return the coefficients of one output's drift."""
+        drifts = []
+        for i, run in enumerate(self.runs):
+            drift = run.drift[:, k]
+            flags = self._inputs[i].get(f"saturated:{self.plan.outputs[k]}")
+            if flags is not None and self.set_aside:
+                expected = predictions[i][:, k] if predictions else np.zeros_like(drift)
+                drift = expected + bridge(drift - expected, flags)
+            drifts.append(drift)
+        return self.reduction.reduce(drifts)
+
+    def _lay_side_by_side(self, stretches: Sequence[Array]) -> Array:
+        """Return stretches as rows of one array, the last value repeated behind the shorter."""
+        laid = np.empty((len(stretches), max(self.reduction.rows)))
+        for row, x in zip(laid, stretches, strict=True):
+            row[: x.size] = x
+            row[x.size :] = x[-1]
+        return laid
+
+    def _is_slow(self, name: str) -> bool:
+        """Return whether a signal hardly moves within a block."""
+        within = total = 0.0
+        for inputs, laid, rows in zip(
+            self._inputs, self._slow_inputs[name], self.reduction.rows, strict=True
+        ):
+            used = rows * self.block
+            spread = float(np.var(inputs[name][:used])) * used
+            total += spread
+            within += spread - float(np.var(laid[:rows])) * used
+        return within <= SLOW_SHARE * total
+
+    def _make_offsets(self) -> list[Column]:
+        """Return the constant columns: none where each piece has an offset of its own."""
+        if self.tared and self.pieces_per_run == 1:
+            return []
+        owners: list[str | None] = list(self.groups) if self.tared else [None]
+        return [
+            self.reduction.reduce_means(
+                [
+                    np.full(rows, float(owner is None or owner == run.group))
+                    for run, rows in zip(self.runs, self.reduction.rows, strict=True)
+                ],
+                centre=False,
+            )
+            for owner in owners
+        ]

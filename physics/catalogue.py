@@ -1,0 +1,187 @@
+"""The effects that are known: built-ins, entry points, a user's files; all registered alike."""
+
+import importlib.util
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from zerodrift.errors import InputError, nearest
+from zerodrift.physics.effect import Effect
+
+ENTRY_POINT_GROUP = "zerodrift.effects"
+
+
+@dataclass(frozen=True)
+class Catalogue(Mapping[str, Effect]):
+    """Effects by name, in the order in which rewriting effects act on the signals."""
+
+    effects: Mapping[str, Effect] = field(default_factory=dict)
+
+    def __getitem__(self, kind: str) -> Effect:
+        if kind not in self.effects:
+            raise InputError(
+                f"no effect '{kind}'{nearest(kind, self.effects)} "
+                f"The catalogue has: {', '.join(self.effects)}."
+            )
+        return self.effects[kind]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.effects)
+
+    def __len__(self) -> int:
+        return len(self.effects)
+
+    def __contains__(self, kind: object) -> bool:
+        return kind in self.effects
+
+    def rank(self, kind: str) -> int:
+        """Return the effect's place in the order of acting."""
+        return list(self.effects).index(kind)
+
+
+_registered: dict[str, Effect] = {}
+_loading: list[str] = []
+"""The file being loaded, innermost last, so that an effect knows where it was declared."""
+
+
+def register(effect: Effect) -> Effect:
+    """Make an effect known; built-ins and users' files call the same function.
+
+    Raises:
+        InputError: the name is taken by another declaration, or the declaration is not usable.
+    """
+    where = _loading[-1] if _loading else ""
+    effect = replace(effect, file=where)
+    _check_declaration(effect)
+    other = _registered.get(effect.kind)
+    if other is not None and other.file != where:
+        raise InputError(
+            f"{where or 'built-in'}: effect '{effect.kind}' is already declared in "
+            f"{other.file or 'the built-in catalogue'}; give it another name."
+        )
+    _registered[effect.kind] = effect
+    return effect
+
+
+def load_catalogue(plugin_files: Iterable[Path] = ()) -> Catalogue:
+    """Return the built-in effects, those of installed packages and those of the user's files.
+
+    Args:
+        plugin_files: the `[plugins] files` of zerodrift.toml.
+
+    Raises:
+        InputError: a file is missing, cannot be imported, or declares an unusable effect.
+    """
+    load_built_ins()
+    wanted = {""}
+    for entry_point in entry_points(group=ENTRY_POINT_GROUP):
+        where = f"entry point {entry_point.value}"
+        wanted.add(where)
+        if not any(effect.file == where for effect in _registered.values()):
+            with _declared_in(where):
+                entry_point.load()
+    for path in plugin_files:
+        where = str(path)
+        wanted.add(where)
+        _load_file(path)
+    return Catalogue({k: effect for k, effect in _registered.items() if effect.file in wanted})
+
+
+def load_built_ins() -> None:
+    """Import the modules that register the built-in effects, in the order in which they act."""
+    from zerodrift.physics import (  # noqa: F401 - importing them registers their effects
+        effects_element,
+        effects_input,
+        effects_load,
+        effects_temperature,
+        effects_time,
+    )
+
+
+class _declared_in:  # noqa: N801 - reads as a statement
+    """Within this context, `register` notes where the effect was declared."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+
+    def __enter__(self) -> None:
+        _loading.append(self._where)
+
+    def __exit__(self, *_: object) -> None:
+        _loading.pop()
+
+
+def _load_file(path: Path) -> None:
+    """Run a user's file; loading it again replaces what it declared before."""
+    where = str(path)
+    if not path.is_file():
+        raise InputError(
+            f"{path}: no such file, though [plugins] files names it; "
+            "correct the name, relative to zerodrift.toml."
+        )
+    for kind in [k for k, effect in _registered.items() if effect.file == where]:
+        del _registered[kind]
+    name = f"zerodrift_plugin_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"{path}: not a Python file; [plugins] files takes files ending in .py.")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    before = set(_registered)
+    with _declared_in(where):
+        try:
+            spec.loader.exec_module(module)
+        except InputError:
+            raise
+        except Exception as error:
+            line = line_in(error, where)
+            raise InputError(
+                f"{path}{line}: the file of effects raised {type(error).__name__}: {error}. "
+                "Run it with python to see more."
+            ) from error
+    if set(_registered) == before:
+        raise InputError(
+            f"{path}: declares no effect; call zerodrift.physics.catalogue.register(Effect(...))."
+        )
+
+
+def line_in(error: BaseException, where: str) -> str:
+    """Return `:line` of the last place in file `where` that `error` passed, or nothing."""
+    trace, line = error.__traceback__, ""
+    if isinstance(error, SyntaxError) and error.lineno is not None:
+        return f":{error.lineno}"
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == where:
+            line = f":{trace.tb_lineno}"
+        trace = trace.tb_next
+    return line
+
+
+def _check_declaration(effect: Effect) -> None:
+    """Refuse a declaration that could not be fitted, saying why."""
+    where = f"{effect.file or 'built-in'}: effect '{effect.kind}'"
+    if not effect.kind.isidentifier():
+        raise InputError(f"{where}: the kind must be a plain name such as 'led_ageing'.")
+    for parameter in effect.parameters:
+        low, high = parameter.typical
+        if not parameter.lower <= low <= high <= parameter.upper:
+            raise InputError(
+                f"{where}: parameter '{parameter.name}' has bounds {parameter.lower:g} .. "
+                f"{parameter.upper:g} and typical range {low:g} .. {high:g}; "
+                "expected lower <= typical <= upper."
+            )
+        if parameter.scale not in ("log", "linear"):
+            raise InputError(
+                f"{where}: parameter '{parameter.name}' has scale '{parameter.scale}'; "
+                "expected log or linear."
+            )
+        if parameter.scale == "log" and parameter.lower <= 0 and not parameter.choices:
+            raise InputError(
+                f"{where}: parameter '{parameter.name}' is searched on a log scale, so its lower "
+                f"bound must be above 0; it is {parameter.lower:g}."
+            )
+    for variant in effect.variants:
+        for name in variant:
+            effect.parameter(name)

@@ -1,0 +1,140 @@
+"""What an effect is: named parameters, the signals it needs, and its definition in operations.
+
+An effect is written once, against `Operations`, and is thereby simulated, fitted, explained,
+quantized and generated as C. Built-in effects and a user's own are declared alike.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+from zerodrift.errors import InputError, nearest
+from zerodrift.operations.backend import Operations
+
+S = TypeVar("S")
+
+Values = Mapping[str, float]
+"""Parameter name -> value, in the parameter's unit."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect: fitted unless the user holds it, or a choice with a default."""
+
+    name: str
+    """With its unit at the end: tau_s, half_width_K."""
+    unit: str
+    lower: float
+    """The fit never goes below; at this bound the fit says so."""
+    upper: float
+    typical: tuple[float, float]
+    """Range in which hardware is mostly found; the fit starts from here."""
+    scale: str = "log"
+    """log | linear: how the range is searched."""
+    source: str = ""
+    """Where the typical range comes from."""
+    default: float | None = None
+    """None: fitted. Else held at this value unless the user writes another."""
+    choices: tuple[float, ...] = ()
+    """Allowed values of a choice, such as the order of a polynomial; empty for a real number."""
+    meaning: str = ""
+    """One phrase for the catalogue."""
+    when: Values = field(default_factory=dict)
+    """The choices under which this parameter exists at all."""
+
+
+@dataclass(frozen=True)
+class Feature(Generic[S]):
+    """One column of the linear model: drift_k = ... + A[j, k] * signal."""
+
+    name: str
+    signal: S
+    unit: str = "1"
+    """Unit of the signal; the coefficient has the output's unit per this."""
+    output: str | None = None
+    """The only output that sees this feature; None: all do."""
+
+
+@dataclass(frozen=True)
+class Signals(Generic[S]):
+    """What an effect may see: all of it is there on the chip."""
+
+    temperature_degC: S  # noqa: N815 - the unit's own spelling
+    """The thermometer chosen by the effect's `signal`, after lag and hysteresis of the element."""
+    elapsed_s: S
+    """Time since power-on, the start of the run."""
+    clock_s: S
+    """Absolute time where there is a clock, else the time since power-on."""
+    load: Mapping[str, S]
+    """Output name -> true load; on the chip, the compensated load. Empty without references."""
+    saturated: Mapping[str, S]
+    """Output name -> 1 while its converter stands at a rail, else 0; for outputs that ever do."""
+    channels: Mapping[str, S]
+    """Other inputs by name: supply, humidity, ..."""
+    outputs: tuple[str, ...]
+    full_scale: Mapping[str, float]
+    """Output name -> full scale in its unit."""
+    reference_temperature_degC: float  # noqa: N815 - the unit's own spelling
+    """T0, where zero shift is counted from."""
+
+
+Build = Callable[[Operations[Any], Signals[Any], Values], Sequence[Feature[Any]]]
+Rewrite = Callable[[Operations[Any], Signals[Any], Values], Signals[Any]]
+
+
+def add_nothing(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
+    """Return no features: the effect only changes what the others see."""
+    return ()
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A physical effect: its definition, its parameters and what a user should know about it."""
+
+    kind: str
+    """The name in zerodrift.toml."""
+    title: str
+    """The field's term."""
+    build: Build = add_nothing
+    """(ops, signals, p) -> the features that the effect adds to the linear model."""
+    rewrite: Rewrite | None = None
+    """(ops, signals, p) -> the signals that all effects see from now on; None: leaves them."""
+    sets_aside: bool = False
+    """Whether samples at a converter's rail are set aside: they say nothing about the drift."""
+    parameters: tuple[Parameter, ...] = ()
+    needs: tuple[str, ...] = ()
+    """temperature, load, saturated, elapsed, clock or inputs' names; `a|b` asks for one of them."""
+    physics: str = ""
+    """A paragraph: what happens in the hardware."""
+    equation: str = ""
+    fingerprint: str = ""
+    """What it looks like in the residual."""
+    provoke: str = ""
+    """The experiment that shows it best."""
+    cure: str = ""
+    """What to do about it in hardware."""
+    source: str = ""
+    variants: tuple[Values, ...] = ({},)
+    """Choices that the diagnosis tries, simplest first; the first one is the default."""
+    file: str = ""
+    """The user's file it was declared in; empty for a built-in."""
+
+    def parameter(self, name: str) -> Parameter:
+        """Return the parameter `name`.
+
+        Raises:
+            InputError: there is none.
+        """
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        known = [parameter.name for parameter in self.parameters]
+        raise InputError(
+            f"effect '{self.kind}' has no parameter '{name}'{nearest(name, known)} "
+            f"It has: {', '.join(known) or 'none'}."
+        )
+
+    @property
+    def is_thermal(self) -> bool:
+        """Whether it sees a thermometer, so that `signal = "..."` may choose another one."""
+        return "temperature" in self.needs

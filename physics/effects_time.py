@@ -1,0 +1,94 @@
+"""Effects of time itself: warm-up after power-on, ageing."""
+
+import math
+from collections.abc import Sequence
+
+from zerodrift.operations.backend import Operations
+from zerodrift.physics.catalogue import register
+from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values
+
+DAY_S = 86400.0
+
+
+def build_warm_up(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
+    """Return 1 - exp(-t/tau) since power-on."""
+    halvings = ops.affine(signals.elapsed_s, -1.0 / (p["tau_s"] * math.log(2.0)), 0.0)
+    return (Feature("warm-up", ops.affine(ops.exp2(halvings), -1.0, 1.0), "1"),)
+
+
+register(
+    Effect(
+        kind="warm_up",
+        title="start-up drift, self-heating",
+        build=build_warm_up,
+        parameters=(
+            Parameter(
+                "tau_s",
+                "s",
+                5.0,
+                7200.0,
+                (60.0, 1200.0),
+                source="2 to 15 K of self-heating within 1 to 20 min",
+                meaning="time constant of the self-heating",
+            ),
+        ),
+        needs=("elapsed",),
+        physics="LEDs and electronics heat the element from inside when power comes on, by some "
+        "kelvin and partly unseen by the thermometer, until heat flows out as fast as it comes.",
+        equation="drift = k (1 - exp(-t/tau))",
+        fingerprint="The same exponential at the start of every run, whatever the temperature.",
+        provoke="Cold power-on at constant temperature, several times, logging from the first "
+        "second and not taring.",
+        cure="Less LED current, pulsed operation, a warm-up time before taring.",
+        source="load-cell and photo-coupler practice: warm-up time 1 to 20 min",
+    )
+)
+
+
+def build_ageing(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
+    """Return t, or t^p for `power_law` = 1, in days."""
+    days = ops.affine(signals.clock_s, 1.0 / DAY_S, 0.0)
+    if p["power_law"]:
+        return (Feature("age^p", ops.power(days, p["exponent"]), "day^p"),)
+    return (Feature("age", days, "day"),)
+
+
+register(
+    Effect(
+        kind="ageing",
+        title="long-term drift",
+        build=build_ageing,
+        parameters=(
+            Parameter(
+                "power_law",
+                "1",
+                0,
+                1,
+                (0, 1),
+                scale="linear",
+                default=0,
+                choices=(0, 1),
+                meaning="0: a straight line; 1: a power of time",
+            ),
+            Parameter(
+                "exponent",
+                "1",
+                0.1,
+                1.5,
+                (0.3, 0.9),
+                scale="linear",
+                meaning="power of time",
+                when={"power_law": 1},
+            ),
+        ),
+        needs=("clock",),
+        physics="Stress relaxes, adhesives cure, LEDs lose light: the zero wanders with age, fast "
+        "at first.",
+        equation="drift = k t  or  k t^p",
+        fingerprint="A slope in time that goes on from run to run, whatever the temperature.",
+        provoke="The same temperature cycle again after days, with an absolute clock in the logs.",
+        cure="Burn-in before calibration; recalibration.",
+        source="LED lumen maintenance; OIML R 60: zero stability",
+        variants=({"power_law": 0}, {"power_law": 1}),
+    )
+)

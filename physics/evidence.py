@@ -1,0 +1,123 @@
+"""What counts as evidence: errors on runs left out, and signs of whole runs flipped.
+
+Within a run all samples are relatives of each other; runs are not. So a model is judged by runs
+that it was not fitted to, and chance is judged by flipping the signs of whole runs' gains.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from zerodrift.physics.campaign import Sums
+from zerodrift.physics.projection import Coordinate, invert_scaled, solve, step_values, weigh
+
+Array = NDArray[np.float64]
+
+FOLD_STEPS = 2
+"""Gauss-Newton steps of the shared values within each fold, from the optimum over all runs."""
+MOST_MOVE = 0.5
+"""Largest move of a coordinate within a fold; the slopes hold no further."""
+MOST_FLIPS = 4096
+"""All sign patterns up to twelve runs; beyond, as many drawn at random."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Squared errors of each piece of time, predicted from all runs but its own."""
+
+    squares: Array
+    """[G, L, K] sums of squares per piece, octave and output."""
+    counts: Array
+    """[G, L]."""
+
+    def score(self, weights: Array) -> Array:
+        """Return the weighted squared error [G] of each piece, in noise units."""
+        return np.asarray(np.einsum("glk,lk->g", self.squares, weights))
+
+    def mean_squares(self, means: NDArray[np.bool_]) -> Array:
+        """Return the mean square [K] over all octaves that `means` does not mark."""
+        return np.asarray(self.squares[:, ~means].sum(axis=(0, 1)) / self.counts[:, ~means].sum())
+
+
+def hold_out(
+    sums: Sums,
+    weights: Array,
+    coordinates: Sequence[Coordinate],
+    position: Array,
+    unit_of_piece: NDArray[np.int64],
+) -> HeldOut:
+    """Return the errors of every unit of evidence, predicted from all the others.
+
+    Args:
+        sums: with slopes along all coordinates.
+        weights: [L, K].
+        coordinates: the shared values.
+        position: [P] where they are.
+        unit_of_piece: [G] the unit (run) that each piece belongs to.
+    """
+    weighted = weigh(sums, weights)
+    total = weighted.sum(axis=0)
+    units = np.unique(unit_of_piece)
+    own = np.stack([weighted[unit_of_piece == unit].sum(axis=0) for unit in units])
+    folds = total[None] - own
+    count = len(coordinates)
+    shift: Array | None = None
+    solution = solve(sums, folds)
+    if count:
+        bounds = np.array([c.bounds for c in coordinates])
+        low = np.maximum(bounds[:, 0] - position, -MOST_MOVE)
+        high = np.minimum(bounds[:, 1] - position, MOST_MOVE)
+        shift = np.zeros((units.size, count))
+        for _ in range(FOLD_STEPS):
+            gradient, normal = step_values(sums, folds, solution, count, shift)
+            normal = (
+                normal
+                + 1e-6 * np.eye(count) * np.trace(normal, axis1=-2, axis2=-1)[..., None, None]
+            )
+            step = (invert_scaled(normal) @ gradient[..., None])[..., 0]
+            shift = np.clip(shift + step, low, high)
+            solution = solve(sums, folds, shift)
+    squares = np.empty((unit_of_piece.size, *weights.shape))
+    for fold, unit in enumerate(units):
+        residual = solution.residual[fold]
+        for g in np.flatnonzero(unit_of_piece == unit):
+            moved = residual @ sums.products[g]
+            squares[g] = np.einsum("lkc,kc->lk", moved, residual)
+    return HeldOut(np.maximum(squares, 0.0), sums.counts)
+
+
+def flip_signs(gains: Array) -> Array:
+    """Return the p-value [M] of each candidate's total gain, against the best of all by chance.
+
+    If nothing were to be gained, each run's gain could as well have had the other sign, for all
+    candidates at once. The p-value is the share of sign patterns in which some candidate gains at
+    least as much; with R runs it cannot be less than 2^-R.
+
+    Args:
+        gains: [M, R] held-out gain of each candidate in each run, noise units.
+    """
+    runs = gains.shape[1]
+    if 2**runs <= MOST_FLIPS:
+        signs = np.array(list(itertools.product((1.0, -1.0), repeat=runs)))
+    else:
+        signs = np.random.default_rng(0).choice((1.0, -1.0), size=(MOST_FLIPS, runs))
+        signs[0] = 1.0
+    best = (signs @ gains.T).max(axis=1)
+    observed = gains.sum(axis=1)
+    return np.asarray(
+        (best[None, :] >= observed[:, None] - 1e-9 * np.abs(observed[:, None])).mean(axis=1)
+    )
+
+
+def compare_runs(better: Array, worse: Array) -> float:
+    """Return the one-sided p-value that `better` is no better than `worse`, over runs [R]."""
+    difference = better - worse
+    runs = difference.size
+    spread = float(np.std(difference, ddof=1)) if runs > 1 else 0.0
+    if runs < 2 or spread == 0.0:
+        return 0.5
+    return float(student.sf(difference.mean() / (spread / np.sqrt(runs)), runs - 1))

@@ -1,0 +1,328 @@
+"""Fit of a physical model to runs: values, coefficients, their errors, and what cannot be told."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.config import Config, EffectConfig
+from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.errors import InputError
+from zerodrift.physics.campaign import Campaign, Sums
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.physics.model import FittedTerm, PhysicalModel
+from zerodrift.physics.projection import (
+    Coordinate,
+    Solution,
+    get_coordinates,
+    invert_scaled,
+    list_coordinates,
+    slope_directions,
+    solve,
+    weigh,
+)
+from zerodrift.physics.search import Found, search, sum_with_slopes
+from zerodrift.physics.signals import SignalPlan, explain_missing, plan_signals, read_signals
+from zerodrift.physics.terms import OFFSET, Term, build_columns, start_term
+
+Array = NDArray[np.float64]
+
+TARE_RATIO = 1.25
+"""Runs have offsets of their own where these lower the squared error by more than this factor."""
+CLUSTERS = 8
+"""Fewest runs whose scatter counts for the standard errors."""
+FIT_ROWS = 60_000
+"""Rows of a fit; more samples than that are averaged where signals are slow."""
+COLLINEAR = 0.03
+"""A feature of which less than this share is left beside the others cannot be told from them."""
+
+
+def fit_config(
+    config: Config, dataset: Dataset, catalogue: Catalogue | None = None
+) -> PhysicalModel:
+    """Return the model of zerodrift.toml fitted to its training runs.
+
+    Args:
+        config: the project.
+        dataset: its runs.
+        catalogue: the known effects; by default the built-ins and the project's own.
+
+    Raises:
+        InputError: unknown effect or parameter, a held value out of bounds, a signal that is
+            missing, or a user's effect that fails.
+    """
+    catalogue = catalogue or load_catalogue(config.plugin_files)
+    return fit(
+        config.effects,
+        dataset.train,
+        outputs=dataset.outputs,
+        units=dataset.units,
+        full_scale=dataset.full_scale,
+        catalogue=catalogue,
+    )
+
+
+def fit(
+    effects: Sequence[EffectConfig],
+    runs: Sequence[Run],
+    *,
+    outputs: Sequence[str],
+    units: Sequence[str],
+    full_scale: Sequence[float],
+    catalogue: Catalogue | None = None,
+    start: PhysicalModel | None = None,
+) -> PhysicalModel:
+    """Return the model with these effects, fitted to the drift of the runs by least squares.
+
+    Args:
+        effects: the `[[effect]]` tables.
+        runs: training runs.
+        outputs: names of the K outputs.
+        units: their units.
+        full_scale: their full scales.
+        catalogue: the known effects; by default the built-ins.
+        start: an earlier fit to start from, which saves the search over typical ranges.
+    """
+    catalogue = catalogue or load_catalogue()
+    plan = plan_signals(runs, outputs, full_scale)
+    terms = [start_term(catalogue, config) for config in effects]
+    check_terms(terms, effects, plan)
+    if start is not None:
+        terms = _take_values(terms, start)
+    return fit_terms(terms, runs, plan, units, list(catalogue), search_starts=start is None)
+
+
+def check_terms(terms: Sequence[Term], effects: Sequence[EffectConfig], plan: SignalPlan) -> None:
+    """Refuse effects whose signals these logs lack, and an effect named twice.
+
+    Raises:
+        InputError: naming the line of zerodrift.toml.
+    """
+    seen: set[str] = set()
+    for term, config in zip(terms, effects, strict=True):
+        where = f"zerodrift.toml:{config.line}: " if config.line else ""
+        reason = explain_missing(term.effect, plan, term.signal)
+        if reason:
+            raise InputError(
+                f"{where}effect '{config.kind}' cannot be fitted: {reason}. Add the column to "
+                "[inputs] or the reference to [outputs], or remove the effect."
+            )
+        if term.name in seen:
+            raise InputError(
+                f"{where}effect '{term.name}' stands here twice; remove one of the tables."
+            )
+        seen.add(term.name)
+
+
+def _take_values(terms: Sequence[Term], start: PhysicalModel) -> list[Term]:
+    """Return the terms at the values that an earlier fit found for those it has."""
+    known = {fitted.term.name: fitted.term for fitted in start.terms}
+    return [
+        term.with_values({p.name: known[term.name].values[p.name] for p in term.free})
+        if term.name in known
+        else term
+        for term in terms
+    ]
+
+
+def fit_terms(
+    terms: Sequence[Term],
+    runs: Sequence[Run],
+    plan: SignalPlan,
+    units: Sequence[str],
+    order: Sequence[str],
+    *,
+    search_starts: bool = True,
+) -> PhysicalModel:
+    """Return the fitted model of these terms; `fit` says the rest."""
+    vary = None if search_starts else ()
+    set_aside = any(term.effect.sets_aside for term in terms)
+    campaign = Campaign(runs, plan, order, tared=True, set_aside=set_aside, most_rows=FIT_ROWS)
+    found = search(campaign, terms, flat_weights(campaign), vary=vary)
+    if set_aside:
+        campaign.fill(found.terms, found.solution.coefficients)
+        found = search(campaign, found.terms, flat_weights(campaign), vary=())
+    if len(campaign.groups) > 1:
+        common = Campaign(runs, plan, order, tared=False, set_aside=set_aside, most_rows=FIT_ROWS)
+        common.fill(found.terms, found.solution.coefficients)
+        together = search(common, found.terms, flat_weights(common), vary=())
+        ratio = float(np.mean(together.solution.errors / found.solution.errors))
+        if ratio < TARE_RATIO:
+            campaign, found = common, together
+    return _finish(campaign, found, units)
+
+
+def flat_weights(campaign: Campaign) -> Array:
+    """Return the weights [L, K] of plain least squares: one, and none for means without offsets."""
+    weights = np.ones((campaign.levels.size, len(campaign.plan.outputs)))
+    if not campaign.uses_means:
+        weights[campaign.means] = 0.0
+    return weights
+
+
+def _finish(campaign: Campaign, found: Found, units: Sequence[str]) -> PhysicalModel:
+    """Return the model with errors, intervals, offsets and notes."""
+    runs, plan, terms = campaign.runs, campaign.plan, found.terms
+    coordinates = list_coordinates(terms)
+    sums = sum_with_slopes(campaign, terms, coordinates)
+    weights = flat_weights(campaign)
+    solution = solve(sums, weigh(sums, weights).sum(axis=0))
+    theta_errors, coefficient_errors = estimate_errors(
+        campaign, sums, weights, solution, len(coordinates)
+    )
+    coefficients = solution.coefficients.T
+    totals: dict[str, Array] = {}
+    samples: dict[str, int] = {}
+    names: tuple[str, ...] = ()
+    feature_units: tuple[str, ...] = ()
+    for run in runs:
+        signals = read_signals(run, plan)
+        columns = build_columns(signals, terms, campaign.order, plan.sample_period_s)[1:]
+        names = tuple(column.name for column in columns)
+        feature_units = tuple(column.unit for column in columns)
+        rest = run.drift.sum(axis=0)
+        for column, row in zip(columns, coefficients, strict=True):
+            rest = rest - column.signal.sum() * row
+        totals[run.group] = totals.get(run.group, 0.0) + rest
+        samples[run.group] = samples.get(run.group, 0) + len(run)
+    offsets = {group: total / samples[group] for group, total in totals.items()}
+    tared = campaign.tared and len(campaign.groups) > 1
+    if tared:
+        constant = np.mean(np.stack(list(offsets.values())), axis=0)
+    else:
+        constant = np.sum(np.stack(list(totals.values())), axis=0) / sum(samples.values())
+        offsets = {group: constant.copy() for group in offsets}
+    scatter = np.std(np.stack(list(offsets.values())), axis=0) / np.sqrt(len(offsets))
+    fitted = _attach_errors(terms, coordinates, theta_errors)
+    return PhysicalModel(
+        plan=plan,
+        units=tuple(units),
+        terms=fitted,
+        feature_names=(OFFSET, *names),
+        feature_units=("1", *feature_units),
+        coefficients=np.concatenate([constant[None], coefficients]),
+        std_errors=np.concatenate([scatter[None], coefficient_errors]),
+        offsets=offsets,
+        tared=tared,
+        notes=_note_bounds(fitted) + _note_collinearity(sums, weights, names),
+        order=campaign.order,
+    )
+
+
+def estimate_errors(
+    campaign: Campaign, sums: Sums, weights: Array, solution: Solution, count: int
+) -> tuple[Array, Array]:
+    """Return the standard errors of the coordinates [P] and of the coefficients [J, K].
+
+    Residuals are correlated in time, so their variance is taken octave by octave, as it is left by
+    the fit, and carried through the least-squares solution (the sandwich estimator); with eight
+    runs or more also run by run (clusters), and the larger of the two holds.
+
+    Source: White, Econometrica 48 (1980); Cameron and Miller, J. Human Resources 50 (2015).
+    """
+    size, outputs = sums.mask.shape
+    along = slope_directions(sums, solution, count)
+    offsets = len(sums.features) + len(sums.slopes) + np.arange(sums.offsets)
+    clustered = len(campaign.groups) >= CLUSTERS
+    owners = np.arange(len(campaign.groups))[:, None] == campaign.run_of_piece
+    errors = np.zeros((size, outputs))
+    curvature = np.zeros((count, count))
+    by_octave = np.zeros((count, count))
+    by_run = np.zeros((len(campaign.groups), count))
+    for k in range(outputs):
+        seen = np.flatnonzero(sums.mask[:, k])
+        plain = np.concatenate([seen, offsets]).astype(int)
+        # Columns of the design: features and offsets, then the slopes along each coordinate.
+        design = np.zeros((sums.products.shape[-1], plain.size + count))
+        design[plain, np.arange(plain.size)] = 1.0
+        design[:, plain.size :] = along[k]
+        weighted = np.einsum("l,glab->gab", weights[:, k], sums.products)
+        gram = design.T @ weighted.sum(axis=0) @ design
+        inverse = invert_scaled(gram)
+        residual = solution.residual[k]
+        per_octave = np.einsum("l,glab->lab", weights[:, k], sums.products)
+        squares = np.einsum("c,lcd,d->l", residual, per_octave, residual)
+        inner = np.einsum("ca,lcd,db->lab", design, per_octave, design, optimize=True)
+        leverage = np.einsum("lab,ba->l", inner, inverse)
+        freedom = np.maximum(sums.counts.sum(axis=0) - leverage, 1.0)
+        meat = np.einsum("l,lab->ab", squares / freedom, inner)
+        scores = owners @ np.einsum("ca,gcd,d->ga", design, weighted, residual, optimize=True)
+        scores *= np.sqrt(len(scores) / max(len(scores) - 1, 1))
+        variance = np.diag(inverse @ meat @ inverse)
+        if clustered:
+            variance = np.maximum(variance, np.sum((scores @ inverse) ** 2, axis=0))
+        errors[seen, k] = np.sqrt(np.maximum(variance[: seen.size], 0.0))
+        if count:
+            first = gram[: plain.size, : plain.size]
+            turn = np.concatenate(
+                [-gram[plain.size :, : plain.size] @ invert_scaled(first), np.eye(count)], axis=1
+            )
+            weight = 1.0 / solution.errors[k]
+            curvature += weight * turn @ gram @ turn.T
+            by_octave += weight**2 * turn @ meat @ turn.T
+            by_run += weight * scores @ turn.T
+    if not count:
+        return np.zeros(0), errors
+    inverse = invert_scaled(curvature)
+    variance = np.diag(inverse @ by_octave @ inverse)
+    if clustered:
+        variance = np.maximum(variance, np.sum((by_run @ inverse) ** 2, axis=0))
+    return np.sqrt(np.maximum(variance, 0.0)), errors
+
+
+def _attach_errors(
+    terms: Sequence[Term], coordinates: Sequence[Coordinate], errors: Array
+) -> tuple[FittedTerm, ...]:
+    """Return the terms with errors and intervals in the parameters' own units."""
+    quantile = 1.96
+    u = get_coordinates(terms, coordinates)
+    fitted = []
+    for i, term in enumerate(terms):
+        std_errors, intervals, at_bound = {}, {}, []
+        for coordinate, position, error in zip(coordinates, u, errors, strict=True):
+            if coordinate.term != i:
+                continue
+            name = coordinate.parameter.name
+            std_errors[name] = float(abs(coordinate.slope(position)) * error)
+            intervals[name] = (
+                coordinate.decode(position - quantile * error),
+                coordinate.decode(position + quantile * error),
+            )
+            low, high = coordinate.bounds
+            if min(position - low, high - position) < 1e-3 * (high - low):
+                at_bound.append(name)
+        fitted.append(FittedTerm(term, std_errors, intervals, tuple(at_bound)))
+    return tuple(fitted)
+
+
+def _note_bounds(terms: Sequence[FittedTerm]) -> tuple[str, ...]:
+    """Return a sentence for each parameter that ended at a bound."""
+    return tuple(
+        f"{fitted.term.name}: {name} = {fitted.term.values[name]:.4g} "
+        f"{fitted.term.effect.parameter(name).unit} is at the bound of its range; "
+        "the logs do not determine it or the effect is another one"
+        for fitted in terms
+        for name in fitted.at_bound
+    )
+
+
+def _note_collinearity(sums: Sums, weights: Array, names: Sequence[str]) -> tuple[str, ...]:
+    """Return a sentence for each feature that the others imitate almost completely."""
+    notes = []
+    gram = np.einsum("l,glab->ab", weights[:, 0], sums.products)
+    offsets = [len(sums.features) + len(sums.slopes) + o for o in range(sums.offsets)]
+    for j, name in enumerate(names):
+        together = [
+            i for i in range(len(names)) if i != j and (sums.mask[i] & sums.mask[j]).any()
+        ] + offsets
+        if not together or gram[j, j] <= 0.0:
+            continue
+        across = gram[j, together]
+        left = gram[j, j] - across @ invert_scaled(gram[np.ix_(together, together)]) @ across
+        share = float(np.sqrt(max(left, 0.0) / gram[j, j]))
+        if share < COLLINEAR:
+            notes.append(
+                f"{name}: only {100 * share:.2g} % of it differs from the other features in these "
+                "logs; its coefficient is not well determined on its own"
+            )
+    return tuple(notes)

@@ -1,0 +1,74 @@
+"""Samples at which a converter stood at its rail, where the measured extreme repeats exactly."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FEWEST_SAMPLES = 5
+"""Samples at the extreme within a run before it counts as a rail."""
+RARITY = 5.0
+"""The extreme must last, or be met, this many times longer than any other value."""
+FEWEST_VISITS = 20
+"""Short stands at the extreme that make a rail together."""
+
+
+def find_rails(measured: Array, reference: Array) -> Array:
+    """Return 1.0 where the measured value stands at a rail, else 0.0.
+
+    Args:
+        measured: [n] one output of one run.
+        reference: [n] its true load.
+
+    Limits: noise makes a value that is not clipped repeat its very extreme hardly ever. In a log
+    of few distinct values every value lasts, and the extreme must last much longer to count.
+    """
+    flags = np.zeros(measured.size)
+    spread = float(np.ptp(measured))
+    if spread == 0.0 or float(np.ptp(reference)) == 0.0:
+        return flags
+    same = 1e-7 * spread
+    lasts = _measure_stands(np.abs(np.diff(measured)) <= same)
+    for sign in (1.0, -1.0):
+        height = sign * measured
+        standing = height >= float(height.max()) - same
+        count = int(standing.sum())
+        if count < FEWEST_SAMPLES:
+            continue
+        longest = _longest(standing)
+        elsewhere = float(lasts[~standing].max(initial=1.0))
+        if longest >= max(FEWEST_SAMPLES, RARITY * elsewhere):
+            flags[standing] = 1.0
+            continue
+        # Short peaks that are cut, as in walking: one value is met again and again.
+        near = np.round(height[(height >= float(height.max()) - 0.1 * spread) & ~standing] / same)
+        most = int(np.unique(near, return_counts=True)[1].max(initial=0))
+        if count >= max(FEWEST_VISITS, RARITY * most) and float(np.ptp(reference[standing])) > 0.0:
+            flags[standing] = 1.0
+    return flags
+
+
+def bridge(x: Array, flags: Array) -> Array:
+    """Return x with straight lines across the flagged samples, so that these weigh nothing.
+
+    Args:
+        x: [n].
+        flags: [n] 1.0 where x is to be bridged.
+    """
+    kept = np.flatnonzero(flags == 0.0)
+    if kept.size in (0, x.size):
+        return x
+    return np.interp(np.arange(x.size), kept, x[kept])
+
+
+def _measure_stands(unchanged: NDArray[np.bool_]) -> Array:
+    """Return for each sample how many samples its unbroken stand lasts, [n] from [n - 1] steps."""
+    starts = np.concatenate([[0], np.flatnonzero(~unchanged) + 1])
+    lengths = np.diff(np.concatenate([starts, [unchanged.size + 1]]))
+    return np.repeat(lengths, lengths).astype(np.float64)
+
+
+def _longest(standing: NDArray[np.bool_]) -> int:
+    """Return the length of the longest unbroken stand."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], standing.astype(np.int8), [0]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))

@@ -1,0 +1,173 @@
+"""From long signals to few coefficients: block means cut into octaves, and a sample of the rest."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.physics.octaves import MEANS, WITHIN_BLOCKS, Octaves, cut_octaves
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Column:
+    """The coefficients of one signal over all runs."""
+
+    octaves: Array
+    """[M] of the block means, sorted by piece and octave."""
+    fast: Array | None = None
+    """[F] deviations within blocks, by piece; None for a slow signal, where they are nothing."""
+
+    def __sub__(self, other: "Column") -> "Column":
+        if self.fast is None and other.fast is None:
+            return Column(self.octaves - other.octaves)
+        mine = 0.0 if self.fast is None else self.fast
+        theirs = 0.0 if other.fast is None else other.fast
+        return Column(self.octaves - other.octaves, np.asarray(mine - theirs))
+
+    def scale(self, factor: float) -> "Column":
+        """Return the column times a factor."""
+        fast = None if self.fast is None else factor * self.fast
+        return Column(factor * self.octaves, fast)
+
+
+def combine(columns: Sequence[Column], factors: Sequence[float]) -> Column:
+    """Return the sum of the columns, each times its factor."""
+    total = columns[0].scale(factors[0])
+    for column, factor in zip(columns[1:], factors[1:], strict=True):
+        total = total - column.scale(-factor)
+    return total
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """How the stretches of all runs become blocks, pieces and octaves.
+
+    Blocks are averages over `block` samples. The stretches of a run are laid end to end and cut
+    into one or more pieces; each piece is taken apart into octaves. Deviations within blocks are
+    kept for every `stride`-th block.
+    """
+
+    block: int
+    stride: int
+    rows: tuple[int, ...]
+    """Blocks of each stretch; samples behind the last whole block are not used."""
+    sequence: tuple[int, ...]
+    """The stretches in the order in which they are laid end to end, run by run."""
+    octaves: Octaves
+    levels: IntArray
+    """[L] octaves present: MEANS, log2 of the half-length in samples; WITHIN_BLOCKS at the end."""
+    slices: tuple[tuple[int, int, slice], ...]
+    """(piece, level, coefficients) of a column's octaves."""
+    fast_slices: tuple[slice, ...]
+    """Per piece, its deviations within blocks; none where blocks are single samples."""
+    counts: Array
+    """[G, L] free coefficients of each piece and level."""
+
+    def average(self, x: Array) -> Array:
+        """Return the block means of one stretch's signal [n]."""
+        if self.block == 1:
+            return x
+        rows = x.size // self.block
+        return np.asarray(x[: rows * self.block].reshape(rows, self.block).mean(axis=1))
+
+    def reduce(self, signals: Sequence[Array]) -> Column:
+        """Return the coefficients of a signal at the full rate, given per stretch."""
+        means = [self.average(x) for x in signals]
+        if self.block == 1:
+            return self.reduce_means(means)
+        fast = []
+        for i in self.sequence:
+            blocks = signals[i][: self.rows[i] * self.block].reshape(-1, self.block)
+            kept = slice(None, None, self.stride)
+            fast.append((blocks[kept] - means[i][kept, None]).reshape(-1))
+        return Column(self.reduce_means(means).octaves, np.concatenate(fast))
+
+    def reduce_means(self, means: Sequence[Array], *, centre: bool = True) -> Column:
+        """Return the coefficients of block means, given per stretch."""
+        laid = np.concatenate([means[i] for i in self.sequence]) * np.sqrt(self.block)
+        # Any constant is the offsets' business; without it the running sums keep their digits.
+        return Column(self.octaves.transform(laid - laid.mean() if centre else laid))
+
+    def sum_products(self, columns: Sequence[Column]) -> Array:
+        """Return the sums of products [G, L, C, C] of columns, per piece and level."""
+        stacked = np.stack([column.octaves for column in columns])
+        products = np.zeros((*self.counts.shape, len(columns), len(columns)))
+        for piece, level, rows in self.slices:
+            part = stacked[:, rows]
+            np.matmul(part, part.T, out=products[piece, level])
+        moving = [(c, column.fast) for c, column in enumerate(columns) if column.fast is not None]
+        if moving:
+            places = np.array([c for c, _ in moving])
+            stacked = np.stack([fast for _, fast in moving])
+            for piece, rows in enumerate(self.fast_slices):
+                part = stacked[:, rows]
+                products[piece, -1, places[:, None], places] = self.stride * (part @ part.T)
+        return products
+
+
+def plan_reduction(
+    lengths: Sequence[int], groups: Sequence[str], block: int, stride: int, pieces_per_run: int
+) -> Reduction:
+    """Return the reduction of stretches of these lengths.
+
+    Args:
+        lengths: samples of each stretch.
+        groups: the run that each stretch belongs to.
+        block: samples in a block.
+        stride: deviations within blocks are kept for every `stride`-th block.
+        pieces_per_run: pieces that each run is cut into.
+    """
+    rows = tuple(length // block for length in lengths)
+    names = list(dict.fromkeys(groups))
+    sequence = tuple(i for name in names for i, group in enumerate(groups) if group == name)
+    sizes: list[int] = []
+    for name in names:
+        total = sum(rows[i] for i, group in enumerate(groups) if group == name)
+        edges = np.round(np.linspace(0, total, pieces_per_run + 1)).astype(int)
+        sizes += np.diff(edges).tolist()
+    octaves = cut_octaves(np.array(sizes), block)
+    present = np.unique(octaves.octave)
+    levels = np.append(present, WITHIN_BLOCKS) if block > 1 else present
+    counts = np.zeros((len(sizes), levels.size))
+    slices = []
+    for piece in range(len(sizes)):
+        for j, level in enumerate(present):
+            at = np.flatnonzero((octaves.piece == piece) & (octaves.octave == level))
+            if at.size:
+                slices.append((piece, j, slice(int(at[0]), int(at[-1]) + 1)))
+                counts[piece, j] = at.size
+    fast_slices: list[slice] = []
+    if block > 1:
+        owner = np.repeat(np.arange(len(sizes)), sizes)
+        ends = np.cumsum([rows[i] for i in sequence])
+        kept = np.concatenate(
+            [
+                owner[end - rows[i] : end][::stride]
+                for i, end in zip(sequence, ends.tolist(), strict=True)
+            ]
+        )
+        for piece in range(len(sizes)):
+            first, last = np.searchsorted(kept, [piece, piece + 1])
+            fast_slices.append(slice(int(first) * block, int(last) * block))
+            # Of a block's deviations from its mean all but one are free.
+            counts[piece, -1] = (last - first) * (block - 1) * stride
+    return Reduction(
+        block,
+        stride,
+        rows,
+        sequence,
+        octaves,
+        levels,
+        tuple(slices),
+        tuple(fast_slices),
+        counts,
+    )
+
+
+def select_means(levels: IntArray) -> NDArray[np.bool_]:
+    """Return which levels are the pieces' means."""
+    return np.asarray(levels == MEANS)

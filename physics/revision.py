@@ -1,0 +1,331 @@
+"""One change of a model, judged by its held-out errors before and after."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.config import Config, EffectConfig
+from zerodrift.dataset.runs import Dataset
+from zerodrift.errors import InputError, nearest
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.fit import fit_config
+from zerodrift.physics.floor import NoiseFloor, measure_floor
+from zerodrift.physics.held_out import HeldOut, hold_out
+from zerodrift.physics.model import FittedTerm, PhysicalModel
+from zerodrift.physics.run_errors import RunError, collect_errors, pool_rmse
+from zerodrift.physics.signals import explain_missing, plan_signals
+from zerodrift.physics.terms import CHIP, start_term
+
+Array = NDArray[np.float64]
+
+WORTHWHILE = 0.985
+"""A change must bring the held-out RMSE, over all outputs, below this share of what it was, ..."""
+WORTHWHILE_ON_ONE = 0.97
+"""... or that of one output below this, ..."""
+WORTHWHILE_ON_FEW = 0.9
+"""... or below this where fewer than MANY_RUNS runs show how runs differ."""
+MANY_RUNS = 3
+AS_GOOD = 1.005
+"""A model without an effect is as good if its RMSE is below this share of what it was."""
+GAIN_OVER_LOSS = 3.0
+"""What the runs that get better gain, over what the others lose."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model of one list of effects, and its held-out errors."""
+
+    model: PhysicalModel
+    held_out: HeldOut
+    errors: Mapping[str, RunError]
+    """Run -> what the held-out prediction leaves."""
+
+    @property
+    def rmse(self) -> Array:
+        """[K] over all held-out samples."""
+        return pool_rmse([e.error for e in self.errors.values()])
+
+    @property
+    def squares(self) -> Array:
+        """[R, K] sums of squared errors."""
+        return np.stack([np.sum(e.error**2, axis=0) for e in self.errors.values()])
+
+
+@dataclass(frozen=True)
+class Revision:
+    """A change of the model's effects, and what it did to the held-out errors."""
+
+    action: str
+    """add | remove."""
+    effect: EffectConfig
+    effects: tuple[EffectConfig, ...]
+    """Of the model after the change."""
+    before: Fitted
+    after: Fitted
+    floor: NoiseFloor
+    helps: bool
+    """Whether the held-out error is better by more than runs differ; for a removal, as good."""
+    reason: str
+    """Why, in a sentence."""
+    tared: bool
+    """Whether each run's own offset is taken off the errors, before and after."""
+
+    @property
+    def term(self) -> FittedTerm | None:
+        """The new effect as fitted; None after a removal."""
+        return find_term(self.after.model, self.effect) if self.action == "add" else None
+
+
+def name_effect(effect: EffectConfig) -> str:
+    """Return the effect's kind, with its thermometer where it is not the chip's."""
+    signal = effect.options.get("signal", CHIP)
+    return f"{effect.kind}[{signal}]" if signal else effect.kind
+
+
+def find_term(model: PhysicalModel, effect: EffectConfig) -> FittedTerm | None:
+    """Return the fitted term of an effect, if the model has it."""
+    name = name_effect(effect)
+    return next((fitted for fitted in model.terms if fitted.term.name == name), None)
+
+
+def propose_addition(
+    config: Config, dataset: Dataset, catalogue: Catalogue, effect: EffectConfig
+) -> tuple[EffectConfig, ...]:
+    """Return the project's effects and one more, checked.
+
+    Raises:
+        InputError: the effect is unknown, is there already, needs a signal that the logs lack, or
+            cannot have the values or options given.
+    """
+    term = start_term(catalogue, effect)
+    for present in config.effects:
+        if name_effect(present) == name_effect(effect):
+            raise InputError(
+                f"{config.path}:{present.line}: effect '{name_effect(effect)}' is in the model "
+                "already; expected one that is not. To hold or free a parameter, edit that table; "
+                "`zerodrift diagnose` names what is still missing."
+            )
+    plan = plan_signals(dataset.train, dataset.outputs, dataset.full_scale)
+    missing = explain_missing(term.effect, plan, term.signal)
+    if missing:
+        needs = ", ".join(need.replace("|", " or ") for need in term.effect.needs)
+        raise InputError(
+            f"{config.path}: effect '{effect.kind}' cannot be added: {missing}. It needs {needs}; "
+            "log the channel and name its column in [inputs], or the true load as a reference in "
+            "[outputs]."
+        )
+    return (*config.effects, effect)
+
+
+def propose_removal(config: Config, kind: str, signal: str = CHIP) -> tuple[int, EffectConfig]:
+    """Return where the effect to remove stands in the project's list, and the effect.
+
+    Args:
+        config: the project.
+        kind: the effect's name, also as `kind[signal]`.
+        signal: its thermometer, where the same kind stands there for several.
+
+    Raises:
+        InputError: the model has no such effect, or several.
+    """
+    names = [name_effect(effect) for effect in config.effects]
+    wanted = f"{kind}[{signal}]" if signal else kind
+    places = [i for i, name in enumerate(names) if name == wanted]
+    if not places:
+        places = [i for i, e in enumerate(config.effects) if e.kind == kind and not signal]
+    if not places:
+        has = ", ".join(names) or "no effect"
+        raise InputError(
+            f"{config.path}: effect '{wanted}' is not in the model{nearest(wanted, names) or '.'} "
+            f"It has: {has}."
+        )
+    if len(places) > 1:
+        raise InputError(
+            f"{config.path}: effect '{kind}' is in the model for several thermometers; name one of "
+            f"{', '.join(names[i] for i in places)}."
+        )
+    return places[0], config.effects[places[0]]
+
+
+def revise(
+    config: Config,
+    dataset: Dataset,
+    catalogue: Catalogue,
+    action: str,
+    effect: EffectConfig,
+    effects: Sequence[EffectConfig],
+) -> Revision:
+    """Fit the model before and after a change of its effects, and judge the change.
+
+    Args:
+        config: the project as it is.
+        dataset: its runs.
+        catalogue: the known effects.
+        action: add | remove.
+        effect: what is added or removed.
+        effects: the model's effects after the change.
+    """
+    models = [
+        fit_config(replace(config, effects=tuple(wanted)), dataset, catalogue)
+        for wanted in (config.effects, effects)
+    ]
+    # The better model knows best whether logs are zeroed one by one; errors must be comparable.
+    tared = any(model.tared for model in models)
+    before, after = (_hold_out(model, dataset, tared) for model in models)
+    floors = [
+        measure_floor(dataset, [e for error in _leave(m, dataset, tared) for e in error.stretches])
+        for m in models
+    ]
+    floor = replace(floors[0], rms=np.minimum(floors[0].rms, floors[1].rms))
+    judged = judge if action == "add" else judge_removal
+    helps, reason = judged(before, after, dataset.units)
+    return Revision(action, effect, tuple(effects), before, after, floor, helps, reason, tared)
+
+
+def _hold_out(model: PhysicalModel, dataset: Dataset, tared: bool) -> Fitted:
+    held_out = hold_out(model, dataset)
+    runs = [*dataset.train, *dataset.test]
+    return Fitted(model, held_out, collect_errors(runs, held_out.predictions, tared))
+
+
+def _leave(model: PhysicalModel, dataset: Dataset, tared: bool) -> list[RunError]:
+    """Return what the model leaves of the runs that it was fitted to."""
+    predictions = {run.name: model.predict(run) for run in dataset.train}
+    return list(collect_errors(dataset.train, predictions, tared).values())
+
+
+@dataclass(frozen=True)
+class _Change:
+    """How the held-out errors changed."""
+
+    ratio: Array
+    """[K] RMSE after over before; 1 for outputs without any error."""
+    overall: float
+    """Geometric mean of the ratios."""
+    gains: Array
+    """[R] what each run gains, summed over the outputs in shares of their squared error before."""
+
+
+def _measure_change(before: Fitted, after: Fitted) -> _Change:
+    old, new = before.squares, after.squares
+    whole = old.sum(axis=0)
+    scale = np.where(whole > 0.0, whole, 1.0)
+    ratio = np.where(whole > 0.0, np.sqrt(new.sum(axis=0) / scale), 1.0)
+    overall = float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-12)))))
+    return _Change(ratio, overall, ((old - new) / scale).sum(axis=1))
+
+
+def _tell(before: Fitted, after: Fitted, units: Sequence[str], k: int) -> str:
+    name = before.model.outputs[k]
+    return f"{name} from {before.rmse[k]:.4g} to {after.rmse[k]:.4g} {units[k]}"
+
+
+def judge(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[bool, str]:
+    """Return whether an effect helps on held-out data by more than runs differ, and why.
+
+    The runs that lose show by how much gains come and go by chance.
+    """
+    change = _measure_change(before, after)
+    ratio, runs = change.ratio, change.gains.size
+    best = int(np.argmin(ratio))
+    told = _tell(before, after, units, best)
+    if change.overall > WORTHWHILE and ratio[best] > WORTHWHILE_ON_ONE:
+        return False, (
+            f"the held-out error does not fall enough: {100.0 * (change.overall - 1.0):+.1f} % over "
+            f"all outputs, at best {told}"
+        )
+    if runs < MANY_RUNS and ratio[best] > WORTHWHILE_ON_FEW:
+        return False, (
+            f"the held-out error falls, {told}, but with {runs} held-out "
+            f"{'run' if runs == 1 else 'runs'} a fall of less than "
+            f"{100.0 * (1.0 - WORTHWHILE_ON_FEW):.0f} % may be chance"
+        )
+    better = int((change.gains > 0.0).sum())
+    gained = float(change.gains[change.gains > 0.0].sum())
+    lost = float(-change.gains[change.gains < 0.0].sum())
+    if gained < GAIN_OVER_LOSS * lost:
+        return False, (
+            f"the held-out error falls in {better} of {runs} runs and rises in the others by too "
+            f"much to rule out chance, at best {told}"
+        )
+    return True, f"the held-out error falls in {better} of {runs} runs, most for {told}"
+
+
+def judge_removal(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[bool, str]:
+    """Return whether the model is as good without an effect, and by how much it is not."""
+    change = _measure_change(before, after)
+    worst = int(np.argmax(change.ratio))
+    told = _tell(before, after, units, worst)
+    overall = f"{100.0 * (change.overall - 1.0):+.1f} % over all outputs"
+    if change.overall <= AS_GOOD and change.ratio[worst] <= 1.0 / WORTHWHILE_ON_ONE:
+        return True, f"without it the held-out error is as good: {overall}, at worst {told}"
+    return False, f"without it the held-out error is worse: {overall}, at worst {told}"
+
+
+def describe_parameters(fitted: FittedTerm) -> dict[str, dict[str, Any]]:
+    """Return the values of an effect that were fitted or held, ready for JSON."""
+    described: dict[str, dict[str, Any]] = {}
+    for name, value in fitted.term.values.items():
+        is_held = name in fitted.term.held
+        if name not in fitted.std_errors and not is_held:
+            continue
+        described[name] = {
+            "value": value,
+            "std_error": fitted.std_errors.get(name),
+            "unit": fitted.term.effect.parameter(name).unit,
+            "held": is_held,
+            "at_bound": name in fitted.at_bound,
+        }
+    return described
+
+
+def describe_coefficients(model: PhysicalModel, fitted: FittedTerm) -> list[dict[str, Any]]:
+    """Return the coefficients of an effect's features per output, ready for JSON."""
+    described = []
+    for j, feature in enumerate(model.feature_names):
+        if not feature.startswith(f"{fitted.term.name}: "):
+            continue
+        for k, (output, unit) in enumerate(zip(model.outputs, model.units, strict=True)):
+            if model.coefficients[j, k] == 0.0 and model.std_errors[j, k] == 0.0:
+                continue
+            per = "" if model.feature_units[j] == "1" else f"/{model.feature_units[j]}"
+            described.append(
+                {
+                    "feature": feature.removeprefix(f"{fitted.term.name}: "),
+                    "output": output,
+                    "value": float(model.coefficients[j, k]),
+                    "std_error": float(model.std_errors[j, k]),
+                    "unit": f"{unit}{per}",
+                }
+            )
+    return described
+
+
+def describe_revision(revision: Revision) -> dict[str, Any]:
+    """Return the command's JSON."""
+    model = revision.after.model
+    outputs = model.outputs
+
+    def by_output(values: Array) -> dict[str, float]:
+        return {name: float(value) for name, value in zip(outputs, values, strict=True)}
+
+    term = revision.term
+    return {
+        "effect": revision.effect.kind,
+        "parameters": describe_parameters(term) if term is not None else {},
+        "before": {"rmse_heldout": by_output(revision.before.rmse)},
+        "after": {"rmse_heldout": by_output(revision.after.rmse)},
+        "noise_floor": by_output(revision.floor.rms),
+        "noise_floor_source": revision.floor.source,
+        "units": dict(zip(outputs, model.units, strict=True)),
+        "held_out": revision.after.held_out.method,
+        "tared": revision.tared,
+        "helps": revision.helps,
+        "reason": revision.reason,
+        "effects": list(model.effects),
+        "coefficients": describe_coefficients(model, term) if term is not None else [],
+        "notes": list(model.notes),
+    }

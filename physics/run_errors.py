@@ -1,0 +1,61 @@
+"""What a prediction leaves of each run's drift, with the run's own offset apart."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RunError:
+    """One run's drift and what a model leaves of it, its stretches laid end to end."""
+
+    group: str
+    """The run's name."""
+    runs: tuple[Run, ...]
+    """Its stretches."""
+    drift: Array
+    """[n, K] measured minus reference."""
+    error: Array
+    """[n, K] drift minus model, without the run's own offset."""
+    offset: Array
+    """[K] that was taken off; zeros where logs are not tared."""
+
+    @property
+    def stretches(self) -> tuple[Array, ...]:
+        """The errors [n, K] stretch by stretch."""
+        ends = np.cumsum([len(run) for run in self.runs])[:-1]
+        return tuple(np.split(self.error, ends))
+
+
+def collect_errors(
+    runs: Sequence[Run], predictions: Mapping[str, Array], tared: bool
+) -> dict[str, RunError]:
+    """Return the errors of each run that has a prediction, by the run's group.
+
+    Args:
+        runs: stretches of runs.
+        predictions: stretch's name -> [n, K] drift.
+        tared: each log was zeroed on its own, so a run's mean error says nothing about the model
+            and is taken off.
+    """
+    groups = dict.fromkeys(run.group for run in runs if run.name in predictions)
+    collected = {}
+    for group in groups:
+        own = tuple(run for run in runs if run.group == group)
+        drift = np.concatenate([run.drift for run in own])
+        error = drift - np.concatenate([predictions[run.name] for run in own])
+        offset = error.mean(axis=0) if tared else np.zeros(error.shape[1])
+        collected[group] = RunError(group, own, drift, error - offset, offset)
+    return collected
+
+
+def pool_rmse(errors: Sequence[Array]) -> Array:
+    """Return the RMSE [K] over all samples of errors [n, K]."""
+    squares = np.sum([np.sum(e**2, axis=0) for e in errors], axis=0)
+    return np.asarray(np.sqrt(squares / sum(e.shape[0] for e in errors)))

@@ -1,0 +1,170 @@
+"""The search for non-linear values: starts in the typical range, then bounded Gauss-Newton."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.graph import Node
+from zerodrift.physics.campaign import Campaign, Sums
+from zerodrift.physics.effect import Feature
+from zerodrift.physics.projection import (
+    Coordinate,
+    Solution,
+    get_coordinates,
+    invert_scaled,
+    list_coordinates,
+    measure_cost,
+    set_coordinates,
+    solve,
+    step_values,
+    weigh,
+)
+from zerodrift.physics.reduction import Column
+from zerodrift.physics.terms import Term
+
+Array = NDArray[np.float64]
+
+GRID = 5
+"""Starting values per parameter over its typical range."""
+MOST_STARTS = 32
+"""Several parameters share this many starts."""
+MOST_STEPS = 20
+"""Gauss-Newton steps; each must lower the cost or be shortened."""
+SLOPE_STEP = 1e-3
+"""Finite-difference step in a parameter's own coordinate (its natural logarithm, or its range)."""
+SMALL_GAIN = 1e-7
+"""Relative gain of squared error at which a search ends."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The end of a search: terms with values, and the least-squares answer there."""
+
+    terms: tuple[Term, ...]
+    sums: Sums
+    solution: Solution
+    cost: float
+
+
+def search(
+    campaign: Campaign,
+    terms: Sequence[Term],
+    weights: Array,
+    *,
+    vary: Sequence[int] | None = None,
+    refined_starts: int = 2,
+) -> Found:
+    """Return the terms with the values that fit best.
+
+    Args:
+        campaign: the runs.
+        terms: at starting values.
+        weights: [L, K] inverse variance per octave.
+        vary: indices of the terms whose parameters start from a grid over their typical ranges;
+            None = all, () = start where the terms are.
+        refined_starts: how many of the best starts are followed to their optimum.
+    """
+    coordinates = list_coordinates(terms)
+    starts = [assess(campaign, terms, weights)]
+    on_grid = [c for c in coordinates if vary is None or c.term in vary]
+    starts += [
+        assess(campaign, set_coordinates(terms, on_grid, np.array(u)), weights)
+        for u in (grid(on_grid) if on_grid else [])
+    ]
+    starts.sort(key=lambda found: found.cost)
+    if not coordinates:
+        return starts[0]
+    followed = starts[: refined_starts if on_grid else 1]
+    refined = [refine(campaign, found, weights, coordinates) for found in followed]
+    return min(refined, key=lambda found: found.cost)
+
+
+def grid(coordinates: Sequence[Coordinate]) -> list[tuple[float, ...]]:
+    """Return starting points over the typical ranges, fewer per parameter the more there are."""
+    per_axis = GRID
+    while per_axis > 2 and per_axis ** len(coordinates) > MOST_STARTS:
+        per_axis -= 1
+    axes = []
+    for c in coordinates:
+        low, high = (c.encode(value) for value in c.parameter.typical)
+        axes.append(np.linspace(low, high, per_axis).tolist())
+    return list(itertools.islice(itertools.product(*axes), MOST_STARTS))
+
+
+def assess(campaign: Campaign, terms: Sequence[Term], weights: Array) -> Found:
+    """Return the least-squares solution at the terms' present values."""
+    sums = campaign.sum(campaign.build(terms), terms)
+    solution = solve(sums, weigh(sums, weights).sum(axis=0))
+    return Found(tuple(terms), sums, solution, measure_cost(solution.errors))
+
+
+def refine(
+    campaign: Campaign, found: Found, weights: Array, coordinates: Sequence[Coordinate]
+) -> Found:
+    """Return the optimum near `found`, by damped Gauss-Newton steps within the bounds."""
+    bounds = np.array([c.bounds for c in coordinates])
+    damping = 1e-3
+    for _ in range(MOST_STEPS):
+        u = get_coordinates(found.terms, coordinates)
+        sums = sum_with_slopes(campaign, found.terms, coordinates)
+        total = weigh(sums, weights).sum(axis=0)
+        solution = solve(sums, total)
+        gradient, normal = step_values(sums, total, solution, len(coordinates))
+        # A coordinate at its bound that wants to leave the range stays where it is.
+        stuck = ((u <= bounds[:, 0]) & (gradient < 0)) | ((u >= bounds[:, 1]) & (gradient > 0))
+        free = np.flatnonzero(~stuck & (np.diag(normal) > 0.0))
+        if free.size == 0:
+            return found
+        better = None
+        for _ in range(6):
+            damped = normal[np.ix_(free, free)].copy()
+            damped[np.diag_indices(free.size)] *= 1.0 + damping
+            step = np.zeros_like(u)
+            step[free] = np.clip(invert_scaled(damped) @ gradient[free], -1.0, 1.0)
+            trial = np.clip(u + step, bounds[:, 0], bounds[:, 1])
+            attempt = assess(campaign, set_coordinates(found.terms, coordinates, trial), weights)
+            if attempt.cost < found.cost:
+                better = attempt
+                damping = max(damping / 10.0, 1e-9)
+                break
+            if float(np.abs(trial - u).max()) < 1e-6:
+                return found
+            damping = max(10.0 * damping, 0.1)
+        if better is None:
+            return found
+        gain = found.cost - better.cost
+        found = better
+        if gain < SMALL_GAIN * len(found.solution.errors):
+            break
+    return found
+
+
+def sum_with_slopes(
+    campaign: Campaign, terms: Sequence[Term], coordinates: Sequence[Coordinate]
+) -> Sums:
+    """Return the sums of the terms' columns and of their slopes along each coordinate."""
+    features, slopes = list_slopes(campaign, terms, coordinates)
+    return campaign.sum(features, terms, slopes)
+
+
+def list_slopes(
+    campaign: Campaign, terms: Sequence[Term], coordinates: Sequence[Coordinate]
+) -> tuple[tuple[Feature[Node], ...], list[tuple[int, int, Column]]]:
+    """Return the features, and (coordinate, feature, column) of each slope that is not zero."""
+    u = get_coordinates(terms, coordinates)
+    # Through the same decoding as the moved ones, so that what does not move is the same node.
+    features = campaign.build(set_coordinates(terms, coordinates, u))
+    slopes: list[tuple[int, int, Column]] = []
+    for p, coordinate in enumerate(coordinates):
+        step = SLOPE_STEP if u[p] + SLOPE_STEP <= coordinate.bounds[1] else -SLOPE_STEP
+        moved = u.copy()
+        moved[p] += step
+        shifted = campaign.build(set_coordinates(terms, coordinates, moved))
+        for j, (now, then) in enumerate(zip(features, shifted, strict=True)):
+            if then.signal is not now.signal:
+                change = campaign.column(then.signal) - campaign.column(now.signal)
+                slopes.append((p, j, change.scale(1.0 / step)))
+    return features, slopes

@@ -1,0 +1,155 @@
+"""From a run, or for the exporter from nothing but names, to the signals that effects see."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+from zerodrift.errors import InputError, nearest
+from zerodrift.operations.graph import GraphOperations, Node
+from zerodrift.physics.effect import Effect, Signals
+from zerodrift.physics.rails import find_rails
+
+Array = NDArray[np.float64]
+
+LATEST_RELATIVE_TIME_S = 1e7
+"""A log whose clock starts below this counts seconds since power-on; above it, calendar time."""
+
+
+@dataclass(frozen=True)
+class SignalPlan:
+    """What the signals of a project are: fixed when its model is fitted, the same ever after."""
+
+    outputs: tuple[str, ...]
+    full_scale: tuple[float, ...]
+    sample_period_s: float
+    loaded: tuple[str, ...]
+    """Outputs whose reference varies, so that load-driven effects can be fitted."""
+    saturated: tuple[str, ...]
+    """Loaded outputs whose converter stands at a rail in some run."""
+    channels: tuple[str, ...]
+    """Inputs that every run has."""
+    reference_temperature_degC: float  # noqa: N815 - the unit's own spelling
+    """T0."""
+    clock_origin_s: float
+    """Start of the `clock` channel; 0 without one."""
+
+
+def plan_signals(
+    runs: Sequence[Run], outputs: Sequence[str], full_scale: Sequence[float]
+) -> SignalPlan:
+    """Return the plan for these runs: T0 is their mean temperature in whole degrees."""
+    samples = sum(len(run) for run in runs)
+    mean_degC = sum(float(run.temperature_degC.sum()) for run in runs) / samples  # noqa: N806
+    loaded = [
+        name
+        for k, name in enumerate(outputs)
+        if len({bound for run in runs for bound in _range_of(run.reference[:, k])}) > 1
+    ]
+    saturated = [
+        name
+        for name in loaded
+        if any(_find_rails(run, list(outputs).index(name)).any() for run in runs)
+    ]
+    channels = [name for name in runs[0].inputs if all(name in run.inputs for run in runs)]
+    clocks = [float(run.inputs["clock"][0]) for run in runs if "clock" in run.inputs]
+    return SignalPlan(
+        outputs=tuple(outputs),
+        full_scale=tuple(full_scale),
+        sample_period_s=runs[0].sample_period_s,
+        loaded=tuple(loaded),
+        saturated=tuple(saturated),
+        channels=tuple(channels),
+        reference_temperature_degC=float(round(mean_degC)),
+        clock_origin_s=min(clocks) if len(clocks) == len(runs) else 0.0,
+    )
+
+
+def _find_rails(run: Run, k: int) -> Array:
+    return find_rails(run.measured[:, k], run.reference[:, k])
+
+
+def _range_of(x: Array) -> tuple[float, float]:
+    return float(x.min()), float(x.max())
+
+
+def read_signals(run: Run, plan: SignalPlan) -> Signals[Array]:
+    """Return the signals of one run.
+
+    Raises:
+        InputError: the run lacks a channel that the plan has.
+    """
+    for name in plan.channels:
+        if name not in run.inputs:
+            raise InputError(
+                f"{run.source}: run '{run.name}' has no input '{name}', which the model was fitted "
+                "with; add the column to the log or refit without it."
+            )
+    elapsed_s = run.time_s
+    if not 0.0 <= elapsed_s[0] < LATEST_RELATIVE_TIME_S:
+        elapsed_s = elapsed_s - elapsed_s[0]
+    clock_s = run.inputs["clock"] - plan.clock_origin_s if "clock" in plan.channels else elapsed_s
+    return Signals(
+        temperature_degC=run.temperature_degC,
+        elapsed_s=elapsed_s,
+        clock_s=clock_s,
+        load={name: run.reference[:, plan.outputs.index(name)] for name in plan.loaded},
+        saturated={name: _find_rails(run, plan.outputs.index(name)) for name in plan.saturated},
+        channels={name: run.inputs[name] for name in plan.channels},
+        outputs=plan.outputs,
+        full_scale=dict(zip(plan.outputs, plan.full_scale, strict=True)),
+        reference_temperature_degC=plan.reference_temperature_degC,
+    )
+
+
+def name_signals(ops: GraphOperations, plan: SignalPlan) -> Signals[Node]:
+    """Return the signals as the input nodes of a graph."""
+    return Signals(
+        temperature_degC=ops.input("temperature_degC"),
+        elapsed_s=ops.input("elapsed_s"),
+        clock_s=ops.input("clock_s"),
+        load={name: ops.input(f"load:{name}") for name in plan.loaded},
+        saturated={name: ops.input(f"saturated:{name}") for name in plan.saturated},
+        channels={name: ops.input(name) for name in plan.channels},
+        outputs=plan.outputs,
+        full_scale=dict(zip(plan.outputs, plan.full_scale, strict=True)),
+        reference_temperature_degC=plan.reference_temperature_degC,
+    )
+
+
+def graph_inputs(signals: Signals[Array]) -> Mapping[str, Array]:
+    """Return the arrays under the names that `name_signals` gives to input nodes."""
+    return {
+        "temperature_degC": signals.temperature_degC,
+        "elapsed_s": signals.elapsed_s,
+        "clock_s": signals.clock_s,
+        **{f"load:{name}": load for name, load in signals.load.items()},
+        **{f"saturated:{name}": flag for name, flag in signals.saturated.items()},
+        **signals.channels,
+    }
+
+
+def explain_missing(effect: Effect, plan: SignalPlan, signal: str = "") -> str:
+    """Return why these logs cannot feed the effect, or an empty string when they can.
+
+    Args:
+        effect: the effect.
+        plan: the project's signals.
+        signal: the thermometer asked for by `signal = "..."`; empty for the chip's.
+    """
+    if signal and signal not in plan.channels:
+        return f"no input '{signal}'{nearest(signal, plan.channels)}"
+    for need in effect.needs:
+        if need in ("temperature", "elapsed", "clock"):
+            continue
+        if need == "load":
+            if not plan.loaded:
+                return "no output has a reference that varies, so the load is unknown"
+        elif need == "saturated":
+            if not plan.saturated:
+                return "no output ever stands still at an extreme while the load moves"
+        elif not any(name in plan.channels for name in need.split("|")):
+            return f"no input '{need.split('|')[0]}'"
+    return ""

@@ -1,0 +1,210 @@
+"""Effects with their values put together: the columns of the linear model."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.config import EffectConfig
+from zerodrift.errors import InputError, nearest
+from zerodrift.operations.backend import NumpyOperations, Operations
+from zerodrift.physics.catalogue import Catalogue, line_in
+from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals
+
+Array = NDArray[np.float64]
+
+OFFSET = "offset"
+"""Name of the constant column, always the first."""
+CHIP = ""
+"""The chip's own thermometer, among those that `signal` chooses from."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One effect of a model with a value for each of its parameters."""
+
+    effect: Effect
+    values: Mapping[str, float]
+    held: frozenset[str] = frozenset()
+    """Parameters the user wrote: not fitted."""
+    signal: str = CHIP
+    """Another thermometer than the chip's."""
+
+    @property
+    def name(self) -> str:
+        """The kind, with the thermometer where it is not the chip's."""
+        return f"{self.effect.kind}[{self.signal}]" if self.signal else self.effect.kind
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """Parameters that are fitted."""
+        return tuple(
+            p
+            for p in self.effect.parameters
+            if p.default is None
+            and p.name not in self.held
+            and all(self.values[name] == value for name, value in p.when.items())
+        )
+
+    def with_values(self, values: Mapping[str, float]) -> "Term":
+        """Return the term with some values replaced."""
+        return replace(self, values={**self.values, **values})
+
+
+def start_term(
+    catalogue: Catalogue, config: EffectConfig, choices: Mapping[str, float] | None = None
+) -> Term:
+    """Return an effect of the user's model at its starting values.
+
+    Args:
+        catalogue: the known effects.
+        config: the `[[effect]]` table.
+        choices: values of choices that the user left open.
+
+    Raises:
+        InputError: unknown effect, parameter or option, or a held value out of bounds.
+    """
+    where = f"zerodrift.toml:{config.line}: " if config.line else ""
+    try:
+        effect = catalogue[config.kind]
+    except InputError as error:
+        raise InputError(f"{where}{error}") from error
+    values: dict[str, float] = {}
+    for parameter in effect.parameters:
+        low, high = parameter.typical
+        if parameter.default is not None:
+            values[parameter.name] = parameter.default
+        elif parameter.scale == "log":
+            values[parameter.name] = float(np.sqrt(low * high))
+        else:
+            # Off the middle, where a range on both sides of zero would start with no effect at all.
+            values[parameter.name] = 0.3 * low + 0.7 * high
+    values.update(effect.variants[0])
+    values.update(choices or {})
+    for name, value in config.held.items():
+        try:
+            parameter = effect.parameter(name)
+        except InputError as error:
+            raise InputError(f"{where}{error}") from error
+        _check_value(where, effect, parameter, value)
+        values[name] = float(value)
+    for option in config.options:
+        if option != "signal" or not effect.is_thermal:
+            known = ["signal"] if effect.is_thermal else []
+            raise InputError(
+                f"{where}effect '{effect.kind}' has no option '{option}'{nearest(option, known)} "
+                f"It has: {', '.join(known) or 'none'}; its parameters are "
+                f"{', '.join(p.name for p in effect.parameters) or 'none'}."
+            )
+    return Term(
+        effect,
+        values,
+        frozenset(config.held) | frozenset(choices or {}),
+        config.options.get("signal", CHIP),
+    )
+
+
+def _check_value(where: str, effect: Effect, parameter: Parameter, value: float) -> None:
+    """Refuse a held value that the effect cannot have."""
+    place = f"{where}effect '{effect.kind}': {parameter.name} = {value:g}"
+    if parameter.choices and value not in parameter.choices:
+        allowed = ", ".join(f"{choice:g}" for choice in parameter.choices)
+        raise InputError(f"{place}; expected one of {allowed}.")
+    if not parameter.lower <= value <= parameter.upper:
+        raise InputError(
+            f"{place} {parameter.unit}; expected {parameter.lower:g} .. {parameter.upper:g}."
+        )
+
+
+def build_features(
+    ops: Operations[S], signals: Signals[S], terms: Sequence[Term], catalogue_order: Sequence[str]
+) -> list[Feature[S]]:
+    """Return the columns of the linear model: the offset, then those of each term in turn.
+
+    Rewriting effects act first, in the order of the catalogue and on their own thermometer, so the
+    order of the user's tables does not matter.
+    """
+    thermometers = {CHIP: signals.temperature_degC, **signals.channels}
+
+    def view(term: Term) -> Signals[S]:
+        return replace(signals, temperature_degC=thermometers[term.signal])
+
+    for term in sorted(terms, key=lambda term: list(catalogue_order).index(term.effect.kind)):
+        rewrite = term.effect.rewrite
+        if rewrite is not None:
+            changed = _call(term.effect, "rewrite", rewrite, ops, view(term), term.values)
+            if not isinstance(changed, Signals):
+                raise InputError(
+                    f"{_where(term.effect)}: rewrite returned {type(changed).__name__}; expected "
+                    "Signals, as dataclasses.replace(signals, temperature_degC=...) gives."
+                )
+            thermometers[term.signal] = changed.temperature_degC
+            signals = replace(changed, temperature_degC=thermometers[CHIP])
+    features = [Feature(OFFSET, ops.constant(1.0))]
+    for term in terms:
+        built = _call(term.effect, "build", term.effect.build, ops, view(term), term.values)
+        for feature in built:
+            if not isinstance(feature, Feature):
+                raise InputError(
+                    f"{_where(term.effect)}: build returned a {type(feature).__name__} where a "
+                    "Feature(name, signal) was expected; return a list of features."
+                )
+            name = f"{term.name}: {feature.name}"
+            features.append(Feature(name, feature.signal, feature.unit, feature.output))
+    return features
+
+
+def build_columns(
+    signals: Signals[Array], terms: Sequence[Term], order: Sequence[str], sample_period_s: float
+) -> list[Feature[Array]]:
+    """Return the columns as arrays [n], checked: a user's effect may give anything.
+
+    Raises:
+        InputError: an effect raised, or gave NaN or a wrong shape.
+    """
+    shape = signals.temperature_degC.shape
+    ops = NumpyOperations(sample_period_s, shape)
+    features = build_features(ops, signals, terms, order)
+    for feature in features:
+        column: Any = feature.signal
+        if not isinstance(column, np.ndarray) or column.shape != shape:
+            found = getattr(column, "shape", type(column).__name__)
+            raise InputError(
+                f"{find_owner(feature, terms)}: feature '{feature.name}' has shape {found}; "
+                f"expected one value per sample, {shape}."
+            )
+        if not np.isfinite(column).all():
+            row = int(np.flatnonzero(~np.isfinite(column))[0])
+            raise InputError(
+                f"{find_owner(feature, terms)}: feature '{feature.name}' is {column[row]} at "
+                f"sample {row}; keep its arguments where the operation is defined."
+            )
+    return features
+
+
+def find_owner(feature: Feature[Any], terms: Sequence[Term]) -> str:
+    """Return the file and effect that a feature came from, for messages."""
+    for term in terms:
+        if feature.name.startswith(f"{term.name}: "):
+            return _where(term.effect)
+    return "model"
+
+
+def _where(effect: Effect) -> str:
+    return f"{effect.file or 'built-in'}: effect '{effect.kind}'"
+
+
+def _call(effect: Effect, name: str, function: Any, *arguments: Any) -> Any:
+    """Call a part of an effect; what a user's file raises becomes one message."""
+    try:
+        return function(*arguments)
+    except InputError:
+        raise
+    except Exception as error:
+        line = line_in(error, effect.file)
+        raise InputError(
+            f"{effect.file or 'built-in'}{line}: effect '{effect.kind}': {name} raised "
+            f"{type(error).__name__}: {error}."
+        ) from error

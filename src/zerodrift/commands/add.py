@@ -1,0 +1,124 @@
+"""`zerodrift add EFFECT`: one more effect in the model, if it earns its place."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from zerodrift.commands.common import (
+    directory_option,
+    json_option,
+    print_json,
+    print_notes,
+    skip_invalid_option,
+)
+from zerodrift.errors import InputError
+
+
+def read_held(texts: tuple[str, ...]) -> dict[str, float]:
+    """Return the parameters of `--hold NAME=NUMBER`.
+
+    Raises:
+        InputError: one of them has another form, or stands there twice.
+    """
+    held: dict[str, float] = {}
+    for name, value in _split(texts, "--hold", "tau_s=60").items():
+        try:
+            held[name] = float(value)
+        except ValueError:
+            raise InputError(
+                f"--hold {name}={value}: '{value}' is no number; expected NAME=NUMBER, such as "
+                "--hold tau_s=60."
+            ) from None
+    return held
+
+
+def _split(texts: tuple[str, ...], option: str, example: str) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        name, value = name.strip(), value.strip()
+        if not (equals and name and value):
+            raise InputError(f"{option} {text}: expected NAME=VALUE, such as {option} {example}.")
+        if name in found:
+            raise InputError(f"{option} {text}: '{name}' is set twice; keep one of them.")
+        found[name] = value
+    return found
+
+
+@click.command()
+@click.argument("effect")
+@directory_option
+@click.option(
+    "--hold",
+    "hold",
+    multiple=True,
+    metavar="NAME=NUMBER",
+    help="Hold a parameter at a value instead of fitting it; may be repeated.",
+)
+@click.option(
+    "--set",
+    "options",
+    multiple=True,
+    metavar="NAME=TEXT",
+    help="Set an option, such as signal=body_temperature; may be repeated.",
+)
+@click.option("--force", is_flag=True, help="Keep the effect even if it does not help.")
+@json_option
+@skip_invalid_option
+def command(
+    effect: str,
+    directory: Path,
+    hold: tuple[str, ...],
+    options: tuple[str, ...],
+    force: bool,
+    as_json: bool,
+    skip_invalid: bool,
+) -> None:
+    """Add EFFECT to zerodrift.toml, refit all effects together, and show what it brought.
+
+    An effect whose held-out error is not better by more than runs differ is not kept: the command
+    says so, leaves every file as it was and ends with exit code 1. --force keeps it.
+    """
+    from zerodrift.commands.console import open_console, show_progress
+    from zerodrift.commands.project import open_project
+    from zerodrift.commands.revise import open_history, print_revision, read_text, write_revision
+    from zerodrift.config import EffectConfig
+    from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.physics.revision import describe_revision, propose_addition, revise
+    from zerodrift.physics.toml_edit import add_effect
+
+    wanted = EffectConfig(effect, read_held(hold), _split(options, "--set", "signal=body"))
+    with show_progress("reading logs") as say:
+        config, dataset = open_project(directory, skip_invalid)
+        catalogue = load_catalogue(config.plugin_files)
+        effects = propose_addition(config, dataset, catalogue, wanted)
+        text = add_effect(
+            read_text(config.path), effect, wanted.held, wanted.options, path=config.path
+        )
+        open_history(config)
+        say(f"fitting without and with {effect}")
+        revision = revise(config, dataset, catalogue, "add", wanted, effects)
+    print_notes(dataset.notes)
+    is_kept = revision.helps or force
+    if is_kept:
+        write_revision(config, text, revision)
+    if as_json:
+        print_json({**describe_revision(revision), "added": is_kept})
+    else:
+        print_revision(revision)
+        open_console().print(_conclude(effect, revision.helps, revision.reason, force, config.path))
+    if not is_kept:
+        sys.exit(1)
+
+
+def _conclude(effect: str, helps: bool, reason: str, force: bool, path: Path) -> str:
+    """Return what became of the file, and why."""
+    why = f"{reason[0].upper()}{reason[1:]}."
+    if helps:
+        return f"{why} Added {effect} to {path.name}. Next: zerodrift diagnose"
+    if force:
+        return f"{why} Added {effect} to {path.name} all the same, as --force asks."
+    return (
+        f"{why} {effect} was not added and {path.name} is as it was; --force adds it all the same."
+    )

@@ -1,0 +1,220 @@
+"""`zerodrift compare`: the model against the measurements, run by run, and where it fails."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from zerodrift.commands.common import (
+    directory_option,
+    json_option,
+    print_json,
+    print_notes,
+    skip_invalid_option,
+)
+from zerodrift.commands.console import open_console, open_table, show_progress
+from zerodrift.commands.predictors import KINDS
+from zerodrift.physics.segments import MOST_SEGMENTS
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from zerodrift.physics.compare import Comparison
+    from zerodrift.physics.patterns import Pattern
+
+
+@click.command()
+@directory_option
+@click.option(
+    "--model",
+    "kind",
+    type=click.Choice(KINDS),
+    default=None,
+    help="What predicts: the fitted effects, with the network, as integers, or as C on this host "
+    "(default: the network if there is one, else physics).",
+)
+@click.option(
+    "--worst",
+    type=click.IntRange(0, 1000),
+    default=MOST_SEGMENTS,
+    show_default=True,
+    help="How many of the worst segments to list.",
+)
+@click.option(
+    "--html",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=None,
+    help="Write a self-contained page: model over measurements, residuals, autocorrelation.",
+)
+@json_option
+@skip_invalid_option
+def command(
+    directory: Path,
+    kind: str | None,
+    worst: int,
+    html: Path | None,
+    as_json: bool,
+    skip_invalid: bool,
+) -> None:
+    """Hold the model against the measurements, run by run and output by output.
+
+    Errors are told on data that the model did not learn from: the test logs, or each training run
+    in turn. Then it says where the model fails: under which conditions the squared error is
+    concentrated, found by a scan and checked on runs left out, and the worst segments of time.
+    """
+    from zerodrift.commands.predictors import open_predictor
+    from zerodrift.commands.project import open_project
+    from zerodrift.dataset.units import read_unit
+    from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.physics.compare import compare
+
+    with show_progress("reading logs") as say:
+        config, dataset = open_project(directory, skip_invalid)
+        say("fitting")
+        predictor = open_predictor(kind, config, dataset, load_catalogue(config.plugin_files))
+        say("comparing")
+        comparison = compare(
+            dataset,
+            predictor.predict,
+            held_out=predictor.held_out,
+            tared=predictor.tared,
+            effects=predictor.effects,
+            channel_units={name: read_unit(column) for name, column in config.inputs.items()},
+            most=worst,
+        )
+    print_notes((*dataset.notes, *predictor.notes))
+    if html is not None:
+        from zerodrift.commands.common import write_text
+        from zerodrift.physics.figures import draw_comparison, render_page
+
+        figures = draw_comparison(dataset, predictor.predict, comparison)
+        write_text(html, render_page(f"{config.sensor_name}: model against measurements", figures))
+    if as_json:
+        print_json({"model": predictor.kind, **comparison.to_dict()})
+        return
+    console = open_console()
+    effects = ", ".join(comparison.effects) or "a constant only"
+    console.print(f"Model: {predictor.kind} ({effects})")
+    print_comparison(comparison, console)
+    if html is not None:
+        console.print(f"Wrote {html}")
+
+
+def print_comparison(comparison: "Comparison", console: "Console") -> None:
+    """Print the tables, and then what they say in sentences."""
+    _print_outputs(comparison, console)
+    _print_runs(comparison, console)
+    for sentence in explain_figures(comparison):
+        console.print(sentence)
+    console.print()
+    _print_failures(comparison, console)
+
+
+def explain_figures(comparison: "Comparison") -> list[str]:
+    """Return what the tables' figures are worth, sentence by sentence."""
+    sentences = [_finish(comparison.method.explain()), _finish(comparison.floor.explain())]
+    if comparison.tared:
+        sentences.append(
+            "The logs are zeroed one by one, so a run's own offset says nothing about the model: "
+            "it is taken off every error."
+        )
+    return sentences
+
+
+def _finish(sentence: str) -> str:
+    return sentence[0].upper() + sentence[1:] + "."
+
+
+def _print_outputs(comparison: "Comparison", console: "Console") -> None:
+    headings = "uncompensated|in sample|held out|% FS|largest|noise floor|x floor|explained"
+    table = open_table("RMSE per output", ("output", "unit"), headings.split("|"))
+    for k, name in enumerate(comparison.outputs):
+        told, floor = comparison.told[k], float(comparison.floor.rms[k])
+        held_out = comparison.held_out
+        table.add_row(
+            name,
+            comparison.units[k],
+            f"{told.rmse_uncompensated:.4g}",
+            f"{comparison.in_sample[k].rmse:.4g}",
+            "-" if held_out is None else f"{held_out[k].rmse:.4g}",
+            f"{100.0 * told.rmse / comparison.full_scale[k]:.3g}",
+            f"{told.max_abs:.4g}",
+            f"{floor:.4g}",
+            f"{told.rmse / floor:.2f}" if floor > 0.0 else "-",
+            f"{100.0 * told.explained:.2f} %",
+        )
+    console.print(table)
+
+
+def _print_runs(comparison: "Comparison", console: "Console") -> None:
+    named = [f"{n} {u}" for n, u in zip(comparison.outputs, comparison.units, strict=True)]
+    table = open_table("RMSE per run", ("run", ""), named)
+    for run in comparison.runs:
+        kind = "held out" if run.held_out is not None else "in sample"
+        table.add_row(run.name, kind, *(f"{summary.rmse:.4g}" for summary in run.told))
+    console.print(table)
+
+
+def _print_failures(comparison: "Comparison", console: "Console") -> None:
+    sentences = describe_patterns(comparison)
+    failures = comparison.failures
+    if not failures.worst and not sentences:
+        console.print("Where it fails: nowhere in particular; no segment stands out of the noise.")
+        return
+    console.print("Where it fails:")
+    for sentence in sentences:
+        console.print(f"  {sentence}")
+    if not sentences:
+        console.print("  no pattern found that holds on runs left out.")
+    if not failures.worst:
+        return
+    table = open_table(
+        "Worst segments",
+        ("run", "output", "what was going on"),
+        ("from s", "to s", "RMSE", "mean"),
+    )
+    units = dict(zip(comparison.outputs, comparison.units, strict=True))
+    for s in failures.worst:
+        table.add_row(
+            s.run,
+            s.output,
+            s.pattern,
+            f"{s.from_s:.6g}",
+            f"{s.to_s:.6g}",
+            f"{s.rmse:.3g} {units[s.output]}",
+            f"{s.mean_error:+.3g} {units[s.output]}",
+        )
+    console.print(table)
+
+
+def describe_patterns(comparison: "Comparison") -> list[str]:
+    """Return the patterns in sentences; outputs with the same words share one."""
+    from zerodrift.physics.patterns import CONCENTRATED
+
+    by_words: dict[tuple[str, str], list[Pattern]] = {}
+    for pattern in comparison.failures.patterns:
+        by_words.setdefault((pattern.kind, pattern.words), []).append(pattern)
+    sentences = []
+    for (kind, words), alike in by_words.items():
+        names = ", ".join(comparison.outputs[p.output] for p in alike)
+        shares = _write_range([100.0 * p.share_of_error for p in alike])
+        agree = min(alike, key=lambda p: p.runs_agreeing / p.runs_checked)
+        runs = f"{agree.runs_agreeing} of {agree.runs_checked} runs left out agree"
+        if kind == CONCENTRATED:
+            time = _write_range([100.0 * p.share_of_time for p in alike])
+            sentences.append(
+                f"{names}: {words}. {shares} of the squared error lies in this {time} of the time "
+                f"({runs})."
+            )
+        else:
+            means = ", ".join(f"{p.mean_error:+.2g} {comparison.units[p.output]}" for p in alike)
+            sentences.append(
+                f"{names}: {words}, off by {means} on average. The sides of this condition "
+                f"explain {shares} of the squared error ({runs})."
+            )
+    return sentences
+
+
+def _write_range(percents: list[float]) -> str:
+    low, high = f"{min(percents):.0f}", f"{max(percents):.0f}"
+    return f"{low} %" if low == high else f"{low} to {high} %"

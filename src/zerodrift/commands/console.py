@@ -1,0 +1,48 @@
+"""Where the commands of the loop print: results on stdout, progress on stderr."""
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+LEAST_WIDTH = 120
+"""Columns of a file or a pipe, which has no width of its own."""
+
+
+def open_console() -> "Console":
+    """Return the console for results: plain text of a fixed width unless it is a terminal."""
+    from rich.console import Console
+
+    width = None if sys.stdout.isatty() else LEAST_WIDTH
+    # Square brackets are a user's own: [logs], [[effect]].
+    return Console(width=width, highlight=False, markup=False)
+
+
+def open_table(title: str, left: Sequence[str], right: Sequence[str]) -> "Table":
+    """Return an empty table whose first columns are text and whose others are numbers."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    for heading in left:
+        table.add_column(heading)
+    for heading in right:
+        table.add_column(heading, justify="right")
+    return table
+
+
+@contextmanager
+def show_progress(first: str) -> Iterator[Callable[[str], None]]:
+    """Show on stderr what is being done; gives a function that says what comes next."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda _: None
+        return
+    with console.status(first) as status:
+        yield status.update

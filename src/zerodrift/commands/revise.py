@@ -1,0 +1,142 @@
+"""What `add` and `remove` share: how a change is written, and how it is printed."""
+
+import os
+from pathlib import Path
+
+from zerodrift.commands.common import write_text
+from zerodrift.commands.console import open_console, open_table
+from zerodrift.config import Config, parse_config
+from zerodrift.errors import InputError
+from zerodrift.physics.history import FILE_NAME, Entry, load_history, record, render_history
+from zerodrift.physics.revision import (
+    Revision,
+    describe_coefficients,
+    describe_parameters,
+    name_effect,
+)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of zerodrift.toml with its own line ends.
+
+    Raises:
+        InputError: it may not be written, so that nothing should be computed in vain.
+    """
+    if not path.stat().st_mode & 0o222 or not os.access(path, os.W_OK):
+        raise InputError(
+            f"{path}: is read-only; expected a file that may be edited. Make it writable "
+            "(chmod u+w), or edit the effects by hand."
+        )
+    return path.read_bytes().decode("utf-8")
+
+
+def open_history(config: Config) -> tuple[Path, tuple[Entry, ...]]:
+    """Return where the project's history lies, and its entries.
+
+    Raises:
+        InputError: the history is damaged.
+    """
+    path = config.build_directory / FILE_NAME
+    return path, load_history(path)
+
+
+def write_revision(config: Config, text: str, revision: Revision) -> None:
+    """Write zerodrift.toml and append to the history, both or neither.
+
+    Raises:
+        InputError: one of them cannot be written; both are as they were.
+    """
+    # The edited text must say what was fitted, not only parse.
+    written = [
+        (e.kind, dict(e.held), dict(e.options)) for e in parse_config(text, config.path).effects
+    ]
+    wanted = [(e.kind, dict(e.held), dict(e.options)) for e in revision.effects]
+    if written != wanted:
+        raise InputError(
+            f"{config.path}: its layout is not understood well enough to edit it; expected "
+            "[[effect]] tables with one key to a line. Edit the effects by hand."
+        )
+    path, entries = open_history(config)
+    before = path.read_bytes() if path.exists() else None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{path.parent}: cannot be made ({error.strerror}); expected a directory for what is "
+            "built. Make the project's directory writable."
+        ) from error
+    write_text(path, render_history([*entries, record(revision)]))
+    try:
+        write_text(config.path, text)
+    except BaseException:
+        if before is None:
+            path.unlink()
+        else:
+            path.write_bytes(before)
+        raise
+
+
+def print_revision(revision: Revision) -> None:
+    """Print the errors before and after, and what was fitted."""
+    console = open_console()
+    model = revision.after.model
+    table = open_table(
+        f"Held-out RMSE ({revision.after.held_out.method})",
+        ("output", "unit"),
+        ("before", "after", "after/before", "noise floor", "x floor"),
+    )
+    for k, name in enumerate(model.outputs):
+        before, after = float(revision.before.rmse[k]), float(revision.after.rmse[k])
+        floor = float(revision.floor.rms[k])
+        table.add_row(
+            name,
+            model.units[k],
+            f"{before:.4g}",
+            f"{after:.4g}",
+            f"{after / before:.3f}" if before > 0.0 else "-",
+            f"{floor:.4g}",
+            f"{after / floor:.2f}" if floor > 0.0 else "-",
+        )
+    console.print(table)
+    notes = [revision.after.held_out.explain(), revision.floor.explain()]
+    if revision.tared:
+        notes.append("each run's own offset is taken off, as the logs are zeroed one by one")
+    for note in notes:
+        console.print(f"{note[0].upper()}{note[1:]}.")
+    _print_parameters(revision)
+    for note in model.notes:
+        console.print(f"note: {note}.")
+
+
+def _print_parameters(revision: Revision) -> None:
+    """Print the parameters of all effects, and the coefficients of the new one."""
+    console = open_console()
+    model = revision.after.model
+    table = open_table("Parameters", ("effect", "parameter", "unit", ""), ("value", "std error"))
+    for fitted in model.terms:
+        for name, told in describe_parameters(fitted).items():
+            remark = "held" if told["held"] else "at its bound" if told["at_bound"] else ""
+            error = "-" if told["std_error"] is None else f"{told['std_error']:.2g}"
+            table.add_row(
+                fitted.term.name, name, told["unit"], remark, f"{told['value']:.4g}", error
+            )
+    if table.row_count:
+        console.print(table)
+    term = revision.term
+    rows = describe_coefficients(model, term) if term is not None else []
+    if not rows:
+        return
+    table = open_table(
+        f"Coefficients of {name_effect(revision.effect)}",
+        ("feature", "output", "unit"),
+        ("value", "std error"),
+    )
+    for row in rows:
+        table.add_row(
+            row["feature"],
+            row["output"],
+            row["unit"],
+            f"{row['value']:.4g}",
+            f"{row['std_error']:.2g}",
+        )
+    console.print(table)

@@ -1,0 +1,164 @@
+"""Models of any shape for the proofs: a float compensator drawn from a seed, then quantized."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
+from zerodrift.export.onnx_reader import FloatNetwork
+from zerodrift.export.quantize import Calibration, FloatModel, quantize
+from zerodrift.operations.graph import GraphOperations, Node
+from zerodrift.operations.gru import FloatGru
+
+FRONT_ENDS = ("lowpass", "delay", "difference", "product", "power")
+SAMPLE_PERIOD_S = 0.5
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What kind of model to draw."""
+
+    name: str = "golden"
+    inputs: int = 4
+    hidden: int = 8
+    """0: no network, the physical signals alone."""
+    outputs: int = 3
+    reset: str = "after"
+    weights: str = "int16"
+    window: int = 0
+    front_end: tuple[str, ...] = ()
+    """Operations between the inputs and the network, of `FRONT_ENDS`."""
+    gain: float = 1.0
+    """Size of the weights; beyond 10 every gate saturates."""
+    update_bias: float = 0.0
+    """Of the update gate: -6 is a unit that moves by 1/400 of its distance per step."""
+    code_limit: int = 32768
+    """Inputs are limited to +- this code."""
+    drift_limit: float = 1e6
+    warm_up_steps: int = 5
+    channel_names: tuple[str, ...] = ()
+    output_names: tuple[str, ...] = ()
+
+
+class Draw:
+    """Uniform numbers from a linear congruential generator: the same on every machine for ever."""
+
+    def __init__(self, seed: int) -> None:
+        self._state = (seed * 2654435761 + 12345) & 0xFFFFFFFF
+
+    def uniform(self, low: float, high: float, *shape: int) -> NDArray[np.float64]:
+        """Return an array of numbers from low to high."""
+        count = int(np.prod(shape, dtype=np.int64))
+        values = np.empty(count)
+        for i in range(count):
+            self._state = (self._state * 1664525 + 1013904223) & 0xFFFFFFFF
+            values[i] = low + (high - low) * (self._state >> 8) / 2**24
+        return values.reshape(shape)
+
+    def codes(self, low: int, high: int, *shape: int) -> NDArray[np.int16]:
+        """Return an array of codes from low to high, both included."""
+        return np.floor(self.uniform(low, high + 1, *shape)).astype(np.int16)
+
+
+def draw_float_model(shape: Shape, seed: int) -> tuple[FloatModel, Calibration]:
+    """Return a float compensator of a shape, and ranges as if it had been calibrated."""
+    draw = Draw(seed)
+    ops = GraphOperations(SAMPLE_PERIOD_S)
+    names = shape.channel_names or tuple(f"in{i}" for i in range(shape.inputs))
+    channels = tuple(Channel(name, "degC", 2.0**-7, 1.5 * i) for i, name in enumerate(names))
+    sources = {f"source{i}": i for i in range(shape.inputs)}
+    inputs = [ops.input(source) for source in sources]
+    full = shape.code_limit / 128.0
+    taps: list[tuple[Node, float]] = [(node, full) for node in inputs]
+    taps += _draw_front_end(ops, inputs, full, shape, draw)
+    outputs = tuple(
+        OutputFormat(
+            shape.output_names[k] if shape.output_names else f"out{k}", "N", 10 ** (k % 4), 2000.0
+        )
+        for k in range(shape.outputs)
+    )
+    physical = taps[: 1 + len(shape.front_end)] if shape.hidden else taps
+    coefficients = draw.uniform(-100.0, 100.0, len(physical), shape.outputs)
+    coefficients /= np.array([[largest] for _, largest in physical])
+    model = FloatModel(
+        name=shape.name,
+        sample_period_s=SAMPLE_PERIOD_S,
+        channels=channels,
+        sources=sources,
+        outputs=outputs,
+        features=tuple(node for node, _ in physical),
+        coefficients=coefficients,
+        offset=draw.uniform(-50.0, 50.0, shape.outputs),
+        **(_draw_network(taps, shape, draw) if shape.hidden else {}),
+    )
+    calibration = Calibration(
+        code_limits=((max(-shape.code_limit, -32768), min(shape.code_limit, 32767)),)
+        * shape.inputs,
+        feature_max=np.full(shape.inputs, 2.0),
+        drift_low=np.full(shape.outputs, -shape.drift_limit),
+        drift_high=np.full(shape.outputs, shape.drift_limit * 0.75),
+        rate_max=1000,
+        warm_up_steps=shape.warm_up_steps,
+    )
+    return model, calibration
+
+
+def draw_model(shape: Shape, seed: int) -> IntegerModel:
+    """Return a quantized model of a shape."""
+    model, calibration = draw_float_model(shape, seed)
+    return quantize(model, calibration, shape.weights)
+
+
+def _draw_front_end(
+    ops: GraphOperations, inputs: list[Node], full: float, shape: Shape, draw: Draw
+) -> list[tuple[Node, float]]:
+    """Return nodes with their largest value; each kind acts on an input and the node before it."""
+    nodes: list[tuple[Node, float]] = []
+    for position, kind in enumerate(shape.front_end):
+        x = inputs[position % len(inputs)]
+        match kind:
+            case "lowpass":
+                tau_s = float(np.exp(draw.uniform(-1.0, 9.0, 1)[0]))
+                nodes.append((ops.lowpass(x, tau_s), full))
+            case "delay":
+                steps = 1 + int(draw.uniform(0.0, 12.0, 1)[0])
+                nodes.append((ops.delay(x, steps * SAMPLE_PERIOD_S), full))
+            case "difference":
+                nodes.append((ops.difference(x, ops.lowpass(x, 20.0)), 2.0 * full))
+            case "product":
+                other, largest = nodes[-1] if nodes else (inputs[-1], full)
+                nodes.append((ops.product(ops.affine(x, 1.0, -3.0), other), full * largest))
+            case "power":
+                exponent = 2 + int(draw.uniform(0.0, 3.0, 1)[0])
+                nodes.append((ops.power(x, float(exponent)), full**exponent))
+    return nodes
+
+
+def _draw_network(taps: list[tuple[Node, float]], shape: Shape, draw: Draw) -> dict[str, Any]:
+    """Return the fields of `FloatModel` that belong to the network."""
+    inputs, hidden, gain = shape.inputs, shape.hidden, shape.gain
+    mixing = draw.uniform(-0.3, 0.3, inputs, len(taps))
+    mixing[:, :inputs] += 2.0 * np.eye(inputs)
+    bias = draw.uniform(-0.5, 0.5, 4, hidden) * gain
+    bias[1] += shape.update_bias
+    if shape.reset == "before":
+        bias[3] = 0.0
+    gru = FloatGru(
+        w_x=draw.uniform(-gain, gain, 3, hidden, inputs),
+        w_h=draw.uniform(-gain, gain, 3, hidden, hidden) * np.sqrt(3.0 / hidden),
+        bias=bias,
+        reset=shape.reset,
+    )
+    return {
+        "taps": tuple(node for node, _ in taps),
+        "tap_mean": draw.uniform(-5.0, 5.0, len(taps)),
+        "whitening": mixing / np.array([largest for _, largest in taps]),
+        "network": FloatNetwork(
+            gru,
+            draw.uniform(-30.0, 30.0, shape.outputs, hidden),
+            draw.uniform(-5.0, 5.0, shape.outputs),
+        ),
+        "window": shape.window,
+    }

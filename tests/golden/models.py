@@ -1,0 +1,84 @@
+"""The golden models: one for each thing that has gone wrong in somebody's fixed-point network."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.golden.model_factory import Draw, Shape, draw_model
+from tests.golden.vectors import Golden, compute
+
+STEPS = 120
+Codes = NDArray[np.int16]
+
+
+@dataclass(frozen=True)
+class Case:
+    """How a golden file is made."""
+
+    shape: Shape
+    inputs: Callable[[Draw, int], Codes]
+    """(draw, channels) -> codes [T, C]."""
+    settled: bool = True
+    every: int = 1
+
+
+def walk(draw: Draw, channels: int) -> Codes:
+    """Return a random walk, limited to the codes of -40 .. 100 degC of a TMP117."""
+    steps = draw.uniform(-600.0, 600.0, STEPS, channels).cumsum(axis=0) + 3000.0
+    return np.clip(np.round(steps), -5120, 12800).astype(np.int16)
+
+
+def rails(draw: Draw, channels: int) -> Codes:
+    """Return codes at either end of int16, each channel jumping on its own."""
+    return np.where(draw.uniform(0.0, 1.0, STEPS, channels) < 0.5, -32768, 32767).astype(np.int16)
+
+
+def noise(draw: Draw, channels: int) -> Codes:
+    """Return any int16 codes."""
+    return draw.codes(-32768, 32767, STEPS, channels)
+
+
+def dwell(draw: Draw, channels: int) -> Codes:
+    """Return 20,000 equal samples after a step from another temperature."""
+    before, after = draw.codes(-2000, 8000, 2, channels)
+    return np.concatenate([np.repeat(before[None], 10, 0), np.repeat(after[None], 19_990, 0)])
+
+
+CASES: dict[str, Case] = {
+    "ordinary": Case(Shape(front_end=("lowpass",), update_bias=-2.0, code_limit=10000), walk),
+    "rails": Case(Shape(hidden=8, outputs=2), rails),
+    "saturation": Case(Shape(gain=40.0, drift_limit=60.0, code_limit=6000), noise),
+    "long_dwell": Case(Shape(hidden=6, update_bias=-6.0), dwell, settled=False, every=400),
+    "odd_hidden": Case(Shape(hidden=7, inputs=3), walk),
+    "one_input": Case(Shape(inputs=1, hidden=5, outputs=1), walk),
+    "eight_inputs": Case(Shape(inputs=8, hidden=6, outputs=16), noise),
+    "reset_before": Case(Shape(reset="before", hidden=10), walk, settled=False),
+    "int8": Case(Shape(weights="int8", hidden=12), walk),
+    "int8_before": Case(Shape(weights="int8", reset="before", hidden=5), noise),
+    "windowed": Case(Shape(window=10, outputs=6), walk, settled=False),
+    "front_end": Case(
+        Shape(
+            name="front_end",
+            inputs=3,
+            front_end=("lowpass", "product", "delay", "difference", "power"),
+            code_limit=12000,
+            channel_names=("temperature", "supply", "humidity"),
+            output_names=("Fx", "Fy", "Fz"),
+        ),
+        walk,
+        settled=False,
+    ),
+}
+C_CASE = "front_end"
+"""The model whose generated C lies here too."""
+
+
+def make(name: str) -> Golden:
+    """Return a golden model with its vectors, from nothing but this file."""
+    case = CASES[name]
+    seed = sum(name.encode())
+    model = draw_model(case.shape, seed)
+    codes = case.inputs(Draw(seed + 1), case.shape.inputs)
+    return compute(model, codes, case.settled, case.every)

@@ -1,0 +1,269 @@
+"""The trained compensator: physics, the linear part, the network; saved, loaded, asked for drift.
+
+Nothing here needs PyTorch: the network is what its ONNX file says, run by onnxruntime.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+from zerodrift.errors import InputError
+from zerodrift.operations.gru import FloatGru
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.model import PhysicalModel
+from zerodrift.train.checkpoint import write_whole
+from zerodrift.train.front_end import FrontEnd
+from zerodrift.train.onnx_export import read_onnx_gru
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+Array = NDArray[np.float64]
+
+FORMAT = 1
+"""Version of compensator.json; another one is refused."""
+DESCRIPTION, NETWORK = "compensator.json", "network.onnx"
+WINDOWS_AT_ONCE = 4096
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What the training logs showed; beyond it the compensator has not been tried."""
+
+    temperature_degC: tuple[float, float]
+    """Lowest and highest."""
+    rate_K_per_s: float  # noqa: N815 - the unit's own spelling
+    """Largest change of the temperature from one sample to the next, per second."""
+    drift: Array
+    """[2, K] lowest and highest measured drift, in the outputs' units."""
+    predicted: Array
+    """[2, K] lowest and highest predicted drift, in the outputs' units."""
+    feature: Array
+    """[I] largest absolute value of each feature of the network; empty without one."""
+
+
+@dataclass(frozen=True)
+class Compensator:
+    """drift = physics + features linear + network(features), in the outputs' units."""
+
+    physics: PhysicalModel
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    sample_period_s: float
+    calibration: Calibration
+    front_end: FrontEnd | None = None
+    """None where physics stands alone."""
+    linear: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """[I, K] output units per unit of each feature; zeros where a linear part did not help."""
+    network: bytes | None = None
+    """The ONNX file of `zerodrift.train.onnx_export`, or None without a network."""
+    memory: str | int = "stream"
+    """"stream": the state goes from sample to sample; else the length of the window."""
+    trained_from: str = ""
+    """Mark of the configuration and logs it was trained from."""
+    notes: tuple[str, ...] = ()
+    """What training has to say about the result."""
+
+    def predict(self, run: Run) -> Array:
+        """Return the predicted drift [n, K] of a run, each output in its unit.
+
+        The run is taken to be at rest before its first sample.
+        """
+        drift = self.physics.predict(run)
+        if self.front_end is None:
+            return drift
+        features = self.front_end.compute(run)
+        drift = drift + features @ self.linear
+        if self.network is not None:
+            drift = drift + self._run_network(features)
+        return np.asarray(drift)
+
+    @property
+    def tap_coefficients(self) -> Array:
+        """[I, K] the linear part per unit of the raw taps, for the exporter."""
+        assert self.front_end is not None
+        return np.asarray(self.front_end.matrix.T @ self.linear)
+
+    @property
+    def tap_offset(self) -> Array:
+        """[K] what the linear part adds at taps of zero: linear = taps coefficients + offset."""
+        assert self.front_end is not None
+        return np.asarray(-self.front_end.mean @ self.tap_coefficients)
+
+    @cached_property
+    def gru(self) -> FloatGru:
+        """The network's recurrence in float64."""
+        assert self.network is not None
+        return read_onnx_gru(self.network, NETWORK)
+
+    @cached_property
+    def _session(self) -> "onnxruntime.InferenceSession":
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        return onnxruntime.InferenceSession(
+            self.network, options, providers=["CPUExecutionProvider"]
+        )
+
+    def _run_network(self, features: Array) -> Array:
+        """Return the network's drift [n, K] for features [n, I] of a run that starts at rest."""
+        if self.memory == "stream":
+            rest = self.gru.settle(features[:1])
+            return self._ask(features[:, None, :], rest)[:, 0]
+        memory = int(self.memory)
+        padded = np.concatenate([np.repeat(features[:1], memory - 1, axis=0), features])
+        windows = np.lib.stride_tricks.sliding_window_view(padded, memory, axis=0)  # [n, I, N]
+        answers = []
+        for begin in range(0, len(features), WINDOWS_AT_ONCE):
+            part = windows[begin : begin + WINDOWS_AT_ONCE].transpose(2, 0, 1)
+            answers.append(self._ask(part, np.zeros((part.shape[1], self.gru.w_h.shape[1])))[-1])
+        return np.concatenate(answers)
+
+    def _ask(self, features: Array, state: Array) -> Array:
+        """Return drift [T, B, K] for features [T, B, I] and first states [B, H]."""
+        feed = {
+            "features": np.ascontiguousarray(features, dtype=np.float32),
+            "initial_h": state[None].astype(np.float32),
+        }
+        return np.asarray(self._session.run(["drift"], feed)[0], dtype=np.float64)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the network as JSON values."""
+        calibration = self.calibration
+        return {
+            "format": FORMAT,
+            "outputs": list(self.outputs),
+            "units": list(self.units),
+            "sample_period_s": self.sample_period_s,
+            "physics": self.physics.to_dict(),
+            "front_end": self.front_end.to_dict() if self.front_end else None,
+            "linear": self.linear.tolist(),
+            "memory": self.memory,
+            "network_sha256": hashlib.sha256(self.network).hexdigest() if self.network else None,
+            "calibration": {
+                "temperature_degC": list(calibration.temperature_degC),
+                "rate_K_per_s": calibration.rate_K_per_s,
+                "drift": calibration.drift.tolist(),
+                "predicted": calibration.predicted.tolist(),
+                "feature": calibration.feature.tolist(),
+            },
+            "trained_from": self.trained_from,
+            "notes": list(self.notes),
+        }
+
+    def save(self, directory: Path) -> None:
+        """Write compensator.json and network.onnx; the same compensator gives the same bytes.
+
+        The description is written last and names the network's hash, so that an interruption
+        between the two files is noticed when they are loaded.
+        """
+        network = directory / NETWORK
+        if self.network is not None:
+            write_whole(network, self.network)
+        text = json.dumps(self.to_dict(), indent=1, sort_keys=True, allow_nan=False) + "\n"
+        write_whole(directory / DESCRIPTION, text.encode())
+        if self.network is None:
+            network.unlink(missing_ok=True)
+
+    @classmethod
+    def load(cls, directory: Path, catalogue: Catalogue | None = None) -> "Compensator":
+        """Return the compensator that `save` wrote.
+
+        Args:
+            directory: the project's build directory.
+            catalogue: needed where the model has a user's own effects.
+
+        Raises:
+            InputError: the files are missing, damaged or of different trainings.
+        """
+        path = directory / DESCRIPTION
+        if not path.exists():
+            raise InputError(f"{path}: there is no trained compensator. Run `zerodrift train`.")
+        try:
+            values = json.loads(path.read_bytes())
+            found = values["format"]
+            if found != FORMAT:
+                raise InputError(
+                    f"{path}: written in format {found}, this version reads {FORMAT}. Run"
+                    " `zerodrift train` again."
+                )
+            return cls._from_dict(values, _read_network(directory, values), catalogue)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(
+                f"{path}: damaged ({type(error).__name__}: {error}). Run `zerodrift train` again."
+            ) from error
+
+    @classmethod
+    def _from_dict(
+        cls, values: Mapping[str, Any], network: bytes | None, catalogue: Catalogue | None
+    ) -> "Compensator":
+        outputs = tuple(values["outputs"])
+        calibration = values["calibration"]
+        low, high = calibration["temperature_degC"]
+        return cls(
+            physics=PhysicalModel.from_dict(values["physics"], catalogue),
+            outputs=outputs,
+            units=tuple(values["units"]),
+            sample_period_s=values["sample_period_s"],
+            calibration=Calibration(
+                temperature_degC=(low, high),
+                rate_K_per_s=calibration["rate_K_per_s"],
+                drift=np.array(calibration["drift"]),
+                predicted=np.array(calibration["predicted"]),
+                feature=np.array(calibration["feature"], dtype=np.float64),
+            ),
+            front_end=FrontEnd.from_dict(values["front_end"]) if values["front_end"] else None,
+            linear=np.array(values["linear"], dtype=np.float64).reshape(-1, len(outputs)),
+            network=network,
+            memory=values["memory"],
+            trained_from=values["trained_from"],
+            notes=tuple(values["notes"]),
+        )
+
+
+def _read_network(directory: Path, values: Mapping[str, Any]) -> bytes | None:
+    """Return the network's file if there is one, after checking that it is the right one."""
+    expected = values["network_sha256"]
+    if expected is None:
+        return None
+    path = directory / NETWORK
+    content = path.read_bytes() if path.exists() else b""
+    if hashlib.sha256(content).hexdigest() != expected:
+        raise InputError(
+            f"{path}: this is not the network that {DESCRIPTION} describes. Run `zerodrift train`"
+            " again."
+        )
+    return content
+
+
+def calibrate(
+    runs: Sequence[Run], features: Sequence[Array], predictions: Sequence[Array]
+) -> Calibration:
+    """Return the ranges that the training runs showed.
+
+    Args:
+        runs: training runs.
+        features: [n, I] per run; empty without a front end.
+        predictions: [n, K] per run, the compensator's drift.
+    """
+    steps = [float(np.abs(np.diff(run.temperature_degC)).max(initial=0.0)) for run in runs]
+    drift = np.concatenate([run.drift for run in runs])
+    predicted = np.concatenate(predictions)
+    temperature = np.concatenate([run.temperature_degC for run in runs])
+    return Calibration(
+        temperature_degC=(float(temperature.min()), float(temperature.max())),
+        rate_K_per_s=max(steps) / runs[0].sample_period_s,
+        drift=np.stack([drift.min(axis=0), drift.max(axis=0)]),
+        predicted=np.stack([predicted.min(axis=0), predicted.max(axis=0)]),
+        feature=np.abs(np.concatenate(features)).max(axis=0) if features else np.zeros(0),
+    )

@@ -1,0 +1,31 @@
+"""A progress bar on stderr for anything that takes longer than a moment."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from zerodrift.train.training import Stage
+
+
+@contextmanager
+def show_progress(title: str) -> Iterator[Callable[[Stage], None]]:
+    """Show a bar while the block runs; yields what is called with each stage.
+
+    Where stderr is no terminal nothing is shown.
+    """
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[text]}"),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task(title, total=1.0, text="fitting physics")
+
+        def report(stage: Stage) -> None:
+            progress.update(task, completed=stage.done, text=stage.text)
+
+        yield report

@@ -1,0 +1,109 @@
+"""What a trained compensator achieves per output: in-sample and held out, beside physics alone."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.train.compensator import Compensator
+from zerodrift.train.split import Split
+
+Array = NDArray[np.float64]
+Predict = Callable[[Run], Array]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """RMSE [K] over some runs, in the outputs' units."""
+
+    uncompensated: Array
+    physics: Array
+    """Of the physical model alone."""
+    compensated: Array
+    """Of the whole compensator."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Errors over the runs that were learnt from, and over others."""
+
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    full_scale: tuple[float, ...]
+    in_sample: Errors
+    held_out: Errors
+    held_out_runs: tuple[str, ...]
+    explanation: str
+    """What "held out" means here, and whether runs' own offsets are taken off."""
+
+
+def score(
+    compensator: Compensator,
+    dataset: Dataset,
+    understudy: Compensator | None = None,
+    split: Split | None = None,
+) -> Scores:
+    """Return the errors of a compensator.
+
+    Args:
+        compensator: trained on all training runs.
+        dataset: the runs; its test runs are the held-out ones where there are any.
+        understudy: without test runs, the same trained without the runs that `split` held out.
+        split: which those were.
+    """
+    tared = compensator.physics.tared
+    if dataset.test:
+        judge, runs, skip = compensator, dataset.test, {}
+        explanation = "held out: the test logs"
+    elif understudy and split:
+        judge, runs, skip = understudy, split.held_out, dict(split.skip)
+        explanation = f"{split.explanation}; they also chose the epoch, which flatters a little"
+    else:
+        judge, runs, skip = compensator, (), {}
+        explanation = "nothing was held out; `zerodrift compare` leaves one run out at a time"
+    if tared:
+        explanation += "; the logs are tared, so each run's own offset is taken off"
+    return Scores(
+        outputs=dataset.outputs,
+        units=dataset.units,
+        full_scale=dataset.full_scale,
+        in_sample=measure(compensator, dataset.train, tared),
+        held_out=measure(judge, runs, tared, skip),
+        held_out_runs=tuple(dict.fromkeys(run.group for run in runs)),
+        explanation=explanation,
+    )
+
+
+def measure(
+    compensator: Compensator,
+    runs: Sequence[Run],
+    tared: bool,
+    skip: Mapping[str, int] | None = None,
+) -> Errors:
+    """Return the errors of a compensator over runs; NaN where there are none.
+
+    Args:
+        compensator: what predicts.
+        runs: what is measured.
+        tared: take off each group's mean error, which belongs to its tare.
+        skip: run's name -> samples at its start that do not count.
+    """
+
+    def rmse(predict: Predict) -> Array:
+        by_group: dict[str, list[Array]] = {}
+        for run in runs:
+            error = (run.drift - predict(run))[(skip or {}).get(run.name, 0) :]
+            by_group.setdefault(run.group, []).append(error)
+        if not by_group:
+            return np.full(len(compensator.outputs), np.nan)
+        groups = [np.concatenate(parts) for parts in by_group.values()]
+        rest = [g - g.mean(axis=0) if tared else g for g in groups]
+        return np.asarray(np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0)))
+
+    return Errors(
+        uncompensated=rmse(lambda run: np.zeros_like(run.drift)),
+        physics=rmse(compensator.physics.predict),
+        compensated=rmse(compensator.predict),
+    )
