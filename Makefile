@@ -7,6 +7,10 @@ PYTHON ?= python3
 RUN := $(VENV)/bin/python
 SENSOR ?= examples/ft40
 READY := $(VENV)/.ready
+# Where there is no C compiler, the clang inside the ziglang wheel is one.
+HOST_CC := $(shell command -v cc || command -v gcc || command -v clang)
+CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake -S . -G Ninja \
+  -DCMAKE_MAKE_PROGRAM=$(abspath $(VENV))/bin/ninja
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
@@ -48,12 +52,15 @@ format: $(READY) ## rewrite Python and C in the project's format
 
 golden: $(READY) ## write the golden vectors and the runtime's table again; read the diff
 	$(RUN) -m zerodrift.c_runtime.write_table
-	$(RUN) tests/golden/regenerate.py
+	$(RUN) -m tests.golden.regenerate
 
-c-test: $(READY) ## build the C runtime with CMake and run its ctest programs
-	$(VENV)/bin/cmake -S . -B build/cmake -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(VENV))/bin/ninja -DPython3_EXECUTABLE=$(abspath $(RUN))
+c-test: $(READY) ## build the C runtime with CMake and run its ctest programs, sanitized too
+	$(CMAKE) -B build/cmake
 	$(VENV)/bin/cmake --build build/cmake
 	$(VENV)/bin/ctest --test-dir build/cmake --output-on-failure
+	$(CMAKE) -B build/cmake-sanitized -DZD_SANITIZE=ON
+	$(VENV)/bin/cmake --build build/cmake-sanitized
+	$(VENV)/bin/ctest --test-dir build/cmake-sanitized --output-on-failure
 
 sizes: $(READY) ## flash, RAM and stack of the golden models, against the last recorded table
 	$(RUN) benchmarks/sizes.py

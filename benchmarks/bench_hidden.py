@@ -26,11 +26,13 @@ from zerodrift.config import EffectConfig
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.errors import InputError
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.physics.diagnose import diagnose, diagnose_until_done, extend_model
+from zerodrift.physics.course import diagnose_until_done, extend_model
+from zerodrift.physics.diagnose import diagnose
 from zerodrift.physics.fit import fit
+from zerodrift.physics.twin.logger import SimulatedRun
 from zerodrift.physics.twin.recipe import EffectChoice, Recipe
 from zerodrift.physics.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
-from zerodrift.physics.twin.simulate import SimulatedRun, Simulation, simulate
+from zerodrift.physics.twin.simulate import Simulation, simulate
 
 SIZES = (0.3, 1.0, 3.0, 10.0)
 """RMS of the hidden effect beyond what the told model can absorb, over the noise RMS."""
@@ -55,7 +57,7 @@ SHAPES = {
     "thermal_hysteresis": ("half_width_K", "half_width_K"),
     "clock_delay": ("delay_s", "delay_s"),
 }
-"""Effect -> its parameter's name in the catalogue and in the simulator, where both mean the same."""
+"""Effect -> its parameter's name in the catalogue and in the simulator, where both mean it."""
 
 TARGETS = {
     "named first or in a group of two, size >= 1, >= 8 runs": (">=", 0.97),
@@ -165,7 +167,7 @@ def make_recipe(case: Case) -> Recipe:
     if case.runs >= 8:
         for place in range(int(rng.integers(0, 3))):
             kinds[-1 - place] = str(rng.choice(others))
-    told = ("zero_tempco", "dark_current")
+    told: tuple[str, ...] = ("zero_tempco", "dark_current")
     if "dark_current" in case.hidden:
         told = ("zero_tempco",)
     if "zero_tempco" in case.hidden:

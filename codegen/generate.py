@@ -10,9 +10,10 @@ import numpy as np
 
 from zerodrift import __version__
 from zerodrift.codegen.identifiers import (
+    RESERVED_OUTPUTS,
     sanitize_comment,
-    sanitize_identifier,
     sanitize_identifiers,
+    sanitize_prefix,
 )
 from zerodrift.codegen.selftest import SELFTEST_SEED, SELFTEST_STEPS, compute_selftest, limits_of
 from zerodrift.export.integer_model import FORMAT, IntegerModel
@@ -55,7 +56,7 @@ def generate(model: IntegerModel) -> GeneratedCode:
     fed_at_rest = [n for n in stateful if n is not layer or layer.window]  # a cold GRU is 0
     needed_at_rest = _ancestors(model, fed_at_rest)
     selftest_low, selftest_high = limits_of(model)
-    prefix = sanitize_identifier(model.name)
+    prefix = sanitize_prefix(model.name)
     context = {
         "model": model,
         "version": __version__,
@@ -65,7 +66,10 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "title": sanitize_comment(model.name),
         "channels": sanitize_identifiers((c.name for c in model.channels), "input"),
         "outputs": [
-            n.upper() for n in sanitize_identifiers((o.name for o in model.outputs), "output")
+            name.upper()
+            for name in sanitize_identifiers(
+                (o.name for o in model.outputs), "output", RESERVED_OUTPUTS
+            )
         ],
         "guards": model.guards,
         "steps_full": max(model.guards.warm_up_steps, 1),

@@ -270,15 +270,20 @@ def load_model(path: Path) -> IntegerModel:
             guards=_build(Guards, f"{path}: guards", body["guards"]),
             notes=body["notes"],
         )
+        found = model.hash
     except KeyError as error:
         raise InputError(
             f"{path}: the field {error} is missing. Run `zerodrift export`."
         ) from error
+    except (TypeError, AttributeError, ValueError) as error:
+        raise InputError(
+            f"{path}: not built like an integer model ({error}). Run `zerodrift export`."
+        ) from error
     if not model.nodes or not isinstance(model.nodes[-1], IntegerDrift):
         raise InputError(f"{path}: the last node is not 'drift'. Run `zerodrift export`.")
-    if model.hash != claimed:
+    if found != claimed:
         raise InputError(
-            f"{path}: its hash is {model.hash[:12]}, the file claims {str(claimed)[:12]}; it was"
+            f"{path}: its hash is {found[:12]}, the file claims {str(claimed)[:12]}; it was"
             " edited or damaged. Run `zerodrift export`."
         )
     return model

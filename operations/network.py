@@ -118,10 +118,16 @@ class IntegerGruLayer(IntegerNode):
         return {"window": window}, h_q30
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
-        """Bound every accumulator of the recurrent layer."""
-        return [Interval(-H_LIMIT_Q30, H_LIMIT_Q30)] * self.width, self.gru.prove(
-            self.name, inputs[0]
-        )
+        """Bound every accumulator of the recurrent layer.
+
+        A window's features are taken to be any int16, so that the proof does not rest on what is
+        stored in it; its position needs 16 bits.
+        """
+        features = [Interval(INT16_MIN, INT16_MAX)] * self.gru.inputs if self.window else inputs[0]
+        bounds = self.gru.prove(self.name, features)
+        if self.window:
+            bounds.append(Bound(f"{self.name}.window", Interval(1, self.window), 16).check())
+        return [Interval(-H_LIMIT_Q30, H_LIMIT_Q30)] * self.width, bounds
 
 
 @dataclass(frozen=True)

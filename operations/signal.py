@@ -5,7 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.operations.arithmetic import IntArray, round_shift, saturate
+from zerodrift.errors import CheckError
+from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift, saturate
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, State, Values
 
@@ -126,24 +127,31 @@ class IntegerLowpass(IntegerNode):
         return {"v": np.asarray(v)}, np.asarray(round_shift(y, LOWPASS_FRACTION))
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
-        """Bound y by the input's range and a margin for rounding.
+        """Bound v by induction, and with it y, for any input within its range X.
 
-        Without rounding y is a weighted mean of past inputs (a >= c >= 0), so it stays in their
-        range. Each step adds at most 2**21 a + 1 to v by rounding, of which the share a decays per
-        step, so the deviation never exceeds (2**21 a + 1) / a.
+        Invariant: v is in (1 - c) X within a margin M; it holds at rest. Then y = v + c x is in X
+        within M, and v' = (1 - a) v + a (1 - c) x + e stays in (1 - c) X within (1 - a) M + |e|.
+        Rounding the gap and the product gives |e| <= 2**21 a + 1/2, so M = 2**21 + 1/a is enough.
+        It needs 0 <= c <= 1 and 0 < a <= 1, and says nothing of the past: a v that another program
+        overwrote is as harmless, if it is within the invariant.
         """
-        x = inputs[0][0]
-        a_inverse = -(-(1 << (self.shift + 22)) // self.m_q31)
-        margin = (1 << 21) + a_inverse + 1
-        wide = x.scale(1 << LOWPASS_FRACTION) + Interval(-margin, margin)
-        gap = (x.scale(1 << LOWPASS_FRACTION) - wide).round_shift(22)
+        x, one, a_one = inputs[0][0], 1 << LOWPASS_FRACTION, 1 << (self.shift + 22)
+        if not (0 <= self.c_q24 <= one and 0 < self.m_q31 <= min(a_one, INT32_MAX)):
+            raise CheckError(
+                f"{self.name}: c = {self.c_q24} * 2**-24 and a = {self.m_q31} / {a_one} are no"
+                " low-pass, which has 0 <= c <= 1 and 0 < a <= 1. The model is refused."
+            )
+        a_inverse = -(-a_one // self.m_q31)
+        margin = Interval(-(1 << 21) - a_inverse, (1 << 21) + a_inverse)
+        v = x.scale(one - self.c_q24) + margin
+        y = x.scale(one) + margin
+        gap = (x.scale(one) - y).round_shift(22)
         scaled = gap.scale(self.m_q31)
-        out = wide.round_shift(LOWPASS_FRACTION)
-        v = wide - x.scale(self.c_q24)
+        out = y.round_shift(LOWPASS_FRACTION)
         half = Interval(0, 1 << self.shift >> 1)
         return [out], [
             Bound(f"{self.name}.v", v, 64).check(),
-            Bound(f"{self.name}.y", wide, 64).check(),
+            Bound(f"{self.name}.y", y, 64).check(),
             Bound(f"{self.name}.gap", gap, 32).check(),
             Bound(f"{self.name}.scaled", scaled + half, 64).check(),
             Bound(self.name, out, 32).check(),
@@ -169,5 +177,8 @@ class IntegerDelay(IntegerNode):
         return {"line": np.concatenate([line[:, 1:], x[:, None]], axis=1)}, line[:, 0]
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
-        """Bound the output by the input's range."""
-        return [inputs[0][0]], [Bound(f"{self.name}.line", inputs[0][0], 32).check()]
+        """Bound the output by the input's range, and the ring's position by 16 bits."""
+        return [inputs[0][0]], [
+            Bound(f"{self.name}.line", inputs[0][0], 32).check(),
+            Bound(f"{self.name}.steps", Interval(1, self.steps), 16).check(),
+        ]

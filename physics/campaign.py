@@ -7,7 +7,8 @@ deviations within blocks are kept for every few blocks, so that nothing fast is 
 """
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,8 +29,12 @@ MOST_ROWS = 6_000
 """Blocks in all runs together; more samples than that are averaged."""
 FEWEST_ROWS = 8
 """Blocks of the shortest stretch."""
-SLOW_SHARE = 0.01
-"""A signal is slow if less than this share of its variance lies within blocks."""
+SLOW_SHARE = 1e-5
+"""A signal is slow if straight lines within blocks leave less than this share of its variance."""
+FAST_ROWS = 3_000
+"""Samples for which deviations within blocks are kept."""
+COARSE_ENOUGH = 0.05
+"""Share of a column's squares that may be lost where only values are searched for."""
 CACHED_COLUMNS = 400
 FEWEST_RUNS = 4
 """With fewer runs, runs are cut into pieces that stand in for runs."""
@@ -93,7 +98,7 @@ class Campaign:
             [len(run) for run in runs],
             [run.group for run in runs],
             block,
-            reach,
+            max(1, self.samples // FAST_ROWS),
             self.pieces_per_run,
         )
         self.run_of_piece = np.repeat(np.arange(count), self.pieces_per_run)
@@ -105,9 +110,12 @@ class Campaign:
             name: self._lay_side_by_side([self.reduction.average(x[name]) for x in self._inputs])
             for name in self._inputs[0]
         }
+        self._full_inputs: dict[str, Array] = {}
+        """Signals at the full rate, side by side; made when first needed."""
         self.slow = frozenset(name for name in self._slow_inputs if self._is_slow(name))
-        """Names of the signals that hardly move within a block."""
-        self._cache: OrderedDict[int, Column] = OrderedDict()
+        """Names of the signals that are as good as straight within a block."""
+        self._cache: OrderedDict[tuple[int, bool], Column] = OrderedDict()
+        self._coarse = False
         self.set_aside = set_aside
         self._drifts = [self._reduce_drift(k, None) for k in range(len(plan.outputs))]
         self._offsets = self._make_offsets()
@@ -144,6 +152,25 @@ class Campaign:
         """Whether the pieces' means carry information, beside the offsets' columns."""
         return bool(self._offsets)
 
+    @contextmanager
+    def coarsely(self) -> Iterator[None]:
+        """Within this context, compute on block means even what depends on fast signals."""
+        before, self._coarse = self._coarse, True
+        try:
+            yield
+        finally:
+            self._coarse = before
+
+    def is_coarse_enough(self, nodes: Sequence[Node]) -> bool:
+        """Return whether computing on block means is good enough to search for values with."""
+        for node in nodes:
+            exact = self.column(node)
+            with self.coarsely():
+                coarse = self.column(node)
+            if (exact - coarse).energy > COARSE_ENOUGH * exact.energy:
+                return False
+        return True
+
     def build(self, terms: Sequence[Term]) -> tuple[Feature[Node], ...]:
         """Return the features of the terms as nodes, without the constant.
 
@@ -169,19 +196,11 @@ class Campaign:
         Raises:
             InputError: it is NaN or infinite somewhere.
         """
-        key = id(node)
+        key = (id(node), self._coarse)
         if key in self._cache:
             self._cache.move_to_end(key)
             return self._cache[key]
-        sources = {n.source for n in list_nodes([node]) if n.op == "input"}
-        if self.block == 1 or sources <= self.slow:
-            step_s = self.block * self.plan.sample_period_s
-            laid = evaluate([node], self._slow_inputs, step_s)[0]
-            rows = self.reduction.rows
-            column = self.reduction.reduce_means([x[:n] for x, n in zip(laid, rows, strict=True)])
-        else:
-            step_s = self.plan.sample_period_s
-            column = self.reduction.reduce([evaluate([node], x, step_s)[0] for x in self._inputs])
+        column = self._compute(node)
         if not np.isfinite(column.octaves).all():
             raise InputError(
                 f"{label or node!r}: some values are NaN or infinite; keep the arguments of each "
@@ -261,25 +280,36 @@ class Campaign:
             drifts.append(drift)
         return self.reduction.reduce(drifts)
 
+    def _compute(self, node: Node) -> Column:
+        """Return the coefficients of a node's values, on block means if its inputs are slow."""
+        sources = {n.source for n in list_nodes([node]) if n.op == "input"}
+        step_s = self.plan.sample_period_s
+        if self.block == 1 or self._coarse or sources <= self.slow:
+            laid = evaluate([node], self._slow_inputs, self.block * step_s)[0]
+            rows = self.reduction.rows
+            return self.reduction.reduce_slow([x[:n] for x, n in zip(laid, rows, strict=True)])
+        for name in sources - self._full_inputs.keys():
+            self._full_inputs[name] = self._lay_side_by_side([x[name] for x in self._inputs])
+        inputs = {name: self._full_inputs[name] for name in sources}
+        laid = evaluate([node], inputs, step_s)[0]
+        return self.reduction.reduce(
+            [x[: len(run)] for x, run in zip(laid, self.runs, strict=True)]
+        )
+
     def _lay_side_by_side(self, stretches: Sequence[Array]) -> Array:
         """Return stretches as rows of one array, the last value repeated behind the shorter."""
-        laid = np.empty((len(stretches), max(self.reduction.rows)))
+        laid = np.empty((len(stretches), max(x.size for x in stretches)))
         for row, x in zip(laid, stretches, strict=True):
             row[: x.size] = x
             row[x.size :] = x[-1]
         return laid
 
     def _is_slow(self, name: str) -> bool:
-        """Return whether a signal hardly moves within a block."""
-        within = total = 0.0
-        for inputs, laid, rows in zip(
-            self._inputs, self._slow_inputs[name], self.reduction.rows, strict=True
-        ):
-            used = rows * self.block
-            spread = float(np.var(inputs[name][:used])) * used
-            total += spread
-            within += spread - float(np.var(laid[:rows])) * used
-        return within <= SLOW_SHARE * total
+        """Return whether a signal is as good as straight within blocks."""
+        if self.block == 1:
+            return True
+        signals = [inputs[name] for inputs in self._inputs]
+        return self.reduction.find_curvature(signals) <= SLOW_SHARE
 
     def _make_offsets(self) -> list[Column]:
         """Return the constant columns: none where each piece has an offset of its own."""

@@ -10,7 +10,7 @@ from zerodrift.config import EffectConfig
 from zerodrift.physics.campaign import Campaign, Sums
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Effect, Parameter
-from zerodrift.physics.evidence import HeldOut, hold_out
+from zerodrift.physics.evidence import Errors, hold_out
 from zerodrift.physics.projection import (
     get_coordinates,
     invert_scaled,
@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 
 NEAR = 3.0
 """A value is near its typical range within this factor of it."""
+LEADING = 0.5
+"""Candidates with this share of the best one's gain are fitted on all samples."""
 LEAST_EXCITATION = 0.05
 """Share of an effect that the model cannot imitate, below which it cannot be tested."""
 
@@ -55,8 +57,10 @@ class Candidate:
     found: Found
     sums: Sums
     """With slopes along all coordinates, so that it can be judged again with other weights."""
-    held_out: HeldOut
+    held_out: Errors
     excitation: float
+    exact: bool
+    """Whether it was fitted on all samples, not on averages over blocks."""
 
     @property
     def kind(self) -> str:
@@ -157,7 +161,11 @@ def try_candidates(
     weights: Array,
     advance: Callable[[str], None] = lambda kind: None,
 ) -> tuple[list[Candidate], list[Untested]]:
-    """Return the proposals fitted and judged, and those that the logs cannot test."""
+    """Return the proposals fitted and judged, and those that the logs cannot test.
+
+    Values are searched for on averages over blocks where that is good enough; the leading
+    candidates are then fitted again on all samples.
+    """
     candidates, untested = [], []
     for proposal in proposals:
         excitation = measure_excitation(campaign, base, proposal, weights)
@@ -173,22 +181,68 @@ def try_candidates(
         else:
             candidates.append(fit_candidate(campaign, proposal, weights, excitation))
         advance(proposal.kind)
-    return candidates, untested
+    return _refine_leaders(campaign, candidates, weights), untested
 
 
 def fit_candidate(
     campaign: Campaign, proposal: Proposal, weights: Array, excitation: float
 ) -> Candidate:
     """Return one proposal fitted to all runs, and judged on each from the others."""
+    if _may_search_coarsely(campaign, proposal):
+        with campaign.coarsely():
+            found = search(
+                campaign, proposal.terms, weights, vary=(proposal.place,), refined_starts=1
+            )
+            return _judge(campaign, proposal, found, weights, excitation, exact=False)
     found = search(campaign, proposal.terms, weights, vary=(proposal.place,), refined_starts=1)
+    return _judge(campaign, proposal, found, weights, excitation, exact=True)
+
+
+def _may_search_coarsely(campaign: Campaign, proposal: Proposal) -> bool:
+    """Return whether the proposal has values to search for and block means suffice for them."""
+    if not proposal.terms[proposal.place].free or campaign.block == 1:
+        return False
+    return campaign.is_coarse_enough([f.signal for f in campaign.build(proposal.terms)])
+
+
+def _refine_leaders(
+    campaign: Campaign, candidates: Sequence[Candidate], weights: Array
+) -> list[Candidate]:
+    """Return the candidates, those near the best one fitted on all samples."""
+    if not candidates:
+        return []
+    scores = [float(c.held_out.score(weights).sum()) for c in candidates]
+    limit = min(scores) + (1.0 - LEADING) * (max(scores) - min(scores))
+    refined = []
+    for candidate, score in zip(candidates, scores, strict=True):
+        if candidate.exact or score > limit:
+            refined.append(candidate)
+            continue
+        found = search(campaign, candidate.found.terms, weights, vary=())
+        refined.append(
+            _judge(campaign, candidate.proposal, found, weights, candidate.excitation, exact=True)
+        )
+    return refined
+
+
+def _judge(
+    campaign: Campaign,
+    proposal: Proposal,
+    found: Found,
+    weights: Array,
+    excitation: float,
+    *,
+    exact: bool,
+) -> Candidate:
+    """Return a fitted proposal with its held-out errors."""
     coordinates = list_coordinates(found.terms)
     sums = sum_with_slopes(campaign, found.terms, coordinates)
     position = get_coordinates(found.terms, coordinates)
     held_out = hold_out(sums, weights, coordinates, position, campaign.unit_of_piece)
-    return Candidate(proposal, found, sums, held_out, excitation)
+    return Candidate(proposal, found, sums, held_out, excitation, exact)
 
 
-def judge_again(campaign: Campaign, candidate: Candidate, weights: Array) -> HeldOut:
+def judge_again(campaign: Campaign, candidate: Candidate, weights: Array) -> Errors:
     """Return the candidate's held-out errors under other weights, without building columns."""
     coordinates = list_coordinates(candidate.found.terms)
     position = get_coordinates(candidate.found.terms, coordinates)

@@ -10,6 +10,13 @@ from pathlib import Path
 from zerodrift.errors import InputError, nearest
 from zerodrift.physics.effect import Effect
 
+READING_ORDER = (
+    *("zero_tempco", "dark_current", "span_tempco", "thermal_lag", "thermal_gradient", "warm_up"),
+    *("thermal_hysteresis", "creep", "load_hysteresis", "load_nonlinearity", "crosstalk"),
+    *("supply_sensitivity", "humidity", "ambient_light", "inertial_load", "ageing"),
+    *("clock_delay", "adc_saturation"),
+)
+"""The order of the catalogue for readers; that of the modules is the order of acting."""
 ENTRY_POINT_GROUP = "zerodrift.effects"
 
 
@@ -36,9 +43,10 @@ class Catalogue(Mapping[str, Effect]):
     def __contains__(self, kind: object) -> bool:
         return kind in self.effects
 
-    def rank(self, kind: str) -> int:
-        """Return the effect's place in the order of acting."""
-        return list(self.effects).index(kind)
+    def listed(self) -> list[Effect]:
+        """Return the effects in the order in which people look for them, a user's own last."""
+        known = [self.effects[kind] for kind in READING_ORDER if kind in self.effects]
+        return known + [e for kind, e in self.effects.items() if kind not in READING_ORDER]
 
 
 _registered: dict[str, Effect] = {}

@@ -116,6 +116,7 @@ def cut_blocks(runs: Sequence[Sequence[Run]]) -> Blocks:
 
 def describe(
     blocks: Blocks,
+    errors: Sequence[Array],
     outputs: Sequence[str],
     units: Sequence[str],
     channel_units: Mapping[str, str] | None = None,
@@ -124,6 +125,7 @@ def describe(
 
     Args:
         blocks: the runs.
+        errors: [n, K] what the model leaves of each stretch.
         outputs: names of the K outputs.
         units: their units.
         channel_units: unit of each input channel, where it is known.
@@ -133,7 +135,7 @@ def describe(
         *_describe_time(blocks),
         *_describe_loads(blocks, outputs, units),
         *_describe_channels(blocks, channel_units or {}),
-        *_describe_readings(blocks, outputs, units),
+        *_describe_readings(blocks, errors, outputs, units),
     ]
     return tuple(d for d in found if d.thresholds.size)
 
@@ -378,11 +380,16 @@ def _describe_channels(blocks: Blocks, channel_units: Mapping[str, str]) -> list
 
 
 def _describe_readings(
-    blocks: Blocks, outputs: Sequence[str], units: Sequence[str]
+    blocks: Blocks, errors: Sequence[Array], outputs: Sequence[str], units: Sequence[str]
 ) -> list[Descriptor]:
+    """Describe what each output should have read: its own error must not explain itself."""
     found = []
     for k, (name, unit) in enumerate(zip(outputs, units, strict=True)):
-        size = blocks.average([np.abs(run.measured[:, k]) for run in blocks.stretches])
+        expected = [
+            np.abs(run.measured[:, k] - error[:, k])
+            for run, error in zip(blocks.stretches, errors, strict=True)
+        ]
+        size = blocks.average(expected)
         words = f"while {name} reads beyond ±{{}} {unit}"
         found.append(Descriptor(size, _positive(size), words, output=k, liking=0.9))
     return found

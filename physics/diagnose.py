@@ -12,15 +12,15 @@ from zerodrift.physics.campaign import FEWEST_RUNS, Campaign
 from zerodrift.physics.candidates import Untested
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.diagnosis import CandidateReport, Diagnosis
-from zerodrift.physics.evidence import compare_runs, hold_out
-from zerodrift.physics.examination import Examination, Judged, examine, predict
+from zerodrift.physics.evidence import compare_runs, hold_in, hold_out
+from zerodrift.physics.examination import Examination, Judged, examine, predict, share_explained
 from zerodrift.physics.experiments import choose_experiment
 from zerodrift.physics.fit import TARE_RATIO, check_terms, flat_weights
 from zerodrift.physics.projection import get_coordinates, list_coordinates
 from zerodrift.physics.remainder import Pattern, describe_remainder
 from zerodrift.physics.search import search, sum_with_slopes
 from zerodrift.physics.signals import explain_missing, plan_signals
-from zerodrift.physics.terms import Term, start_term
+from zerodrift.physics.terms import Term, start_term, tidy_terms
 
 Array = NDArray[np.float64]
 
@@ -36,6 +36,8 @@ AT_ESTIMATED_FLOOR = 1.4
 """The same for a floor that was estimated, which is a lower bound."""
 EXPLAINED = 0.95
 """Share of the excess over the floor that an effect of nearly the right form explains."""
+LEFT_WITHOUT_DWELL = 0.5
+"""Share of the held-out squared error that an effect may leave where no dwell tells the floor."""
 CONCENTRATED = 0.8
 """An effect seen in too few runs for a small p-value must explain this share of the excess, ..."""
 ALL_GAIN = 0.95
@@ -52,8 +54,6 @@ MOST_EFFECTS = 4
 """Effects that are looked for together before giving up."""
 SHORTLIST = 6
 """Effects that are tried again in each other's presence."""
-MOST_ADDED = 6
-"""Effects that repeated diagnosis adds at most."""
 WANDERING = 0.4
 """Share of slow variance in a dwell above which the sensor wanders even at rest."""
 SLOW_SAMPLES = 64.0
@@ -107,63 +107,6 @@ def diagnose(
     return Diagnostician(dataset, catalogue, effects, advance).conclude()
 
 
-@dataclass(frozen=True)
-class Course:
-    """What repeated diagnosis came to: its steps, the model in the end, and what to drop."""
-
-    steps: tuple[Diagnosis, ...]
-    """The last one is not `missing`, unless the limit of steps was reached."""
-    effects: tuple[EffectConfig, ...]
-    """The `[[effect]]` tables in the end."""
-    drop: tuple[str, ...]
-    """Effects that no longer earn their place."""
-
-
-def diagnose_until_done(
-    effects: Sequence[EffectConfig],
-    dataset: Dataset,
-    catalogue: Catalogue | None = None,
-    advance: Advance = lambda kind: None,
-) -> Course:
-    """Return the course of adding what is missing until nothing is, or it cannot be named.
-
-    Args:
-        effects: the model's `[[effect]]` tables.
-        dataset: its runs.
-        catalogue: the known effects; by default the built-ins.
-        advance: called with each effect's name when it has been tried.
-    """
-    catalogue = catalogue or load_catalogue()
-    steps: list[Diagnosis] = []
-    while len(steps) <= MOST_ADDED:
-        steps.append(diagnose(effects, dataset, catalogue, advance))
-        if steps[-1].effect is None:
-            break
-        effects = extend_model(effects, catalogue, steps[-1])
-    drop = Diagnostician(dataset, catalogue, effects, advance).list_idle()
-    return Course(tuple(steps), tuple(effects), drop)
-
-
-def extend_model(
-    effects: Sequence[EffectConfig], catalogue: Catalogue, diagnosis: Diagnosis
-) -> tuple[EffectConfig, ...]:
-    """Return the tables with the missing effect added, or its richer form put in place."""
-    assert diagnosis.effect is not None
-    effect = catalogue[diagnosis.effect]
-    choices = {
-        p.name: diagnosis.parameters[p.name]
-        for p in effect.parameters
-        if p.choices and p.name in diagnosis.parameters
-    }
-    changed = [
-        replace(config, held={**config.held, **choices}) if config.kind == effect.kind else config
-        for config in effects
-    ]
-    if any(config.kind == effect.kind for config in effects):
-        return tuple(changed)
-    return (*changed, EffectConfig(effect.kind, choices))
-
-
 class Diagnostician:
     """The runs of a project, its catalogue and its model, looked at until a verdict stands.
 
@@ -210,21 +153,20 @@ class Diagnostician:
         if rails is not None and self.helps(rails):
             first = self._with_rails(first, rails)
             findings = self._place_rails(first, rails, findings)
-        before = first.floor_ratio
-        after = findings[-1].judged.floor_ratio if findings else before
-        if last is not None:
-            after = min(after, last.floor_ratio)
         if not findings:
-            wanders = self.wanders(first)
-            verdict = "complete" if before <= self.limit and not wanders else "unknown"
-            return self._report(verdict, first, None, (), before)
+            at_floor = first.fitted_ratio <= self.limit and not self.wanders(first)
+            return self._report("complete" if at_floor else "unknown", first, None, ())
+        left = findings[-1].judged.fitted_ratio if last is None else last.fitted_ratio
         if len(findings) > 1:
             findings = self.confirm(findings)
-        excess = max(before**2 - 1.0, 1e-9)
-        share = 1.0 - max(after**2 - 1.0, 0.0) / excess
-        if after > self.limit and share < EXPLAINED:
-            return self._report("unknown", first, findings[0], (), before)
-        return self._report("missing", first, findings[0], tuple(findings[1:]), before)
+        share = share_explained(first.fitted_ratio**2, left**2)
+        explained = left <= self.limit or share >= EXPLAINED
+        if not self.dataset.dwell:
+            # A floor that is a lower bound cannot refuse; a large held-out gain must do.
+            explained = explained or findings[0].judged.rmse_ratio ** 2 <= LEFT_WITHOUT_DWELL
+        if not explained:
+            return self._report("unknown", first, findings[0], ())
+        return self._report("missing", first, findings[0], tuple(findings[1:]))
 
     def look(self, terms: Sequence[Term], kinds: frozenset[str] | None = None) -> Examination:
         """Return what every effect that `terms` lack would gain."""
@@ -249,7 +191,7 @@ class Diagnostician:
             if leading is None:
                 return findings, examination if findings else None
             findings.append(Finding(examination, leading))
-            if leading.floor_ratio <= self.limit:
+            if leading.fitted_ratio <= self.limit:
                 return findings, None
             examination = self.look(leading.found.terms)
         return findings, examination
@@ -350,37 +292,46 @@ class Diagnostician:
         )
         coordinates = list_coordinates(first.base.terms)
         position = get_coordinates(first.base.terms, coordinates)
-        scores, errors = [], []
+        scores, errors, left = [], [], []
         for campaign in (raw, self.campaign):
             sums = sum_with_slopes(campaign, first.base.terms, coordinates)
             out = hold_out(sums, first.weights, coordinates, position, campaign.unit_of_piece)
             units = campaign.unit_of_piece
             scores.append(np.asarray(np.bincount(units, weights=out.score(first.weights)), float))
             errors.append(out.mean_squares(campaign.means) / first.floor**2)
+            inside = hold_in(sums, first.weights).mean_squares(campaign.means)
+            left.append(float(np.mean(inside / first.floor**2)))
         effect = self.catalogue[kinds[0]]
         term = start_term(self.catalogue, EffectConfig(effect.kind))
-        gone = float(np.mean(errors[0]) - np.mean(errors[1]))
         return Judged(
-            effect.kind,
-            {},
-            replace(first.base, terms=(*first.base.terms, term)),
-            1.0,
-            True,
-            scores[0] - scores[1],
+            kind=effect.kind,
+            parameters={},
+            found=replace(first.base, terms=(*first.base.terms, term)),
+            excitation=1.0,
+            plausible=True,
+            gains=scores[0] - scores[1],
             # Seen, not inferred: noise does not repeat an extreme to the last digit.
-            0.0,
-            float(np.sqrt(np.mean(errors[1]) / np.mean(errors[0]))),
-            float(np.sqrt(np.min(errors[1] / errors[0]))),
-            float(np.sqrt(np.mean(errors[1]))),
-            gone / max(float(np.mean(errors[0])) - 1.0, 1e-9),
+            p_value=0.0,
+            rmse_ratio=float(np.sqrt(np.mean(errors[1]) / np.mean(errors[0]))),
+            best_output_ratio=float(np.sqrt(np.min(errors[1] / errors[0]))),
+            floor_ratio=float(np.sqrt(np.mean(errors[1]))),
+            fitted_ratio=float(np.sqrt(left[1])),
+            share=share_explained(left[0], left[1]),
         )
 
     def _with_rails(self, first: Examination, rails: Judged) -> Examination:
         """Return the first examination with the samples at a rail counted among its errors."""
-        ratio = rails.floor_ratio / rails.rmse_ratio
-        scale = (ratio / first.floor_ratio) ** 2
+        held_out = (rails.floor_ratio / rails.rmse_ratio / first.floor_ratio) ** 2
+        before = rails.fitted_ratio**2
+        if rails.share < 1.0:
+            before = (before - rails.share) / (1.0 - rails.share)
         judged = sorted((*first.judged, rails), key=lambda j: -j.gain)
-        return replace(first, base_errors=first.base_errors * scale, judged=tuple(judged))
+        return replace(
+            first,
+            base_errors=first.base_errors * held_out,
+            base_left=first.base_left * before / first.fitted_ratio**2,
+            judged=tuple(judged),
+        )
 
     def _place_rails(
         self, first: Examination, rails: Judged, findings: Sequence[Finding]
@@ -399,20 +350,19 @@ class Diagnostician:
         first: Examination,
         finding: Finding | None,
         others: tuple[Finding, ...],
-        before: float,
     ) -> Diagnosis:
         """Return the diagnosis in words and numbers."""
         missing = verdict == "missing" and finding is not None
         alike = self.list_lookalikes(finding) if missing and finding is not None else []
         nearest = finding.judged if finding else (first.judged[0] if first.judged else None)
-        after = before
+        after = before = first.floor_ratio
         if missing and finding is not None:
             after = finding.judged.floor_ratio if not others else self._alone(first, finding)
         remainder = self._describe(first) if verdict == "unknown" else ()
         return Diagnosis(
             verdict=verdict,
             effect=finding.judged.kind if missing and finding is not None else None,
-            parameters=finding.judged.parameters if missing and finding is not None else {},
+            parameters=self._refit(finding.judged) if missing and finding is not None else {},
             lookalikes=tuple(judged.kind for judged in alike),
             also=tuple(other.judged.kind for other in others) if missing else (),
             nearest=nearest.kind if verdict == "unknown" and nearest is not None else None,
@@ -435,6 +385,13 @@ class Diagnostician:
             evidence=self._weigh_evidence(),
             notes=self._list_notes(verdict, first),
         )
+
+    def _refit(self, judged: Judged) -> dict[str, float]:
+        """Return the effect's values by plain least squares, as the fit of the model gives them."""
+        found = search(self.campaign, judged.found.terms, flat_weights(self.campaign), vary=())
+        terms = tidy_terms(found.terms)
+        values = next(term.values for term in terms if term.effect.kind == judged.kind)
+        return {name: values[name] for name in judged.parameters}
 
     def _alone(self, first: Examination, finding: Finding) -> float:
         """Return the floor ratio with this one of several effects added."""

@@ -99,6 +99,8 @@ class Effect:
     """(ops, signals, p) -> the features that the effect adds to the linear model."""
     rewrite: Rewrite | None = None
     """(ops, signals, p) -> the signals that all effects see from now on; None: leaves them."""
+    tidy: Callable[[Values], Values] | None = None
+    """values -> equal values as people write them, such as the slower time constant last."""
     sets_aside: bool = False
     """Whether samples at a converter's rail are set aside: they say nothing about the drift."""
     parameters: tuple[Parameter, ...] = ()

@@ -68,11 +68,20 @@ def rewrite_thermal_lag(ops: Operations[S], signals: Signals[S], p: Values) -> S
     return replace(signals, temperature_degC=lagged)
 
 
+def put_slower_last(p: Values) -> Values:
+    """Return the same response with the slower of two time constants as the slow one."""
+    if p["time_constants"] == 1 or p["slow_tau_s"] >= p["tau_s"]:
+        return p
+    swapped = {"tau_s": p["slow_tau_s"], "slow_tau_s": p["tau_s"]}
+    return {**p, **swapped, "slow_share": 1.0 - p["slow_share"]}
+
+
 register(
     Effect(
         kind="thermal_lag",
         title="thermal lag of the element behind the chip",
         rewrite=rewrite_thermal_lag,
+        tidy=put_slower_last,
         parameters=(
             Parameter(
                 "time_constants",

@@ -79,11 +79,19 @@ def build_creep(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[
     )
 
 
+def put_slower_last(p: Values) -> Values:
+    """Return the values with the slower of two retardation times last."""
+    if p["time_constants"] == 1 or p["slow_tau_s"] >= p["tau_s"]:
+        return p
+    return {**p, "tau_s": p["slow_tau_s"], "slow_tau_s": p["tau_s"]}
+
+
 register(
     Effect(
         kind="creep",
         title="creep and creep recovery",
         build=build_creep,
+        tidy=put_slower_last,
         parameters=(
             CROSS_AXES,
             Parameter(

@@ -26,8 +26,8 @@ MOST_FLIPS = 4096
 
 
 @dataclass(frozen=True)
-class HeldOut:
-    """Squared errors of each piece of time, predicted from all runs but its own."""
+class Errors:
+    """Squared errors of each piece of time."""
 
     squares: Array
     """[G, L, K] sums of squares per piece, octave and output."""
@@ -49,7 +49,7 @@ def hold_out(
     coordinates: Sequence[Coordinate],
     position: Array,
     unit_of_piece: NDArray[np.int64],
-) -> HeldOut:
+) -> Errors:
     """Return the errors of every unit of evidence, predicted from all the others.
 
     Args:
@@ -83,11 +83,26 @@ def hold_out(
             solution = solve(sums, folds, shift)
     squares = np.empty((unit_of_piece.size, *weights.shape))
     for fold, unit in enumerate(units):
-        residual = solution.residual[fold]
-        for g in np.flatnonzero(unit_of_piece == unit):
-            moved = residual @ sums.products[g]
-            squares[g] = np.einsum("lkc,kc->lk", moved, residual)
-    return HeldOut(np.maximum(squares, 0.0), sums.counts)
+        mine = unit_of_piece == unit
+        squares[mine] = _square(solution.residual[fold], sums.products[mine])
+    return Errors(squares, sums.counts)
+
+
+def hold_in(sums: Sums, weights: Array) -> Errors:
+    """Return the errors of every piece that a fit to all of them leaves.
+
+    Args:
+        sums: the sums of products.
+        weights: [L, K] of the fit.
+    """
+    solution = solve(sums, weigh(sums, weights).sum(axis=0))
+    return Errors(_square(solution.residual, sums.products), sums.counts)
+
+
+def _square(residual: Array, products: Array) -> Array:
+    """Return the squares [G, L, K] of residuals [K, C], from sums of products [G, L, C, C]."""
+    moved = residual @ products
+    return np.asarray(np.maximum(np.einsum("glkc,kc->glk", moved, residual), 0.0))
 
 
 def flip_signs(gains: Array) -> Array:

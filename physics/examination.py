@@ -16,7 +16,7 @@ from zerodrift.physics.candidates import (
     try_candidates,
 )
 from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.evidence import HeldOut, flip_signs, hold_out
+from zerodrift.physics.evidence import Errors, flip_signs, hold_in, hold_out
 from zerodrift.physics.floor import estimate_fast_noise
 from zerodrift.physics.noise import Noise, measure_noise
 from zerodrift.physics.projection import get_coordinates, list_coordinates
@@ -56,8 +56,11 @@ class Judged:
     """The same for the output that gains most."""
     floor_ratio: float
     """Held-out RMSE with it over the noise floor."""
+    fitted_ratio: float
+    """RMSE with it over the noise floor in the runs it was fitted to: what is left that no value
+    of its parameters takes away, while a run left out may lie beyond the others' temperatures."""
     share: float
-    """Share of the squared error above the floor that it takes away, held out."""
+    """Share of the squared error above the floor that it takes away, fitted."""
 
     @property
     def gain(self) -> float:
@@ -84,6 +87,8 @@ class Examination:
     """[L, K] used for the gains."""
     base_errors: Array
     """[K] held-out mean squares of the model as it is."""
+    base_left: Array
+    """[K] mean squares that its fit leaves."""
     judged: tuple[Judged, ...]
     untested: tuple[Untested, ...]
 
@@ -91,6 +96,11 @@ class Examination:
     def floor_ratio(self) -> float:
         """Held-out RMSE of the model as it is over the noise floor, pooled over outputs."""
         return float(np.sqrt(np.mean(self.base_errors / self.floor**2)))
+
+    @property
+    def fitted_ratio(self) -> float:
+        """RMSE of the model as it is over the floor in the runs that it was fitted to."""
+        return float(np.sqrt(np.mean(self.base_left / self.floor**2)))
 
 
 def examine(
@@ -124,7 +134,7 @@ def examine(
     sums = sum_with_slopes(campaign, base.terms, coordinates)
     position = get_coordinates(base.terms, coordinates)
 
-    def judge_base(weights: Array) -> HeldOut:
+    def judge_base(weights: Array) -> Errors:
         return hold_out(sums, weights, coordinates, position, campaign.unit_of_piece)
 
     base_out = judge_base(weights)
@@ -132,10 +142,11 @@ def examine(
     if candidates:
         best = min(candidates, key=lambda c: float(c.held_out.score(weights).sum()))
         noise, floor = measure_rest(campaign, dwell, best.found)
-        weights = _weigh_by_rest(campaign, noise, best.held_out, bool(dwell))
+        weights = _weigh_by_rest(campaign, noise, hold_in(best.sums, weights), bool(dwell))
         base_out = judge_base(weights)
         judged_by = {id(c): judge_again(campaign, c, weights) for c in candidates}
-    judged = _judge(campaign, candidates, judged_by, base_out, weights, floor)
+    base_in = hold_in(sums, weights)
+    judged = _judge(campaign, candidates, judged_by, (base_out, base_in), weights, floor)
     return Examination(
         tuple(base.terms),
         base,
@@ -143,6 +154,7 @@ def examine(
         floor,
         weights,
         base_out.mean_squares(campaign.means),
+        base_in.mean_squares(campaign.means),
         tuple(judged),
         tuple(untested),
     )
@@ -205,7 +217,7 @@ def _invert(campaign: Campaign, variance: Array) -> Array:
     return weights
 
 
-def _weigh_by_rest(campaign: Campaign, noise: Noise, best: HeldOut, has_dwell: bool) -> Array:
+def _weigh_by_rest(campaign: Campaign, noise: Noise, best: Errors, has_dwell: bool) -> Array:
     """Return weights [L, K] from what the best candidate leaves over, and from the dwell.
 
     A candidate that is right leaves the noise; one that is nearly right leaves more where it is
@@ -231,12 +243,16 @@ def _most_excited(untested: Sequence[Untested]) -> list[Untested]:
 def _judge(
     campaign: Campaign,
     candidates: Sequence[Candidate],
-    judged_by: Mapping[int, HeldOut],
-    base_out: HeldOut,
+    judged_by: Mapping[int, Errors],
+    base: tuple[Errors, Errors],
     weights: Array,
     floor: Array,
 ) -> list[Judged]:
-    """Return every effect in its best form, best gain first."""
+    """Return every effect in its best form, best gain first.
+
+    `base` are the model's own errors, held out and fitted.
+    """
+    base_out, base_in = base
     units = campaign.unit_of_piece
     base_score = _per_unit(base_out.score(weights), units)
     base_errors = base_out.mean_squares(campaign.means) / floor**2
@@ -247,10 +263,11 @@ def _judge(
     if not chosen:
         return []
     p_values = flip_signs(np.stack([gains[id(c)] for c in chosen]))
-    excess = max(float(np.mean(base_errors)) - 1.0, 1e-9)
+    base_left = float(np.mean(base_in.mean_squares(campaign.means) / floor**2))
     judged = []
     for candidate, p_value in zip(chosen, p_values.tolist(), strict=True):
         errors = judged_by[id(candidate)].mean_squares(campaign.means) / floor**2
+        left = hold_in(candidate.sums, weights).mean_squares(campaign.means) / floor**2
         judged.append(
             Judged(
                 candidate.kind,
@@ -263,10 +280,16 @@ def _judge(
                 float(np.sqrt(np.mean(errors) / np.mean(base_errors))),
                 float(np.sqrt(np.min(errors / base_errors))),
                 float(np.sqrt(np.mean(errors))),
-                (float(np.mean(base_errors)) - float(np.mean(errors))) / excess,
+                float(np.sqrt(np.mean(left))),
+                share_explained(base_left, float(np.mean(left))),
             )
         )
     return sorted(judged, key=lambda j: -j.gain)
+
+
+def share_explained(before: float, after: float) -> float:
+    """Return the share of the squared error above the floor (1.0) that was taken away."""
+    return (before - after) / max(before - 1.0, 1e-9)
 
 
 def _per_unit(scores: Array, units: NDArray[np.int64]) -> Array:

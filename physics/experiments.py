@@ -26,6 +26,10 @@ WORTHWHILE = 1.0
 """Predictions must differ by this many times the noise for an experiment to be worth doing."""
 
 
+NEARLY = 0.95
+"""An experiment that tells this share of what the best one tells will do."""
+
+
 @dataclass(frozen=True)
 class Experiment:
     """One item of the menu: what to do, and what the signals would then be."""
@@ -37,6 +41,12 @@ class Experiment:
     """[n] of each output's largest load in the logs."""
     channel_share: Mapping[str, Array]
     """Channel -> [n] share of its range in the logs, 0..1."""
+
+    @property
+    def effort(self) -> int:
+        """How many things have to be moved."""
+        moves_temperature = bool(np.ptp(self.temperature_degC) > 0.0)
+        return int(moves_temperature) + int(self.load_share.any()) + len(self.channel_share)
 
 
 def list_experiments(lowest_degC: float, highest_degC: float) -> list[Experiment]:
@@ -156,7 +166,7 @@ def choose_experiment(
     """
     lowest = min(float(run.temperature_degC.min()) for run in runs)
     highest = max(float(run.temperature_degC.max()) for run in runs)
-    best: tuple[Experiment, float] | None = None
+    found: list[tuple[Experiment, float]] = []
     for experiment in list_experiments(lowest, highest):
         if any(channel not in plan.channels for channel in experiment.channel_share):
             continue
@@ -166,9 +176,15 @@ def choose_experiment(
         difference = _predict(signals, plan, order, *one) - _predict(signals, plan, order, *other)
         difference -= difference.mean(axis=0)
         apart = float(np.sqrt(np.mean((difference / noise) ** 2)))
-        if best is None or apart > best[1]:
-            best = (experiment, apart)
-    return best if best is not None and best[1] >= WORTHWHILE else None
+        found.append((experiment, apart))
+    most = max((apart for _, apart in found), default=0.0)
+    if most < WORTHWHILE:
+        return None
+    # Of experiments that tell about as much, the one that moves least is the easiest.
+    return min(
+        (entry for entry in found if entry[1] >= NEARLY * most),
+        key=lambda entry: (entry[0].effort, -entry[1]),
+    )
 
 
 def _simulate(experiment: Experiment, plan: SignalPlan, runs: Sequence[Run]) -> Signals[Array]:

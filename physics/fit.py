@@ -1,6 +1,7 @@
 """Fit of a physical model to runs: values, coefficients, their errors, and what cannot be told."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from zerodrift.physics.projection import (
 )
 from zerodrift.physics.search import Found, search, sum_with_slopes
 from zerodrift.physics.signals import SignalPlan, explain_missing, plan_signals, read_signals
-from zerodrift.physics.terms import OFFSET, Term, build_columns, start_term
+from zerodrift.physics.terms import OFFSET, Term, build_columns, start_term, tidy_terms
 
 Array = NDArray[np.float64]
 
@@ -149,7 +150,7 @@ def fit_terms(
         ratio = float(np.mean(together.solution.errors / found.solution.errors))
         if ratio < TARE_RATIO:
             campaign, found = common, together
-    return _finish(campaign, found, units)
+    return _finish(campaign, replace(found, terms=tuple(tidy_terms(found.terms))), units)
 
 
 def flat_weights(campaign: Campaign) -> Array:

@@ -14,10 +14,16 @@ Array = NDArray[np.float64]
 
 DWELL = "dwell"
 ESTIMATED = "estimated"
+ISOTHERMAL_K = 1.0
+"""A dwell in which the temperature moves by more is doubted."""
 PIECE = 64
 """Without a dwell, noise is read within pieces of this many samples: over longer times noise and
 drift look alike."""
 SECTIONS_PER_RUN = 8
+MOST_GROWTH = 2.0
+"""From one octave to the next, for the variance of noise."""
+FASTER = 1.3
+"""The same, against the growth one octave before."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +38,20 @@ class NoiseFloor:
     """Length of the run that the figures are for."""
     slowest_s: float
     """The slowest noise that could be seen; slower noise is not in the figures."""
+    moved_K: float = 0.0
+    """By how much the temperature moved in the dwell logs."""
 
     def explain(self) -> str:
         """Return where the floor comes from and what it is worth, in a sentence."""
         if self.source == DWELL:
-            return f"the noise floor is that of the dwell logs, for a run of {self.span_s:.0f} s"
+            doubt = ""
+            if self.moved_K > ISOTHERMAL_K:
+                doubt = (
+                    f"; the temperature moves by {self.moved_K:.1f} K in them, so part of it may "
+                    "be drift"
+                )
+            span = f"for a run of {self.span_s:.0f} s"
+            return f"the noise floor is that of the dwell logs, {span}{doubt}"
         return (
             "the noise floor is estimated from what the model leaves, as there is no dwell log: "
             f"only noise faster than about {self.slowest_s:.0f} s counts, so the true floor may be "
@@ -55,9 +70,15 @@ def measure_floor(dataset: Dataset, residuals: Sequence[Array]) -> NoiseFloor:
     period_s = runs[0].sample_period_s
     span = int(np.median([len(run) for run in runs]))
     if dataset.dwell:
-        noise = measure_noise([run.drift for run in dataset.dwell], DWELL)
+        records = [run.drift for run in dataset.dwell]
+        # A channel that is not connected has no noise to describe.
+        alive = np.any([np.ptp(record, axis=0) > 0.0 for record in records], axis=0)
+        rms = np.zeros(alive.size)
+        if alive.any():
+            rms[alive] = measure_noise([record[:, alive] for record in records], DWELL).rms(span)
         longest = max(len(run) for run in dataset.dwell)
-        return NoiseFloor(noise.rms(span), DWELL, span * period_s, longest * period_s)
+        moved = max(float(np.ptp(run.temperature_degC)) for run in dataset.dwell)
+        return NoiseFloor(rms, DWELL, span * period_s, longest * period_s, moved)
     rms = estimate_fast_noise(residuals, span)
     return NoiseFloor(rms, ESTIMATED, span * period_s, PIECE * period_s)
 
@@ -92,8 +113,24 @@ def estimate_fast_noise(residuals: Sequence[Array], span: int) -> Array:
         sections, place = np.unique(owner[here], return_inverse=True)
         each = np.stack([squares[here][place == s].mean(axis=0) for s in range(sections.size)])
         variances[row] = np.median(each, axis=0)
-        if row:
-            # Flicker doubles from octave to octave; what grows faster is drift.
-            variances[row] = np.minimum(variances[row], 2.0 * variances[row - 1])
         counts[row] = float(here.sum())
-    return describe_noise(numbers, variances, counts, ESTIMATED).rms(span)
+    _limit_growth(variances)
+    rms = np.zeros(stacked.shape[1])
+    alive = variances.max(axis=0) > 0.0
+    if alive.any():
+        rms[alive] = describe_noise(numbers, variances[:, alive], counts, ESTIMATED).rms(span)
+    return rms
+
+
+def _limit_growth(variances: Array) -> None:
+    """Lower variances [L, K] of octaves, fine to coarse, to what noise can have.
+
+    From octave to octave flicker doubles, and noise of any colour grows steadily or ever less;
+    what a model misses grows eightfold once it shows, so growth that gathers pace is drift.
+    """
+    growth = np.full(variances.shape[1], MOST_GROWTH)
+    for row in range(1, variances.shape[0]):
+        finer = np.maximum(variances[row - 1], 1e-300)
+        variances[row] = np.minimum(variances[row], growth * finer)
+        reached = np.maximum(variances[row] / finer, 1.0)
+        growth = np.minimum(MOST_GROWTH, FASTER * reached)

@@ -141,6 +141,8 @@ def _find_shift(
     sums: Sums, total: Array, terms: Sequence[Term], coordinates: Sequence[Coordinate]
 ) -> Array:
     """Return the move [P] of the coordinates that lowers the pooled errors, slopes kept."""
+    if not coordinates:
+        return np.zeros(0)
     position = get_coordinates(terms, coordinates)
     bounds = np.array([c.bounds for c in coordinates])
     low = np.maximum(bounds[:, 0] - position, -MOST_MOVE)

@@ -11,16 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from zerodrift.errors import InputError
-from zerodrift.physics.revision import (
-    Revision,
-    describe_revision,
-    name_effect,
-)
+from zerodrift.physics.changes import name_effect
+from zerodrift.physics.revision import Revision, describe_revision
 
 FORMAT = 1
 FILE_NAME = "history.json"
 SAME = 1e-3
 """Relative difference of errors below which a step continues where the last one ended."""
+
+SIGNS = {"add": "+", "change": "~", "remove": "-"}
 
 Errors = Mapping[str, float]
 """Output -> held-out RMSE in its unit."""
@@ -31,7 +30,7 @@ class Entry:
     """One change of the model."""
 
     action: str
-    """add | remove."""
+    """add | change | remove."""
     effect: str
     """With its thermometer where it is not the chip's: `thermal_lag[body_temperature]`."""
     effects: tuple[str, ...]
@@ -76,7 +75,7 @@ class Step:
     """One stair of the staircase: a state of the model and its held-out errors."""
 
     label: str
-    """start, `+ thermal_lag`, `- ageing`, or a change that was not made by a command."""
+    """start, `+ creep`, `~ creep` for other values, `- creep`, or what no command did."""
     errors: Errors
     noise_floor: Errors
     units: Mapping[str, str]
@@ -97,8 +96,8 @@ def record(revision: Revision) -> Entry:
     """Return the entry of a change."""
     told = describe_revision(revision)
     return Entry(
-        action=revision.action,
-        effect=name_effect(revision.effect),
+        action=revision.change.action,
+        effect=name_effect(revision.change.effect),
         effects=tuple(fitted.term.name for fitted in revision.after.model.terms),
         before=told["before"]["rmse_heldout"],
         after=told["after"]["rmse_heldout"],
@@ -209,7 +208,7 @@ def list_steps(entries: Sequence[Entry]) -> tuple[Step, ...]:
                 )
             )
         tared = entry.tared
-        sign = "+" if entry.action == "add" else "-"
+        sign = SIGNS.get(entry.action, "?")
         steps.append(
             Step(
                 f"{sign} {entry.effect}",

@@ -30,6 +30,8 @@ LEAST_CONCENTRATION = 1.5
 """Share of the error over share of the time, on runs left out."""
 LEAST_AGREEING = 2 / 3
 """Share of the left-out runs in which it must hold."""
+LEAST_SAY = 0.25
+"""Share of the mean run's squared error that a run must have to agree or disagree."""
 LEAST_TIME = 0.005
 MOST_TIME = 0.6
 """Conditions that hold for less or more of the time than this name no place."""
@@ -118,7 +120,7 @@ class Scan:
         self.run = run
         self.runs = count
         self._places = [
-            run * (d.thresholds.size + 1) + np.searchsorted(d.thresholds, d.values, side="left")
+            run * (d.thresholds.size + 1) + np.searchsorted(d.thresholds, d.values, side="right")
             for d in self.descriptors
         ]
 
@@ -156,7 +158,7 @@ class Scan:
         """Return the blocks [M] for which all conditions hold."""
         held = np.ones(self.run.size, dtype=np.bool_)
         for condition in conditions:
-            is_above = self.descriptors[condition.descriptor].values > condition.threshold
+            is_above = self.descriptors[condition.descriptor].values >= condition.threshold
             held &= is_above if condition.is_above else ~is_above
         return held
 
@@ -180,11 +182,10 @@ def find_patterns(scan: Scan, output: int, error: Array, square: Array) -> list[
         error: [M] mean error of each block.
         square: [M] mean squared error of each block beyond the floor, not negative.
     """
-    whole = float(square.sum())
-    if whole <= 0.0:
+    if not square.any():
         return []
     return _find_concentrations(scan, output, error, square) or _find_contrast(
-        scan, output, error, whole
+        scan, output, error, square
     )
 
 
@@ -250,7 +251,7 @@ def _choose_place(
     )
     chosen = np.argmax(on_others, axis=1)
     error, time = error[rows, chosen], time[rows, chosen]
-    can_show = (time > 0.0) & (time < total_time[rows]) & (total_error[rows] > 0.0)
+    can_show = (time > 0.0) & (time < total_time[rows]) & _have_say(total_error)[rows]
     is_dense = error * total_time[rows] > time * total_error[rows]
     share_of_error = float(error.sum()) / whole_error
     share_of_time = float(time.sum()) / whole_time
@@ -264,6 +265,11 @@ def _choose_place(
     )
 
 
+def _have_say(error: Array) -> Mask:
+    """Return the runs [R] with enough squared error to show where it lies."""
+    return np.asarray(error >= LEAST_SAY * error.mean()) & (error > 0.0)
+
+
 def score_place(share_of_error: Array, share_of_time: Array) -> Array:
     """Return the scan statistic of conditions; zero where they name no place."""
     c = np.clip(share_of_error, 1e-12, 1.0 - 1e-12)
@@ -273,9 +279,10 @@ def score_place(share_of_error: Array, share_of_time: Array) -> Array:
     return np.asarray(np.where(is_named, value, 0.0))
 
 
-def _find_contrast(scan: Scan, output: int, error: Array, whole: float) -> list[Pattern]:
+def _find_contrast(scan: Scan, output: int, error: Array, square: Array) -> list[Pattern]:
     """Return the two sides of the condition by which the error's sign is best told, or nothing."""
     # A descriptor must have words for both sides; then one of its two conditions is enough.
+    whole = float(square.sum())
     conditions = scan.list_conditions(output)
     two_sided = [not c.is_above and bool(scan.descriptors[c.descriptor].above) for c in conditions]
     conditions = [c for c, keep in zip(conditions, two_sided, strict=True) if keep]
@@ -290,6 +297,7 @@ def _find_contrast(scan: Scan, output: int, error: Array, whole: float) -> list[
     )
     liking = _like(scan, conditions)
     gains = np.zeros(scan.runs)
+    have_say = _have_say(scan.total(square))
     for run in range(scan.runs):
         levels = [
             np.divide(
@@ -315,8 +323,8 @@ def _find_contrast(scan: Scan, output: int, error: Array, whole: float) -> list[
         0.0,
         float(gains.sum()) / whole,
         1.0,
-        int((gains > 0.0).sum()),
-        scan.runs,
+        int(((gains > 0.0) & have_say).sum()),
+        int(have_say.sum()),
     )
     if not choice.is_shared:
         return []

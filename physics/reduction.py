@@ -28,6 +28,12 @@ class Column:
         theirs = 0.0 if other.fast is None else other.fast
         return Column(self.octaves - other.octaves, np.asarray(mine - theirs))
 
+    @property
+    def energy(self) -> float:
+        """Sum of squares, without the pieces' means, of what is kept."""
+        fast = 0.0 if self.fast is None else float(self.fast @ self.fast)
+        return float(self.octaves @ self.octaves) + fast
+
     def scale(self, factor: float) -> "Column":
         """Return the column times a factor."""
         fast = None if self.fast is None else factor * self.fast
@@ -77,17 +83,45 @@ class Reduction:
     def reduce(self, signals: Sequence[Array]) -> Column:
         """Return the coefficients of a signal at the full rate, given per stretch."""
         means = [self.average(x) for x in signals]
+        octaves = self.reduce_means(means)
         if self.block == 1:
-            return self.reduce_means(means)
+            return octaves
         fast = []
         for i in self.sequence:
             blocks = signals[i][: self.rows[i] * self.block].reshape(-1, self.block)
             kept = slice(None, None, self.stride)
             fast.append((blocks[kept] - means[i][kept, None]).reshape(-1))
-        return Column(self.reduce_means(means).octaves, np.concatenate(fast))
+        return Column(octaves.octaves, np.concatenate(fast))
+
+    def reduce_slow(self, means: Sequence[Array]) -> Column:
+        """Return the coefficients of a signal that is a straight line within each block."""
+        octaves = self.reduce_means(means)
+        if self.block == 1:
+            return octaves
+        fast = [
+            np.outer(_rise(means[i])[:: self.stride], self._places).reshape(-1)
+            for i in self.sequence
+        ]
+        return Column(octaves.octaves, np.concatenate(fast))
+
+    @property
+    def _places(self) -> Array:
+        """Where in a block its samples lie, in blocks from its middle."""
+        return (np.arange(self.block) + 0.5) / self.block - 0.5
+
+    def find_curvature(self, signals: Sequence[Array]) -> float:
+        """Return the share of a signal's variance that straight lines within blocks leave."""
+        left = total = 0.0
+        for x in signals:
+            mean = self.average(x)
+            blocks = x[: mean.size * self.block].reshape(-1, self.block)
+            line = mean[:, None] + np.outer(_rise(mean), self._places)
+            left += float(((blocks - line) ** 2).sum())
+            total += float(((blocks - mean.mean()) ** 2).sum())
+        return left / total if total > 0.0 else 0.0
 
     def reduce_means(self, means: Sequence[Array], *, centre: bool = True) -> Column:
-        """Return the coefficients of block means, given per stretch."""
+        """Return the coefficients of block means, given per stretch, and none within blocks."""
         laid = np.concatenate([means[i] for i in self.sequence]) * np.sqrt(self.block)
         # Any constant is the offsets' business; without it the running sums keep their digits.
         return Column(self.octaves.transform(laid - laid.mean() if centre else laid))
@@ -107,6 +141,11 @@ class Reduction:
                 part = stacked[:, rows]
                 products[piece, -1, places[:, None], places] = self.stride * (part @ part.T)
         return products
+
+
+def _rise(means: Array) -> Array:
+    """Return by how much a signal rises across each block, from its neighbours."""
+    return np.gradient(means) if means.size > 1 else np.zeros_like(means)
 
 
 def plan_reduction(

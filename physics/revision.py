@@ -7,17 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.config import Config, EffectConfig
+from zerodrift.config import Config
 from zerodrift.dataset.runs import Dataset
-from zerodrift.errors import InputError, nearest
 from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.changes import REMOVE, Change, name_effect
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.floor import NoiseFloor, measure_floor
 from zerodrift.physics.held_out import HeldOut, hold_out
 from zerodrift.physics.model import FittedTerm, PhysicalModel
 from zerodrift.physics.run_errors import RunError, collect_errors, pool_rmse
-from zerodrift.physics.signals import explain_missing, plan_signals
-from zerodrift.physics.terms import CHIP, start_term
 
 Array = NDArray[np.float64]
 
@@ -58,11 +56,7 @@ class Fitted:
 class Revision:
     """A change of the model's effects, and what it did to the held-out errors."""
 
-    action: str
-    """add | remove."""
-    effect: EffectConfig
-    effects: tuple[EffectConfig, ...]
-    """Of the model after the change."""
+    change: Change
     before: Fitted
     after: Fitted
     floor: NoiseFloor
@@ -76,101 +70,22 @@ class Revision:
     @property
     def term(self) -> FittedTerm | None:
         """The new effect as fitted; None after a removal."""
-        return find_term(self.after.model, self.effect) if self.action == "add" else None
+        name = name_effect(self.change.effect)
+        return next((f for f in self.after.model.terms if f.term.name == name), None)
 
 
-def name_effect(effect: EffectConfig) -> str:
-    """Return the effect's kind, with its thermometer where it is not the chip's."""
-    signal = effect.options.get("signal", CHIP)
-    return f"{effect.kind}[{signal}]" if signal else effect.kind
-
-
-def find_term(model: PhysicalModel, effect: EffectConfig) -> FittedTerm | None:
-    """Return the fitted term of an effect, if the model has it."""
-    name = name_effect(effect)
-    return next((fitted for fitted in model.terms if fitted.term.name == name), None)
-
-
-def propose_addition(
-    config: Config, dataset: Dataset, catalogue: Catalogue, effect: EffectConfig
-) -> tuple[EffectConfig, ...]:
-    """Return the project's effects and one more, checked.
-
-    Raises:
-        InputError: the effect is unknown, is there already, needs a signal that the logs lack, or
-            cannot have the values or options given.
-    """
-    term = start_term(catalogue, effect)
-    for present in config.effects:
-        if name_effect(present) == name_effect(effect):
-            raise InputError(
-                f"{config.path}:{present.line}: effect '{name_effect(effect)}' is in the model "
-                "already; expected one that is not. To hold or free a parameter, edit that table; "
-                "`zerodrift diagnose` names what is still missing."
-            )
-    plan = plan_signals(dataset.train, dataset.outputs, dataset.full_scale)
-    missing = explain_missing(term.effect, plan, term.signal)
-    if missing:
-        needs = ", ".join(need.replace("|", " or ") for need in term.effect.needs)
-        raise InputError(
-            f"{config.path}: effect '{effect.kind}' cannot be added: {missing}. It needs {needs}; "
-            "log the channel and name its column in [inputs], or the true load as a reference in "
-            "[outputs]."
-        )
-    return (*config.effects, effect)
-
-
-def propose_removal(config: Config, kind: str, signal: str = CHIP) -> tuple[int, EffectConfig]:
-    """Return where the effect to remove stands in the project's list, and the effect.
-
-    Args:
-        config: the project.
-        kind: the effect's name, also as `kind[signal]`.
-        signal: its thermometer, where the same kind stands there for several.
-
-    Raises:
-        InputError: the model has no such effect, or several.
-    """
-    names = [name_effect(effect) for effect in config.effects]
-    wanted = f"{kind}[{signal}]" if signal else kind
-    places = [i for i, name in enumerate(names) if name == wanted]
-    if not places:
-        places = [i for i, e in enumerate(config.effects) if e.kind == kind and not signal]
-    if not places:
-        has = ", ".join(names) or "no effect"
-        raise InputError(
-            f"{config.path}: effect '{wanted}' is not in the model{nearest(wanted, names) or '.'} "
-            f"It has: {has}."
-        )
-    if len(places) > 1:
-        raise InputError(
-            f"{config.path}: effect '{kind}' is in the model for several thermometers; name one of "
-            f"{', '.join(names[i] for i in places)}."
-        )
-    return places[0], config.effects[places[0]]
-
-
-def revise(
-    config: Config,
-    dataset: Dataset,
-    catalogue: Catalogue,
-    action: str,
-    effect: EffectConfig,
-    effects: Sequence[EffectConfig],
-) -> Revision:
+def revise(config: Config, dataset: Dataset, catalogue: Catalogue, change: Change) -> Revision:
     """Fit the model before and after a change of its effects, and judge the change.
 
     Args:
         config: the project as it is.
         dataset: its runs.
         catalogue: the known effects.
-        action: add | remove.
-        effect: what is added or removed.
-        effects: the model's effects after the change.
+        change: what is added, changed or removed.
     """
     models = [
-        fit_config(replace(config, effects=tuple(wanted)), dataset, catalogue)
-        for wanted in (config.effects, effects)
+        fit_config(replace(config, effects=wanted), dataset, catalogue)
+        for wanted in (config.effects, change.effects)
     ]
     # The better model knows best whether logs are zeroed one by one; errors must be comparable.
     tared = any(model.tared for model in models)
@@ -180,9 +95,9 @@ def revise(
         for m in models
     ]
     floor = replace(floors[0], rms=np.minimum(floors[0].rms, floors[1].rms))
-    judged = judge if action == "add" else judge_removal
+    judged = judge_removal if change.action == REMOVE else judge
     helps, reason = judged(before, after, dataset.units)
-    return Revision(action, effect, tuple(effects), before, after, floor, helps, reason, tared)
+    return Revision(change, before, after, floor, helps, reason, tared)
 
 
 def _hold_out(model: PhysicalModel, dataset: Dataset, tared: bool) -> Fitted:
@@ -234,8 +149,8 @@ def judge(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[bool, st
     told = _tell(before, after, units, best)
     if change.overall > WORTHWHILE and ratio[best] > WORTHWHILE_ON_ONE:
         return False, (
-            f"the held-out error does not fall enough: {100.0 * (change.overall - 1.0):+.1f} % over "
-            f"all outputs, at best {told}"
+            f"the held-out error does not fall enough: {100.0 * (change.overall - 1.0):+.1f} % "
+            f"over all outputs, at best {told}"
         )
     if runs < MANY_RUNS and ratio[best] > WORTHWHILE_ON_FEW:
         return False, (
@@ -274,12 +189,17 @@ def describe_parameters(fitted: FittedTerm) -> dict[str, dict[str, Any]]:
             continue
         described[name] = {
             "value": value,
-            "std_error": fitted.std_errors.get(name),
+            "std_error": _finite(fitted.std_errors.get(name)),
             "unit": fitted.term.effect.parameter(name).unit,
             "held": is_held,
             "at_bound": name in fitted.at_bound,
         }
     return described
+
+
+def _finite(value: float | None) -> float | None:
+    """Return a number that JSON can hold; None where the logs do not determine it."""
+    return value if value is not None and np.isfinite(value) else None
 
 
 def describe_coefficients(model: PhysicalModel, fitted: FittedTerm) -> list[dict[str, Any]]:
@@ -297,7 +217,7 @@ def describe_coefficients(model: PhysicalModel, fitted: FittedTerm) -> list[dict
                     "feature": feature.removeprefix(f"{fitted.term.name}: "),
                     "output": output,
                     "value": float(model.coefficients[j, k]),
-                    "std_error": float(model.std_errors[j, k]),
+                    "std_error": _finite(float(model.std_errors[j, k])),
                     "unit": f"{unit}{per}",
                 }
             )
@@ -314,7 +234,7 @@ def describe_revision(revision: Revision) -> dict[str, Any]:
 
     term = revision.term
     return {
-        "effect": revision.effect.kind,
+        "effect": revision.change.effect.kind,
         "parameters": describe_parameters(term) if term is not None else {},
         "before": {"rmse_heldout": by_output(revision.before.rmse)},
         "after": {"rmse_heldout": by_output(revision.after.rmse)},

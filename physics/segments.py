@@ -18,6 +18,8 @@ CLOSED_GAP = 3
 """Gaps of up to this many blocks within a segment are bridged."""
 STANDS_OUT = 1.5
 """A segment is told if its RMSE is this much above the noise floor, and above the output's own."""
+STANDS_ALONE = 2.0
+"""The same for a segment without a pattern, which may be chance."""
 SHORTEST = 30
 """Samples that a segment without a pattern has at least; less is an outlier."""
 ALIKE = 2
@@ -80,7 +82,7 @@ def find_failures(
     squares = blocks.average([error**2 for error in flat])
     means = blocks.average(flat)
     excess = np.maximum(squares - floor**2, 0.0)
-    scan = Scan(describe(blocks, outputs, units, channel_units), blocks.run)
+    scan = Scan(describe(blocks, flat, outputs, units, channel_units), blocks.run)
     patterns: list[Pattern] = []
     candidates: list[Segment] = []
     for k, output in enumerate(outputs):
@@ -100,10 +102,12 @@ def find_failures(
             segments += _list_segments(blocks, flat, held, k, output, pattern.words)
             free &= ~held
         rest = _find_bursts(blocks, np.where(free, squares[:, k], 0.0), level)
+        shortest_s = (SHORTEST - 1) * blocks.seconds / blocks.size
         segments += [
             segment
             for segment in _list_segments(blocks, flat, rest, k, output, NO_PATTERN)
-            if segment.to_s - segment.from_s >= (SHORTEST - 1) * blocks.seconds / blocks.size
+            if segment.to_s - segment.from_s >= shortest_s
+            and segment.rmse >= STANDS_ALONE * float(floor[k])
         ]
         candidates += [s for s in segments if s.rmse >= max(least, float(overall))]
     scale = dict(zip(outputs, full_scale, strict=True))

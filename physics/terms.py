@@ -53,6 +53,21 @@ class Term:
         return replace(self, values={**self.values, **values})
 
 
+def tidy_terms(terms: Sequence[Term]) -> list[Term]:
+    """Return the terms with their values as people write them, where nothing was held."""
+    tidied = []
+    for term in terms:
+        if term.effect.tidy is None or any(
+            p.name in term.held for p in term.effect.parameters if p.default is None
+        ):
+            tidied.append(term)
+            continue
+        values = term.effect.tidy(term.values)
+        inside = all(p.lower <= values[p.name] <= p.upper for p in term.free)
+        tidied.append(term.with_values(values) if inside else term)
+    return tidied
+
+
 def start_term(
     catalogue: Catalogue, config: EffectConfig, choices: Mapping[str, float] | None = None
 ) -> Term:

@@ -6,12 +6,15 @@ that an edit either does what was asked or is refused.
 """
 
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
 from zerodrift.errors import InputError
 from zerodrift.toml_lines import index_lines
+
+_VALUE = re.compile(r"(?P<before>\s*[^=]+=\s*)[^#]*?(?P<after>\s*(?:#.*)?)\Z", re.DOTALL)
 
 
 def add_effect(
@@ -54,6 +57,36 @@ def add_effect(
         block = [end, *block] if not after else [*block, end]
     edited = "".join([*before, *block, *after])
     effects = [*_read_effects(text), table]
+    return _confirm(text, edited, effects, path)
+
+
+def set_parameters(
+    text: str, position: int, held: Mapping[str, float], *, path: Path = Path("zerodrift.toml")
+) -> str:
+    """Return the text with parameters of its `[[effect]]` at `position` held at other values.
+
+    Raises:
+        InputError: the effects stand in an inline array, or a value is not on its key's line.
+    """
+    rows = text.splitlines(keepends=True)
+    end = "\r\n" if any(row.endswith("\r\n") for row in rows) else "\n"
+    start, stop = _find_blocks(text, path)[position]
+    lines = index_lines(text.lstrip("\ufeff"))
+    new = []
+    for key, value in held.items():
+        if ("effect", position, key) in lines:
+            at = lines[("effect", position, key)] - 1
+            parts = _VALUE.match(rows[at])
+            if parts is not None:
+                rows[at] = f"{parts['before']}{_write_value(value)}{parts['after']}"
+        else:
+            new.append(f"{key} = {_write_value(value)}{end}")
+    last = max(n for n in lines.values() if start < n <= stop)
+    if new and not rows[last - 1].endswith("\n"):
+        rows[last - 1] += end
+    edited = "".join([*rows[:last], *new, *rows[last:]])
+    effects = _read_effects(text)
+    effects[position] = {**effects[position], **held}
     return _confirm(text, edited, effects, path)
 
 

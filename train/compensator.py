@@ -52,7 +52,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Compensator:
-    """drift = physics + features linear + network(features), in the outputs' units."""
+    """drift = physics + features linear + constant + network(features), in the outputs' units."""
 
     physics: PhysicalModel
     outputs: tuple[str, ...]
@@ -63,10 +63,14 @@ class Compensator:
     """None where physics stands alone."""
     linear: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """[I, K] output units per unit of each feature; zeros where a linear part did not help."""
+    constant: Array = field(default_factory=lambda: np.zeros(0))
+    """[K] what is added at features of zero, in the outputs' units; beside a front end only."""
     network: bytes | None = None
     """The ONNX file of `zerodrift.train.onnx_export`, or None without a network."""
     memory: str | int = "stream"
     """"stream": the state goes from sample to sample; else the length of the window."""
+    tared: bool = False
+    """Whether each log had an offset of its own, that of its tare, which is not predicted."""
     trained_from: str = ""
     """Mark of the configuration and logs it was trained from."""
     notes: tuple[str, ...] = ()
@@ -81,7 +85,7 @@ class Compensator:
         if self.front_end is None:
             return drift
         features = self.front_end.compute(run)
-        drift = drift + features @ self.linear
+        drift = drift + features @ self.linear + self.constant
         if self.network is not None:
             drift = drift + self._run_network(features)
         return np.asarray(drift)
@@ -94,9 +98,9 @@ class Compensator:
 
     @property
     def tap_offset(self) -> Array:
-        """[K] what the linear part adds at taps of zero: linear = taps coefficients + offset."""
+        """[K] what is added at taps of zero, so that linear part = taps coefficients + offset."""
         assert self.front_end is not None
-        return np.asarray(-self.front_end.mean @ self.tap_coefficients)
+        return np.asarray(self.constant - self.front_end.mean @ self.tap_coefficients)
 
     @cached_property
     def gru(self) -> FloatGru:
@@ -148,7 +152,9 @@ class Compensator:
             "physics": self.physics.to_dict(),
             "front_end": self.front_end.to_dict() if self.front_end else None,
             "linear": self.linear.tolist(),
+            "constant": self.constant.tolist(),
             "memory": self.memory,
+            "tared": self.tared,
             "network_sha256": hashlib.sha256(self.network).hexdigest() if self.network else None,
             "calibration": {
                 "temperature_degC": list(calibration.temperature_degC),
@@ -224,8 +230,10 @@ class Compensator:
             ),
             front_end=FrontEnd.from_dict(values["front_end"]) if values["front_end"] else None,
             linear=np.array(values["linear"], dtype=np.float64).reshape(-1, len(outputs)),
+            constant=np.array(values["constant"], dtype=np.float64),
             network=network,
             memory=values["memory"],
+            tared=values["tared"],
             trained_from=values["trained_from"],
             notes=tuple(values["notes"]),
         )

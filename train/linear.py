@@ -96,17 +96,14 @@ def fit_linear(runs: Sequence[Run], features: Sequence[Array], residuals: Sequen
     Args:
         runs: training runs.
         features: [n, I] per run.
-        residuals: [n, K] per run, drift that physics leaves.
+        residuals: [n, K] per run, drift that physics leaves, in multiples of each output's scale.
     """
-    # Each output counts alike, whatever its unit, in the question whether it helps.
-    scale = np.concatenate(residuals).std(axis=0)
-    scale[scale == 0.0] = 1.0
-    moments = collect_moments(stack_centred(runs, features, [r / scale for r in residuals]))
+    moments = collect_moments(stack_centred(runs, features, residuals))
     total = moments.by_group.sum(axis=0)
     nothing = float(np.sqrt(np.trace(total[moments.width :, moments.width :]) / moments.samples))
     if score_left_out(moments) > HELPS * nothing:
         return np.zeros((moments.width, residuals[0].shape[1]))
-    return np.asarray(_solve(total, moments.width) * scale)
+    return _solve(total, moments.width)
 
 
 def _solve(moment: Array, width: int) -> Array:

@@ -46,9 +46,9 @@ class Settings:
     """Length of the learning-rate cycle."""
     last_epoch: int = 0
     """Where to stop within the cycle; 0 = at its end."""
-    learning_rate: float = 1e-2
+    learning_rate: float = 2e-2
     """Peak of the one cycle."""
-    weight_decay: float = 0.3
+    weight_decay: float = 0.15
     """Per step and unit of learning rate, on weights but not on biases."""
     chunk: int = 128
     """Samples over which a stream is differentiated."""

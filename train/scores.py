@@ -53,7 +53,7 @@ def score(
         understudy: without test runs, the same trained without the runs that `split` held out.
         split: which those were.
     """
-    tared = compensator.physics.tared
+    tared = compensator.tared
     if dataset.test:
         judge, runs, skip = compensator, dataset.test, {}
         explanation = "held out: the test logs"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.config import Config
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.fit import fit
+from zerodrift.physics.fit import TARE_RATIO, fit
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.front_end import FrontEnd, Tap, fit_front_end
 from zerodrift.train.lags import choose_lags
@@ -27,13 +27,24 @@ class Stages:
     front_end: FrontEnd
     linear: Array
     """[I, K] output units per feature."""
+    constant: Array
+    """[K] what the linear part adds at features of zero, in the outputs' units."""
+    tared: bool
+    """Whether each run has an offset of its own, which nobody can predict."""
+    offsets: Mapping[str, Array]
+    """Group -> [K] offset of its own, where logs are tared; empty otherwise."""
     scale: Array
     """[K] RMS of what is left over the runs it was fitted to, in the outputs' units."""
 
+    def explain(self, run: Run) -> Array:
+        """Return the drift [n, K] that physics and the linear part predict for a run."""
+        features = self.front_end.compute(run)
+        return np.asarray(self.physics.predict(run) + features @ self.linear + self.constant)
+
     def leave(self, run: Run) -> Array:
-        """Return what physics and the linear part leave of a run's drift, [n, K]."""
-        explained = self.physics.predict(run) + self.front_end.compute(run) @ self.linear
-        return np.asarray(run.drift - explained - get_offset(self.physics, run))
+        """Return what is left of a run's drift [n, K], without the run's own offset if known."""
+        offset = self.offsets.get(run.group, np.zeros(self.scale.size))
+        return np.asarray(run.drift - self.explain(run) - offset)
 
     def make_sequences(
         self, runs: Sequence[Run], skip: Mapping[str, int] | None = None
@@ -72,15 +83,45 @@ def fit_stages(config: Config, physics: PhysicalModel, runs: Sequence[Run]) -> S
         physics: fitted to the same runs.
         runs: training runs.
     """
-    residuals = [run.drift - physics.predict(run) - get_offset(physics, run) for run in runs]
-    lags_s = config.network.lags_s or choose_lags(runs, _scale(residuals))
+    residuals = [run.drift - physics.predict(run) for run in runs]
+    lags_s = config.network.lags_s or choose_lags(runs, _scale(runs, residuals))
     front_end = fit_front_end(list_taps(config, runs, lags_s), runs)
     features = [front_end.compute(run) for run in runs]
-    linear = fit_linear(runs, features, residuals)
-    left = np.concatenate([r - x @ linear for r, x in zip(residuals, features, strict=True)])
-    scale = np.sqrt(np.mean(left**2, axis=0))
+    linear = fit_linear(runs, features, _scale(runs, residuals))
+    linear = linear * _measure_scale(runs, residuals)
+    left = [r - x @ linear for r, x in zip(residuals, features, strict=True)]
+    constant, offsets = settle_offsets(runs, left)
+    rest = [r - constant - offsets.get(run.group, 0.0) for run, r in zip(runs, left, strict=True)]
+    scale = np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0))
     scale[scale == 0.0] = 1.0
-    return Stages(physics, front_end, linear, scale)
+    return Stages(physics, front_end, linear, constant, bool(offsets), offsets, scale)
+
+
+def settle_offsets(runs: Sequence[Run], left: Sequence[Array]) -> tuple[Array, dict[str, Array]]:
+    """Return the constant [K], and each group's own offset beyond it if the logs are tared.
+
+    Physics has asked the same question, but of its own remainder, in which a lag may hide a tare.
+    """
+    together = np.concatenate(left)
+    constant = together.mean(axis=0)
+    means = mean_by_group(runs, left)
+    own = np.concatenate([r - means[run.group] for run, r in zip(runs, left, strict=True)])
+    squares = np.sum((together - constant) ** 2, axis=0)
+    floor = 1e-12 * max(float(squares.max()), 1e-300)
+    ratio = float(np.mean((squares + floor) / (np.sum(own**2, axis=0) + floor)))
+    if len(means) < 2 or ratio < TARE_RATIO:
+        return constant, {}
+    # Each run counts once in the constant; what it has beyond that is its tare's.
+    constant = np.mean(list(means.values()), axis=0)
+    return constant, {group: mean - constant for group, mean in means.items()}
+
+
+def mean_by_group(runs: Sequence[Run], values: Sequence[Array]) -> dict[str, Array]:
+    """Return the mean [K] of values [n, K] over the stretches of each group."""
+    parts: dict[str, list[Array]] = {}
+    for run, value in zip(runs, values, strict=True):
+        parts.setdefault(run.group, []).append(value)
+    return {group: np.concatenate(found).mean(axis=0) for group, found in parts.items()}
 
 
 def list_taps(config: Config, runs: Sequence[Run], lags_s: Sequence[float]) -> tuple[Tap, ...]:
@@ -102,15 +143,16 @@ def list_taps(config: Config, runs: Sequence[Run], lags_s: Sequence[float]) -> t
     )
 
 
-def get_offset(physics: PhysicalModel, run: Run) -> Array:
-    """Return the offset [K] that is the run's own, where logs are tared; else zeros."""
-    offset = physics.offsets.get(run.group)
-    if not physics.tared or offset is None:
-        return np.zeros(len(physics.outputs))
-    return np.asarray(offset - physics.coefficients[0])
-
-
-def _scale(residuals: Sequence[Array]) -> list[Array]:
-    scale = np.concatenate(residuals).std(axis=0)
+def _measure_scale(runs: Sequence[Run], residuals: Sequence[Array]) -> Array:
+    """Return the RMS [K] of residuals, each group without its mean; 1 for an output without any."""
+    means = mean_by_group(runs, residuals)
+    rest = [r - means[run.group] for run, r in zip(runs, residuals, strict=True)]
+    scale = np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0))
     scale[scale == 0.0] = 1.0
+    return np.asarray(scale)
+
+
+def _scale(runs: Sequence[Run], residuals: Sequence[Array]) -> list[Array]:
+    """Return the residuals in multiples of their RMS, so that each output counts alike."""
+    scale = _measure_scale(runs, residuals)
     return [residual / scale for residual in residuals]

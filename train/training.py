@@ -103,6 +103,7 @@ def train(
         outputs=dataset.outputs,
         units=dataset.units,
         sample_period_s=config.sample_period_s,
+        tared=physics.tared,
         calibration=calibrate(dataset.train, [], [physics.predict(run) for run in dataset.train]),
         trained_from=mark_inputs(config, dataset, settings),
         notes=physics.notes,
@@ -197,7 +198,7 @@ class _Course:
             sequences,
             held_out,
             settings,
-            tared=stages.physics.tared,
+            tared=stages.tared,
             checkpoint=self._directory / checkpoint,
             report=tell,
         )
@@ -229,6 +230,8 @@ def assemble(
         alone,
         front_end=stages.front_end,
         linear=stages.linear,
+        constant=stages.constant,
+        tared=stages.tared,
         network=network,
         memory=config.network.memory,
     )

@@ -99,7 +99,7 @@ static uint32_t front_end_state_is_sound(const front_end_state_t *s) {
     if (s->steps > 5u) {
         sound = 0u;
     }
-    if ((s->lowpass_3_v < INT64_C(-824673191995606)) || (s->lowpass_3_v > INT64_C(824673191995606))) {
+    if ((s->lowpass_3_v < INT64_C(-824594253883605)) || (s->lowpass_3_v > INT64_C(824594253883605))) {
         sound = 0u;
     }
     if (s->delay_6_oldest >= 5u) {
@@ -110,7 +110,7 @@ static uint32_t front_end_state_is_sound(const front_end_state_t *s) {
             sound = 0u;
         }
     }
-    if ((s->lowpass_7_v < INT64_C(-834856257585194)) || (s->lowpass_7_v > INT64_C(834856257585194))) {
+    if ((s->lowpass_7_v < INT64_C(-814411188273193)) || (s->lowpass_7_v > INT64_C(814411188273193))) {
         sound = 0u;
     }
     sound &= zd_gru_state_is_sound(s->gru_h_q30, 8u);

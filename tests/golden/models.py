@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
 from tests.golden.model_factory import Draw, Shape, draw_model
 from tests.golden.vectors import Golden, compute
 
@@ -41,16 +40,16 @@ def noise(draw: Draw, channels: int) -> Codes:
 
 
 def dwell(draw: Draw, channels: int) -> Codes:
-    """Return 20,000 equal samples after a step from another temperature."""
+    """Return 4,000 equal samples after a step from another temperature."""
     before, after = draw.codes(-2000, 8000, 2, channels)
-    return np.concatenate([np.repeat(before[None], 10, 0), np.repeat(after[None], 19_990, 0)])
+    return np.concatenate([np.repeat(before[None], 10, 0), np.repeat(after[None], 3990, 0)])
 
 
 CASES: dict[str, Case] = {
     "ordinary": Case(Shape(front_end=("lowpass",), update_bias=-2.0, code_limit=10000), walk),
     "rails": Case(Shape(hidden=8, outputs=2), rails),
     "saturation": Case(Shape(gain=40.0, drift_limit=60.0, code_limit=6000), noise),
-    "long_dwell": Case(Shape(hidden=6, update_bias=-6.0), dwell, settled=False, every=400),
+    "long_dwell": Case(Shape(hidden=6, update_bias=-5.0), dwell, settled=False, every=100),
     "odd_hidden": Case(Shape(hidden=7, inputs=3), walk),
     "one_input": Case(Shape(inputs=1, hidden=5, outputs=1), walk),
     "eight_inputs": Case(Shape(inputs=8, hidden=6, outputs=16), noise),

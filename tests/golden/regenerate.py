@@ -4,6 +4,7 @@ from pathlib import Path
 
 from tests.golden.models import C_CASE, CASES, make
 from tests.golden.vectors import FOLDER
+
 from zerodrift.codegen.generate import generate
 
 

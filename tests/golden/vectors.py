@@ -1,4 +1,4 @@
-"""Golden vectors as text: inputs run-length coded, expected values in hexadecimal, one row a step."""
+"""Golden vectors as text: inputs run-length coded, expected values in hexadecimal, row by row."""
 
 import json
 import zlib
@@ -45,9 +45,7 @@ class Golden:
         return json.dumps(body, indent=0) + "\n"
 
 
-def compute(
-    model: IntegerModel, codes: NDArray[np.int16], settled: bool, every: int = 1
-) -> Golden:
+def compute(model: IntegerModel, codes: NDArray[np.int16], settled: bool, every: int = 1) -> Golden:
     """Return the golden vectors that the reference gives."""
     trace = run_reference(model, codes, settled)
     return Golden(model, codes, settled, every, trace[every - 1 :: every], crc_of(trace))

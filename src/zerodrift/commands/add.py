@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,6 +14,9 @@ from zerodrift.commands.common import (
     skip_invalid_option,
 )
 from zerodrift.errors import InputError
+
+if TYPE_CHECKING:
+    from zerodrift.physics.revision import Revision
 
 
 def read_held(texts: tuple[str, ...]) -> dict[str, float]:
@@ -78,27 +82,32 @@ def command(
     """Add EFFECT to zerodrift.toml, refit all effects together, and show what it brought.
 
     An effect whose held-out error is not better by more than runs differ is not kept: the command
-    says so, leaves every file as it was and ends with exit code 1. --force keeps it.
+    says so, leaves every file as it was and ends with exit code 1. --force keeps it. For an effect
+    that is in the model already, --hold sets other values.
     """
     from zerodrift.commands.console import open_console, show_progress
     from zerodrift.commands.project import open_project
     from zerodrift.commands.revise import open_history, print_revision, read_text, write_revision
     from zerodrift.config import EffectConfig
     from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.physics.revision import describe_revision, propose_addition, revise
-    from zerodrift.physics.toml_edit import add_effect
+    from zerodrift.physics.changes import ADD, propose_addition
+    from zerodrift.physics.revision import describe_revision, revise
+    from zerodrift.physics.toml_edit import add_effect, set_parameters
 
-    wanted = EffectConfig(effect, read_held(hold), _split(options, "--set", "signal=body"))
+    held, texts = read_held(hold), _split(options, "--set", "signal=body_temperature")
     with show_progress("reading logs") as say:
         config, dataset = open_project(directory, skip_invalid)
         catalogue = load_catalogue(config.plugin_files)
-        effects = propose_addition(config, dataset, catalogue, wanted)
-        text = add_effect(
-            read_text(config.path), effect, wanted.held, wanted.options, path=config.path
-        )
+        wanted = EffectConfig(effect, held, texts)
+        change = propose_addition(config, dataset, catalogue, wanted)
+        text = read_text(config.path)
+        if change.action == ADD:
+            text = add_effect(text, effect, held, texts, path=config.path)
+        else:
+            text = set_parameters(text, change.place, held, path=config.path)
         open_history(config)
         say(f"fitting without and with {effect}")
-        revision = revise(config, dataset, catalogue, "add", wanted, effects)
+        revision = revise(config, dataset, catalogue, change)
     print_notes(dataset.notes)
     is_kept = revision.helps or force
     if is_kept:
@@ -107,18 +116,20 @@ def command(
         print_json({**describe_revision(revision), "added": is_kept})
     else:
         print_revision(revision)
-        open_console().print(_conclude(effect, revision.helps, revision.reason, force, config.path))
+        open_console().print(_conclude(revision, force, config.path))
     if not is_kept:
         sys.exit(1)
 
 
-def _conclude(effect: str, helps: bool, reason: str, force: bool, path: Path) -> str:
+def _conclude(revision: "Revision", force: bool, path: Path) -> str:
     """Return what became of the file, and why."""
-    why = f"{reason[0].upper()}{reason[1:]}."
-    if helps:
-        return f"{why} Added {effect} to {path.name}. Next: zerodrift diagnose"
+    from zerodrift.physics.changes import ADD, name_effect
+
+    why = f"{revision.reason[0].upper()}{revision.reason[1:]}."
+    name = name_effect(revision.change.effect)
+    done = f"Added {name} to" if revision.change.action == ADD else f"Changed {name} in"
+    if revision.helps:
+        return f"{why} {done} {path.name}. Next: zerodrift diagnose"
     if force:
-        return f"{why} Added {effect} to {path.name} all the same, as --force asks."
-    return (
-        f"{why} {effect} was not added and {path.name} is as it was; --force adds it all the same."
-    )
+        return f"{why} {done} {path.name} all the same, as --force asks."
+    return f"{why} {path.name} is as it was; --force keeps {name} all the same."

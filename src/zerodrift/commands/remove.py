@@ -37,19 +37,19 @@ def command(
     from zerodrift.commands.project import open_project
     from zerodrift.commands.revise import open_history, print_revision, read_text, write_revision
     from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.physics.revision import describe_revision, propose_removal, revise
+    from zerodrift.physics.changes import propose_removal
+    from zerodrift.physics.revision import describe_revision, revise
     from zerodrift.physics.toml_edit import remove_effect
 
     signal = _read_signal(options)
     with show_progress("reading logs") as say:
         config, dataset = open_project(directory, skip_invalid)
         catalogue = load_catalogue(config.plugin_files)
-        place, removed = propose_removal(config, effect, signal)
-        text = remove_effect(read_text(config.path), place, path=config.path)
+        change = propose_removal(config, effect, signal)
+        text = remove_effect(read_text(config.path), change.place, path=config.path)
         open_history(config)
-        left = (*config.effects[:place], *config.effects[place + 1 :])
         say(f"fitting with and without {effect}")
-        revision = revise(config, dataset, catalogue, "remove", removed, left)
+        revision = revise(config, dataset, catalogue, change)
     print_notes(dataset.notes)
     write_revision(config, text, revision)
     if as_json:

@@ -7,12 +7,12 @@ from zerodrift.commands.common import write_text
 from zerodrift.commands.console import open_console, open_table
 from zerodrift.config import Config, parse_config
 from zerodrift.errors import InputError
+from zerodrift.physics.changes import name_effect
 from zerodrift.physics.history import FILE_NAME, Entry, load_history, record, render_history
 from zerodrift.physics.revision import (
     Revision,
     describe_coefficients,
     describe_parameters,
-    name_effect,
 )
 
 
@@ -50,7 +50,7 @@ def write_revision(config: Config, text: str, revision: Revision) -> None:
     written = [
         (e.kind, dict(e.held), dict(e.options)) for e in parse_config(text, config.path).effects
     ]
-    wanted = [(e.kind, dict(e.held), dict(e.options)) for e in revision.effects]
+    wanted = [(e.kind, dict(e.held), dict(e.options)) for e in revision.change.effects]
     if written != wanted:
         raise InputError(
             f"{config.path}: its layout is not understood well enough to edit it; expected "
@@ -116,9 +116,13 @@ def _print_parameters(revision: Revision) -> None:
     for fitted in model.terms:
         for name, told in describe_parameters(fitted).items():
             remark = "held" if told["held"] else "at its bound" if told["at_bound"] else ""
-            error = "-" if told["std_error"] is None else f"{told['std_error']:.2g}"
             table.add_row(
-                fitted.term.name, name, told["unit"], remark, f"{told['value']:.4g}", error
+                fitted.term.name,
+                name,
+                told["unit"],
+                remark,
+                f"{told['value']:.4g}",
+                _write_error(told["std_error"]),
             )
     if table.row_count:
         console.print(table)
@@ -127,7 +131,7 @@ def _print_parameters(revision: Revision) -> None:
     if not rows:
         return
     table = open_table(
-        f"Coefficients of {name_effect(revision.effect)}",
+        f"Coefficients of {name_effect(revision.change.effect)}",
         ("feature", "output", "unit"),
         ("value", "std error"),
     )
@@ -137,6 +141,11 @@ def _print_parameters(revision: Revision) -> None:
             row["output"],
             row["unit"],
             f"{row['value']:.4g}",
-            f"{row['std_error']:.2g}",
+            _write_error(row["std_error"]),
         )
     console.print(table)
+
+
+def _write_error(error: float | None) -> str:
+    """Return a standard error; a dash where there is none."""
+    return "-" if error is None else f"{error:.2g}"

@@ -1,0 +1,62 @@
+"""The noise floor: from a dwell, or estimated as what is fast."""
+
+import numpy as np
+import pytest
+
+from zerodrift.dataset.runs import Dataset
+from zerodrift.physics.floor import DWELL, ESTIMATED, estimate_fast_noise, measure_floor
+
+NAMES = (("Fz", "Mx"), ("N", "Nm"), (2000.0, 20.0))
+
+
+def make_noise(seed, length, rms):
+    return rms * np.random.default_rng(seed).standard_normal((length, 2))
+
+
+def test_floor_of_a_dwell_is_its_noise(make_run):
+    dwell = make_run(0, noise=0.2)
+    floor = measure_floor(Dataset((make_run(1),), (), (dwell,), *NAMES), [])
+    assert floor.source == DWELL
+    assert floor.rms == pytest.approx([0.2, 0.2], rel=0.05)
+    assert "dwell logs" in floor.explain()
+
+
+def test_floor_without_a_dwell_is_estimated_and_says_so(make_run):
+    runs = tuple(make_run(i) for i in range(3))
+    floor = measure_floor(Dataset(runs, (), (), *NAMES), [run.drift for run in runs])
+    assert floor.source == ESTIMATED
+    assert "estimated" in floor.explain()
+    assert floor.rms == pytest.approx([0.05, 0.05], rel=0.08)
+
+
+@pytest.mark.parametrize("period", [400.0, 2000.0])
+def test_slow_errors_do_not_raise_the_estimate(period):
+    time = np.arange(6000)[:, None]
+    residual = make_noise(1, 6000, 0.1) + np.sin(2.0 * np.pi * time / period)
+    assert estimate_fast_noise([residual], 6000) == pytest.approx([0.1, 0.1], rel=0.25)
+
+
+def test_steps_of_the_load_do_not_raise_the_estimate():
+    residual = make_noise(2, 6000, 0.1)
+    residual[1000:] += 5.0
+    residual[4000:4100] -= 7.0
+    assert estimate_fast_noise([residual], 6000) == pytest.approx([0.1, 0.1], rel=0.08)
+
+
+def test_estimate_of_coloured_noise_holds_more_than_its_fastest_part():
+    from scipy.signal import lfilter
+
+    kicks = np.random.default_rng(3).standard_normal((20000, 2))
+    coloured = lfilter([1.0], [1.0, -0.8], kicks, axis=0)
+    rms = np.std(coloured, axis=0)
+    estimate = estimate_fast_noise([coloured], 20000)
+    # One step ahead it is predictable to 1; the estimate must see more, but never invent noise.
+    assert np.all((estimate > 1.2) & (estimate < 1.05 * rms))
+
+
+def test_estimate_of_ten_rows_is_finite():
+    assert np.isfinite(estimate_fast_noise([make_noise(4, 10, 0.1)], 10)).all()
+
+
+def test_channel_of_zeros_has_no_noise():
+    assert estimate_fast_noise([np.zeros((500, 2))], 500) == pytest.approx([0.0, 0.0], abs=1e-12)

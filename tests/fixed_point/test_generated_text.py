@@ -1,0 +1,135 @@
+"""The generated text itself: hostile names, deterministic bytes, nothing of this machine in it."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.fixed_point.strategies import HOSTILE_NAMES, names
+from tests.golden.model_factory import Shape, draw_model
+
+from zerodrift.c_runtime.compilers import find_compilers
+from zerodrift.c_runtime.host import HostModel
+from zerodrift.codegen.generate import GeneratedCode, generate
+from zerodrift.codegen.identifiers import (
+    sanitize_comment,
+    sanitize_identifier,
+    sanitize_identifiers,
+    sanitize_prefix,
+)
+
+IDENTIFIER = re.compile(r"[a-z][a-z0-9_]{0,30}")
+COMMENT_OR_STRING = re.compile(r'/\*.*?\*/|"[^"\n]*"', re.DOTALL)
+
+
+def strip_comments(text: str) -> str:
+    """Return C without comments and strings."""
+    return COMMENT_OR_STRING.sub(" ", text)
+
+
+def generate_hostile(name: str) -> GeneratedCode:
+    """Return the C of a model all of whose names are `name`."""
+    shape = Shape(
+        name=name, inputs=1, hidden=1, outputs=2, channel_names=(name,), output_names=(name,) * 2
+    )
+    return generate(draw_model(shape, 1))
+
+
+@pytest.mark.parametrize("name", HOSTILE_NAMES, ids=range(len(HOSTILE_NAMES)))
+def test_hostile_name_compiles_everywhere(name: str, tmp_path: Path) -> None:
+    model = draw_model(
+        Shape(name=name, inputs=2, hidden=2, outputs=2, channel_names=(name, name),
+              output_names=(name, name)),
+        1,
+    )  # fmt: skip
+    compiler = find_compilers()[0]
+    host = HostModel(model, generate(model), tmp_path, compiler, flags=("-O0",))
+    assert host.selftest() == 0
+
+
+@given(name=names)
+@settings(max_examples=60, deadline=None)
+def test_nothing_hostile_reaches_the_code(name: str) -> None:
+    code = generate_hostile(name)
+    clean = generate_hostile("plain")
+    assert IDENTIFIER.fullmatch(code.prefix)
+    for text, reference in ((code.header, clean.header), (code.source, clean.source)):
+        assert text.isascii() and "\\\n" not in text and "??" not in text
+        bare, plain = strip_comments(text), strip_comments(reference)
+        assert len(re.findall(r"^#", bare, re.M)) == len(re.findall(r"^#", plain, re.M))
+        assert set(re.findall(r"[^\w\s]", bare)) <= set(re.findall(r"[^\w\s]", plain))
+        assert bare.count(";") == plain.count(";") and bare.count("{") == plain.count("{")
+
+
+@given(text=st.one_of(names, st.text(max_size=400)))
+@settings(max_examples=300)
+def test_identifier_is_one_c_identifier(text: str) -> None:
+    for identifier in (sanitize_identifier(text), sanitize_prefix(text)):
+        assert IDENTIFIER.fullmatch(identifier)
+        assert "__" not in identifier and not identifier.startswith("zd_")
+
+
+@given(texts=st.lists(names, max_size=16))
+def test_identifiers_are_distinct(texts: list[str]) -> None:
+    identifiers = sanitize_identifiers(texts, "output")
+    assert len(set(identifiers)) == len(texts)
+    assert all(IDENTIFIER.fullmatch(identifier) for identifier in identifiers)
+
+
+@given(text=st.text(max_size=200))
+def test_comment_cannot_end_or_continue(text: str) -> None:
+    comment = sanitize_comment(text)
+    assert comment.isascii() and comment.isprintable()
+    assert not set('*\\?"') & set(comment)
+
+
+@pytest.mark.parametrize(
+    "outputs",
+    [("H",), ("format", "outputs"), ("channels",), ("model id", "Model_Hash"),
+     ("Fz", "Fz_LSB_PER_UNIT"), ("flag clamped", "FLAG_DAMAGED"), ("x", "X", "x_2", "x 2")],
+)  # fmt: skip
+def test_output_does_not_take_a_macro_of_the_header(
+    outputs: tuple[str, ...], tmp_path: Path
+) -> None:
+    shape = Shape(hidden=0, inputs=1, outputs=len(outputs), output_names=outputs)
+    model = draw_model(shape, 2)
+    assert HostModel(model, generate(model), tmp_path, flags=("-O0",)).selftest() == 0
+
+
+@pytest.mark.parametrize("name", ["stdint", "String", "time", "math"])
+def test_model_does_not_hide_a_standard_header(name: str, tmp_path: Path) -> None:
+    model = draw_model(Shape(name=name, hidden=2, inputs=1, outputs=1), 3)
+    code = generate(model)
+    assert code.header_name != f"{name.lower()}.h"
+    assert HostModel(model, code, tmp_path, flags=("-O0",)).selftest() == 0
+
+
+def test_bytes_do_not_depend_on_the_process() -> None:
+    script = (
+        "import sys\nfrom tests.golden.vectors import load\n"
+        "from zerodrift.codegen.generate import generate\n"
+        "code = generate(load('front_end').model)\n"
+        "sys.stdout.write(code.header + code.source + code.harness)\n"
+    )
+    root = Path(__file__).parents[2]
+    texts = []
+    for seed, zone in (("0", "UTC"), ("12345", "Asia/Tokyo")):
+        environment = os.environ | {"PYTHONHASHSEED": seed, "TZ": zone}
+        done = subprocess.run(
+            [sys.executable, "-c", script], cwd=root, env=environment, check=True,
+            capture_output=True, text=True,
+        )  # fmt: skip
+        texts.append(done.stdout)
+    assert texts[0] == texts[1] and len(texts[0]) > 5000
+
+
+def test_generated_text_tells_nothing_of_this_machine() -> None:
+    code = generate_hostile("plain")
+    text = code.header + code.source
+    assert not re.search(r"\b20\d\d-\d\d|__DATE__|__TIME__|\d\d:\d\d", text)
+    for secret in (os.uname().nodename, str(Path.home()), str(Path.cwd()), sys.prefix):
+        assert len(secret) < 4 or secret not in text
