@@ -18,7 +18,7 @@ from zerodrift.dataset.runs import Run
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 MARKS = {
-    "real_resistor": "target 2.5 ppm; published marks: linear 4.71, cubic + lag 2.53",
+    "real_resistor": "target 2.5 ppm; marks to beat: linear 4.71, cubic + lag 2.53",
     "real_loadcell": "target 11.4 g (linear + lag), mean bias removed; linear 16.2 g",
 }
 

@@ -1,14 +1,12 @@
-"""Runs made ready for having columns built for them again and again, at the rate that matters.
+"""Runs made ready for having columns built for them again and again, reduced to octaves.
 
-Temperature moves over minutes, logs come at up to hundreds of hertz. Signals that hardly move
-within a block of samples are averaged over it first, and what depends on them alone is computed on
-the averages. What depends on a fast signal is computed at the full rate and then averaged; the
-deviations within blocks are kept for every few blocks, so that nothing fast is lost from sight.
+Signals are averaged over blocks of samples, see `rates`; the blocks of each run are taken apart
+into octaves, see `octaves`; deviations within blocks are kept for every few blocks, so that nothing
+fast is lost from sight. What is left to do then is small algebra on sums of products.
 """
 
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +14,10 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
 from zerodrift.errors import InputError
-from zerodrift.operations.graph import GraphOperations, Node, evaluate, list_nodes
+from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.physics.effect import Feature
 from zerodrift.physics.rails import bridge
+from zerodrift.physics.rates import Rates
 from zerodrift.physics.reduction import Column, plan_reduction, select_means
 from zerodrift.physics.signals import SignalPlan, graph_inputs, name_signals, read_signals
 from zerodrift.physics.terms import Term, build_columns, build_features, find_owner
@@ -29,12 +28,8 @@ MOST_ROWS = 6_000
 """Blocks in all runs together; more samples than that are averaged."""
 FEWEST_ROWS = 8
 """Blocks of the shortest stretch."""
-SLOW_SHARE = 1e-5
-"""A signal is slow if straight lines within blocks leave less than this share of its variance."""
 FAST_ROWS = 3_000
 """Samples for which deviations within blocks are kept."""
-COARSE_ENOUGH = 0.05
-"""Share of a column's squares that may be lost where only values are searched for."""
 CACHED_COLUMNS = 400
 FEWEST_RUNS = 4
 """With fewer runs, runs are cut into pieces that stand in for runs."""
@@ -106,16 +101,8 @@ class Campaign:
         self.ops = GraphOperations(plan.sample_period_s)
         self._signals = name_signals(self.ops, plan)
         self._inputs = [graph_inputs(read_signals(run, plan)) for run in runs]
-        self._slow_inputs = {
-            name: self._lay_side_by_side([self.reduction.average(x[name]) for x in self._inputs])
-            for name in self._inputs[0]
-        }
-        self._full_inputs: dict[str, Array] = {}
-        """Signals at the full rate, side by side; made when first needed."""
-        self.slow = frozenset(name for name in self._slow_inputs if self._is_slow(name))
-        """Names of the signals that are as good as straight within a block."""
+        self.rates = Rates(self._inputs, self.reduction, plan.sample_period_s)
         self._cache: OrderedDict[tuple[int, bool], Column] = OrderedDict()
-        self._coarse = False
         self.set_aside = set_aside
         self._drifts = [self._reduce_drift(k, None) for k in range(len(plan.outputs))]
         self._offsets = self._make_offsets()
@@ -152,25 +139,6 @@ class Campaign:
         """Whether the pieces' means carry information, beside the offsets' columns."""
         return bool(self._offsets)
 
-    @contextmanager
-    def coarsely(self) -> Iterator[None]:
-        """Within this context, compute on block means even what depends on fast signals."""
-        before, self._coarse = self._coarse, True
-        try:
-            yield
-        finally:
-            self._coarse = before
-
-    def is_coarse_enough(self, nodes: Sequence[Node]) -> bool:
-        """Return whether computing on block means is good enough to search for values with."""
-        for node in nodes:
-            exact = self.column(node)
-            with self.coarsely():
-                coarse = self.column(node)
-            if (exact - coarse).energy > COARSE_ENOUGH * exact.energy:
-                return False
-        return True
-
     def build(self, terms: Sequence[Term]) -> tuple[Feature[Node], ...]:
         """Return the features of the terms as nodes, without the constant.
 
@@ -196,11 +164,11 @@ class Campaign:
         Raises:
             InputError: it is NaN or infinite somewhere.
         """
-        key = (id(node), self._coarse)
+        key = (id(node), self.rates.roughly)
         if key in self._cache:
             self._cache.move_to_end(key)
             return self._cache[key]
-        column = self._compute(node)
+        column = self.rates.compute(node)
         if not np.isfinite(column.octaves).all():
             raise InputError(
                 f"{label or node!r}: some values are NaN or infinite; keep the arguments of each "
@@ -279,37 +247,6 @@ class Campaign:
                 drift = expected + bridge(drift - expected, flags)
             drifts.append(drift)
         return self.reduction.reduce(drifts)
-
-    def _compute(self, node: Node) -> Column:
-        """Return the coefficients of a node's values, on block means if its inputs are slow."""
-        sources = {n.source for n in list_nodes([node]) if n.op == "input"}
-        step_s = self.plan.sample_period_s
-        if self.block == 1 or self._coarse or sources <= self.slow:
-            laid = evaluate([node], self._slow_inputs, self.block * step_s)[0]
-            rows = self.reduction.rows
-            return self.reduction.reduce_slow([x[:n] for x, n in zip(laid, rows, strict=True)])
-        for name in sources - self._full_inputs.keys():
-            self._full_inputs[name] = self._lay_side_by_side([x[name] for x in self._inputs])
-        inputs = {name: self._full_inputs[name] for name in sources}
-        laid = evaluate([node], inputs, step_s)[0]
-        return self.reduction.reduce(
-            [x[: len(run)] for x, run in zip(laid, self.runs, strict=True)]
-        )
-
-    def _lay_side_by_side(self, stretches: Sequence[Array]) -> Array:
-        """Return stretches as rows of one array, the last value repeated behind the shorter."""
-        laid = np.empty((len(stretches), max(x.size for x in stretches)))
-        for row, x in zip(laid, stretches, strict=True):
-            row[: x.size] = x
-            row[x.size :] = x[-1]
-        return laid
-
-    def _is_slow(self, name: str) -> bool:
-        """Return whether a signal is as good as straight within blocks."""
-        if self.block == 1:
-            return True
-        signals = [inputs[name] for inputs in self._inputs]
-        return self.reduction.find_curvature(signals) <= SLOW_SHARE
 
     def _make_offsets(self) -> list[Column]:
         """Return the constant columns: none where each piece has an offset of its own."""

@@ -188,21 +188,13 @@ def fit_candidate(
     campaign: Campaign, proposal: Proposal, weights: Array, excitation: float
 ) -> Candidate:
     """Return one proposal fitted to all runs, and judged on each from the others."""
-    if _may_search_coarsely(campaign, proposal):
-        with campaign.coarsely():
-            found = search(
-                campaign, proposal.terms, weights, vary=(proposal.place,), refined_starts=1
-            )
-            return _judge(campaign, proposal, found, weights, excitation, exact=False)
-    found = search(campaign, proposal.terms, weights, vary=(proposal.place,), refined_starts=1)
-    return _judge(campaign, proposal, found, weights, excitation, exact=True)
-
-
-def _may_search_coarsely(campaign: Campaign, proposal: Proposal) -> bool:
-    """Return whether the proposal has values to search for and block means suffice for them."""
-    if not proposal.terms[proposal.place].free or campaign.block == 1:
-        return False
-    return campaign.is_coarse_enough([f.signal for f in campaign.build(proposal.terms)])
+    place = proposal.place
+    if not proposal.terms[place].free or campaign.block == 1:
+        found = search(campaign, proposal.terms, weights, vary=(place,), refined_starts=1)
+        return _judge(campaign, proposal, found, weights, excitation, exact=True)
+    with campaign.rates.search_roughly():
+        found = search(campaign, proposal.terms, weights, vary=(place,), refined_starts=1)
+        return _judge(campaign, proposal, found, weights, excitation, exact=False)
 
 
 def _refine_leaders(
@@ -258,6 +250,12 @@ def measure_excitation(
     the prediction; what the model imitates is the span of its columns and of their slopes. Where
     the typical value shows nothing, the others of the typical range are tried.
     """
+    with campaign.rates.search_roughly():
+        return _excite_most(campaign, base, proposal, weights)
+
+
+def _excite_most(campaign: Campaign, base: Found, proposal: Proposal, weights: Array) -> float:
+    """Return the excitation at the typical value, or the best over the typical range."""
     share = _excite(campaign, base, proposal.terms, weights)
     own = [c for c in list_coordinates(proposal.terms) if c.term == proposal.place]
     for u in grid(own) if own else []:

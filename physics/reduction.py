@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +28,6 @@ class Column:
         mine = 0.0 if self.fast is None else self.fast
         theirs = 0.0 if other.fast is None else other.fast
         return Column(self.octaves - other.octaves, np.asarray(mine - theirs))
-
-    @property
-    def energy(self) -> float:
-        """Sum of squares, without the pieces' means, of what is kept."""
-        fast = 0.0 if self.fast is None else float(self.fast @ self.fast)
-        return float(self.octaves @ self.octaves) + fast
 
     def scale(self, factor: float) -> "Column":
         """Return the column times a factor."""
@@ -82,43 +77,43 @@ class Reduction:
 
     def reduce(self, signals: Sequence[Array]) -> Column:
         """Return the coefficients of a signal at the full rate, given per stretch."""
-        means = [self.average(x) for x in signals]
-        octaves = self.reduce_means(means)
-        if self.block == 1:
-            return octaves
-        fast = []
-        for i in self.sequence:
-            blocks = signals[i][: self.rows[i] * self.block].reshape(-1, self.block)
-            kept = slice(None, None, self.stride)
-            fast.append((blocks[kept] - means[i][kept, None]).reshape(-1))
-        return Column(octaves.octaves, np.concatenate(fast))
+        return self.assemble([self.take_apart(x) for x in signals])
 
-    def reduce_slow(self, means: Sequence[Array]) -> Column:
-        """Return the coefficients of a signal that is a straight line within each block."""
-        octaves = self.reduce_means(means)
+    def take_apart(self, x: Array) -> tuple[Array, Array | None]:
+        """Return one stretch's block means, and the deviations from them that are kept."""
+        means = self.average(x)
         if self.block == 1:
-            return octaves
-        fast = [
-            np.outer(_rise(means[i])[:: self.stride], self._places).reshape(-1)
-            for i in self.sequence
-        ]
-        return Column(octaves.octaves, np.concatenate(fast))
+            return means, None
+        kept = slice(None, None, self.stride)
+        blocks = x[: means.size * self.block].reshape(-1, self.block)[kept]
+        return means, (blocks - means[kept, None]).reshape(-1)
 
-    @property
+    def draw_lines(self, means: Array) -> tuple[Array, Array | None]:
+        """Return block means, and the deviations of straight lines through them."""
+        if self.block == 1:
+            return means, None
+        rise = _rise(means, self.stride)
+        return means, (rise[:, None] * self._places).reshape(-1)
+
+    def assemble(self, parts: Sequence[tuple[Array, Array | None]]) -> Column:
+        """Return the coefficients of a signal taken apart, given per stretch."""
+        octaves = self.reduce_means([means for means, _ in parts])
+        fast = [parts[i][1] for i in self.sequence]
+        moving = [part for part in fast if part is not None]
+        return Column(octaves.octaves, np.concatenate(moving) if moving else None)
+
+    @cached_property
     def _places(self) -> Array:
         """Where in a block its samples lie, in blocks from its middle."""
         return (np.arange(self.block) + 0.5) / self.block - 0.5
 
-    def find_curvature(self, signals: Sequence[Array]) -> float:
-        """Return the share of a signal's variance that straight lines within blocks leave."""
-        left = total = 0.0
-        for x in signals:
-            mean = self.average(x)
-            blocks = x[: mean.size * self.block].reshape(-1, self.block)
-            line = mean[:, None] + np.outer(_rise(mean), self._places)
-            left += float(((blocks - line) ** 2).sum())
-            total += float(((blocks - mean.mean()) ** 2).sum())
-        return left / total if total > 0.0 else 0.0
+    def measure_curvature(self, x: Array) -> tuple[float, float]:
+        """Return a stretch's squares that straight lines within blocks leave, and all of them."""
+        means = self.average(x)
+        blocks = x[: means.size * self.block].reshape(-1, self.block)
+        lines = means[:, None] + _rise(means, 1)[:, None] * self._places
+        left = float(((blocks - lines) ** 2).sum())
+        return left, float(((blocks - means.mean()) ** 2).sum())
 
     def reduce_means(self, means: Sequence[Array], *, centre: bool = True) -> Column:
         """Return the coefficients of block means, given per stretch, and none within blocks."""
@@ -143,9 +138,11 @@ class Reduction:
         return products
 
 
-def _rise(means: Array) -> Array:
-    """Return by how much a signal rises across each block, from its neighbours."""
-    return np.gradient(means) if means.size > 1 else np.zeros_like(means)
+def _rise(means: Array, stride: int) -> Array:
+    """Return by how much a signal rises across every stride-th block, from its neighbours."""
+    at = np.arange(0, means.size, stride)
+    after, before = np.minimum(at + 1, means.size - 1), np.maximum(at - 1, 0)
+    return np.asarray((means[after] - means[before]) / np.maximum(after - before, 1))
 
 
 def plan_reduction(

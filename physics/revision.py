@@ -148,9 +148,10 @@ def judge(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[bool, st
     best = int(np.argmin(ratio))
     told = _tell(before, after, units, best)
     if change.overall > WORTHWHILE and ratio[best] > WORTHWHILE_ON_ONE:
+        falls = "falls too little" if change.overall < 1.0 else "does not fall"
         return False, (
-            f"the held-out error does not fall enough: {100.0 * (change.overall - 1.0):+.1f} % "
-            f"over all outputs, at best {told}"
+            f"the held-out error {falls}: {100.0 * (change.overall - 1.0):+.1f} % over all "
+            f"outputs, at best {told}"
         )
     if runs < MANY_RUNS and ratio[best] > WORTHWHILE_ON_FEW:
         return False, (

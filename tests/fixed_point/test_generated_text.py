@@ -39,15 +39,15 @@ def generate_hostile(name: str) -> GeneratedCode:
     return generate(draw_model(shape, 1))
 
 
-@pytest.mark.parametrize("name", HOSTILE_NAMES, ids=range(len(HOSTILE_NAMES)))
-def test_hostile_name_compiles_everywhere(name: str, tmp_path: Path) -> None:
-    model = draw_model(
-        Shape(name=name, inputs=2, hidden=2, outputs=2, channel_names=(name, name),
-              output_names=(name, name)),
-        1,
+@pytest.mark.parametrize("first", range(0, len(HOSTILE_NAMES), 8))
+def test_hostile_names_compile(first: int, tmp_path: Path) -> None:
+    some = HOSTILE_NAMES[first : first + 8]
+    shape = Shape(
+        name=some[0], inputs=len(some), hidden=2, outputs=2 * len(some),
+        channel_names=some, output_names=some * 2,
     )  # fmt: skip
-    compiler = find_compilers()[0]
-    host = HostModel(model, generate(model), tmp_path, compiler, flags=("-O0",))
+    model = draw_model(shape, 1)
+    host = HostModel(model, generate(model), tmp_path, find_compilers()[0], flags=("-O0",))
     assert host.selftest() == 0
 
 
@@ -87,25 +87,21 @@ def test_comment_cannot_end_or_continue(text: str) -> None:
     assert not set('*\\?"') & set(comment)
 
 
-@pytest.mark.parametrize(
-    "outputs",
-    [("H",), ("format", "outputs"), ("channels",), ("model id", "Model_Hash"),
-     ("Fz", "Fz_LSB_PER_UNIT"), ("flag clamped", "FLAG_DAMAGED"), ("x", "X", "x_2", "x 2")],
-)  # fmt: skip
-def test_output_does_not_take_a_macro_of_the_header(
-    outputs: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_output_does_not_take_a_macro_of_the_header(tmp_path: Path) -> None:
+    outputs = (
+        "H", "format", "outputs", "channels", "model id", "Model_Hash", "flag clamped",
+        "FLAG_DAMAGED", "Fz", "Fz_LSB_PER_UNIT", "x", "X", "x_2", "x 2",
+    )  # fmt: skip
     shape = Shape(hidden=0, inputs=1, outputs=len(outputs), output_names=outputs)
     model = draw_model(shape, 2)
     assert HostModel(model, generate(model), tmp_path, flags=("-O0",)).selftest() == 0
 
 
-@pytest.mark.parametrize("name", ["stdint", "String", "time", "math"])
-def test_model_does_not_hide_a_standard_header(name: str, tmp_path: Path) -> None:
-    model = draw_model(Shape(name=name, hidden=2, inputs=1, outputs=1), 3)
-    code = generate(model)
-    assert code.header_name != f"{name.lower()}.h"
-    assert HostModel(model, code, tmp_path, flags=("-O0",)).selftest() == 0
+def test_model_does_not_hide_a_standard_header(tmp_path: Path) -> None:
+    names = [sanitize_prefix(name) for name in ("stdint", "String", "time", "math")]
+    assert names == ["stdint_x", "string_x", "time_x", "math_x"]
+    model = draw_model(Shape(name="stdint", hidden=2, inputs=1, outputs=1), 3)
+    assert HostModel(model, generate(model), tmp_path, flags=("-O0",)).selftest() == 0
 
 
 def test_bytes_do_not_depend_on_the_process() -> None:

@@ -1,0 +1,113 @@
+"""At which rate a signal is computed: on block means where it is slow, else on all samples.
+
+Temperature moves over minutes, logs come at up to hundreds of hertz. What depends on signals that
+are as good as straight lines within a block is computed on block means, stretch by stretch; what
+depends on a fast signal is computed on all samples and averaged then.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.graph import Node, evaluate, list_nodes
+from zerodrift.physics.reduction import Column, Reduction
+
+Array = NDArray[np.float64]
+
+STRAIGHT = 1e-5
+"""A signal is slow in a stretch if straight lines within blocks leave less than this share of its
+squares over all stretches."""
+STRAIGHT_ENOUGH = 1e-2
+"""The same where values are only searched for."""
+
+
+class Rates:
+    """The signals of all stretches at both rates.
+
+    Args:
+        inputs: per stretch, signal name -> [n].
+        reduction: how stretches become blocks and octaves.
+        sample_period_s: seconds between samples.
+    """
+
+    def __init__(
+        self,
+        inputs: Sequence[Mapping[str, Array]],
+        reduction: Reduction,
+        sample_period_s: float,
+    ) -> None:
+        self._inputs = inputs
+        self._reduction = reduction
+        self._sample_period_s = sample_period_s
+        self._slow = {
+            name: _lay_side_by_side([reduction.average(x[name]) for x in inputs])
+            for name in inputs[0]
+        }
+        self._full: dict[tuple[str, tuple[int, ...]], Array] = {}
+        self._curvature = {name: self._measure_curvature(name) for name in inputs[0]}
+        self.roughly = False
+        """Whether values are only searched for, so that block means may stand for more."""
+
+    @contextmanager
+    def search_roughly(self) -> Iterator[None]:
+        """Within this context, block means stand for all that is nearly straight within blocks."""
+        before, self.roughly = self.roughly, True
+        try:
+            yield
+        finally:
+            self.roughly = before
+
+    def compute(self, node: Node) -> Column:
+        """Return the coefficients of a node's values over all stretches."""
+        sources = {n.source for n in list_nodes([node]) if n.op == "input"}
+        fast = self._find_fast(sources)
+        block = self._reduction.block
+        parts: list[tuple[Array, Array | None] | None] = [None] * len(self._inputs)
+        if len(fast) < len(self._inputs):
+            laid = evaluate([node], self._slow, block * self._sample_period_s)[0]
+            for i, row in enumerate(laid):
+                if i not in fast:
+                    parts[i] = self._reduction.draw_lines(row[: self._reduction.rows[i]])
+        if fast:
+            full = {name: self._lay_full(name, fast) for name in sources}
+            laid = evaluate([node], full, self._sample_period_s)[0]
+            for i, row in zip(fast, laid, strict=True):
+                length = next(iter(self._inputs[i].values())).size
+                parts[i] = self._reduction.take_apart(row[:length])
+        return self._reduction.assemble([part for part in parts if part is not None])
+
+    def _find_fast(self, sources: set[str]) -> tuple[int, ...]:
+        """Return the stretches in which one of the signals is fast."""
+        if self._reduction.block == 1 or not sources:
+            return ()
+        limit = STRAIGHT_ENOUGH if self.roughly else STRAIGHT
+        bent = np.max([self._curvature[name] for name in sources], axis=0)
+        return tuple(np.flatnonzero(bent > limit).tolist())
+
+    def _measure_curvature(self, name: str) -> Array:
+        """Return each stretch's share of the signal's squares that straight lines leave."""
+        if self._reduction.block == 1:
+            return np.zeros(len(self._inputs))
+        measured = [self._reduction.measure_curvature(x[name]) for x in self._inputs]
+        total = sum(all_of_it for _, all_of_it in measured)
+        left = np.array([left for left, _ in measured])
+        # Per stretch against the mean stretch, so that one still run does not count as fast.
+        return left * len(measured) / total if total > 0.0 else left
+
+    def _lay_full(self, name: str, stretches: tuple[int, ...]) -> Array:
+        """Return a signal of some stretches at the full rate, side by side."""
+        key = (name, stretches)
+        if key not in self._full:
+            self._full[key] = _lay_side_by_side([self._inputs[i][name] for i in stretches])
+        return self._full[key]
+
+
+def _lay_side_by_side(stretches: Sequence[Array]) -> Array:
+    """Return stretches as rows of one array, the last value repeated behind the shorter."""
+    laid = np.empty((len(stretches), max(x.size for x in stretches)))
+    for row, x in zip(laid, stretches, strict=True):
+        row[: x.size] = x
+        row[x.size :] = x[-1]
+    return laid

@@ -1,0 +1,84 @@
+"""The C of every core, dual multiplier included, run on an emulator: 0 LSB against the reference.
+
+Reason for a test of its own beside the host's: the kernels take another path where a chip has DSP
+instructions, and another compiler back end makes the code.
+"""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.golden.model_factory import Draw, Shape, draw_model
+
+from zerodrift.c_runtime.footprint import CORES, measure_footprint
+from zerodrift.codegen.generate import generate
+from zerodrift.export.reference import Reference
+
+if any(importlib.util.find_spec(name) is None for name in ("unicorn", "ziglang")):
+    pytest.skip("emulation needs the unicorn and ziglang wheels", allow_module_level=True)
+
+from tests.fixed_point.emulator import EmulatedModel
+
+SHAPES = {
+    "everything": Shape(
+        front_end=("lowpass", "product", "delay", "difference", "power"),
+        hidden=9, outputs=2, code_limit=15000, drift_limit=80.0,
+    ),
+    "int8 before": Shape(weights="int8", reset="before", hidden=7, inputs=3, gain=20.0),
+    "window": Shape(window=4, hidden=6, inputs=1, outputs=1),
+}  # fmt: skip
+STEPS = 600
+
+
+def draw_codes(channels: int) -> np.ndarray[tuple[int, int], np.dtype[np.int16]]:
+    """Return rails, noise and a walk, one after the other."""
+    draw, third = Draw(6), STEPS // 3
+    rails = np.where(draw.uniform(0.0, 1.0, third, channels) < 0.5, -32768, 32767)
+    noise = draw.codes(-32768, 32767, third, channels)
+    walk = draw.uniform(-900.0, 900.0, third, channels).cumsum(axis=0)
+    return np.concatenate([rails, noise, np.clip(walk, -32768, 32767)]).astype(np.int16)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("core", CORES)
+def test_chip_equals_reference(core: str, shape: str, tmp_path: Path) -> None:
+    model = draw_model(SHAPES[shape], 31)
+    chip = EmulatedModel(model, generate(model), core, tmp_path, "-O2")
+    codes = draw_codes(len(model.channels))
+    for settled in (True, False):
+        expected = Reference(model).run(codes[None], settled=settled)
+        drift, flags = chip.run(codes, settled=settled)
+        np.testing.assert_array_equal(drift, expected.drift[0])
+        np.testing.assert_array_equal(flags, expected.flags[0])
+    assert chip.selftest() == 0
+
+
+@pytest.mark.parametrize("core", CORES)
+def test_told_stack_is_enough_for_what_runs(core: str, tmp_path: Path) -> None:
+    model = draw_model(SHAPES["everything"], 32)
+    code = generate(model)
+    told = measure_footprint(code, core).stack_bytes
+    used = EmulatedModel(model, code, core, tmp_path, "-Os").measure_stack(draw_codes(4)[:40])
+    assert used - 32 <= told, "32: the call into the model from the emulator's own frame"
+    assert told <= used + 64, "and not told far too high"
+
+
+@pytest.mark.parametrize("core", ["cortex-m3", "cortex-m4"])
+def test_instruction_count_does_not_depend_on_the_input(core: str, tmp_path: Path) -> None:
+    """A GRU's time is constant: no branch of its kernel looks at the data."""
+    model = draw_model(Shape(hidden=6, inputs=2, outputs=1, drift_limit=1e9), 33)
+    chip = EmulatedModel(model, generate(model), core, tmp_path, "-O2")
+    counts = chip.count_instructions(draw_codes(2)[:60])
+    assert max(counts) - min(counts) <= 8, "the flags and limits around the kernel"
+    assert min(counts) > 500
+
+
+def test_dual_multiplier_pays(tmp_path: Path) -> None:
+    model = draw_model(Shape(hidden=16, inputs=4, outputs=1), 34)
+    counts = {}
+    for core in ("cortex-m3", "cortex-m4"):
+        (tmp_path / core).mkdir()
+        chip = EmulatedModel(model, generate(model), core, tmp_path / core, "-O2")
+        counts[core] = chip.count_instructions(draw_codes(4)[:3])[-1]
+    assert counts["cortex-m4"] < 0.75 * counts["cortex-m3"]

@@ -1,0 +1,261 @@
+import textwrap
+
+import numpy as np
+import pytest
+from tests.physics.conftest import FULL_SCALE, OUTPUTS, UNITS, linear, make_dataset
+
+from zerodrift.config import EffectConfig
+from zerodrift.errors import InputError
+from zerodrift.operations.backend import NumpyOperations
+from zerodrift.physics.catalogue import READING_ORDER, load_catalogue, register
+from zerodrift.physics.effect import Effect, Feature, Parameter, Signals
+from zerodrift.physics.fit import fit
+from zerodrift.physics.terms import build_features, start_term
+
+CONTRACT = (
+    "zero_tempco dark_current span_tempco thermal_lag thermal_gradient warm_up thermal_hysteresis "
+    "creep load_hysteresis load_nonlinearity crosstalk supply_sensitivity humidity ambient_light "
+    "inertial_load ageing clock_delay adc_saturation"
+).split()
+
+
+def draw_signals(length=200):
+    rng = np.random.default_rng(0)
+    channels = "supply humidity ambient_light acceleration_x acceleration_y acceleration_z".split()
+    return Signals(
+        temperature_degC=25.0 + rng.normal(size=length).cumsum() * 0.2,
+        elapsed_s=np.arange(length) * 1.0,
+        clock_s=np.arange(length) * 1.0,
+        load={name: rng.normal(size=length).cumsum() for name in OUTPUTS},
+        saturated={},
+        channels={name: rng.normal(size=length) for name in channels},
+        outputs=OUTPUTS,
+        full_scale=dict(zip(OUTPUTS, FULL_SCALE, strict=True)),
+        reference_temperature_degC=25.0,
+    )
+
+
+def build_alone(kind, choices=None):
+    catalogue = load_catalogue()
+    term = start_term(catalogue, EffectConfig(kind), choices)
+    signals = draw_signals()
+    ops = NumpyOperations(1.0, signals.temperature_degC.shape)
+    features = build_features(ops, signals, [term], list(catalogue))[1:]
+    return signals, {feature.name: feature.signal for feature in features}, term
+
+
+def test_catalogue_has_the_contracts_names():
+    assert sorted(load_catalogue()) == sorted(CONTRACT)
+    assert sorted(READING_ORDER) == sorted(CONTRACT)
+    assert [effect.kind for effect in load_catalogue().listed()] == list(READING_ORDER)
+
+
+@pytest.mark.parametrize("kind", CONTRACT)
+def test_effect_tells_all_that_a_reader_asks(kind):
+    effect = load_catalogue()[kind]
+    for text in (
+        *(effect.title, effect.physics, effect.equation, effect.fingerprint, effect.provoke),
+        *(effect.cure, effect.source),
+    ):
+        assert text.strip()
+    for parameter in effect.parameters:
+        assert parameter.unit
+        assert parameter.meaning
+
+
+@pytest.mark.parametrize("kind", CONTRACT)
+def test_effect_builds_in_every_variant(kind):
+    for choices in load_catalogue()[kind].variants:
+        _, columns, term = build_alone(kind, choices)
+        assert columns or term.effect.rewrite is not None or term.effect.sets_aside
+        assert all(np.isfinite(column).all() for column in columns.values())
+
+
+def test_dark_current_doubles_every_doubling_temperature():
+    signals, columns, term = build_alone("dark_current")
+    (column,) = columns.values()
+    away = signals.temperature_degC - 25.0
+    assert column == pytest.approx(2.0 ** (away / term.values["doubling_K"]))
+
+
+def test_warm_up_approaches_one_with_its_time_constant():
+    _, columns, term = build_alone("warm_up")
+    (column,) = columns.values()
+    assert column[0] == pytest.approx(0.0, abs=1e-12)
+    assert column[150] == pytest.approx(1.0 - np.exp(-150.0 / term.values["tau_s"]))
+
+
+def test_thermal_lag_changes_what_dark_current_sees():
+    catalogue, signals = load_catalogue(), draw_signals()
+    lag = start_term(catalogue, EffectConfig("thermal_lag", {"tau_s": 30.0}))
+    dark = start_term(catalogue, EffectConfig("dark_current", {"doubling_K": 10.0}))
+    ops = NumpyOperations(1.0, signals.temperature_degC.shape)
+    for terms in ([lag, dark], [dark, lag]):
+        (column,) = [f.signal for f in build_features(ops, signals, terms, list(catalogue))[1:]]
+        felt = ops.lowpass(signals.temperature_degC, 30.0)
+        assert column == pytest.approx(2.0 ** ((felt - 25.0) / 10.0))
+
+
+def test_effect_of_another_thermometer_leaves_the_chips_alone():
+    catalogue, signals = load_catalogue(), draw_signals()
+    body = signals.temperature_degC + 5.0
+    signals = Signals(**{**signals.__dict__, "channels": {"body_temperature": body}})
+    ops = NumpyOperations(1.0, body.shape)
+    terms = [
+        start_term(catalogue, EffectConfig("zero_tempco")),
+        start_term(catalogue, EffectConfig("zero_tempco", options={"signal": "body_temperature"})),
+    ]
+    chip, other = [f.signal for f in build_features(ops, signals, terms, list(catalogue))[1:]]
+    assert other - chip == pytest.approx(5.0)
+
+
+def test_unknown_effect_names_the_nearest():
+    with pytest.raises(
+        InputError, match=r"zerodrift.toml:7: no effect 'thermal_lags'.*thermal_lag"
+    ):
+        start_term(load_catalogue(), EffectConfig("thermal_lags", line=7))
+
+
+def test_unknown_parameter_names_the_nearest():
+    with pytest.raises(InputError, match=r"has no parameter 'tau'.*tau_s"):
+        start_term(load_catalogue(), EffectConfig("thermal_lag", {"tau": 3.0}))
+
+
+def test_held_value_out_of_bounds_is_refused():
+    with pytest.raises(InputError, match=r"tau_s = -3 s; expected 1 \.\. 7200"):
+        start_term(load_catalogue(), EffectConfig("thermal_lag", {"tau_s": -3.0}))
+    with pytest.raises(InputError, match=r"order = 4; expected one of 1, 2, 3"):
+        start_term(load_catalogue(), EffectConfig("zero_tempco", {"order": 4.0}))
+
+
+def test_unknown_option_is_refused():
+    with pytest.raises(InputError, match=r"has no option 'sginal'.*signal"):
+        start_term(load_catalogue(), EffectConfig("zero_tempco", options={"sginal": "x"}))
+
+
+# --- a user's own effects -----------------------------------------------------------------------
+
+
+def write_effect(tmp_path, body, name="my_effects.py"):
+    path = tmp_path / name
+    path.write_text(
+        "from zerodrift.physics.catalogue import register\n"
+        "from zerodrift.physics.effect import Effect, Feature, Parameter\n" + textwrap.dedent(body),
+        encoding="utf-8",
+    )
+    return path
+
+
+SECOND_ORDER = """
+    def build(ops, signals, p):
+        fast = ops.lowpass(signals.temperature_degC, p["tau_s"])
+        return [Feature("twice filtered", ops.lowpass(fast, p["tau_s"]), "K")]
+
+    register(Effect(
+        kind="twice_lagged", title="a lag of second order", build=build, needs=("temperature",),
+        parameters=(Parameter("tau_s", "s", 1.0, 1000.0, (10.0, 300.0)),),
+    ))
+"""
+
+
+def test_users_effect_is_fitted_like_a_built_in(tmp_path):
+    from tests.physics.conftest import follow
+
+    catalogue = load_catalogue([write_effect(tmp_path, SECOND_ORDER)])
+
+    def disturb(bench):
+        return follow(follow(bench.temperature, 80.0), 80.0)[:, None] * np.array([1.0, 0.02])
+
+    dataset = make_dataset(disturb, runs=4)
+    model = fit(
+        [EffectConfig("twice_lagged")],
+        dataset.train,
+        outputs=OUTPUTS,
+        units=UNITS,
+        full_scale=FULL_SCALE,
+        catalogue=catalogue,
+    )
+    assert model.terms[0].term.values["tau_s"] == pytest.approx(80.0, rel=0.03)
+    assert "twice_lagged" not in load_catalogue()
+
+
+def test_users_effect_that_raises_is_named_with_its_line(tmp_path):
+    path = write_effect(
+        tmp_path,
+        """
+        def build(ops, signals, p):
+            return [Feature("x", ops.lowpass(signals.temprature, 3.0))]
+
+        register(Effect(kind="broken", title="broken", build=build))
+        """,
+    )
+    catalogue = load_catalogue([path])
+    with pytest.raises(InputError, match=r"my_effects.py:5: effect 'broken': build raised Attr"):
+        fit_one(catalogue, "broken")
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("ops.power(ops.constant(-1e300), 3)", r"NaN or infinite"),
+        ("3.0", r"feature 'x' is a float; expected what an operation"),
+    ],
+)
+def test_users_effect_that_gives_nonsense_is_named(tmp_path, body, message):
+    path = write_effect(
+        tmp_path,
+        f"""
+        def build(ops, signals, p):
+            return [Feature("x", {body})]
+
+        register(Effect(kind="nonsense", title="nonsense", build=build))
+        """,
+    )
+    with pytest.raises(InputError, match=f"my_effects.py: effect 'nonsense'.*{message}"):
+        fit_one(load_catalogue([path]), "nonsense")
+
+
+def fit_one(catalogue, kind):
+    dataset = make_dataset(linear, runs=4, length=120)
+    return fit(
+        [EffectConfig(kind)],
+        dataset.train,
+        outputs=OUTPUTS,
+        units=UNITS,
+        full_scale=FULL_SCALE,
+        catalogue=catalogue,
+    )
+
+
+def test_file_of_effects_with_an_error_is_named_with_its_line(tmp_path):
+    with pytest.raises(InputError, match=r"my_effects.py:3: .*ZeroDivisionError"):
+        load_catalogue([write_effect(tmp_path, "x = 1 / 0")])
+    with pytest.raises(InputError, match=r"my_effects.py:3: .*SyntaxError"):
+        load_catalogue([write_effect(tmp_path, "def (")])
+
+
+def test_file_of_effects_that_is_missing_or_empty_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere.py: no such file"):
+        load_catalogue([tmp_path / "nowhere.py"])
+    with pytest.raises(InputError, match=r"declares no effect"):
+        load_catalogue([write_effect(tmp_path, "")])
+
+
+def test_declaration_without_sense_is_refused():
+    upside_down = Parameter("tau_s", "s", 10.0, 1.0, (2.0, 3.0))
+    with pytest.raises(InputError, match=r"expected lower <= typical <= upper"):
+        register(Effect(kind="no_sense", title="", parameters=(upside_down,)))
+    below_zero = Parameter("x", "1", -1.0, 1.0, (0.1, 0.2), scale="log")
+    with pytest.raises(InputError, match=r"lower bound must be above 0"):
+        register(Effect(kind="no_sense", title="", parameters=(below_zero,)))
+    assert "no_sense" not in load_catalogue()
+
+
+def test_users_effect_cannot_take_a_built_in_name(tmp_path):
+    body = 'register(Effect(kind="creep", title="mine"))'
+    with pytest.raises(InputError, match=r"'creep' is already declared in the built-in catalogue"):
+        load_catalogue([write_effect(tmp_path, body)])
+
+
+def test_effects_name_their_feature_type():
+    assert Feature("x", 1.0).unit == "1"

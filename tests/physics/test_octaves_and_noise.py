@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from zerodrift.physics.noise import measure_noise
+from zerodrift.physics.octaves import MEANS, cut_octaves
+
+
+@given(st.lists(st.integers(1, 60), min_size=1, max_size=4))
+def test_octaves_are_an_orthonormal_change_of_basis(lengths):
+    octaves = cut_octaves(np.array(lengths), 1)
+    matrix = np.stack([octaves.transform(row) for row in np.eye(sum(lengths))], axis=1)
+    assert np.abs(matrix @ matrix.T - np.eye(sum(lengths))).max() < 1e-12
+
+
+def test_octaves_keep_pieces_apart_and_end_each_with_its_mean():
+    octaves = cut_octaves(np.array([8, 4]), 1)
+    x = np.concatenate([np.full(8, 2.0), np.full(4, 5.0)])
+    means = octaves.transform(x)[octaves.octave == MEANS]
+    assert means == pytest.approx([2.0 * np.sqrt(8), 5.0 * np.sqrt(4)])
+    assert np.abs(octaves.transform(x)[octaves.octave != MEANS]).max() < 1e-12
+
+
+def make_ar(rng, length, memory):
+    kick, y = rng.normal(size=length), np.zeros(length)
+    ratio = np.exp(-1.0 / memory)
+    y[0] = kick[0]
+    for n in range(1, length):
+        y[n] = ratio * y[n - 1] + np.sqrt(1 - ratio**2) * kick[n]
+    return y
+
+
+def test_noise_of_a_long_record_has_its_rms_and_spectrum():
+    rng = np.random.default_rng(4)
+    record = np.stack(
+        [2.0 * rng.normal(size=40_000), rng.normal(size=40_000) + make_ar(rng, 40_000, 32.0)],
+        axis=1,
+    )
+    noise = measure_noise([record], "dwell")
+    assert noise.rms(40_000) == pytest.approx([2.0, np.sqrt(2.0)], rel=0.05)
+    white, coloured = noise.variance(np.array([0, 8]), 40_000).T
+    assert white == pytest.approx([4.0, 4.0], rel=0.2)
+    assert coloured[1] > 10.0 * coloured[0]
+
+
+def test_noise_is_carried_on_to_octaves_that_the_record_lacks():
+    rng = np.random.default_rng(5)
+    noise = measure_noise([rng.normal(size=(1000, 1))], "dwell")
+    assert noise.variance(np.array([12]), 10_000)[0, 0] == pytest.approx(1.0, rel=0.6)
