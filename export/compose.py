@@ -65,11 +65,11 @@ def describe_compensator(
     taps: tuple[Node, ...] = ()
     if front_end is not None:
         taps = front_end.graph(ops)
+        offset = compensator.tap_offset
         moving = np.abs(compensator.linear).max(axis=1) > 0.0
         if moving.any():  # the linear part rides on the taps
             features = (*features, *taps)
             coefficients = np.concatenate([coefficients, compensator.tap_coefficients])
-            offset = compensator.tap_offset
     channels, sources = _list_channels([*features, *taps], runs)
     return FloatModel(
         name=config.sensor_name,

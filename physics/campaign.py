@@ -20,7 +20,7 @@ from zerodrift.physics.rails import bridge
 from zerodrift.physics.rates import Rates
 from zerodrift.physics.reduction import Column, plan_reduction, select_means
 from zerodrift.physics.signals import SignalPlan, graph_inputs, name_signals, read_signals
-from zerodrift.physics.terms import Term, build_columns, build_features, find_owner
+from zerodrift.physics.terms import Term, build_columns, build_features, name_feature
 
 Array = NDArray[np.float64]
 
@@ -149,7 +149,7 @@ class Campaign:
         for feature in features:
             if not isinstance(feature.signal, Node):
                 raise InputError(
-                    f"{find_owner(feature, terms)}: feature '{feature.name}' is a "
+                    f"{name_feature(feature, terms)} is a "
                     f"{type(feature.signal).__name__}; expected what an operation of `ops` returns."
                 )
         return tuple(features[1:])
@@ -168,7 +168,9 @@ class Campaign:
         if key in self._cache:
             self._cache.move_to_end(key)
             return self._cache[key]
-        column = self.rates.compute(node)
+        # What overflows or is undefined is refused below, with a name.
+        with np.errstate(over="ignore", invalid="ignore"):
+            column = self.rates.compute(node)
         if not np.isfinite(column.octaves).all():
             raise InputError(
                 f"{label or node!r}: some values are NaN or infinite; keep the arguments of each "
@@ -192,9 +194,7 @@ class Campaign:
             terms: what they were built from, for messages.
             slopes: (coordinate, feature, column) of each slope.
         """
-        columns = [
-            self.column(f.signal, f"{find_owner(f, terms)}: feature '{f.name}'") for f in features
-        ]
+        columns = [self.column(f.signal, name_feature(f, terms)) for f in features]
         columns += [column for _, _, column in slopes]
         columns += [*self._offsets, *self._drifts]
         outputs = self.plan.outputs

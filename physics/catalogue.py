@@ -3,6 +3,7 @@
 import importlib.util
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -50,8 +51,9 @@ class Catalogue(Mapping[str, Effect]):
 
 
 _registered: dict[str, Effect] = {}
-_loading: list[str] = []
-"""The file being loaded, innermost last, so that an effect knows where it was declared."""
+"""Built-in effects and those of installed packages."""
+_declaring: list[tuple[str, dict[str, Effect]]] = []
+"""The file being loaded and where its effects go, innermost last."""
 
 
 def register(effect: Effect) -> Effect:
@@ -60,16 +62,16 @@ def register(effect: Effect) -> Effect:
     Raises:
         InputError: the name is taken by another declaration, or the declaration is not usable.
     """
-    where = _loading[-1] if _loading else ""
+    where, known = _declaring[-1] if _declaring else ("", _registered)
     effect = replace(effect, file=where)
     _check_declaration(effect)
-    other = _registered.get(effect.kind)
+    other = known.get(effect.kind)
     if other is not None and other.file != where:
         raise InputError(
             f"{where or 'built-in'}: effect '{effect.kind}' is already declared in "
             f"{other.file or 'the built-in catalogue'}; give it another name."
         )
-    _registered[effect.kind] = effect
+    known[effect.kind] = effect
     return effect
 
 
@@ -83,18 +85,16 @@ def load_catalogue(plugin_files: Iterable[Path] = ()) -> Catalogue:
         InputError: a file is missing, cannot be imported, or declares an unusable effect.
     """
     load_built_ins()
-    wanted = {""}
     for entry_point in entry_points(group=ENTRY_POINT_GROUP):
         where = f"entry point {entry_point.value}"
-        wanted.add(where)
         if not any(effect.file == where for effect in _registered.values()):
-            with _declared_in(where):
+            with _declare(where, _registered):
                 entry_point.load()
+    # A project's own effects are its own: another project may use the same names.
+    effects = dict(_registered)
     for path in plugin_files:
-        where = str(path)
-        wanted.add(where)
-        _load_file(path)
-    return Catalogue({k: effect for k, effect in _registered.items() if effect.file in wanted})
+        _load_file(path, effects)
+    return Catalogue(effects)
 
 
 def load_built_ins() -> None:
@@ -108,37 +108,32 @@ def load_built_ins() -> None:
     )
 
 
-class _declared_in:  # noqa: N801 - reads as a statement
-    """Within this context, `register` notes where the effect was declared."""
-
-    def __init__(self, where: str) -> None:
-        self._where = where
-
-    def __enter__(self) -> None:
-        _loading.append(self._where)
-
-    def __exit__(self, *_: object) -> None:
-        _loading.pop()
+@contextmanager
+def _declare(where: str, known: dict[str, Effect]) -> Iterator[None]:
+    """Within this context, `register` adds effects to `known`, noting where they stand."""
+    _declaring.append((where, known))
+    try:
+        yield
+    finally:
+        _declaring.pop()
 
 
-def _load_file(path: Path) -> None:
-    """Run a user's file; loading it again replaces what it declared before."""
+def _load_file(path: Path, effects: dict[str, Effect]) -> None:
+    """Run a user's file and add what it declares to `effects`."""
     where = str(path)
     if not path.is_file():
         raise InputError(
             f"{path}: no such file, though [plugins] files names it; "
             "correct the name, relative to zerodrift.toml."
         )
-    for kind in [k for k, effect in _registered.items() if effect.file == where]:
-        del _registered[kind]
     name = f"zerodrift_plugin_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise InputError(f"{path}: not a Python file; [plugins] files takes files ending in .py.")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    before = set(_registered)
-    with _declared_in(where):
+    before = set(effects)
+    with _declare(where, effects):
         try:
             spec.loader.exec_module(module)
         except InputError:
@@ -149,7 +144,7 @@ def _load_file(path: Path) -> None:
                 f"{path}{line}: the file of effects raised {type(error).__name__}: {error}. "
                 "Run it with python to see more."
             ) from error
-    if set(_registered) == before:
+    if set(effects) == before:
         raise InputError(
             f"{path}: declares no effect; call zerodrift.physics.catalogue.register(Effect(...))."
         )

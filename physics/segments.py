@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.descriptors import Blocks, cut_blocks, describe
-from zerodrift.physics.patterns import CONCENTRATED, Pattern, Scan, find_patterns
+from zerodrift.physics.patterns import find_patterns
+from zerodrift.physics.scan import CONCENTRATED, Pattern, Scan
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -83,25 +84,20 @@ def find_failures(
     means = blocks.average(flat)
     excess = np.maximum(squares - floor**2, 0.0)
     scan = Scan(describe(blocks, flat, outputs, units, channel_units), blocks.run)
-    patterns: list[Pattern] = []
+    rmse = np.sqrt(squares.mean(axis=0))
+    patterns = find_patterns(scan, means, np.where(rmse > floor, excess, 0.0))
     candidates: list[Segment] = []
     for k, output in enumerate(outputs):
-        overall = np.sqrt(np.mean(squares[:, k]))
-        least = STANDS_OUT * float(floor[k])
-        found = []
-        if overall > floor[k]:
-            found = find_patterns(scan, k, means[:, k], excess[:, k])
-        patterns += found
-        level = max(float(overall), least) ** 2
+        least = max(STANDS_OUT * float(floor[k]), float(rmse[k]))
         segments: list[Segment] = []
         free = np.ones(blocks.run.size, dtype=np.bool_)
-        for pattern in found:
+        for pattern in (p for p in patterns if p.output == k):
             held = pattern.blocks
             if pattern.kind != CONCENTRATED:
-                held = held & _find_bursts(blocks, np.where(held, squares[:, k], 0.0), level)
+                held = held & _find_bursts(blocks, np.where(held, squares[:, k], 0.0), least**2)
             segments += _list_segments(blocks, flat, held, k, output, pattern.words)
             free &= ~held
-        rest = _find_bursts(blocks, np.where(free, squares[:, k], 0.0), level)
+        rest = _find_bursts(blocks, np.where(free, squares[:, k], 0.0), least**2)
         shortest_s = (SHORTEST - 1) * blocks.seconds / blocks.size
         segments += [
             segment
@@ -109,7 +105,7 @@ def find_failures(
             if segment.to_s - segment.from_s >= shortest_s
             and segment.rmse >= STANDS_ALONE * float(floor[k])
         ]
-        candidates += [s for s in segments if s.rmse >= max(least, float(overall))]
+        candidates += [s for s in segments if s.rmse >= least]
     scale = dict(zip(outputs, full_scale, strict=True))
     candidates.sort(key=lambda s: (-s.rmse / scale[s.output], s.run, s.from_s))
     kept: list[Segment] = []

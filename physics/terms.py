@@ -187,24 +187,25 @@ def build_columns(
         if not isinstance(column, np.ndarray) or column.shape != shape:
             found = getattr(column, "shape", type(column).__name__)
             raise InputError(
-                f"{find_owner(feature, terms)}: feature '{feature.name}' has shape {found}; "
+                f"{name_feature(feature, terms)} has shape {found}; "
                 f"expected one value per sample, {shape}."
             )
         if not np.isfinite(column).all():
             row = int(np.flatnonzero(~np.isfinite(column))[0])
             raise InputError(
-                f"{find_owner(feature, terms)}: feature '{feature.name}' is {column[row]} at "
+                f"{name_feature(feature, terms)} is {column[row]} at "
                 f"sample {row}; keep its arguments where the operation is defined."
             )
     return features
 
 
-def find_owner(feature: Feature[Any], terms: Sequence[Term]) -> str:
-    """Return the file and effect that a feature came from, for messages."""
+def name_feature(feature: Feature[Any], terms: Sequence[Term]) -> str:
+    """Return the file, the effect and the name of a feature, for messages."""
     for term in terms:
-        if feature.name.startswith(f"{term.name}: "):
-            return _where(term.effect)
-    return "model"
+        prefix = f"{term.name}: "
+        if feature.name.startswith(prefix):
+            return f"{_where(term.effect)}: feature '{feature.name.removeprefix(prefix)}'"
+    return f"feature '{feature.name}'"
 
 
 def _where(effect: Effect) -> str:

@@ -2,8 +2,8 @@
 
 The network remembers, but it learns soonest when one signal already has the speed of the sensor's
 slow part. For each time constant of a grid a small linear model of what physics leaves is solved:
-a cubic in the temperature, the lag, and the lag times the temperature. The time constant that
-predicts runs left out best is taken; a second one only when it earns its place.
+the temperature, and a cubic in the temperature after the lag. The time constant that predicts runs
+left out best is taken; a second one only when it earns its place.
 `docs/decisions/020-what-the-network-sees.md` has the comparison with fixed banks.
 """
 
@@ -18,8 +18,8 @@ from zerodrift.train.linear import Moments, collect_moments, score_left_out, sta
 
 Array = NDArray[np.float64]
 
-GRID = 24
-"""Time constants that are tried, evenly spaced in the logarithm."""
+GRID, REFINE = 16, 9
+"""Time constants that are tried, evenly spaced in the logarithm; then again around the best."""
 SHORTEST_STEPS = 3.0
 """A lag shorter than this many samples shows the thermometer's noise more than its slope."""
 LONGEST_SHARE = 0.25
@@ -40,20 +40,31 @@ def choose_lags(runs: Sequence[Run], residuals: Sequence[Array]) -> tuple[float,
     longest = max(len(run) for run in runs)
     highest_s = max(LONGEST_SHARE * longest, 2.0 * SHORTEST_STEPS) * dt_s
     grid = [float(tau) for tau in np.geomspace(SHORTEST_STEPS * dt_s, highest_s, GRID)]
+    ratio = grid[1] / grid[0]
     chosen: list[float] = []
     error = np.inf
     for _ in range(MOST_LAGS):
-        scores = {
-            tau: score_left_out(_collect(runs, residuals, (*chosen, tau)))
-            for tau in grid
-            if tau not in chosen
-        }
-        best = min(scores, key=lambda tau: scores[tau])
-        if chosen and scores[best] > EARNS_ITS_PLACE * error:
+        best, found = _search(runs, residuals, chosen, grid)
+        near = best * ratio ** np.linspace(-1.0, 1.0, REFINE)
+        best, found = _search(runs, residuals, chosen, near.tolist())
+        if found > EARNS_ITS_PLACE * error:
             break
         chosen.append(best)
-        error = scores[best]
+        error = found
     return tuple(float(f"{tau:.3g}") for tau in chosen)
+
+
+def _search(
+    runs: Sequence[Run], residuals: Sequence[Array], chosen: Sequence[float], grid: Sequence[float]
+) -> tuple[float, float]:
+    """Return the time constant that does best beside those chosen, and its error."""
+    scores = {
+        tau: score_left_out(_collect(runs, residuals, (*chosen, tau)))
+        for tau in grid
+        if tau not in chosen
+    }
+    best = min(scores, key=lambda tau: scores[tau])
+    return best, scores[best]
 
 
 def _collect(runs: Sequence[Run], residuals: Sequence[Array], lags_s: Sequence[float]) -> Moments:
@@ -63,10 +74,9 @@ def _collect(runs: Sequence[Run], residuals: Sequence[Array], lags_s: Sequence[f
     columns = []
     for run in runs:
         level = (run.temperature_degC - middle) / spread
-        terms = [level, level**2, level**3]
+        terms = [level]
         for tau_s in lags_s:
-            slow = lowpass(run.temperature_degC, run.sample_period_s, tau_s)
-            behind = (run.temperature_degC - slow) / spread
-            terms += [behind, behind * level]
+            slow = lowpass(level, run.sample_period_s, tau_s)
+            terms += [slow, slow**2, slow**3]
         columns.append(np.stack(terms, axis=1))
     return collect_moments(stack_centred(runs, columns, residuals))

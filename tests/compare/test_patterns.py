@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from zerodrift.physics.concentrations import score_place
 from zerodrift.physics.descriptors import cut_blocks, describe, format_time, list_thresholds
-from zerodrift.physics.patterns import SIGNED, Scan, count_digits, find_patterns, score_place
+from zerodrift.physics.patterns import find_patterns
+from zerodrift.physics.scan import SIGNED, Scan, count_digits
 from zerodrift.physics.segments import NO_PATTERN, find_failures
 
 FLOOR = np.array([0.05, 0.05])
@@ -88,6 +90,16 @@ def test_noise_has_no_pattern(make_run, seed):
     failures = find([make_run(10 * seed + i) for i in range(6)])
     assert failures.patterns == ()
     assert failures.worst == ()
+
+
+def test_outputs_that_fail_in_the_same_place_are_told_by_the_same_words(make_run):
+    def error(run):
+        warm = np.clip((run.temperature_degC - 30.0) / 15.0, 0.0, 1.0)
+        return np.stack([warm, np.sqrt(warm)], axis=1)
+
+    failures = find([make_run(i, error) for i in range(6)])
+    assert words_of(failures)[0] == words_of(failures, 1)[0]
+    assert words_of(failures)[0].startswith("above 3")
 
 
 def test_what_one_run_shows_is_a_segment_but_no_pattern(make_run):
@@ -191,11 +203,11 @@ def test_tally_counts_what_holds(make_run):
         assert total == pytest.approx(float(weight[scan.hold(condition)].sum()))
 
 
-def test_pattern_of_one_output_alone_needs_some_error(make_run):
+def test_pattern_needs_some_error(make_run):
     runs = [make_run(i) for i in range(3)]
     blocks = cut_blocks([[run] for run in runs])
     scan = Scan(
         describe(blocks, [run.drift for run in runs], ("Fz", "Mx"), ("N", "Nm")), blocks.run
     )
-    zeros = np.zeros(blocks.run.size)
-    assert find_patterns(scan, 0, zeros, zeros) == []
+    zeros = np.zeros((blocks.run.size, 2))
+    assert find_patterns(scan, zeros, zeros) == []

@@ -43,22 +43,22 @@ def draw_bench(seed, length, span=25.0):
     return Bench(time_s, temperature, load, supply, rng)
 
 
-def follow(x, tau_s, finer=20):
+def follow(x, tau_s, finer=10):
     """First-order lag by small explicit steps."""
-    fine = np.interp(np.arange(x.size * finer) / finer, np.arange(x.size), x)
-    y, share = np.empty_like(fine), STEP_S / finer / tau_s
-    y[0] = fine[0]
-    for n in range(1, fine.size):
-        y[n] = y[n - 1] + share * (fine[n] - y[n - 1])
-    return y[::finer]
+    fine = np.interp(np.arange(x.size * finer) / finer, np.arange(x.size), x).tolist()
+    share, now, y = STEP_S / finer / tau_s, fine[0], []
+    for value in fine:
+        now += share * (value - now)
+        y.append(now)
+    return np.array(y[::finer])
 
 
 def draw_noise(rng, length, scale=1.0):
     """White noise, and as much of noise with a memory of twenty steps."""
     white, kick = rng.normal(size=(length, 2)), rng.normal(size=(length, 2))
-    coloured = np.zeros((length, 2))
-    for n in range(1, length):
-        coloured[n] = 0.95 * coloured[n - 1] + np.sqrt(1 - 0.95**2) * kick[n]
+    # A sum over the last hundred kicks, each weighing 5 % less than the next.
+    weights = np.sqrt(1 - 0.95**2) * 0.95 ** np.arange(100)
+    coloured = np.stack([np.convolve(column, weights)[:length] for column in kick.T], axis=1)
     return scale * NOISE * (white + coloured) / np.sqrt(2.0)
 
 

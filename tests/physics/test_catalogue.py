@@ -12,16 +12,18 @@ from zerodrift.physics.effect import Effect, Feature, Parameter, Signals
 from zerodrift.physics.fit import fit
 from zerodrift.physics.terms import build_features, start_term
 
-CONTRACT = (
-    "zero_tempco dark_current span_tempco thermal_lag thermal_gradient warm_up thermal_hysteresis "
-    "creep load_hysteresis load_nonlinearity crosstalk supply_sensitivity humidity ambient_light "
-    "inertial_load ageing clock_delay adc_saturation"
-).split()
+CONTRACT = [
+    *("zero_tempco", "dark_current", "span_tempco", "thermal_lag", "thermal_gradient"),
+    *("warm_up", "thermal_hysteresis", "creep", "load_hysteresis", "load_nonlinearity"),
+    *("crosstalk", "supply_sensitivity", "humidity", "ambient_light", "inertial_load"),
+    *("ageing", "clock_delay", "adc_saturation"),
+]
 
 
 def draw_signals(length=200):
     rng = np.random.default_rng(0)
-    channels = "supply humidity ambient_light acceleration_x acceleration_y acceleration_z".split()
+    channels = ["supply", "humidity", "ambient_light"]
+    channels += ["acceleration_x", "acceleration_y", "acceleration_z"]
     return Signals(
         temperature_degC=25.0 + rng.normal(size=length).cumsum() * 0.2,
         elapsed_s=np.arange(length) * 1.0,

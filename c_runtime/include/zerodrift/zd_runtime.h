@@ -199,33 +199,34 @@ typedef struct {
 } zd_gru_t;
 
 /* An 8-bit row's product in its gate's accumulator format. */
-static inline int32_t zd_gru_rescale(const zd_gru_t *gru, uint32_t row, unsigned gate,
+static inline int32_t zd_gru_rescale(const zd_gru_t *layer, uint32_t row, unsigned gate,
                                      int32_t product) {
-    return (int32_t)zd_round_shift64((int64_t)product * gru->multiplier[row],
-                                     gru->multiplier_shift[gate]);
+    return (int32_t)zd_round_shift64((int64_t)product * layer->multiplier[row],
+                                     layer->multiplier_shift[gate]);
 }
 
 /* w_h . h of one row, in its gate's accumulator format. */
-static inline int32_t zd_gru_recurrent(const zd_gru_t *gru, uint32_t row, unsigned gate,
+static inline int32_t zd_gru_recurrent(const zd_gru_t *layer, uint32_t row, unsigned gate,
                                        const int16_t *h_q15, uint32_t hidden) {
     int32_t acc;
-    if (gru->w_h8 == 0) {
-        acc = zd_dot_i16(&gru->w_h16[row * hidden], h_q15, hidden);
+    if (layer->w_h8 == 0) {
+        acc = zd_dot_i16(&layer->w_h16[row * hidden], h_q15, hidden);
     } else {
-        acc = zd_gru_rescale(gru, row, gate, zd_dot_i8(&gru->w_h8[row * hidden], h_q15, hidden));
+        acc =
+            zd_gru_rescale(layer, row, gate, zd_dot_i8(&layer->w_h8[row * hidden], h_q15, hidden));
     }
     return acc;
 }
 
 /* The same of the three rows r, u, n of one unit, the first of which is `row`. */
-static inline void zd_gru_recurrent3(const zd_gru_t *gru, uint32_t row, const int16_t *h_q15,
+static inline void zd_gru_recurrent3(const zd_gru_t *layer, uint32_t row, const int16_t *h_q15,
                                      uint32_t hidden, int32_t acc[3]) {
-    if (gru->w_h8 == 0) {
-        zd_dot3_i16(&gru->w_h16[row * hidden], h_q15, hidden, acc);
+    if (layer->w_h8 == 0) {
+        zd_dot3_i16(&layer->w_h16[row * hidden], h_q15, hidden, acc);
     } else {
-        zd_dot3_i8(&gru->w_h8[row * hidden], h_q15, hidden, acc);
+        zd_dot3_i8(&layer->w_h8[row * hidden], h_q15, hidden, acc);
         for (unsigned gate = 0; gate < 3u; gate++) {
-            acc[gate] = zd_gru_rescale(gru, row + gate, gate, acc[gate]);
+            acc[gate] = zd_gru_rescale(layer, row + gate, gate, acc[gate]);
         }
     }
 }
@@ -247,49 +248,49 @@ static inline void zd_gru_copy_state(const int32_t *h_q30, int16_t *h_q15, uint3
  *   h_q30  [hidden] state, updated
  *   h_q15  [hidden] scratch
  *   u_keep -1 for a step in time; 0 to relax towards rest, where u = 1/2 */
-static inline void zd_gru_step_after(const zd_gru_t *gru, uint32_t inputs, uint32_t hidden,
+static inline void zd_gru_step_after(const zd_gru_t *layer, uint32_t inputs, uint32_t hidden,
                                      const int16_t *x, int32_t *h_q30, int16_t *h_q15,
                                      int32_t u_keep) {
     zd_gru_copy_state(h_q30, h_q15, hidden);
     for (uint32_t j = 0; j < hidden; j++) {
         const uint32_t row = 3u * j;
-        const int32_t *bias = &gru->bias[4u * j];
+        const int32_t *bias = &layer->bias[4u * j];
         int32_t from_x[3];
         int32_t from_h[3];
-        zd_dot3_i16(&gru->w_x[row * inputs], x, inputs, from_x);
-        zd_gru_recurrent3(gru, row, h_q15, hidden, from_h);
+        zd_dot3_i16(&layer->w_x[row * inputs], x, inputs, from_x);
+        zd_gru_recurrent3(layer, row, h_q15, hidden, from_h);
         const int32_t a_r = bias[0] + from_x[0] + from_h[0];
         const int32_t a_u = bias[1] + from_x[1] + from_h[1];
-        const int32_t r_q31 = zd_sigmoid_q31(zd_asr32(a_r, gru->shift[0]));
-        const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, gru->shift[1]));
+        const int32_t r_q31 = zd_sigmoid_q31(zd_asr32(a_r, layer->shift[0]));
+        const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, layer->shift[1]));
         const int32_t a_n = bias[2] + from_x[2] + zd_mul_high(bias[3] + from_h[2], r_q31);
-        const int32_t n_q30 = zd_tanh_q26(zd_asr32(a_n, gru->shift[2])) * 16;
+        const int32_t n_q30 = zd_tanh_q26(zd_asr32(a_n, layer->shift[2])) * 16;
         h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & (1 << 30)));
     }
 }
 
 /* One step, reset gate before the recurrent product; rh_q15 [hidden] is a second scratch. */
-static inline void zd_gru_step_before(const zd_gru_t *gru, uint32_t inputs, uint32_t hidden,
+static inline void zd_gru_step_before(const zd_gru_t *layer, uint32_t inputs, uint32_t hidden,
                                       const int16_t *x, int32_t *h_q30, int16_t *h_q15,
                                       int16_t *rh_q15, int32_t u_keep) {
     zd_gru_copy_state(h_q30, h_q15, hidden);
     for (uint32_t j = 0; j < hidden; j++) {
         const uint32_t row = 3u * j;
-        const int32_t a_r = gru->bias[4u * j] + zd_dot_i16(&gru->w_x[row * inputs], x, inputs) +
-                            zd_gru_recurrent(gru, row, 0u, h_q15, hidden);
-        const int32_t r_q31 = zd_sigmoid_q31(zd_asr32(a_r, gru->shift[0]));
+        const int32_t a_r = layer->bias[4u * j] + zd_dot_i16(&layer->w_x[row * inputs], x, inputs) +
+                            zd_gru_recurrent(layer, row, 0u, h_q15, hidden);
+        const int32_t r_q31 = zd_sigmoid_q31(zd_asr32(a_r, layer->shift[0]));
         rh_q15[j] = (int16_t)zd_round_shift64((int64_t)h_q30[j] * r_q31, 46u);
     }
     for (uint32_t j = 0; j < hidden; j++) {
         const uint32_t row = 3u * j;
-        const int16_t *w_x = &gru->w_x[row * inputs];
-        const int32_t *bias = &gru->bias[4u * j];
+        const int16_t *w_x = &layer->w_x[row * inputs];
+        const int32_t *bias = &layer->bias[4u * j];
         const int32_t a_u = bias[1] + zd_dot_i16(&w_x[inputs], x, inputs) +
-                            zd_gru_recurrent(gru, row + 1u, 1u, h_q15, hidden);
+                            zd_gru_recurrent(layer, row + 1u, 1u, h_q15, hidden);
         const int32_t a_n = bias[2] + zd_dot_i16(&w_x[2u * inputs], x, inputs) +
-                            zd_gru_recurrent(gru, row + 2u, 2u, rh_q15, hidden);
-        const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, gru->shift[1]));
-        const int32_t n_q30 = zd_tanh_q26(zd_asr32(a_n, gru->shift[2])) * 16;
+                            zd_gru_recurrent(layer, row + 2u, 2u, rh_q15, hidden);
+        const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, layer->shift[1]));
+        const int32_t n_q30 = zd_tanh_q26(zd_asr32(a_n, layer->shift[2])) * 16;
         h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & (1 << 30)));
     }
 }

@@ -1,5 +1,6 @@
 """`zerodrift compare`: the model against the measurements, run by run, and where it fails."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from zerodrift.physics.compare import Comparison
-    from zerodrift.physics.patterns import Pattern
+    from zerodrift.physics.scan import Pattern
 
 
 @click.command()
@@ -189,30 +190,51 @@ def _print_failures(comparison: "Comparison", console: "Console") -> None:
 
 def describe_patterns(comparison: "Comparison") -> list[str]:
     """Return the patterns in sentences; outputs with the same words share one."""
-    from zerodrift.physics.patterns import CONCENTRATED
+    from zerodrift.physics.scan import CONCENTRATED
 
-    by_words: dict[tuple[str, str], list[Pattern]] = {}
-    for pattern in comparison.failures.patterns:
-        by_words.setdefault((pattern.kind, pattern.words), []).append(pattern)
     sentences = []
-    for (kind, words), alike in by_words.items():
-        names = ", ".join(comparison.outputs[p.output] for p in alike)
-        shares = _write_range([100.0 * p.share_of_error for p in alike])
-        agree = min(alike, key=lambda p: p.runs_agreeing / p.runs_checked)
-        runs = f"{agree.runs_agreeing} of {agree.runs_checked} runs left out agree"
-        if kind == CONCENTRATED:
-            time = _write_range([100.0 * p.share_of_time for p in alike])
-            sentences.append(
-                f"{names}: {words}. {shares} of the squared error lies in this {time} of the time "
-                f"({runs})."
-            )
+    concentrated: dict[str, list[Pattern]] = {}
+    signed: dict[int, list[Pattern]] = {}
+    for pattern in comparison.failures.patterns:
+        if pattern.kind == CONCENTRATED:
+            concentrated.setdefault(pattern.words, []).append(pattern)
         else:
-            means = ", ".join(f"{p.mean_error:+.2g} {comparison.units[p.output]}" for p in alike)
-            sentences.append(
-                f"{names}: {words}, off by {means} on average. The sides of this condition "
-                f"explain {shares} of the squared error ({runs})."
-            )
+            signed.setdefault(pattern.output, []).append(pattern)
+    for words, alike in concentrated.items():
+        time = _write_range([100.0 * p.share_of_time for p in alike])
+        sentences.append(
+            f"{_name_outputs(comparison, alike)}: {words}. {_write_error(alike)} lies in this "
+            f"{time} of the time ({_write_agreement(alike)})."
+        )
+    by_sides: dict[tuple[str, str], list[Pattern]] = {}
+    for one, other in signed.values():
+        by_sides.setdefault((one.words, other.words), []).extend((one, other))
+    for (here, there), alike in by_sides.items():
+        pairs = zip(alike[::2], alike[1::2], strict=True)
+        means = ", ".join(
+            f"{comparison.outputs[p.output]} {p.mean_error:+.2g} and {q.mean_error:+.2g} "
+            f"{comparison.units[p.output]}"
+            for p, q in pairs
+        )
+        sentences.append(
+            f"{_name_outputs(comparison, alike[::2])}: off one way {here}, the other way {there} "
+            f"({means}). That is {_write_error(alike)} ({_write_agreement(alike)})."
+        )
     return sentences
+
+
+def _name_outputs(comparison: "Comparison", patterns: Sequence["Pattern"]) -> str:
+    return ", ".join(comparison.outputs[p.output] for p in patterns)
+
+
+def _write_error(patterns: Sequence["Pattern"]) -> str:
+    return f"{_write_range([100.0 * p.share_of_error for p in patterns])} of the squared error"
+
+
+def _write_agreement(patterns: Sequence["Pattern"]) -> str:
+    """Return how many runs agree, for the output on which they agree least."""
+    least = min(patterns, key=lambda p: p.runs_agreeing / p.runs_checked)
+    return f"{least.runs_agreeing} of {least.runs_checked} runs left out agree"
 
 
 def _write_range(percents: list[float]) -> str:

@@ -1,0 +1,157 @@
+import json
+
+import numpy as np
+import pytest
+from tests.physics.conftest import SLOPE, follow, linear, make_dataset
+
+from zerodrift.config import EffectConfig
+from zerodrift.physics.course import diagnose_until_done
+from zerodrift.physics.diagnose import diagnose
+
+
+def lagging(bench):
+    return (follow(bench.temperature, 90.0) - 25.0)[:, None] * SLOPE
+
+
+def powered(bench):
+    return linear(bench) + (bench.supply - 5.0)[:, None] * np.array([20.0, 0.2])
+
+
+def test_complete_model_is_called_complete(tempco):
+    diagnosis = diagnose(tempco, make_dataset(linear, length=600))
+    assert diagnosis.verdict == "complete"
+    assert diagnosis.effect is None
+    assert diagnosis.floor_ratio_after == pytest.approx(1.0, abs=0.15)
+
+
+def test_lag_is_named_and_brings_the_error_to_the_floor(tempco):
+    diagnosis = diagnose(tempco, make_dataset(lagging, length=600))
+    assert (diagnosis.verdict, diagnosis.effect) == ("missing", "thermal_lag")
+    assert diagnosis.parameters["tau_s"] == pytest.approx(90.0, rel=0.05)
+    assert diagnosis.floor_ratio_before > 2.0
+    assert diagnosis.floor_ratio_after == pytest.approx(1.0, abs=0.15)
+    best = diagnosis.candidates[0]
+    assert best.effect == "thermal_lag"
+    assert best.p_value == 2.0**-8
+    assert best.heldout_rmse_ratio < 0.5
+
+
+def test_two_effects_are_found_one_after_the_other(tempco):
+    def disturb(bench):
+        return lagging(bench) + powered(bench) - linear(bench)
+
+    course = diagnose_until_done(tempco, make_dataset(disturb, length=600))
+    added = {step.effect for step in course.steps if step.effect}
+    assert added == {"thermal_lag", "supply_sensitivity"}
+    assert course.steps[-1].verdict == "complete"
+    assert [config.kind for config in course.effects][0] == "zero_tempco"
+    assert course.drop == ()
+
+
+def test_effect_whose_channel_is_missing_is_unknown_and_the_channel_told(tempco):
+    diagnosis = diagnose(tempco, make_dataset(powered, length=600, inputs=()))
+    assert (diagnosis.verdict, diagnosis.effect) == ("unknown", None)
+    assert "supply_sensitivity" in {u.effect for u in diagnosis.not_testable}
+    assert "supply_sensitivity" in diagnosis.next_experiment
+
+
+def test_disturbance_outside_the_catalogue_is_unknown(tempco):
+    def disturb(bench):
+        swing = np.sin(bench.time_s / 37.0 + bench.rng.uniform(0.0, 6.0))
+        still = bench.temperature.std() < 1.0
+        return linear(bench) + (0.0 if still else 2.0) * swing[:, None] * np.array([1.0, 0.01])
+
+    diagnosis = diagnose(tempco, make_dataset(disturb, length=600))
+    assert diagnosis.verdict == "unknown"
+    assert diagnosis.nearest is not None
+    assert any("period" in pattern.follows for pattern in diagnosis.remainder)
+
+
+def test_sensor_that_wanders_at_rest_is_not_called_complete(tempco):
+    def disturb(bench):
+        walk = 0.1 * bench.rng.normal(size=(bench.time_s.size, 2)).cumsum(axis=0)
+        return linear(bench) + walk * np.array([1.0, 0.01])
+
+    diagnosis = diagnose(tempco, make_dataset(disturb, length=600))
+    assert diagnosis.verdict == "unknown"
+    assert any("wanders" in note for note in diagnosis.notes)
+
+
+def test_quadratic_zero_shift_is_named_as_a_higher_order(tempco):
+    def disturb(bench):
+        return linear(bench) + 0.03 * ((bench.temperature - 25.0) ** 2)[:, None] * SLOPE
+
+    diagnosis = diagnose(tempco, make_dataset(disturb, length=600))
+    assert diagnosis.effect == "zero_tempco"
+    assert diagnosis.parameters["order"] in (2, 3)
+
+
+def test_clipped_samples_are_set_aside(tempco):
+    def disturb(bench):
+        drift = linear(bench)
+        return np.clip(bench.load + drift, -300.0, 300.0) - bench.load
+
+    dataset = make_dataset(disturb, length=600, tared=False, noise=0.0)
+    noisy = make_dataset(linear, length=600, tared=False)
+    train = []
+    for clipped, run in zip(dataset.train, noisy.train, strict=True):
+        measured = np.clip(run.measured, -300.0, 300.0)
+        train.append(type(run)(**{**run.__dict__, "measured": measured}))
+        assert clipped.name == run.name
+    dataset = type(noisy)(**{**noisy.__dict__, "train": tuple(train)})
+    diagnosis = diagnose(tempco, dataset)
+    assert (diagnosis.verdict, diagnosis.effect) == ("missing", "adc_saturation")
+
+
+def test_few_runs_are_called_thin_evidence(tempco):
+    four = diagnose(tempco, make_dataset(lagging, runs=4, length=500))
+    assert four.effect == "thermal_lag"
+    assert four.evidence.startswith("thin: with 4 runs no p-value can be below 0.062")
+    one = diagnose(tempco, make_dataset(lagging, runs=1, length=1500))
+    assert one.evidence.startswith("thin: 1 run was cut into 8 pieces")
+
+
+def test_floor_without_a_dwell_is_called_estimated(tempco):
+    diagnosis = diagnose(tempco, make_dataset(lagging, length=500, dwell=False))
+    assert diagnosis.effect == "thermal_lag"
+    assert diagnosis.floor_source == "estimated"
+    assert any("no dwell" in note for note in diagnosis.notes)
+
+
+def test_effect_that_logs_do_not_excite_is_not_testable(tempco):
+    diagnosis = diagnose(tempco, make_dataset(linear, length=300, inputs=("humidity",)))
+    why = {u.effect: u.why for u in diagnosis.not_testable}
+    assert why["ambient_light"] == "no input 'ambient_light'"
+    assert "do not excite" in why["humidity"]
+
+
+def test_idle_effect_is_proposed_for_removal():
+    model = [EffectConfig("zero_tempco"), EffectConfig("supply_sensitivity")]
+    course = diagnose_until_done(model, make_dataset(linear, length=400))
+    assert course.drop == ("supply_sensitivity",)
+
+
+def test_verdict_is_the_same_twice_and_fits_json(tempco):
+    dataset = make_dataset(lagging, runs=4, length=300)
+    one, two = (json.dumps(diagnose(tempco, dataset).to_dict()) for _ in range(2))
+    assert one == two
+    told = json.loads(one)
+    for key in ("verdict", "effect", "lookalikes", "candidates", "not_testable"):
+        assert key in told
+    assert set(told["candidates"][0]) >= {
+        *("effect", "heldout_rmse_ratio", "p_value", "excitation", "parameters", "testable"),
+    }
+
+
+def test_next_experiment_tells_lookalikes_apart(tempco):
+    # With slow ramps alone a short lag and a gradient are the same.
+    def disturb(bench):
+        slow = np.interp(bench.time_s, bench.time_s[[0, -1]], bench.temperature[[0, -1]])
+        bench.temperature[:] = slow
+        return (follow(slow, 20.0) - 25.0)[:, None] * SLOPE * 8.0
+
+    diagnosis = diagnose(tempco, make_dataset(disturb, length=500))
+    if diagnosis.lookalikes:
+        assert "times the noise" in diagnosis.next_experiment
+    else:
+        assert diagnosis.next_experiment

@@ -1,0 +1,45 @@
+import numpy as np
+import pytest
+
+from zerodrift.physics.rails import bridge, find_rails
+
+
+def draw_signal(noise=0.05):
+    rng = np.random.default_rng(3)
+    load = 10.0 * np.sin(np.arange(2000) / 60.0)
+    return load, load + noise * rng.normal(size=load.size)
+
+
+def test_clipped_peaks_are_found_and_nothing_else():
+    load, measured = draw_signal()
+    clipped = np.clip(measured, -8.0, 9.0)
+    flags = find_rails(clipped, load)
+    assert (flags == (np.abs(clipped - 0.5) >= 8.5 - 1e-9)).all()
+
+
+def test_unclipped_signal_has_no_rails():
+    load, measured = draw_signal()
+    assert not find_rails(measured, load).any()
+
+
+def test_coarse_steps_are_no_rails():
+    load, measured = draw_signal()
+    assert not find_rails(np.round(measured / 2.0) * 2.0, load).any()
+
+
+def test_signal_that_never_moves_has_no_rails():
+    assert not find_rails(np.full(100, 3.0), np.linspace(0.0, 1.0, 100)).any()
+
+
+def test_walking_peaks_that_are_cut_are_found():
+    rng = np.random.default_rng(4)
+    stride = np.clip(np.sin(np.arange(3000) * 2.0 * np.pi / 7.0), 0.0, None)
+    load = stride * (1.0 + 0.2 * rng.uniform(size=3000))
+    measured = np.minimum(load + 0.01 * rng.normal(size=3000), 0.9)
+    assert find_rails(measured, load).sum() == pytest.approx((measured == 0.9).sum())
+
+
+def test_bridge_draws_straight_lines():
+    x = np.array([0.0, 1.0, 9.0, 9.0, 4.0])
+    assert bridge(x, np.array([0.0, 0.0, 1.0, 1.0, 0.0])).tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert bridge(x, np.ones(5)) is x
