@@ -31,7 +31,7 @@ LEAST_TIME = 0.005
 MOST_TIME = 0.6
 """Conditions that hold for less or more of the time than this name no place."""
 BETTER_TOGETHER = 1.25
-"""A second condition must raise the score, on runs left out, by this factor."""
+"""A second condition, on runs left out, must raise the score of the first by this factor."""
 LEAST_WORTH = 0.1
 """Share of an output's whole squared error that is worth a sentence."""
 LEAST_LEFT = 0.15
@@ -108,14 +108,19 @@ def find_place(scan: Scan, output: int, square: Array, area: Mask) -> Place | No
     first = _choose(scan, output, square, area, area)
     if first is None or not first.is_concentrated:
         return None
-    second = _choose(scan, output, square, area & scan.hold(*first.conditions), area)
-    if (
-        second is not None
-        and second.is_concentrated
-        and second.score >= BETTER_TOGETHER * first.score
-    ):
+    held = area & scan.hold(*first.conditions)
+    second = _choose(scan, output, square, held, area)
+    # The first one was chosen on all runs, so that is where it is compared.
+    alone = _score_on_all(square, held, area)
+    if second is not None and second.is_concentrated and second.score >= BETTER_TOGETHER * alone:
         return Place((*first.conditions, *second.conditions), second.evidence)
     return first
+
+
+def _score_on_all(square: Array, held: Mask, area: Mask) -> float:
+    """Return the scan statistic of a part of an area, over all runs."""
+    share = square[held].sum() / square[area].sum()
+    return float(score_place(np.array(share), np.array(held.sum() / area.sum())))
 
 
 def _prefer(scan: Scan, square: Array, shared: Place, own: Place | None) -> Place | None:
@@ -129,9 +134,8 @@ def _prefer(scan: Scan, square: Array, shared: Place, own: Place | None) -> Plac
         return own
     best = 0.0
     if own is not None:
-        mine = scan.hold(*own.conditions)
-        share = float(square[mine].sum() / square.sum())
-        best = float(score_place(np.array(share), np.array(mine.mean())))
+        everywhere = np.ones(square.size, dtype=np.bool_)
+        best = _score_on_all(square, scan.hold(*own.conditions), everywhere)
     return there if there.score >= GOOD_ENOUGH * best else own
 
 

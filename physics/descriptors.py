@@ -18,7 +18,7 @@ from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S
 
 Array = NDArray[np.float64]
 
-MOST_BLOCKS = 20_000
+MOST_BLOCKS = 10_000
 """Blocks of all runs together; more samples than that are averaged."""
 SHORTEST_SPAN_S = 30.0
 """Slopes are taken over at least this time and ten samples, so that the thermometer's steps do not

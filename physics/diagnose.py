@@ -131,7 +131,6 @@ class Diagnostician:
         self.terms = tuple(start_term(catalogue, config) for config in effects)
         check_terms(self.terms, effects, self.plan)
         self.campaign = self._lay_out()
-        self.limit = AT_FLOOR if dataset.dwell else AT_ESTIMATED_FLOOR
 
     def _lay_out(self) -> Campaign:
         """Return the runs with offsets of their own, unless they share one."""
@@ -154,13 +153,13 @@ class Diagnostician:
             first = self._with_rails(first, rails)
             findings = self._place_rails(first, rails, findings)
         if not findings:
-            at_floor = first.fitted_ratio <= self.limit and not self.wanders(first)
-            return self._report("complete" if at_floor else "unknown", first, None, ())
+            complete = self.arrived(first, first.fitted_ratio) and not self.wanders(first)
+            return self._report("complete" if complete else "unknown", first, None, ())
         left = findings[-1].judged.fitted_ratio if last is None else last.fitted_ratio
         if len(findings) > 1:
             findings = self.confirm(findings)
         share = share_explained(first.fitted_ratio**2, left**2)
-        explained = left <= self.limit or share >= EXPLAINED
+        explained = self.arrived(first, left) or share >= EXPLAINED
         if not self.dataset.dwell:
             # A floor that is a lower bound cannot refuse; a large held-out gain must do.
             explained = explained or findings[0].judged.rmse_ratio ** 2 <= LEFT_WITHOUT_DWELL
@@ -191,7 +190,7 @@ class Diagnostician:
             if leading is None:
                 return findings, examination if findings else None
             findings.append(Finding(examination, leading))
-            if leading.fitted_ratio <= self.limit:
+            if self.arrived(examination, leading.fitted_ratio):
                 return findings, None
             examination = self.look(leading.found.terms)
         return findings, examination
@@ -254,6 +253,12 @@ class Diagnostician:
             if close or (unsure and behind <= ALIKE_UNLESS_SURE * leading.gain):
                 alike.append(judged)
         return alike
+
+    def arrived(self, examination: Examination, ratio: float) -> bool:
+        """Return whether an RMSE of so many floors is at the floor, as well as that is known."""
+        if not self.dataset.dwell:
+            return ratio <= AT_ESTIMATED_FLOOR
+        return ratio <= AT_FLOOR + 2.0 * examination.noise.uncertainty
 
     def wanders(self, examination: Examination) -> bool:
         """Return whether the dwell wanders slowly, which no noise of a converter does."""

@@ -20,7 +20,7 @@ from zerodrift.physics.evidence import Errors, flip_signs, hold_in, hold_out
 from zerodrift.physics.floor import estimate_fast_noise
 from zerodrift.physics.noise import Noise, measure_noise
 from zerodrift.physics.projection import get_coordinates, list_coordinates
-from zerodrift.physics.search import Found, search, sum_with_slopes
+from zerodrift.physics.search import Found, search, search_beyond_rails, sum_with_slopes
 from zerodrift.physics.signals import SignalPlan, read_signals
 from zerodrift.physics.terms import Term, build_columns
 
@@ -168,8 +168,7 @@ def fit_base(
     flat = np.ones((campaign.levels.size, outputs))
     if not campaign.uses_means:
         flat[campaign.means] = 0.0
-    base = search(campaign, terms, flat)
-    campaign.fill(base.terms, base.solution.coefficients)
+    base = search_beyond_rails(campaign, terms, flat)
     noise, _ = measure_rest(campaign, dwell, base)
     weights = _invert(campaign, _expect(campaign, noise))
     return search(campaign, base.terms, weights, vary=()), noise, weights

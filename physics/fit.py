@@ -22,7 +22,7 @@ from zerodrift.physics.projection import (
     solve,
     weigh,
 )
-from zerodrift.physics.search import Found, search, sum_with_slopes
+from zerodrift.physics.search import Found, search, search_beyond_rails, sum_with_slopes
 from zerodrift.physics.signals import SignalPlan, explain_missing, plan_signals, read_signals
 from zerodrift.physics.terms import OFFSET, Term, build_columns, start_term, tidy_terms
 
@@ -139,10 +139,7 @@ def fit_terms(
     vary = None if search_starts else ()
     set_aside = any(term.effect.sets_aside for term in terms)
     campaign = Campaign(runs, plan, order, tared=True, set_aside=set_aside, most_rows=FIT_ROWS)
-    found = search(campaign, terms, flat_weights(campaign), vary=vary)
-    if set_aside:
-        campaign.fill(found.terms, found.solution.coefficients)
-        found = search(campaign, found.terms, flat_weights(campaign), vary=())
+    found = search_beyond_rails(campaign, terms, flat_weights(campaign), vary=vary)
     if len(campaign.groups) > 1:
         common = Campaign(runs, plan, order, tared=False, set_aside=set_aside, most_rows=FIT_ROWS)
         common.fill(found.terms, found.solution.coefficients)

@@ -6,7 +6,7 @@ octaves that the dwell is too short to show.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ class Noise:
     """[D] time constants in samples; 0 is white."""
     source: str
     """dwell | residual: where it was measured."""
+    uncertainty: float = 0.0
+    """Standard error of the RMS, pooled over outputs, as a share of it: a short record of slow
+    noise says little about it."""
 
     def variance(self, octaves: NDArray[np.int64], longest: int, block: int = 1) -> Array:
         """Return the variance of an orthonormal coefficient of each octave, [L, K].
@@ -74,7 +77,18 @@ def measure_noise(columns: Sequence[Array], source: str) -> Noise:
     numbers = np.unique(octaves.octave[octaves.octave >= 0])
     squares = np.stack([(details[octaves.octave == o] ** 2).sum(axis=0) for o in numbers])
     counts = np.array([float((octaves.octave == o).sum()) for o in numbers])
-    return describe_noise(numbers, squares / counts[:, None], counts, source)
+    noise = describe_noise(numbers, squares / counts[:, None], counts, source)
+    return replace(noise, uncertainty=_measure_uncertainty(squares, counts))
+
+
+def _measure_uncertainty(squares: Array, counts: Array) -> float:
+    """Return the relative standard error of the pooled RMS.
+
+    A sum of n squares scatters by sqrt(2/n) of itself; the RMS by half of what its square does.
+    """
+    shares = squares / np.maximum(squares.sum(axis=0), 1e-300)
+    of_squares = (shares**2 * (2.0 / counts)[:, None]).sum(axis=0)
+    return float(0.5 * np.sqrt(of_squares.mean() / of_squares.size))
 
 
 def describe_noise(

@@ -29,19 +29,20 @@ def find_rails(measured: Array, reference: Array) -> Array:
         return flags
     same = 1e-7 * spread
     lasts = _measure_stands(np.abs(np.diff(measured)) <= same)
-    for sign in (1.0, -1.0):
+    ends = [measured >= float(measured.max()) - same, measured <= float(measured.min()) + same]
+    between = ~(ends[0] | ends[1])
+    elsewhere = float(lasts[between].max(initial=1.0))
+    for sign, standing in zip((1.0, -1.0), ends, strict=True):
         height = sign * measured
-        standing = height >= float(height.max()) - same
         count = int(standing.sum())
         if count < FEWEST_SAMPLES:
             continue
         longest = _longest(standing)
-        elsewhere = float(lasts[~standing].max(initial=1.0))
         if longest >= max(FEWEST_SAMPLES, RARITY * elsewhere):
             flags[standing] = 1.0
             continue
         # Short peaks that are cut, as in walking: one value is met again and again.
-        near = np.round(height[(height >= float(height.max()) - 0.1 * spread) & ~standing] / same)
+        near = np.round(height[(height >= float(height.max()) - 0.1 * spread) & between] / same)
         most = int(np.unique(near, return_counts=True)[1].max(initial=0))
         if count >= max(FEWEST_VISITS, RARITY * most) and float(np.ptp(reference[standing])) > 0.0:
             flags[standing] = 1.0

@@ -35,6 +35,8 @@ MOST_STEPS = 20
 """Gauss-Newton steps; each must lower the cost or be shortened."""
 SLOPE_STEP = 1e-3
 """Finite-difference step in a parameter's own coordinate (its natural logarithm, or its range)."""
+FILLS = 5
+"""How often samples at a converter's rail are filled anew."""
 SMALL_GAIN = 1e-7
 """Relative gain of squared error at which a search ends."""
 
@@ -80,6 +82,26 @@ def search(
     followed = starts[: refined_starts if on_grid else 1]
     refined = [refine(campaign, found, weights, coordinates) for found in followed]
     return min(refined, key=lambda found: found.cost)
+
+
+def search_beyond_rails(
+    campaign: Campaign,
+    terms: Sequence[Term],
+    weights: Array,
+    *,
+    vary: Sequence[int] | None = None,
+) -> Found:
+    """Return what `search` returns, samples at a converter's rail filled by the model found.
+
+    What fills them comes from a fit that they took part in, so it is repeated: the share of
+    samples that were filled is the share of the first fit's error that one repetition leaves.
+    """
+    found = search(campaign, terms, weights, vary=vary)
+    if campaign.set_aside and campaign.plan.saturated:
+        for _ in range(FILLS):
+            campaign.fill(found.terms, found.solution.coefficients)
+            found = search(campaign, found.terms, weights, vary=())
+    return found
 
 
 def grid(coordinates: Sequence[Coordinate]) -> list[tuple[float, ...]]:

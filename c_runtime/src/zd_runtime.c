@@ -49,14 +49,14 @@ const int16_t zd_tanh_nodes_q15[ZD_TANH_NODES] = {
 };
 
 uint32_t zd_crc32(uint32_t crc, const uint8_t *bytes, uint32_t n) {
-    crc = ~crc;
+    uint32_t rest = ~crc;
     for (uint32_t i = 0; i < n; i++) {
-        crc ^= bytes[i];
+        rest ^= bytes[i];
         for (uint32_t bit = 0; bit < 8u; bit++) {
-            crc = (crc >> 1) ^ (UINT32_C(0xEDB88320) & (0u - (crc & 1u)));
+            rest = (rest >> 1) ^ (0xEDB88320u & (0u - (rest & 1u)));
         }
     }
-    return ~crc;
+    return ~rest;
 }
 
 uint32_t zd_crc32_word(uint32_t crc, uint32_t x) {

@@ -99,6 +99,9 @@ static uint32_t front_end_state_is_sound(const front_end_state_t *s) {
     if (s->steps > 5u) {
         sound = 0u;
     }
+    if (s->steps == 0u) {
+        return sound; /* the first step fills the rest in */
+    }
     if ((s->lowpass_3_v < INT64_C(-824594253883605)) || (s->lowpass_3_v > INT64_C(824594253883605))) {
         sound = 0u;
     }

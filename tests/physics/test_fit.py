@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,9 +17,13 @@ from tests.physics.conftest import (
 from zerodrift.config import EffectConfig
 from zerodrift.errors import InputError
 from zerodrift.operations.graph import evaluate
-from zerodrift.physics.fit import fit
+from zerodrift.physics.campaign import Campaign
+from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.fit import fit, flat_weights
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.physics.signals import graph_inputs, read_signals
+from zerodrift.physics.search import search
+from zerodrift.physics.signals import graph_inputs, plan_signals, read_signals
+from zerodrift.physics.terms import start_term
 
 
 def fit_dataset(dataset, *effects, **kwargs):
@@ -193,21 +198,13 @@ def test_effect_that_cannot_be_fitted_is_refused(effect, message):
 def test_load_effect_without_a_load_is_refused():
     dataset = make_dataset(linear, runs=4, length=100)
     still = [
-        type(run)(**{**run.__dict__, "reference": 0.0 * run.reference, "measured": run.drift})
-        for run in dataset.train
+        replace(run, reference=0.0 * run.reference, measured=run.drift) for run in dataset.train
     ]
     with pytest.raises(InputError, match="no output has a reference that varies"):
         fit([EffectConfig("creep")], still, outputs=OUTPUTS, units=UNITS, full_scale=FULL_SCALE)
 
 
 def test_long_logs_are_fitted_as_well_on_blocks():
-    from zerodrift.physics.campaign import Campaign
-    from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.physics.fit import flat_weights
-    from zerodrift.physics.search import search
-    from zerodrift.physics.signals import plan_signals
-    from zerodrift.physics.terms import start_term
-
     catalogue = load_catalogue()
     dataset = make_dataset(lagging(80.0), runs=4, length=1500)
     plan = plan_signals(dataset.train, OUTPUTS, FULL_SCALE)

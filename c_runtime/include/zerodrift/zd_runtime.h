@@ -11,6 +11,7 @@
 #ifndef ZD_RUNTIME_H
 #define ZD_RUNTIME_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 #if defined(__ARM_FEATURE_DSP)
@@ -23,6 +24,7 @@
 #define ZD_TANH_NODES 513
 #define ZD_LOWPASS_FRACTION 24
 #define ZD_GRU_RELAX_STEPS 64
+#define ZD_GRU_RELAX_U_Q31 1073741824 /* u = 1/2 while the state relaxes towards rest */
 #define ZD_GRU_H_LIMIT_Q30 1073709057 /* 2^30 - 2^15 + 1: |h| never exceeds it */
 
 /* tanh at -8, -8 + 1/32, ..., 8 in Q0.15. */
@@ -116,7 +118,7 @@ static inline int32_t zd_dot_i16(const int16_t *w, const int16_t *x, uint32_t n)
     int32_t acc = 0;
     uint32_t i = 0;
     ZD_ROLLED
-    for (; i + ZD_LANES <= n; i += ZD_LANES) {
+    for (; (i + ZD_LANES) <= n; i += ZD_LANES) {
         acc = zd_mac(acc, &w[i], &x[i]);
     }
     for (; i < n; i++) {
@@ -140,7 +142,7 @@ static inline void zd_dot3_i16(const int16_t *w, const int16_t *x, uint32_t n, i
     int32_t c = 0;
     uint32_t i = 0;
     ZD_ROLLED
-    for (; i + ZD_LANES <= n; i += ZD_LANES) {
+    for (; (i + ZD_LANES) <= n; i += ZD_LANES) {
         a = zd_mac(a, &w[i], &x[i]);
         b = zd_mac(b, &w[n + i], &x[i]);
         c = zd_mac(c, &w[(2u * n) + i], &x[i]);
@@ -209,7 +211,7 @@ static inline int32_t zd_gru_rescale(const zd_gru_t *layer, uint32_t row, unsign
 static inline int32_t zd_gru_recurrent(const zd_gru_t *layer, uint32_t row, unsigned gate,
                                        const int16_t *h_q15, uint32_t hidden) {
     int32_t acc;
-    if (layer->w_h8 == 0) {
+    if (layer->w_h8 == NULL) {
         acc = zd_dot_i16(&layer->w_h16[row * hidden], h_q15, hidden);
     } else {
         acc =
@@ -221,7 +223,7 @@ static inline int32_t zd_gru_recurrent(const zd_gru_t *layer, uint32_t row, unsi
 /* The same of the three rows r, u, n of one unit, the first of which is `row`. */
 static inline void zd_gru_recurrent3(const zd_gru_t *layer, uint32_t row, const int16_t *h_q15,
                                      uint32_t hidden, int32_t acc[3]) {
-    if (layer->w_h8 == 0) {
+    if (layer->w_h8 == NULL) {
         zd_dot3_i16(&layer->w_h16[row * hidden], h_q15, hidden, acc);
     } else {
         zd_dot3_i8(&layer->w_h8[row * hidden], h_q15, hidden, acc);
@@ -239,7 +241,7 @@ static inline int32_t zd_gru_move(int32_t h_q30, int32_t n_q30, int32_t u_q31) {
 /* The int16 copy of the state that the dot products read; |h_q15| <= 32767 by the invariant. */
 static inline void zd_gru_copy_state(const int32_t *h_q30, int16_t *h_q15, uint32_t hidden) {
     for (uint32_t j = 0; j < hidden; j++) {
-        h_q15[j] = (int16_t)zd_asr32(h_q30[j] + (1 << 14), 15);
+        h_q15[j] = (int16_t)zd_asr32(h_q30[j] + ((int32_t)1 << 14), 15);
     }
 }
 
@@ -265,7 +267,7 @@ static inline void zd_gru_step_after(const zd_gru_t *layer, uint32_t inputs, uin
         const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, layer->shift[1]));
         const int32_t a_n = bias[2] + from_x[2] + zd_mul_high(bias[3] + from_h[2], r_q31);
         const int32_t n_q30 = zd_tanh_q26(zd_asr32(a_n, layer->shift[2])) * 16;
-        h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & (1 << 30)));
+        h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & ZD_GRU_RELAX_U_Q31));
     }
 }
 
@@ -291,7 +293,7 @@ static inline void zd_gru_step_before(const zd_gru_t *layer, uint32_t inputs, ui
                             zd_gru_recurrent(layer, row + 2u, 2u, rh_q15, hidden);
         const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, layer->shift[1]));
         const int32_t n_q30 = zd_tanh_q26(zd_asr32(a_n, layer->shift[2])) * 16;
-        h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & (1 << 30)));
+        h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & ZD_GRU_RELAX_U_Q31));
     }
 }
 

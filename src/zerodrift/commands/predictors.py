@@ -93,7 +93,8 @@ def _find_compensator(
     config: Config, catalogue: Catalogue
 ) -> tuple["Compensator | None", tuple[str, ...]]:
     """Return the trained compensator with a network, or None and why there is none to use."""
-    if not (config.build_directory / "compensator.json").exists():
+    is_there = (config.build_directory / "compensator.json").exists()
+    if config.network.kind == "none" or not is_there:
         return None, ()
     try:
         compensator = _load_compensator(config, catalogue)

@@ -29,14 +29,13 @@ def open_project(directory: Path, skip_invalid: bool = False) -> tuple[Config, D
 
 def train_project(config: Config, dataset: Dataset, console: "Console") -> "Compensator":
     """Return the project's compensator: that in build/ if configuration and logs are the same."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.train.compensator import Compensator
-    from zerodrift.train.training import mark_inputs, read_settings, train
+    from zerodrift.train.progress import show_progress
+    from zerodrift.train.training import mark_inputs, train
 
     catalogue = load_catalogue(config.plugin_files)
-    mark = mark_inputs(config, dataset, read_settings(config.network))
+    mark = mark_inputs(config, dataset)
     try:
         kept = Compensator.load(config.build_directory, catalogue)
         if kept.trained_from == mark:
@@ -45,14 +44,7 @@ def train_project(config: Config, dataset: Dataset, console: "Console") -> "Comp
     except InputError:
         pass  # missing or outdated: trained below, which replaces it
     config.build_directory.mkdir(parents=True, exist_ok=True)
-    columns = (TextColumn("training"), BarColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, TimeElapsedColumn(), console=console) as bar:
-        task = bar.add_task("", total=1.0)
-        trained = train(
-            config,
-            dataset,
-            catalogue=catalogue,
-            report=lambda stage: bar.update(task, completed=stage.done, description=stage.text),
-        )
+    with show_progress("training") as report:
+        trained = train(config, dataset, catalogue=catalogue, report=report)
     trained.compensator.save(config.build_directory)
     return trained.compensator
