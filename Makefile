@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: tutorial help setup check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -70,6 +70,9 @@ bench: $(READY) ## every figure the documentation quotes (BENCH=--quick for the 
 
 bench-hidden: $(READY) ## effects hidden in simulated logs and found again (BENCH=--quick)
 	$(RUN) benchmarks/bench_hidden.py $(BENCH)
+
+tutorial: $(READY) ## run the tutorials' commands again and write their output into the pages
+	$(RUN) tests/loop/regenerate_tutorial.py
 
 clean: ## remove what was built, keep the virtual environment
 	rm -rf build examples/*/build examples/*/firmware .mypy_cache .ruff_cache .pytest_cache

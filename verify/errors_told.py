@@ -40,6 +40,9 @@ def tell_errors(
 ) -> tuple[OutputError, ...]:
     """Return the errors over all samples of `runs`.
 
+    Where the compensator found the logs tared, the offset of each run is nobody's to predict and
+    is taken off every error, as `compare` and `train` do.
+
     Args:
         compensator: the float model.
         host: the integer model's C, already shown equal to the reference.
@@ -47,24 +50,40 @@ def tell_errors(
     """
     outputs = host.model.outputs
     scale = np.array([output.lsb_per_unit for output in outputs], dtype=np.float64)
-    drift = np.concatenate([run.drift for run in runs])
-    float_drift = np.concatenate([compensator.predict(run) for run in runs])
-    integer_drift = np.concatenate(
-        [host.run(encode_inputs(host.model, run)).drift / scale for run in runs]
+    floats = [compensator.predict(run) for run in runs]
+    integers = [host.run(encode_inputs(host.model, run)).drift / scale for run in runs]
+    none = [np.zeros_like(run.drift) for run in runs]
+    uncompensated, float_error, integer_error = (
+        _join(runs, answer, compensator.tared) for answer in (none, floats, integers)
     )
+    difference = np.concatenate(floats) - np.concatenate(integers)
     return tuple(
         OutputError(
             name=output.name,
             unit=output.unit,
             full_scale=output.full_scale,
-            uncompensated=_rms(drift[:, k]),
-            float_model=_rms(drift[:, k] - float_drift[:, k]),
-            integer_model=_rms(drift[:, k] - integer_drift[:, k]),
-            integer_to_float=_rms(float_drift[:, k] - integer_drift[:, k]),
-            integer_bias=float(np.mean(drift[:, k] - integer_drift[:, k])),
+            uncompensated=_rms(uncompensated[:, k]),
+            float_model=_rms(float_error[:, k]),
+            integer_model=_rms(integer_error[:, k]),
+            integer_to_float=_rms(difference[:, k]),
+            integer_bias=float(np.mean(integer_error[:, k])),
         )
         for k, output in enumerate(outputs)
     )
+
+
+def _join(runs: Sequence[Run], predictions: Sequence[Array], tared: bool) -> Array:
+    """Return the errors [n, K] of all runs, each group's own mean taken off where `tared`."""
+    errors = [run.drift - answer for run, answer in zip(runs, predictions, strict=True)]
+    if tared:
+        means = {
+            group: np.concatenate(
+                [e for r, e in zip(runs, errors, strict=True) if r.group == group]
+            ).mean(axis=0)
+            for group in {run.group for run in runs}
+        }
+        errors = [e - means[run.group] for run, e in zip(runs, errors, strict=True)]
+    return np.concatenate(errors)
 
 
 def _rms(x: Array) -> float:

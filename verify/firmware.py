@@ -43,6 +43,8 @@ class Firmware:
     """Runs behind the errors."""
     held_out: bool
     """Whether none of those runs was trained on."""
+    tared: bool
+    """Whether each run's own offset was taken off the errors."""
     footprint: Footprint
     files: tuple[Path, ...]
 
@@ -87,6 +89,7 @@ def build_firmware(
         errors=errors,
         error_runs=tuple(run.name for run in runs),
         held_out=bool(dataset.test),
+        tared=compensator.tared,
         footprint=footprint,
         files=files,
     )

@@ -64,6 +64,7 @@ def describe(firmware: Any, directory: Path) -> dict[str, Any]:
         "rmse_pct_fs": {e.name: e.percent_of_full_scale for e in firmware.errors},
         "units": {e.name: e.unit for e in firmware.errors},
         "held_out": firmware.held_out,
+        "tared": firmware.tared,
         "runs": list(firmware.error_runs),
         "model_hash": firmware.model.hash,
         "files": [show_path(path, directory) for path in firmware.files],
@@ -88,6 +89,8 @@ def _print(firmware: Any, directory: Path) -> None:
         numbers = (e.uncompensated, e.float_model, e.integer_model, e.percent_of_full_scale)
         table.add_row(e.name, e.unit, *(f"{x:.4g}" for x in numbers), f"{e.integer_to_float:.2g}")
     console.print(table)
+    if firmware.tared:
+        console.print("The logs are tared: each run's own offset is taken off every error.")
     size = firmware.footprint
     console.print(
         f"flash {size.flash_bytes} B, RAM {size.ram_bytes} B, stack {size.stack_bytes} B"
