@@ -59,7 +59,7 @@ class Feature(Generic[S]):
 class Signals(Generic[S]):
     """What an effect may see: all of it is there on the chip."""
 
-    temperature_degC: S  # noqa: N815 - the unit's own spelling
+    temperature_degC: S
     """The thermometer chosen by the effect's `signal`, after lag and hysteresis of the element."""
     elapsed_s: S
     """Time since power-on, the start of the run."""
@@ -74,7 +74,7 @@ class Signals(Generic[S]):
     outputs: tuple[str, ...]
     full_scale: Mapping[str, float]
     """Output name -> full scale in its unit."""
-    reference_temperature_degC: float  # noqa: N815 - the unit's own spelling
+    reference_temperature_degC: float
     """T0, where zero shift is counted from."""
 
 

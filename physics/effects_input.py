@@ -10,12 +10,13 @@ from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Val
 def build_supply_sensitivity(
     ops: Operations[S], signals: Signals[S], p: Values
 ) -> Sequence[Feature[S]]:
-    """Return V, and where asked V x load."""
+    """Return V, and where asked (V - V0) x load."""
     supply = signals.channels["supply"]
     features: tuple[Feature[S], ...] = (Feature("supply", supply, "V"),)
     if p["ratiometric"]:
+        excess = ops.affine(supply, 1.0, -p["nominal_V"])
         features += tuple(
-            Feature(f"supply x {output}", ops.product(supply, load), "V x load", output)
+            Feature(f"supply x {output}", ops.product(excess, load), "V x load", output)
             for output, load in signals.load.items()
         )
     return features
@@ -37,6 +38,16 @@ register(
                 default=0,
                 choices=(0, 1),
                 meaning="1: the gain follows the supply too",
+            ),
+            Parameter(
+                "nominal_V",
+                "V",
+                0.0,
+                60.0,
+                (3.0, 12.0),
+                scale="linear",
+                meaning="supply V0 at which the gain was calibrated",
+                when={"ratiometric": 1},
             ),
         ),
         needs=("supply",),

@@ -42,10 +42,10 @@ def of_each_load(
 
 
 def build_span_tempco(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
-    """Return (T - T0) x load."""
-    rise = ops.affine(signals.temperature_degC, 1.0, -signals.reference_temperature_degC)
+    """Return (T - Tc) x load."""
+    rise = ops.affine(signals.temperature_degC, 1.0, -p["calibrated_degC"])
     return of_each_load(
-        signals, p, "(T - T0) {}", "K x load", lambda _, load: ops.product(rise, load)
+        signals, p, "(T - Tc) {}", "K x load", lambda _, load: ops.product(rise, load)
     )
 
 
@@ -54,11 +54,22 @@ register(
         kind="span_tempco",
         title="TKC, span shift with temperature",
         build=build_span_tempco,
-        parameters=(CROSS_AXES,),
+        parameters=(
+            CROSS_AXES,
+            Parameter(
+                "calibrated_degC",
+                "degC",
+                -100.0,
+                200.0,
+                (15.0, 35.0),
+                scale="linear",
+                meaning="temperature Tc of the span's calibration, where it is right",
+            ),
+        ),
         needs=("temperature", "load"),
         physics="The gain moves with temperature: an LED gives less light when hot, the body's "
         "modulus falls, a gauge factor changes. The error grows with the load.",
-        equation="drift = k (T-T0) load",
+        equation="drift = k (T-Tc) load",
         fingerprint="Nothing without load; under load a slope against T in proportion to it.",
         provoke="The same weight at three temperatures.",
         cure="Constant-light control of the LED by a monitor diode; modulus-compensated bridge.",

@@ -40,11 +40,11 @@ def draw_fingerprint(effect: Effect, catalogue: Catalogue) -> Fingerprint | None
     """
     if effect.sets_aside:
         return None
-    t = np.arange(STEPS) * (DURATION_S / (STEPS - 1))
+    t: Array = np.asarray(np.arange(STEPS) * (DURATION_S / (STEPS - 1)), dtype=np.float64)
     load: Array = np.zeros(STEPS)
     channel: Array = np.zeros(STEPS)
     temperature: Array = np.full(STEPS, 0.5 * (LOWEST_DEGC + HIGHEST_DEGC))
-    against = t / 60.0
+    against: Array = np.asarray(t / 60.0, dtype=np.float64)
     label, experiment = "time, min", "at rest since power-on"
     if "load" in effect.needs:
         load = _stairs(t)
@@ -56,7 +56,7 @@ def draw_fingerprint(effect: Effect, catalogue: Catalogue) -> Fingerprint | None
             experiment = "a load hung on and off while the temperature runs a loop"
         elif effect.kind == "creep":
             load = FULL_LOAD * ((t > 600.0) & (t < 3600.0))
-            against, label = t / 60.0, "time, min"
+            label = "time, min"
             experiment = "a load held for 50 min and taken off"
     elif "temperature" in effect.needs:
         temperature = _two_loops(t)

@@ -76,7 +76,7 @@ class PhysicalModel:
         return tuple(term.kind for term in self.terms)
 
     @property
-    def reference_temperature_degC(self) -> float:  # noqa: N802 - the unit's own spelling
+    def reference_temperature_degC(self) -> float:
         """T0."""
         return self.plan.reference_temperature_degC
 

@@ -31,7 +31,7 @@ class SignalPlan:
     """Loaded outputs whose converter stands at a rail in some run."""
     channels: tuple[str, ...]
     """Inputs that every run has."""
-    reference_temperature_degC: float  # noqa: N815 - the unit's own spelling
+    reference_temperature_degC: float
     """T0."""
     clock_origin_s: float
     """Start of the `clock` channel; 0 without one."""
@@ -42,7 +42,7 @@ def plan_signals(
 ) -> SignalPlan:
     """Return the plan for these runs: T0 is their mean temperature in whole degrees."""
     samples = sum(len(run) for run in runs)
-    mean_degC = sum(float(run.temperature_degC.sum()) for run in runs) / samples  # noqa: N806
+    mean_degC = sum(float(run.temperature_degC.sum()) for run in runs) / samples
     loaded = [
         name
         for k, name in enumerate(outputs)

@@ -27,7 +27,7 @@ class SimulatedRun:
     """train | test | dwell."""
     time_s: Array
     """Since power-on; a warmed-up run was powered on two hours before."""
-    temperature_degC: Array  # noqa: N815 - the unit's own spelling
+    temperature_degC: Array
     """What the chip's thermometer reported."""
     measured: Array
     reference: Array
