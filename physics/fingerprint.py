@@ -44,7 +44,8 @@ def draw_fingerprint(effect: Effect, catalogue: Catalogue) -> Fingerprint | None
     load: Array = np.zeros(STEPS)
     channel: Array = np.zeros(STEPS)
     temperature: Array = np.full(STEPS, 0.5 * (LOWEST_DEGC + HIGHEST_DEGC))
-    against: Array = np.asarray(t / 60.0, dtype=np.float64)
+    minutes: Array = np.asarray(t / 60.0, dtype=np.float64)
+    against = minutes
     label, experiment = "time, min", "at rest since power-on"
     if "load" in effect.needs:
         load = _stairs(t)
@@ -55,8 +56,8 @@ def draw_fingerprint(effect: Effect, catalogue: Catalogue) -> Fingerprint | None
             against, label = temperature, "temperature, degC"
             experiment = "a load hung on and off while the temperature runs a loop"
         elif effect.kind == "creep":
-            load = FULL_LOAD * ((t > 600.0) & (t < 3600.0))
-            label = "time, min"
+            load = FULL_LOAD * ((t > 600.0) & (t < 3600.0)).astype(np.float64)
+            against, label = minutes, "time, min"
             experiment = "a load held for 50 min and taken off"
     elif "temperature" in effect.needs:
         temperature = _two_loops(t)

@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 FORMS = {"reset_after": "after", "reset_before": "before"}
 """`[network] form` -> where the reset gate acts, in the words of `zerodrift.operations.gru`."""
-LONGEST_START_STEPS = 300.0
-"""Units start with time constants spread from one step to this many; training moves them."""
+LONGEST_START_STEPS = 10.0
+"""Units start with time constants from one step to this many; slower ones come from the lags."""
 
 
 class Network(ABC, torch.nn.Module):

@@ -48,11 +48,11 @@ class Settings:
     """Where to stop within the cycle; 0 = at its end."""
     learning_rate: float = 2e-2
     """Peak of the one cycle."""
-    weight_decay: float = 0.15
+    weight_decay: float = 0.1
     """Per step and unit of learning rate, on weights but not on biases."""
-    chunk: int = 128
+    chunk: int = 64
     """Samples over which a stream is differentiated."""
-    batch: int = 64
+    batch: int = 128
     """Chunks in a step of the optimiser; of windows, as many as hold that many samples."""
     warm_up: float = 0.25
     """Share of the steps in which the learning rate rises."""
