@@ -59,7 +59,7 @@ def test_golden_models_reach_what_they_are_named_for() -> None:
     assert not ordinary.rows[:, len(ordinary.model.outputs)].any()
     assert {-32768, 32767} == set(np.unique(load("rails").codes).tolist())
     dwell = load("long_dwell")
-    answers = dwell.rows[-100:, : len(dwell.model.outputs)]
+    answers = dwell.rows[-2:, : len(dwell.model.outputs)]  # a hundred steps apart
     assert (answers == answers[-1]).all(), "the outputs are at rest at last"
     assert (dwell.rows[0] != dwell.rows[-1]).any(), "and not from the start"
     assert load("odd_hidden").model.recurrent.gru.hidden % 4 != 0
