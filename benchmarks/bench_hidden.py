@@ -14,11 +14,10 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -255,6 +254,15 @@ def run_case(case: Case) -> Outcome:
     return outcome
 
 
+def run_cases(cases: Sequence[Case], processes: int) -> Iterator[Outcome]:
+    """Give the outcomes in order, one after the other."""
+    if processes == 1:
+        yield from map(run_case, cases)
+        return
+    with ProcessPoolExecutor(processes) as pool:
+        yield from pool.map(run_case, cases, chunksize=2)
+
+
 def wilson(hits: int, total: int) -> tuple[float, float]:
     """Return the 95 % interval of a share, after Wilson."""
     if total == 0:
@@ -395,7 +403,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1, help="draws all cases")
     parser.add_argument("--processes", type=int, default=1, choices=(1, 2))
     parser.add_argument("--only", default="", help="only cases whose purpose or effect has this")
-    parser.add_argument("--json", type=Path, help="write every outcome to this file")
+    parser.add_argument("--json", type=Path, help="append every outcome to this file, one a line")
     options = parser.parse_args(arguments)
     cases = [
         case
@@ -404,19 +412,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ]
     print(f"{len(cases)} simulated cases, seed {options.seed}", flush=True)
     outcomes: list[Outcome] = []
-    if options.processes == 1:
-        for case in cases:
-            outcomes.append(run_case(case))
-            print(f"\r{len(outcomes)} done", end="", file=sys.stderr, flush=True)
-    else:
-        with ProcessPoolExecutor(options.processes) as pool:
-            for outcome in pool.map(run_case, cases, chunksize=2):
-                outcomes.append(outcome)
-                print(f"\r{len(outcomes)} done", end="", file=sys.stderr, flush=True)
+    for outcome in run_cases(cases, options.processes):
+        outcomes.append(outcome)
+        print(f"\r{len(outcomes)} done", end="", file=sys.stderr, flush=True)
+        if options.json:
+            with options.json.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(outcome)) + "\n")
     print(file=sys.stderr)
-    if options.json:
-        rows: list[dict[str, Any]] = [asdict(outcome) for outcome in outcomes]
-        options.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
     figures = report(outcomes)
     list_misses(outcomes)
     if options.only:

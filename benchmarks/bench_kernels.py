@@ -20,7 +20,7 @@ from zerodrift.export.quantize import Calibration, FloatModel, quantize
 from zerodrift.export.reference import Reference
 from zerodrift.operations.graph import GraphOperations, evaluate
 from zerodrift.operations.gru import FloatGru
-from zerodrift.operations.tables import T_MAX, T_MIN, sigmoid_q27, tanh_nodes, tanh_q26
+from zerodrift.operations.tables import T_MAX, T_MIN, sigmoid_q31, tanh_nodes, tanh_q30
 
 Array = NDArray[np.float64]
 INPUTS, HIDDEN, OUTPUTS = 4, 16, 6
@@ -245,8 +245,8 @@ def print_table_errors() -> None:
     """Print the worst error of the activations over every input."""
     t = np.arange(T_MIN, T_MAX + 1)
     x = t / 2.0**16
-    tanh_lsb = np.abs(tanh_q26(t) / 2.0**26 - np.tanh(x)).max() * 2.0**15
-    sigmoid_lsb = np.abs(sigmoid_q27(t) / 2.0**27 - 1.0 / (1.0 + np.exp(-2.0 * x))).max() * 2.0**15
+    tanh_lsb = np.abs(tanh_q30(t) / 2.0**30 - np.tanh(x)).max() * 2.0**15
+    sigmoid_lsb = np.abs(sigmoid_q31(t) / 2.0**31 - 1.0 / (1.0 + np.exp(-2.0 * x))).max() * 2.0**15
     print(
         f"activation table, {tanh_nodes().nbytes} bytes, all {t.size} inputs: worst error of tanh"
         f" {tanh_lsb:.2f} LSB of Q0.15, of the sigmoid {sigmoid_lsb:.2f}"

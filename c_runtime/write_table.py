@@ -14,4 +14,6 @@ def render_runtime_source() -> str:
 
 
 if __name__ == "__main__":
-    RUNTIME_SOURCE.write_text(render_runtime_source(), encoding="utf-8")
+    temporary = RUNTIME_SOURCE.with_suffix(".part")
+    temporary.write_text(render_runtime_source(), encoding="utf-8")
+    temporary.replace(RUNTIME_SOURCE)

@@ -91,8 +91,9 @@ def _choose_gate(
     gru: FloatGru, gate: int, feature_exponents: NDArray[np.int64], weights: str
 ) -> _GateFormat:
     inside = GATES[gate] == "n" and gru.reset == "after"
-    for exponent in range(LOWEST_EXPONENT + SHIFT_LIMIT, LOWEST_EXPONENT - 1, -1):
-        candidate = _format_gate(gru, gate, feature_exponents, weights, exponent)
+    for exponent in range(15 + SHIFT_LIMIT, LOWEST_EXPONENT - 1, -1):
+        with np.errstate(over="ignore"):  # infinite is too large as well
+            candidate = _format_gate(gru, gate, feature_exponents, weights, exponent)
         if candidate is not None and candidate.fits(inside):
             return candidate
     rows = np.abs(gru.w_x[gate]).sum(axis=1) + np.abs(gru.w_h[gate]).sum(axis=1)
@@ -106,7 +107,7 @@ def _choose_gate(
 def _format_gate(
     gru: FloatGru, gate: int, feature_exponents: NDArray[np.int64], weights: str, exponent: int
 ) -> _GateFormat | None:
-    """Return the gate's rows with its accumulator at 2**exponent, or None if a bias cannot fit."""
+    """Return the gate's rows with its accumulator at 2**exponent, or None if one cannot fit."""
     w_x, w_h, bias, inside = gru.w_x[gate], gru.w_h[gate], gru.bias[gate], gru.bias[3]
     inside_product = GATES[gate] == "n" and gru.reset == "after"
     outer = exponent - 1 if inside_product else exponent  # mul_high by r halves the inner sum
@@ -116,9 +117,13 @@ def _format_gate(
     inside_int = np.round(inside * 2.0**exponent) if outer != exponent else np.zeros_like(bias_int)
     if max(np.abs(bias_int).max(), np.abs(inside_int).max()) > INT32_MAX:
         return None
-    rows, multiplier, multiplier_shift = _format_recurrent(w_h, exponent - 15, weights)
+    from_x = np.round(w_x * 2.0 ** (outer - feature_exponents))
+    recurrent = _format_recurrent(w_h, exponent - 15, weights)
+    if np.abs(from_x).max(initial=0.0) > INT16_MAX or recurrent is None:
+        return None
+    rows, multiplier, multiplier_shift = recurrent
     return _GateFormat(
-        w_x=np.round(w_x * 2.0 ** (outer - feature_exponents)).astype(np.int64),
+        w_x=from_x.astype(np.int64),
         w_h=rows,
         bias=bias_int.astype(np.int64),
         bias_inside=inside_int.astype(np.int64),
@@ -130,14 +135,17 @@ def _format_gate(
 
 def _format_recurrent(
     w_h: Array, exponent: int, weights: str
-) -> tuple[NDArray[np.int64], NDArray[np.int64] | None, int]:
-    """Return integer rows, and for int8 the multipliers and their shift."""
+) -> tuple[NDArray[np.int64], NDArray[np.int64] | None, int] | None:
+    """Return integer rows, and for int8 the multipliers and their shift; None if one cannot fit."""
     if weights == "int16":
-        return np.round(w_h * 2.0**exponent).astype(np.int64), None, 0
+        scaled = np.round(w_h * 2.0**exponent)
+        return None if np.abs(scaled).max() > INT16_MAX else (scaled.astype(np.int64), None, 0)
     step = np.abs(w_h).max(axis=1, keepdims=True) / 127.0
     rows = np.round(np.divide(w_h, step, out=np.zeros_like(w_h), where=step > 0.0))
     scale = step[:, 0] * 2.0**exponent
     shift = min(choose_exponent(float(scale.max()), INT32_MAX), 31)
+    if shift < 0:
+        return None
     return rows.astype(np.int64), np.round(scale * 2.0**shift).astype(np.int64), shift
 
 

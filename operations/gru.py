@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import IntArray, round_shift
-from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.tables import sigmoid_q27, tanh_q26
+from zerodrift.operations.intervals import Bound, Interval, check_shift
+from zerodrift.operations.tables import sigmoid_q31, tanh_q30
 
 Array = NDArray[np.float64]
 
 GATES = ("r", "u", "n")
 H_LIMIT_Q30 = 2**30 - 2**15 + 1
 """|h| in Q1.30 never exceeds this: the recurrent invariant (see `prove_state`)."""
-R_Q31_MAX = (2**27 - 2**11) << 4
+R_Q31_MAX = 2**31 - 2**15
 RELAX_STEPS = 64
 U_RELAX_Q31 = 2**30
 
@@ -144,7 +144,7 @@ class IntegerGru:
         from_x = x.astype(np.float64) @ self._rows.w_x_t + self._rows.bias
         from_h = self._recurrent(round_shift(h_q30, 15), slice(0, n.stop if after else ru.stop))
         a_ru = (from_x[:, ru] + from_h[:, ru]).astype(np.int32)
-        ru_q31 = sigmoid_q27(a_ru >> self._rows.shift[ru]) << 4
+        ru_q31 = sigmoid_q31(a_ru >> self._rows.shift[ru])
         r_q31, u_q31 = ru_q31[:, :hidden], ru_q31[:, hidden:]
         if after:
             inside = (from_h[:, n] + self.bias[3]).astype(np.int64)
@@ -152,7 +152,7 @@ class IntegerGru:
         else:
             rh_q15 = round_shift(h_q30 * r_q31, 46)
             a_n = (from_x[:, n] + self._recurrent(rh_q15, n)).astype(np.int64)
-        n_q30 = tanh_q26(a_n >> self.shift[2]) << 4
+        n_q30 = tanh_q30(a_n >> self.shift[2])
         return u_q31, n_q30
 
     def step(self, x: IntArray, h_q30: IntArray) -> IntArray:
@@ -176,6 +176,9 @@ class IntegerGru:
         Raises:
             CheckError: an accumulator could overflow.
         """
+        for gate, gate_name in enumerate(GATES):
+            check_shift(f"{name}.{gate_name}", self.shift[gate], 31)
+            check_shift(f"{name}.{gate_name}.multiplier", self.multiplier_shift[gate], 62)
         bounds: list[Bound] = []
         h_q15 = 32767  # round_shift(H_LIMIT_Q30, 15)
         for j in range(self.hidden):

@@ -70,3 +70,20 @@ class Bound:
                 " the weights of that row down."
             )
         return self
+
+
+def check_shift(where: str, shift: int, most: int) -> None:
+    """Refuse a shift that C leaves undefined.
+
+    Args:
+        where: names it in the message.
+        shift: bits.
+        most: 31 for a 32-bit value, 62 where a 64-bit one is rounded, 63 where it is not.
+
+    Raises:
+        CheckError: shift is not within 0 .. most.
+    """
+    if not 0 <= shift <= most:
+        raise CheckError(
+            f"{where}: a shift by {shift} bits; 0 .. {most} are possible. The model is refused."
+        )

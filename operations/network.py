@@ -16,7 +16,7 @@ from zerodrift.operations.arithmetic import (
     saturate,
 )
 from zerodrift.operations.gru import H_LIMIT_Q30, IntegerGru
-from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.intervals import Bound, Interval, check_shift
 from zerodrift.operations.node import IntegerNode, State, Values
 
 
@@ -66,6 +66,7 @@ class IntegerFeatures(IntegerNode):
         flat = [x[0] for x in inputs]
         out, bounds = [], []
         for i in range(self.width):
+            check_shift(f"{self.name}[{i}]", self.shift[i], 63)
             total, bound = _bound_row(
                 f"{self.name}[{i}]", self.matrix[i].astype(np.int64), int(self.bias[i]), flat, 64
             )
@@ -223,6 +224,7 @@ class IntegerDrift(IntegerNode):
         scalars = [x[0] for x in (inputs[:-1] if self.head else inputs)]
         out, bounds = [], []
         for k in range(self.width):
+            check_shift(f"{self.name}[{k}]", self.shift[k], 63)
             row = self.coefficients[k]
             terms = list(scalars)
             if self.head:

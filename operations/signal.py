@@ -7,7 +7,7 @@ import numpy as np
 
 from zerodrift.errors import CheckError
 from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift, saturate
-from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.intervals import Bound, Interval, check_shift
 from zerodrift.operations.node import IntegerNode, State, Values
 
 CODES = "codes"
@@ -33,6 +33,7 @@ class IntegerInput(IntegerNode):
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
         """Bound the shifted code; holds for every int16 code because of the limits."""
+        check_shift(self.name, self.shift, 30)
         out = Interval(self.low << self.shift, self.high << self.shift)
         return [out], [Bound(self.name, out, 32).check()]
 
@@ -84,6 +85,7 @@ class IntegerProduct(IntegerNode):
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
         """Bound the 64-bit product with its rounding half, and the 32-bit result."""
+        check_shift(self.name, self.shift, 62)
         product = inputs[0][0] * inputs[1][0]
         half = Interval(0, 1 << self.shift >> 1)
         out = product.round_shift(self.shift)
@@ -135,6 +137,7 @@ class IntegerLowpass(IntegerNode):
         It needs 0 <= c <= 1 and 0 < a <= 1, and says nothing of the past: a v that another program
         overwrote is as harmless, if it is within the invariant.
         """
+        check_shift(self.name, self.shift, 62)
         x, one, a_one = inputs[0][0], 1 << LOWPASS_FRACTION, 1 << (self.shift + 22)
         if not (0 <= self.c_q24 <= one and 0 < self.m_q31 <= min(a_one, INT32_MAX)):
             raise CheckError(

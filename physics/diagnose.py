@@ -56,8 +56,8 @@ SHORTLIST = 6
 """Effects that are tried again in each other's presence."""
 WANDERING = 0.4
 """Share of slow variance in a dwell above which the sensor wanders even at rest."""
-SLOW_SAMPLES = 64.0
-"""Noise with longer memory than this counts as slow."""
+SLOW_S, SLOW_SAMPLES = 60.0, 64.0
+"""Noise with longer memory than both counts as slow."""
 ENOUGH_RUNS = 6
 """Fewer runs than this are thin evidence, and said to be."""
 WANTED_RUNS = 8
@@ -265,7 +265,8 @@ class Diagnostician:
         if not self.dataset.dwell:
             return False
         noise = examination.noise
-        slow = noise.weights[noise.tau_samples > SLOW_SAMPLES].sum(axis=0)
+        slowest = max(SLOW_SAMPLES, SLOW_S / self.plan.sample_period_s)
+        slow = noise.weights[noise.tau_samples > slowest].sum(axis=0)
         return float(np.mean(slow / np.maximum(noise.weights.sum(axis=0), 1e-300))) > WANDERING
 
     def list_idle(self) -> tuple[str, ...]:

@@ -121,7 +121,10 @@ def flip_signs(gains: Array) -> Array:
     else:
         signs = np.random.default_rng(0).choice((1.0, -1.0), size=(MOST_FLIPS, runs))
         signs[0] = 1.0
-    best = (signs @ gains.T).max(axis=1)
+    # A candidate that fails badly in a run has lost there, and tells nothing about what chance
+    # could gain: its losses count for no more than its largest gain.
+    largest = np.maximum(gains.max(axis=1, keepdims=True), 0.0)
+    best = (signs @ np.maximum(gains, -largest).T).max(axis=1)
     observed = gains.sum(axis=1)
     return np.asarray(
         (best[None, :] >= observed[:, None] - 1e-9 * np.abs(observed[:, None])).mean(axis=1)

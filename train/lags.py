@@ -1,20 +1,20 @@
 """Which lag of the temperature the network is shown, found from the logs themselves.
 
 The network remembers, but it learns soonest when one signal already has the speed of the sensor's
-slow part. For each time constant of a grid a small linear model of what physics leaves is solved:
-the temperature, and a cubic in the temperature after the lag. The time constant that predicts runs
-left out best is taken; a second one only when it earns its place.
+slow part. For each time constant of a grid a small linear model is solved: the physical model's own
+features, and a cubic in the temperature after the lag. The time constant that predicts runs left
+out best is taken; a second one only when it earns its place.
 `docs/decisions/020-what-the-network-sees.md` has the comparison with fixed banks.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass
-from zerodrift.train.linear import Moments, collect_moments, score_left_out, stack_centred
+from zerodrift.train.linear import collect_moments, score_left_out, stack_centred
 
 Array = NDArray[np.float64]
 
@@ -29,24 +29,37 @@ EARNS_ITS_PLACE = 0.8
 MOST_LAGS = 2
 
 
-def choose_lags(runs: Sequence[Run], residuals: Sequence[Array]) -> tuple[float, ...]:
+def choose_lags(
+    runs: Sequence[Run], features: Sequence[Array], drifts: Sequence[Array]
+) -> tuple[float, ...]:
     """Return the time constants in seconds, the best one first.
 
     Args:
         runs: training runs.
-        residuals: [n, K] per run, drift that physics leaves, in multiples of each output's scale.
+        features: [n, J] per run, those of the physical model.
+        drifts: [n, K] per run, in multiples of what physics leaves of each output.
     """
     dt_s = runs[0].sample_period_s
     longest = max(len(run) for run in runs)
     highest_s = max(LONGEST_SHARE * longest, 2.0 * SHORTEST_STEPS) * dt_s
     grid = [float(tau) for tau in np.geomspace(SHORTEST_STEPS * dt_s, highest_s, GRID)]
     ratio = grid[1] / grid[0]
+    levels = _standardise([run.temperature_degC[:, None] for run in runs])
+    base = [np.concatenate(p, axis=1) for p in zip(levels, _standardise(features), strict=True)]
+
+    def measure(lags_s: Sequence[float]) -> float:
+        columns = [
+            np.concatenate([x, *(_cube(lowpass(level[:, 0], dt_s, tau)) for tau in lags_s)], axis=1)
+            for x, level in zip(base, levels, strict=True)
+        ]
+        return score_left_out(collect_moments(stack_centred(runs, columns, drifts)))
+
     chosen: list[float] = []
     error = np.inf
     for _ in range(MOST_LAGS):
-        best, found = _search(runs, residuals, chosen, grid)
+        best, _ = _search(measure, chosen, grid)
         near = best * ratio ** np.linspace(-1.0, 1.0, REFINE)
-        best, found = _search(runs, residuals, chosen, near.tolist())
+        best, found = _search(measure, chosen, near.tolist())
         if found > EARNS_ITS_PLACE * error:
             break
         chosen.append(best)
@@ -55,28 +68,23 @@ def choose_lags(runs: Sequence[Run], residuals: Sequence[Array]) -> tuple[float,
 
 
 def _search(
-    runs: Sequence[Run], residuals: Sequence[Array], chosen: Sequence[float], grid: Sequence[float]
+    measure: Callable[[Sequence[float]], float], chosen: Sequence[float], grid: Sequence[float]
 ) -> tuple[float, float]:
     """Return the time constant that does best beside those chosen, and its error."""
-    scores = {
-        tau: score_left_out(_collect(runs, residuals, (*chosen, tau)))
-        for tau in grid
-        if tau not in chosen
-    }
+    scores = {tau: measure((*chosen, tau)) for tau in grid if tau not in chosen}
     best = min(scores, key=lambda tau: scores[tau])
     return best, scores[best]
 
 
-def _collect(runs: Sequence[Run], residuals: Sequence[Array], lags_s: Sequence[float]) -> Moments:
-    """Return the moments of the small linear model with these lags."""
-    temperature = np.concatenate([run.temperature_degC for run in runs])
-    middle, spread = temperature.mean(), max(float(temperature.std()), 1e-9)
-    columns = []
-    for run in runs:
-        level = (run.temperature_degC - middle) / spread
-        terms = [level]
-        for tau_s in lags_s:
-            slow = lowpass(level, run.sample_period_s, tau_s)
-            terms += [slow, slow**2, slow**3]
-        columns.append(np.stack(terms, axis=1))
-    return collect_moments(stack_centred(runs, columns, residuals))
+def _cube(x: Array) -> Array:
+    """Return x, x^2, x^3 as columns."""
+    return np.stack([x, x**2, x**3], axis=1)
+
+
+def _standardise(columns: Sequence[Array]) -> list[Array]:
+    """Return the columns at mean 0 and variance 1 over all runs, without those that never move."""
+    together = np.concatenate(columns)
+    spread = together.std(axis=0)
+    moves = spread > 1e-12 * np.abs(together).max(axis=0)
+    mean = together.mean(axis=0)
+    return [((x - mean) / np.where(moves, spread, 1.0))[:, moves] for x in columns]

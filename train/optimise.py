@@ -29,6 +29,7 @@ Array32 = NDArray[np.float32]
 
 CYCLE_START, CYCLE_END = 1 / 25, 1e-4
 """The learning rate begins and ends at these shares of its peak."""
+RESULT_NUMBERS = ("start", "epoch", "rmse", "last_rmse", "rmse_without")
 GRADIENT_LIMIT = 1.0
 """Longest gradient; a longer one is shortened to this."""
 
@@ -42,21 +43,19 @@ class Settings:
     seed: int = 0
     starts: tuple[int, ...] = (0, 1)
     """Which first weights to try; each number stands for its own draw."""
-    epochs: int = 120
+    epochs: int = 80
     """Length of the learning-rate cycle."""
-    last_epoch: int = 0
-    """Where to stop within the cycle; 0 = at its end."""
     learning_rate: float = 2e-2
     """Peak of the one cycle."""
     weight_decay: float = 0.1
     """Per step and unit of learning rate, on weights but not on biases."""
-    chunk: int = 64
+    chunk: int = 32
     """Samples over which a stream is differentiated."""
     batch: int = 128
     """Chunks in a step of the optimiser; of windows, as many as hold that many samples."""
     warm_up: float = 0.25
     """Share of the steps in which the learning rate rises."""
-    evaluations: int = 24
+    evaluations: int = 10
     """How often per start the held-out runs are looked at and the checkpoint is written."""
 
 
@@ -82,6 +81,8 @@ class Result:
     """0 means that no epoch did better than physics alone."""
     rmse: float
     """On the held-out runs (without any: in training), in multiples of what physics leaves."""
+    last_rmse: float
+    """The same at the end of the cycle."""
     rmse_without: float
     """The same with the network silent."""
 
@@ -100,6 +101,7 @@ class _Attempt:
     best: dict[str, Array32] = field(default_factory=dict)
     best_epoch: int = 0
     best_rmse: float = math.inf
+    last_rmse: float = math.inf
     rmse_without: float = math.inf
 
 
@@ -140,7 +142,6 @@ class Trainer:
         groups = list(dict.fromkeys(s.group for s in sequences))
         self._group_of_run = np.array([groups.index(s.group) for s in sequences])
         self._every = max(1, settings.epochs // settings.evaluations)
-        self._last = settings.last_epoch or settings.epochs
         self._mark = self._fingerprint()
 
     def run(self, resume: bool = True) -> Result:
@@ -162,9 +163,9 @@ class Trainer:
             if stored:
                 _restore(attempt, stored)
                 stored = None
-            while attempt.epoch < self._last:
+            while attempt.epoch < self._settings.epochs:
                 rmse = self._run_epoch(attempt)
-                if attempt.epoch % self._every == 0 or attempt.epoch == self._last:
+                if attempt.epoch % self._every == 0 or attempt.epoch == self._settings.epochs:
                     self._judge(attempt, rmse)
                     self._save(attempt, best)
                 self._report(Progress(start, attempt.epoch, rmse, attempt.best_rmse))
@@ -240,11 +241,10 @@ class Trainer:
 
     def _judge(self, attempt: _Attempt, train_rmse: float) -> None:
         """Keep the weights if they are the best so far; with nothing held out, the latest are."""
-        rmse = train_rmse
-        if self._held_out:
-            rmse = self._measure(attempt.network)
-            if rmse >= attempt.best_rmse:
-                return
+        rmse = self._measure(attempt.network) if self._held_out else train_rmse
+        attempt.last_rmse = rmse
+        if self._held_out and rmse >= attempt.best_rmse:
+            return
         attempt.best_rmse, attempt.best_epoch = rmse, attempt.epoch
         attempt.best = {
             name: p.detach().numpy().copy() for name, p in attempt.network.named_parameters()
@@ -298,15 +298,11 @@ class Trainer:
             "epoch": attempt.epoch,
             "best_epoch": attempt.best_epoch,
             "best_rmse": attempt.best_rmse,
+            "last_rmse": attempt.last_rmse,
         }
         if best:
             arrays |= {f"result.{k}": v for k, v in best.weights.items()}
-            values["result"] = {
-                "start": best.start,
-                "epoch": best.epoch,
-                "rmse": best.rmse,
-                "rmse_without": best.rmse_without,
-            }
+            values["result"] = {name: getattr(best, name) for name in RESULT_NUMBERS}
         save_checkpoint(self._checkpoint, Checkpoint(arrays, values))
 
 
@@ -344,7 +340,12 @@ def _add_by_group(
 def _conclude(attempt: _Attempt) -> Result:
     """Return what became of a start."""
     return Result(
-        attempt.best, attempt.start, attempt.best_epoch, attempt.best_rmse, attempt.rmse_without
+        weights=attempt.best,
+        start=attempt.start,
+        epoch=attempt.best_epoch,
+        rmse=attempt.best_rmse,
+        last_rmse=attempt.last_rmse,
+        rmse_without=attempt.rmse_without,
     )
 
 
@@ -357,13 +358,7 @@ def _read_result(stored: Checkpoint) -> Result | None:
     found = stored.values.get("result")
     if found is None:
         return None
-    return Result(
-        weights=_pick(stored.arrays, "result."),
-        start=int(found["start"]),
-        epoch=int(found["epoch"]),
-        rmse=float(found["rmse"]),
-        rmse_without=float(found["rmse_without"]),
-    )
+    return Result(weights=_pick(stored.arrays, "result."), **found)
 
 
 def _restore(attempt: _Attempt, stored: Checkpoint) -> None:
@@ -381,3 +376,4 @@ def _restore(attempt: _Attempt, stored: Checkpoint) -> None:
     attempt.epoch = int(values["epoch"])
     attempt.best = _pick(arrays, "attempt.")
     attempt.best_epoch, attempt.best_rmse = int(values["best_epoch"]), float(values["best_rmse"])
+    attempt.last_rmse = float(values["last_rmse"])

@@ -84,11 +84,13 @@ def fit_stages(config: Config, physics: PhysicalModel, runs: Sequence[Run]) -> S
         runs: training runs.
     """
     residuals = [run.drift - physics.predict(run) for run in runs]
-    lags_s = config.network.lags_s or choose_lags(runs, _scale(runs, residuals))
+    unit = _measure_scale(runs, residuals)
+    lags_s = config.network.lags_s or choose_lags(
+        runs, [physics.features(run) for run in runs], [run.drift / unit for run in runs]
+    )
     front_end = fit_front_end(list_taps(config, runs, lags_s), runs)
     features = [front_end.compute(run) for run in runs]
-    linear = fit_linear(runs, features, _scale(runs, residuals))
-    linear = linear * _measure_scale(runs, residuals)
+    linear = fit_linear(runs, features, [residual / unit for residual in residuals]) * unit
     left = [r - x @ linear for r, x in zip(residuals, features, strict=True)]
     constant, offsets = settle_offsets(runs, left)
     rest = [r - constant - offsets.get(run.group, 0.0) for run, r in zip(runs, left, strict=True)]
@@ -150,9 +152,3 @@ def _measure_scale(runs: Sequence[Run], residuals: Sequence[Array]) -> Array:
     scale = np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0))
     scale[scale == 0.0] = 1.0
     return np.asarray(scale)
-
-
-def _scale(runs: Sequence[Run], residuals: Sequence[Array]) -> list[Array]:
-    """Return the residuals in multiples of their RMS, so that each output counts alike."""
-    scale = _measure_scale(runs, residuals)
-    return [residual / scale for residual in residuals]

@@ -28,6 +28,8 @@ from zerodrift.train.stages import Stages, fit_physics, fit_stages
 
 WORTH_ITS_FLASH = 0.97
 """The network is kept if it brings the error on held-out runs below this multiple."""
+WINDOW_EPOCHS = 24
+"""Default for windows: there are as many of them as samples, and each is a sequence of its own."""
 REHEARSAL, PERFORMANCE = "rehearsal.npz", "performance.npz"
 
 
@@ -61,12 +63,13 @@ def read_settings(
     default = Settings()
     options = network.options
     count = starts or int(options.get("starts", len(default.starts)))
+    usual = default.epochs if network.memory == "stream" else WINDOW_EPOCHS
     return replace(
         default,
         memory=network.memory,
         seed=network.seed,
         starts=tuple(range(count)),
-        epochs=epochs or int(options.get("epochs", default.epochs)),
+        epochs=epochs or int(options.get("epochs", usual)),
         learning_rate=float(options.get("learning_rate", default.learning_rate)),
     )
 
@@ -166,11 +169,17 @@ class _Course:
         return self._train(stages, self._settings, REHEARSAL, tell, sequences, held_out)
 
     def perform(self, stages: Stages, runs: Sequence[Run], rehearsal: Result) -> Result:
-        """Train with all runs, from the start and to the epoch that the rehearsal found."""
-        settings = replace(self._settings, starts=(rehearsal.start,), last_epoch=rehearsal.epoch)
+        """Train with all runs, from the start that did best in the rehearsal.
+
+        A cycle that is cut short ends while its steps are long, so the cycle is walked to its end;
+        unless the rehearsal had lost by then what it had gained, which calls for a shorter one.
+        """
+        whole = rehearsal.last_rmse < WORTH_ITS_FLASH * rehearsal.rmse_without
+        length = self._settings.epochs if whole else rehearsal.epoch
+        settings = replace(self._settings, starts=(rehearsal.start,), epochs=length)
 
         def tell(progress: Progress) -> None:
-            share = progress.epoch / rehearsal.epoch
+            share = progress.epoch / length
             done = 1.0 - (1.0 - share) * self._settings.epochs / self._total
             self._report(Stage(done, f"all runs, {progress.train_rmse:.3f}"))
 

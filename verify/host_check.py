@@ -17,6 +17,8 @@ from zerodrift.operations.arithmetic import IntArray
 from zerodrift.verify.mismatch import Mismatch, find_mismatch, label_columns
 
 CHUNKS_AT_ONCE = 256
+LONGEST_CHUNK = 512
+"""Bounds the memory of one batch: every value of 256 x 512 steps is held to be compared."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ def check_host(
         chunk: steps per chunk; 0 chooses so that a few batches of 256 chunks cover T.
     """
     model, total = host.model, codes.shape[0]
-    chunk = chunk or max(16, min(4096, -(-total // CHUNKS_AT_ONCE)))
+    chunk = chunk or max(16, min(LONGEST_CHUNK, -(-total // CHUNKS_AT_ONCE)))
     reference = Reference(model)
     start = reference.start(codes[:1].astype(np.int64), settled=settled)
     whole, rest = divmod(total, chunk)

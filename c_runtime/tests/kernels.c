@@ -4,16 +4,16 @@
 
 #include "zd_runtime.h"
 
-void zk_tanh_q26(const int32_t *t_q16, int32_t *out, uint32_t n);
+void zk_tanh_q30(const int32_t *t_q16, int32_t *out, uint32_t n);
 void zk_sigmoid_q31(const int32_t *t_q16, int32_t *out, uint32_t n);
 void zk_round_shift64(const int64_t *x, const uint32_t *shift, int64_t *out, uint32_t n);
 void zk_mul_high(const int32_t *a, const int32_t *b, int32_t *out, uint32_t n);
 void zk_lowpass(int64_t *v, const int32_t *x, int32_t c_q24, int32_t m_q31, uint32_t shift,
                 int32_t *out, uint32_t n);
 
-void zk_tanh_q26(const int32_t *t_q16, int32_t *out, uint32_t n) {
+void zk_tanh_q30(const int32_t *t_q16, int32_t *out, uint32_t n) {
     for (uint32_t i = 0; i < n; i++) {
-        out[i] = zd_tanh_q26(t_q16[i]);
+        out[i] = zd_tanh_q30(t_q16[i]);
     }
 }
 

@@ -3,33 +3,33 @@
 #include "zd_runtime.h"
 
 #define BEYOND 5000
-#define END 524288 /* 8 in Q3.16 */
-#define TOP (32767 * 2048)
+#define END 524288                  /* 8 in Q3.16 */
+#define TOP ((1 << 30) - (1 << 15)) /* 1 - 2^-15 */
 
 static void check_tanh_is_monotone_odd_and_saturates(void) {
-    int32_t before = zd_tanh_q26(-END - BEYOND - 1);
+    int32_t before = zd_tanh_q30(-END - BEYOND - 1);
     for (int32_t t = -END - BEYOND; t <= END + BEYOND; t++) {
-        const int32_t y = zd_tanh_q26(t);
+        const int32_t y = zd_tanh_q30(t);
         CHECK(y >= before);
-        CHECK_EQUAL(zd_tanh_q26(-t), -y);
+        CHECK_EQUAL(zd_tanh_q30(-t), -y);
         before = y;
     }
-    CHECK_EQUAL(zd_tanh_q26(0), 0);
-    CHECK_EQUAL(zd_tanh_q26(END - 1), TOP);
-    CHECK_EQUAL(zd_tanh_q26(END), TOP); /* tanh(8) is not -1: nothing wraps */
-    CHECK_EQUAL(zd_tanh_q26(-END), -TOP);
-    CHECK_EQUAL(zd_tanh_q26(-END - 1), -TOP);
-    CHECK_EQUAL(zd_tanh_q26(INT32_MAX), TOP);
-    CHECK_EQUAL(zd_tanh_q26(INT32_MIN), -TOP);
+    CHECK_EQUAL(zd_tanh_q30(0), 0);
+    CHECK_EQUAL(zd_tanh_q30(END - 1), TOP);
+    CHECK_EQUAL(zd_tanh_q30(END), TOP); /* tanh(8) is not -1: nothing wraps */
+    CHECK_EQUAL(zd_tanh_q30(-END), -TOP);
+    CHECK_EQUAL(zd_tanh_q30(-END - 1), -TOP);
+    CHECK_EQUAL(zd_tanh_q30(INT32_MAX), TOP);
+    CHECK_EQUAL(zd_tanh_q30(INT32_MIN), -TOP);
 }
 
 static void check_tanh_by_hand(void) {
-    /* Node 256 + k stands for k / 32. Between nodes 1 (1024) and 2 (2046), half way: 1535. */
-    CHECK_EQUAL(zd_tanh_nodes_q15[257], 1024);
-    CHECK_EQUAL(zd_tanh_nodes_q15[258], 2046);
-    CHECK_EQUAL(zd_tanh_q26(2048), 1024 * 2048);
-    CHECK_EQUAL(zd_tanh_q26(2048 + 1024), 1535 * 2048);
-    CHECK_EQUAL(zd_tanh_q26(2048 + 1), (1024 * 2048) + (2046 - 1024));
+    /* Node 256 + k stands for k / 32. Between nodes 1 (16381) and 2 (32729), half way: 24555. */
+    CHECK_EQUAL(zd_tanh_nodes_q19[257], 16381);
+    CHECK_EQUAL(zd_tanh_nodes_q19[258], 32729);
+    CHECK_EQUAL(zd_tanh_q30(2048), 16381 * 2048);
+    CHECK_EQUAL(zd_tanh_q30(2048 + 1024), 24555 * 2048);
+    CHECK_EQUAL(zd_tanh_q30(2048 + 1), (16381 * 2048) + (32729 - 16381));
 }
 
 static void check_sigmoid_complement_is_exact(void) {

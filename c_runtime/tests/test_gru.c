@@ -1,6 +1,6 @@
-/* One step of the GRU, worked by hand. The table near 0 (node k stands for tanh(k / 32) in Q0.15):
- *   k     0     1     2     3     4
- *   T     0  1024  2046  3063  4075 */
+/* One step of the GRU, worked by hand. The table near 0 (node k stands for tanh(k / 32) in Q0.19):
+ *   k     0      1      2      3      4
+ *   T     0  16381  32729  49014  65205 */
 #include "check.h"
 #include "zd_runtime.h"
 
@@ -35,51 +35,51 @@ static int32_t step_before(const int32_t *bias, int32_t h_q30, int32_t u_keep) {
 static void check_reset_after(void) {
     /* r = u = 1/2 (2^30). a_nh = 100 + 3 * 16384 = 49252, times r: 12313.
      * a_n = 7 + 5 * 2 + 12313 = 12330, >> 2 = 3082 = 2048 + 1034.
-     * tanh = 1024 * 2048 + (2046 - 1024) * 1034 = 3153900, n = * 16 = 50462400.
-     * d = n - h = -486408512, d / 4 = -121602128, h' = h + 2 * that = 293666656. */
+     * n = tanh = 16381 * 2048 + (32729 - 16381) * 1034 = 50452120.
+     * d = n - h = -486418792, d / 4 = -121604698, h' = h + 2 * that = 293661516. */
     const int32_t bias[4] = {0, 0, 7, 100};
-    CHECK_EQUAL(step_after(bias, HALF_Q30, -1), 293666656);
+    CHECK_EQUAL(step_after(bias, HALF_Q30, -1), 293661516);
 }
 
 static void check_reset_after_with_open_gates(void) {
-    /* r: t = 2048, r = (1024 * 2048 + 2^26) * 16 = 1107296256 = 0.2578125 * 2^32.
-     * u: t = -2048, u = 1040187392 = 0.2421875 * 2^32.
-     * 49252 * 0.2578125 = 12697.78 -> 12698, a_n = 12715, >> 2 = 3178 = 2048 + 1130.
-     * tanh = 2097152 + 1022 * 1130 = 3252012, n = 52032192, d = -484838720.
-     * d * 0.2421875 = -117421877.5, half upwards: -117421877, h' = 302027158. */
+    /* r: t = 2048, r = 16381 * 2048 + 2^30 = 1107290112 = 0.257811069 * 2^32.
+     * u: t = -2048, u = 2^30 - 16381 * 2048 = 1040193536 = 0.242188931 * 2^32.
+     * 49252 * 0.257811069 = 12697.71 -> 12698, a_n = 12715, >> 2 = 3178 = 2048 + 1130.
+     * n = tanh = 33548288 + 16348 * 1130 = 52021528, d = -484849384.
+     * d * 0.242188931 = -117425153.77 -> -117425154, h' = h + 2 * that = 302020604. */
     const int32_t bias[4] = {2048, -2048, 7, 100};
-    CHECK_EQUAL(step_after(bias, HALF_Q30, -1), 302027158);
+    CHECK_EQUAL(step_after(bias, HALF_Q30, -1), 302020604);
 }
 
 static void check_relaxing_ignores_the_update_gate(void) {
-    /* As above with u = 1/2: d / 4 = -121209680, h' = h - 242419360. */
+    /* As above with u = 1/2: d / 4 = -121212346, h' = h - 242424692. */
     const int32_t bias[4] = {2048, -2048, 7, 100};
-    CHECK_EQUAL(step_after(bias, HALF_Q30, 0), 294451552);
+    CHECK_EQUAL(step_after(bias, HALF_Q30, 0), 294446220);
 }
 
 static void check_reset_before(void) {
     /* r = u = 1/2: r h = 8192 in Q15. a_n = 7 + 10 + 3 * 8192 = 24593, >> 2 = 6148 = 3 * 2048 + 4.
-     * tanh = 3063 * 2048 + (4075 - 3063) * 4 = 6277072, n = 100433152, d = -436437760.
-     * h' = h + 2 * (d / 4) = 318652032. bias[3] belongs to the other form. */
+     * n = tanh = 49014 * 2048 + (65205 - 49014) * 4 = 100445436, d = -436425476.
+     * h' = h + 2 * (d / 4) = 318658174. bias[3] belongs to the other form. */
     const int32_t bias[4] = {0, 0, 7, 0};
-    CHECK_EQUAL(step_before(bias, HALF_Q30, -1), 318652032);
-    CHECK_EQUAL(step_before(bias, HALF_Q30, 0), 318652032);
+    CHECK_EQUAL(step_before(bias, HALF_Q30, -1), 318658174);
+    CHECK_EQUAL(step_before(bias, HALF_Q30, 0), 318658174);
 }
 
 static void check_negative_state(void) {
     /* h = -0.5: a_nh = 100 - 49152 = -49052, times 1/2: -12263. a_n = 17 - 12263 = -12246.
      * >> 2 = floor(-3061.5) = -3062 = -2 * 2048 + 1034.
-     * tanh = -2046 * 2048 + (-1024 + 2046) * 1034 = -3133460, n = -50135360.
-     * d = -50135360 + 536870912 = 486735552, h' = -536870912 + 2 * 121683888 = -293503136. */
+     * n = tanh = -32729 * 2048 + (-16381 + 32729) * 1034 = -50125160.
+     * d = -50125160 + 536870912 = 486745752, h' = -536870912 + 2 * 121686438 = -293498036. */
     const int32_t bias[4] = {0, 0, 7, 100};
-    CHECK_EQUAL(step_after(bias, -HALF_Q30, -1), -293503136);
+    CHECK_EQUAL(step_after(bias, -HALF_Q30, -1), -293498036);
 }
 
 static void check_eight_bit_weights(void) {
     /* 3 * 16384 = 49152, times the multiplier 49152 >> 15: 73728. a_nh = 73828, times 1/2: 18457.
      * a_n = 18474, >> 2 = 4618 = 2 * 2048 + 522.
-     * tanh = 2046 * 2048 + (3063 - 2046) * 522 = 4721082, n = 75537312, d = -461333600.
-     * h' = h + 2 * (d / 4) = 306204112. */
+     * n = tanh = 32729 * 2048 + (49014 - 32729) * 522 = 75529762, d = -461341150.
+     * d / 4 = -115335287.5, half upwards: -115335287, h' = h + 2 * that = 306200338. */
     const int8_t w_h8[3] = {0, 0, 3};
     const int32_t multiplier[3] = {0, 0, 49152};
     const int32_t bias[4] = {0, 0, 7, 100};
@@ -87,13 +87,13 @@ static void check_eight_bit_weights(void) {
     int32_t h_q30[1] = {HALF_Q30};
     int16_t h_q15[1];
     zd_gru_step_after(&layer, 1, 1, x, h_q30, h_q15, -1);
-    CHECK_EQUAL(h_q30[0], 306204112);
+    CHECK_EQUAL(h_q30[0], 306200338);
 }
 
 static void check_units_read_the_state_before_the_step(void) {
     /* Unit 1 reads unit 0, which goes from 0.5 to 0.25 in this step: its old state counts.
-     * After: mul_high(16384, 2^30) = 4096, node 2: n = 2046 * 2048 * 16, h' = n / 2 = 33521664.
-     * Before: r h = 8192, node 4: n = 4075 * 2048 * 16, h' = n / 2 = 66764800. */
+     * After: mul_high(16384, 2^30) = 4096, node 2: n = 32729 * 2048, h' = n / 2 = 33514496.
+     * Before: r h = 8192, node 4: n = 65205 * 2048, h' = n / 2 = 66769920. */
     const int16_t none[6] = {0, 0, 0, 0, 0, 0};
     const int16_t w[12] = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0}; /* [unit][r u n][h] */
     const int32_t bias[8] = {0, 0, 0, 0, 0, 0, 0, 0};
@@ -103,12 +103,12 @@ static void check_units_read_the_state_before_the_step(void) {
     int16_t rh_q15[2];
     zd_gru_step_after(&layer, 1, 2, x, h_q30, h_q15, -1);
     CHECK_EQUAL(h_q30[0], HALF_Q30 / 2);
-    CHECK_EQUAL(h_q30[1], 33521664);
+    CHECK_EQUAL(h_q30[1], 33514496);
     h_q30[0] = HALF_Q30;
     h_q30[1] = 0;
     zd_gru_step_before(&layer, 1, 2, x, h_q30, h_q15, rh_q15, -1);
     CHECK_EQUAL(h_q30[0], HALF_Q30 / 2);
-    CHECK_EQUAL(h_q30[1], 66764800);
+    CHECK_EQUAL(h_q30[1], 66769920);
 }
 
 static void check_state_stays_within_its_invariant(void) {

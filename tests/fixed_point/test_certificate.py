@@ -16,7 +16,7 @@ from zerodrift.operations.gru import H_LIMIT_Q30, IntegerGru
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.network import IntegerDrift, IntegerFeatures, IntegerGruLayer
 from zerodrift.operations.signal import IntegerDelay, IntegerLowpass, IntegerProduct
-from zerodrift.operations.tables import sigmoid_q27
+from zerodrift.operations.tables import sigmoid_q31
 from zerodrift.verify.vectors import draw_sequences
 
 Array = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
@@ -63,7 +63,7 @@ def recompute_gru(gru: IntegerGru, name: str, x: Array, h_q30: Array) -> dict[st
 
     a_r = bias[0] + from_x(0) + recurrent(0, "r", h_q15)
     a_u = bias[1] + from_x(1) + recurrent(1, "u", h_q15)
-    r_q31 = sigmoid_q27(a_r >> gru.shift[0]).astype(np.int64) << 4
+    r_q31 = sigmoid_q31(a_r >> gru.shift[0]).astype(np.int64)
     if gru.reset == "after":
         inside = bias[3] + recurrent(2, "n", h_q15)
         a_n = bias[2] + from_x(2) + ((inside * r_q31 + 2**31) >> 32)
@@ -204,6 +204,17 @@ def test_lowpass_that_is_none_is_refused(fields: dict[str, int]) -> None:
     node.prove([[Interval(-1000, 1000)]])
     with pytest.raises(CheckError, match=r"f: c = .*refused"):
         replace(node, **fields).prove([[Interval(-1000, 1000)]])
+
+
+@pytest.mark.parametrize("shift", [-1, 32])
+def test_shift_that_c_leaves_undefined_is_refused(shift: int) -> None:
+    layer = draw_model(Shape(hidden=2), 9).recurrent
+    assert layer is not None
+    bad = replace(layer.gru, shift=(layer.gru.shift[0], shift, layer.gru.shift[2]))
+    with pytest.raises(CheckError, match=rf"gru\.u: a shift by {shift} bits"):
+        bad.prove("gru", [Interval(-1, 1)] * 4)
+    with pytest.raises(CheckError, match="p: a shift by 63 bits"):
+        IntegerProduct("p", ("a", "b"), shift=63).prove([[Interval(0, 1)], [Interval(0, 1)]])
 
 
 def test_delay_longer_than_its_ring_is_refused() -> None:

@@ -28,6 +28,8 @@ SHAPES = {
     "int8 before": Shape(weights="int8", reset="before", hidden=7, inputs=3, gain=20.0),
     "window": Shape(window=4, hidden=6, inputs=1, outputs=1),
 }  # fmt: skip
+QUICK = {("cortex-m0plus", "everything"), ("cortex-m4", "everything"), ("cortex-m4", "int8 before")}
+"""What `make test` runs; the rest of cores and shapes are slow tests."""
 STEPS = 600
 
 
@@ -40,8 +42,14 @@ def draw_codes(channels: int) -> np.ndarray[tuple[int, int], np.dtype[np.int16]]
     return np.concatenate([rails, noise, np.clip(walk, -32768, 32767)]).astype(np.int16)
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("core", CORES)
+@pytest.mark.parametrize(
+    ("core", "shape"),
+    [
+        pytest.param(core, shape, marks=() if (core, shape) in QUICK else pytest.mark.slow)
+        for core in CORES
+        for shape in SHAPES
+    ],
+)
 def test_chip_equals_reference(core: str, shape: str, tmp_path: Path) -> None:
     model = draw_model(SHAPES[shape], 31)
     chip = EmulatedModel(model, generate(model), core, tmp_path, "-O2")
@@ -54,7 +62,9 @@ def test_chip_equals_reference(core: str, shape: str, tmp_path: Path) -> None:
     assert chip.selftest() == 0
 
 
-@pytest.mark.parametrize("core", CORES)
+@pytest.mark.parametrize(
+    "core", [pytest.param(c, marks=() if c == "cortex-m4" else pytest.mark.slow) for c in CORES]
+)
 def test_told_stack_is_enough_for_what_runs(core: str, tmp_path: Path) -> None:
     model = draw_model(SHAPES["everything"], 32)
     code = generate(model)
@@ -64,7 +74,7 @@ def test_told_stack_is_enough_for_what_runs(core: str, tmp_path: Path) -> None:
     assert told <= used + 64, "and not told far too high"
 
 
-@pytest.mark.parametrize("core", ["cortex-m3", "cortex-m4"])
+@pytest.mark.parametrize("core", ["cortex-m4", pytest.param("cortex-m3", marks=pytest.mark.slow)])
 def test_instruction_count_does_not_depend_on_the_input(core: str, tmp_path: Path) -> None:
     """A GRU's time is constant: no branch of its kernel looks at the data."""
     model = draw_model(Shape(hidden=6, inputs=2, outputs=1, drift_limit=1e9), 33)
@@ -74,6 +84,7 @@ def test_instruction_count_does_not_depend_on_the_input(core: str, tmp_path: Pat
     assert min(counts) > 500
 
 
+@pytest.mark.slow
 def test_dual_multiplier_pays(tmp_path: Path) -> None:
     model = draw_model(Shape(hidden=16, inputs=4, outputs=1), 34)
     counts = {}

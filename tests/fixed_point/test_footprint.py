@@ -15,7 +15,7 @@ from zerodrift.errors import CheckError, InputError
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("ziglang") is None, reason="sizes need the ziglang wheel"
 )
-TABLE_BYTES = 2 * 513
+TABLE_BYTES = 4 * 513
 
 
 @pytest.mark.parametrize("core", CORES)

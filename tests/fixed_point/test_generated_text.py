@@ -52,7 +52,7 @@ def test_hostile_names_compile(first: int, tmp_path: Path) -> None:
 
 
 @given(name=names)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_nothing_hostile_reaches_the_code(name: str) -> None:
     code = generate_hostile(name)
     clean = generate_hostile("plain")

@@ -16,7 +16,7 @@ from zerodrift.c_runtime.compilers import (
 from zerodrift.c_runtime.write_table import RUNTIME_SOURCE, render_runtime_source
 from zerodrift.operations.arithmetic import round_shift
 from zerodrift.operations.signal import IntegerLowpass
-from zerodrift.operations.tables import T_MAX, T_MIN, sigmoid_q27, tanh_nodes, tanh_q26
+from zerodrift.operations.tables import T_MAX, T_MIN, sigmoid_q31, tanh_nodes, tanh_q30
 
 EVERY_T = np.arange(T_MIN - 4096, T_MAX + 4097)
 """All 2**20 inputs of the table, and beyond both ends."""
@@ -42,20 +42,20 @@ def call(function: Any, out_type: type, *arrays: np.ndarray[Any, Any]) -> np.nda
 
 
 def test_tanh_equals_reference_for_every_input(kernels: Any) -> None:
-    actual = call(kernels.zk_tanh_q26, np.int32, EVERY_T.astype(np.int32))
-    np.testing.assert_array_equal(actual, tanh_q26(EVERY_T))
+    actual = call(kernels.zk_tanh_q30, np.int32, EVERY_T.astype(np.int32))
+    np.testing.assert_array_equal(actual, tanh_q30(EVERY_T))
 
 
 def test_sigmoid_equals_reference_for_every_input(kernels: Any) -> None:
     actual = call(kernels.zk_sigmoid_q31, np.int32, EVERY_T.astype(np.int32))
-    np.testing.assert_array_equal(actual, sigmoid_q27(EVERY_T).astype(np.int64) << 4)
+    np.testing.assert_array_equal(actual, sigmoid_q31(EVERY_T).astype(np.int64))
 
 
 def test_activations_equal_reference_at_the_ends_of_int32(kernels: Any) -> None:
     t = np.array([-(2**31), -(2**31) + 1, -(2**20), 2**20, 2**31 - 2, 2**31 - 1], dtype=np.int32)
-    np.testing.assert_array_equal(call(kernels.zk_tanh_q26, np.int32, t), tanh_q26(t))
+    np.testing.assert_array_equal(call(kernels.zk_tanh_q30, np.int32, t), tanh_q30(t))
     np.testing.assert_array_equal(
-        call(kernels.zk_sigmoid_q31, np.int32, t), sigmoid_q27(t).astype(np.int64) << 4
+        call(kernels.zk_sigmoid_q31, np.int32, t), sigmoid_q31(t).astype(np.int64)
     )
 
 
@@ -110,24 +110,24 @@ def test_runtime_holds_the_reference_table() -> None:
 
 def test_tanh_error_is_within_the_specified_limit() -> None:
     truth = np.tanh(EVERY_T / 2.0**16)
-    error_lsb = np.abs(tanh_q26(EVERY_T) / 2.0**26 - truth) * 2.0**15
-    assert error_lsb.max() <= 2.04
+    error_lsb = np.abs(tanh_q30(EVERY_T) / 2.0**30 - truth) * 2.0**15
+    assert error_lsb.max() <= 1.57
     sigmoid = 1.0 / (1.0 + np.exp(-EVERY_T / 2.0**15))
-    assert (np.abs(sigmoid_q27(EVERY_T) / 2.0**27 - sigmoid) * 2.0**15).max() <= 1.02
+    assert (np.abs(sigmoid_q31(EVERY_T) / 2.0**31 - sigmoid) * 2.0**15).max() <= 0.79
 
 
 def test_tanh_nodes_are_odd_and_monotone() -> None:
     nodes = tanh_nodes().astype(np.int64)
     np.testing.assert_array_equal(nodes, -nodes[::-1])
     assert (np.diff(nodes) >= 0).all()
-    assert nodes[0] == -32767 and nodes[256] == 0
+    assert nodes[0] == -32767 * 16 and nodes[256] == 0
 
 
 def test_reference_activations_are_odd_complementary_and_saturating() -> None:
     wide = np.array([-(2**62), T_MIN - 1, T_MAX + 1, 2**62])
-    ends = tanh_q26(wide)
-    np.testing.assert_array_equal(ends, [-32767 * 2048] * 2 + [32767 * 2048] * 2)
-    np.testing.assert_array_equal(tanh_q26(-EVERY_T), -tanh_q26(EVERY_T))
+    ends = tanh_q30(wide)
+    np.testing.assert_array_equal(ends, [-(2**30) + 2**15] * 2 + [2**30 - 2**15] * 2)
+    np.testing.assert_array_equal(tanh_q30(-EVERY_T), -tanh_q30(EVERY_T))
     np.testing.assert_array_equal(
-        sigmoid_q27(-EVERY_T).astype(np.int64) + sigmoid_q27(EVERY_T), np.full(EVERY_T.size, 2**27)
+        sigmoid_q31(-EVERY_T).astype(np.int64) + sigmoid_q31(EVERY_T), np.full(EVERY_T.size, 2**31)
     )

@@ -12,6 +12,11 @@ def test_gain_in_half_of_the_runs_is_chance():
     assert flip_signs(np.array([[1.0, -1.0, 1.0, -1.0]]))[0] > 0.5
 
 
+def test_failure_of_one_candidate_does_not_speak_against_another():
+    gains = np.array([[1.0, 2.0, 1.5, 1.2, 0.9], [0.1, -500.0, 0.2, 0.0, 0.1]])
+    assert flip_signs(gains)[0] == 2.0**-5
+
+
 def test_best_of_many_by_chance_is_no_evidence():
     rng = np.random.default_rng(0)
     found = [flip_signs(rng.normal(size=(30, 8))).min() for _ in range(60)]

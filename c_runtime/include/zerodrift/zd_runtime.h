@@ -27,8 +27,8 @@
 #define ZD_GRU_RELAX_U_Q31 1073741824 /* u = 1/2 while the state relaxes towards rest */
 #define ZD_GRU_H_LIMIT_Q30 1073709057 /* 2^30 - 2^15 + 1: |h| never exceeds it */
 
-/* tanh at -8, -8 + 1/32, ..., 8 in Q0.15. */
-extern const int16_t zd_tanh_nodes_q15[ZD_TANH_NODES];
+/* tanh at -8, -8 + 1/32, ..., 8 in Q0.19. */
+extern const int32_t zd_tanh_nodes_q19[ZD_TANH_NODES];
 
 /* CRC-32 (reflected 0xEDB88320) of n bytes, continued from crc; start with 0. */
 uint32_t zd_crc32(uint32_t crc, const uint8_t *bytes, uint32_t n);
@@ -67,19 +67,20 @@ static inline int64_t zd_clamp64(int64_t x, int64_t low, int64_t high) {
 
 /* --- Activations ------------------------------------------------------------------------------ */
 
-/* tanh in Q0.26 of t in Q3.16, any int32: outside -8 .. 8 the end nodes hold. |result| < 2^26. */
-static inline int32_t zd_tanh_q26(int32_t t_q16) {
+/* tanh in Q0.30 of t in Q3.16, any int32: outside -8 .. 8 the end nodes hold.
+ * |result| <= 2^30 - 2^15. */
+static inline int32_t zd_tanh_q30(int32_t t_q16) {
     const uint32_t position = (uint32_t)(zd_clamp32(t_q16, -524288, 524287) + 524288);
     const uint32_t index = position >> 11;
     const int32_t fraction = (int32_t)(position & 2047u);
-    const int32_t start = zd_tanh_nodes_q15[index];
-    const int32_t slope = zd_tanh_nodes_q15[index + 1u] - start;
+    const int32_t start = zd_tanh_nodes_q19[index];
+    const int32_t slope = zd_tanh_nodes_q19[index + 1u] - start;
     return (start * 2048) + (slope * fraction);
 }
 
 /* sigmoid in Q0.31 of twice t in Q3.16: 2^15 .. 2^31 - 2^15. */
 static inline int32_t zd_sigmoid_q31(int32_t half_t_q16) {
-    return (zd_tanh_q26(half_t_q16) + ((int32_t)1 << 26)) * 16;
+    return zd_tanh_q30(half_t_q16) + ((int32_t)1 << 30);
 }
 
 /* --- Dot products: the caller's proof bounds the sum of absolute products by 2^31 - 1. -------- */
@@ -266,7 +267,7 @@ static inline void zd_gru_step_after(const zd_gru_t *layer, uint32_t inputs, uin
         const int32_t r_q31 = zd_sigmoid_q31(zd_asr32(a_r, layer->shift[0]));
         const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, layer->shift[1]));
         const int32_t a_n = bias[2] + from_x[2] + zd_mul_high(bias[3] + from_h[2], r_q31);
-        const int32_t n_q30 = zd_tanh_q26(zd_asr32(a_n, layer->shift[2])) * 16;
+        const int32_t n_q30 = zd_tanh_q30(zd_asr32(a_n, layer->shift[2]));
         h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & ZD_GRU_RELAX_U_Q31));
     }
 }
@@ -292,7 +293,7 @@ static inline void zd_gru_step_before(const zd_gru_t *layer, uint32_t inputs, ui
         const int32_t a_n = bias[2] + zd_dot_i16(&w_x[2u * inputs], x, inputs) +
                             zd_gru_recurrent(layer, row + 2u, 2u, rh_q15, hidden);
         const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, layer->shift[1]));
-        const int32_t n_q30 = zd_tanh_q26(zd_asr32(a_n, layer->shift[2])) * 16;
+        const int32_t n_q30 = zd_tanh_q30(zd_asr32(a_n, layer->shift[2]));
         h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & ZD_GRU_RELAX_U_Q31));
     }
 }
