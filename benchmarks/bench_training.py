@@ -61,6 +61,9 @@ def main(quick: bool, epochs: int = 0) -> None:
     print(
         f"errors on the held-out run {HELD_OUT} (simulated), % of the drift's RMS, all axes pooled"
     )
+    still = [np.zeros_like(run.drift) for run in dataset.dwell]
+    floor = measure_error(still, dataset.dwell, scale, tared=True)
+    print(f"  noise floor, from the isothermal dwell: {floor:.3f} %")
     print(f"  default training: {ours:.3f} % after {ours_s:.1f} CPU s, everything included")
     recipe_s, trajectory = run_recipe(dataset.train, held_out, scale, epochs, compensator.tared)
     whole_s = recipe_s / epochs * EPOCHS
