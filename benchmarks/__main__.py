@@ -4,7 +4,10 @@ import argparse
 import importlib
 import time
 
-NAMES = ("bench_main_job", "bench_kernels", "bench_logs", "bench_real", "bench_training")
+NAMES = (
+    *("bench_main_job", "bench_kernels", "bench_effects", "bench_logs", "bench_real"),
+    "bench_training",
+)
 """Modules of this folder, each with `main(quick: bool) -> None`."""
 
 

@@ -27,7 +27,7 @@ from zerodrift.export.integer_model import load_model
 
 ROOT = RUNTIME_DIRECTORY.resolve().parent
 GOLDEN_DIRECTORY = ROOT / "tests" / "golden"
-MODELS = ("front_end", "windowed", "int8_before")
+MODELS = ("front_end", "effects", "windowed", "int8_before")
 """Golden models that between them use every kernel."""
 
 MISRA_DEVIATIONS = {

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, WARNINGS, Compiler, find_compiler
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.operations.arithmetic import CodeArray
 
 
 @dataclass(frozen=True)
@@ -94,16 +95,30 @@ class HostModel:
         return packed
 
     def run(
-        self, codes: NDArray[np.int16], *, settled: bool = True, restart: bool = True
+        self,
+        codes: CodeArray,
+        *,
+        settled: bool = True,
+        restart: bool = True,
+        elapsed: int = 0,
     ) -> HostTrace:
-        """Run over codes [T, C]; from `settle` or `init` at codes[0], or on from the last call."""
-        codes = np.ascontiguousarray(codes, dtype=np.int16)
+        """Run over codes [T, C]; from `settle` or `init` at codes[0], or on from the last call.
+
+        Args:
+            codes: raw input codes.
+            settled: start from `settle` rather than `init`.
+            restart: False goes on from the last call.
+            elapsed: steps since power-on, for a log that starts later; only with `settled`.
+        """
+        codes = np.ascontiguousarray(codes, dtype=self.model.code_type)
         steps = codes.shape[0]
         drift = np.empty((steps, len(self.model.outputs)), dtype=np.int32)
         flags = np.empty(steps, dtype=np.uint32)
         nodes = np.empty((steps, self._values), dtype=np.int32)
         if restart:
             self._lib.zd_start(self._state, _pointer(codes), ctypes.c_int(int(settled)))
+            if elapsed:
+                self._lib.zd_elapse(self._state, ctypes.c_int32(min(elapsed, 2**31 - 1)))
         self._lib.zd_run(
             self._state,
             _pointer(codes),

@@ -18,9 +18,11 @@ from zerodrift.codegen.identifiers import (
 from zerodrift.codegen.selftest import SELFTEST_SEED, SELFTEST_STEPS, compute_selftest, limits_of
 from zerodrift.export.integer_model import FORMAT, IntegerModel
 from zerodrift.operations.gru import IntegerGru
+from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.total import IntegerSum
 
-STATEFUL = ("lowpass", "delay", "gru")
+STATEFUL = ("lowpass", "delay", "play", "counter", "gru")
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,10 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "selftest_low": selftest_low,
         "selftest_high": selftest_high,
         "bounds": bounds,
+        "counts": any(n.kind == "counter" for n in model.nodes),
+        "reads_inputs": any(n.kind in ("input", "load") for n in model.nodes),
+        "code_type": f"{model.code_type.__name__}_t",
+        "start_passes": START_PASSES,
         "stateful": stateful,
         "rest_needed": needed_at_rest,
         "rest_nodes": [n for n in model.nodes if n in stateful or n.name in needed_at_rest],
@@ -119,7 +125,10 @@ def make_environment() -> jinja2.Environment:
     )
     environment.filters["comment"] = sanitize_comment
     environment.filters["numbers"] = format_numbers
+    environment.filters["int32"] = format_int32
     environment.filters["int64"] = format_int64
+    environment.filters["factor"] = format_factor
+    environment.filters["sum"] = format_sum
     environment.filters["by_unit"] = arrange_by_unit
     environment.filters["number"] = format_float
     return environment
@@ -141,6 +150,21 @@ def format_int64(value: int) -> str:
     """Return a C99 constant expression for any int64."""
     value = int(value)
     return f"(-INT64_C({2**63 - 1}) - 1)" if value == -(2**63) else f"INT64_C({value})"
+
+
+def format_factor(value: int) -> str:
+    """Return a C expression of type int64_t, to multiply an int32 with."""
+    value = int(value)
+    return f"(int64_t){value}" if -(2**31) < value < 2**31 else format_int64(value)
+
+
+def format_sum(node: IntegerSum) -> str:
+    """Return the C expression of a sum before it is limited, without operations that do nothing."""
+    terms = [format_int64(node.bias)] if node.bias else []
+    for coefficient, name in zip(node.coefficients, node.inputs, strict=True):
+        terms.append(f"({format_factor(coefficient)} * {name})")
+    text = " + ".join(terms)
+    return f"zd_asr64({text}, {node.shift}u)" if node.shift else f"({text})"
 
 
 def format_float(value: float) -> str:

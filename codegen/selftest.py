@@ -7,13 +7,14 @@ from numpy.typing import NDArray
 
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
+from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.signal import IntegerInput
 
 SELFTEST_STEPS = 64
 SELFTEST_SEED = 0x5EED1E57
 
 
-def draw_codes(low: list[int], high: list[int]) -> NDArray[np.int16]:
+def draw_codes(low: list[int], high: list[int]) -> NDArray[np.int32]:
     """Return the self-test's input codes [1, steps + 1, C]; the first row is where it settles.
 
     A 32-bit linear congruential generator (Numerical Recipes: 1664525, 1013904223) gives one value
@@ -27,14 +28,18 @@ def draw_codes(low: list[int], high: list[int]) -> NDArray[np.int16]:
             seed = (seed * 1664525 + 1013904223) & 0xFFFFFFFF
             row.append(a + (((seed >> 16) * (b - a + 1)) >> 16))
         rows.append(row)
-    return np.array([rows], dtype=np.int16)
+    return np.array([rows], dtype=np.int32)
 
 
 def limits_of(model: IntegerModel) -> tuple[list[int], list[int]]:
-    """Return lowest and highest code of each channel; unused channels keep the full range."""
-    low, high = [-32768] * len(model.channels), [32767] * len(model.channels)
+    """Return lowest and highest code of each channel; unused channels keep the full range.
+
+    A raw output has the limits of its load.
+    """
+    low = [-(1 << (channel.bits - 1)) for channel in model.channels]
+    high = [(1 << (channel.bits - 1)) - 1 for channel in model.channels]
     for node in model.nodes:
-        if isinstance(node, IntegerInput):
+        if isinstance(node, IntegerInput | IntegerLoad):
             low[node.channel], high[node.channel] = node.low, node.high
     return low, high
 

@@ -10,11 +10,16 @@ from numpy.typing import NDArray
 
 from zerodrift.config import Config
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
+from zerodrift.export.feedback import predict_fed_back
+from zerodrift.export.formats import RANGE_SPANS
+from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat, code_type
+from zerodrift.export.lowering import RANGE_MARGIN
 from zerodrift.export.onnx_reader import read_network_bytes
 from zerodrift.export.quantize import Calibration, FloatModel, quantize
 from zerodrift.export.reference import Reference
-from zerodrift.operations.graph import GraphOperations, Node, list_nodes
+from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.operations.graph import GraphOperations, Node, evaluate, list_nodes
+from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S, graph_inputs, read_signals
 
 if TYPE_CHECKING:  # torch is not needed to read what training left
     from zerodrift.train.compensator import Compensator
@@ -27,10 +32,8 @@ OUTPUT_STEPS = 1e6
 """One count of an output is the power of ten at or below full scale / 1e6."""
 FLAG_MARGIN_K = 2.0
 """The temperature is flagged when it is further than this from the calibrated range."""
-RANGE_MARGIN = 0.25
-"""Share of the calibrated span by which temperature, channels and corrections may go beyond it
-before they are limited, and share by which the temperature may move faster before it is flagged.
-A little extrapolation beats none; a lot of it is worth nothing."""
+LOAD, MEASURED, CLOCK = "load:", "measured:", "clock"
+"""What names of graph signals and of channels' sources begin with, and the clock's input."""
 WARM_SHARE = 1e-3
 """The model is warm when starts from cold and from rest differ by less than this share of the
 correction's range, for good."""
@@ -59,6 +62,7 @@ def describe_compensator(
     ops = GraphOperations(config.sample_period_s)
     physics = compensator.physics
     features = physics.graph(ops).features
+    names = physics.feature_names
     coefficients = physics.coefficients
     offset = np.zeros(len(config.outputs))
     front_end = compensator.front_end
@@ -69,18 +73,22 @@ def describe_compensator(
         moving = np.abs(compensator.linear).max(axis=1) > 0.0
         if moving.any():  # the linear part rides on the taps
             features = (*features, *taps)
+            names = (*names, *(str(tap) for tap in front_end.taps))
             coefficients = np.concatenate([coefficients, compensator.tap_coefficients])
-    channels, sources = _list_channels([*features, *taps], runs)
+    outputs = tuple(
+        OutputFormat(o.name, o.unit, _choose_lsb_per_unit(o.full_scale), o.full_scale)
+        for o in config.outputs
+    )
+    channels, sources = _list_channels([*features, *taps], runs, outputs)
     return FloatModel(
         name=config.sensor_name,
         sample_period_s=config.sample_period_s,
         channels=channels,
         sources=sources,
-        outputs=tuple(
-            OutputFormat(o.name, o.unit, _choose_lsb_per_unit(o.full_scale), o.full_scale)
-            for o in config.outputs
-        ),
+        outputs=outputs,
         features=features,
+        feature_names=names,
+        clock_origin_s=physics.plan.clock_origin_s,
         coefficients=coefficients,
         offset=offset,
         taps=taps,
@@ -94,19 +102,43 @@ def describe_compensator(
 
 
 def _list_channels(
-    roots: Sequence[Node], runs: Sequence[Run]
+    roots: Sequence[Node], runs: Sequence[Run], outputs: Sequence[OutputFormat]
 ) -> tuple[tuple[Channel, ...], dict[str, int]]:
     """Return the raw inputs that the graph needs; the temperature is always the first."""
-    channels = [Channel("temperature", "degC", TEMPERATURE_LSB_DEGC)]
+    channels = [Channel("temperature", "degC", TEMPERATURE_LSB_DEGC, source="temperature_degC")]
     sources = {"temperature_degC": 0}
+    places = {channels[0].source: 0}
     for node in list_nodes(roots):
-        name = node.source
-        if node.op == "input" and name not in sources and all(name in r.inputs for r in runs):
-            low, high = _find_span([run.inputs[name] for run in runs])
-            lsb = 2.0 ** math.ceil(math.log2(max(abs(low), abs(high), 1e-30) / 16384.0))
-            sources[name] = len(channels)
-            channels.append(Channel(name, "as logged", lsb))
+        if node.op != "input" or node.source in sources:
+            continue
+        channel = _describe_channel(node.source, runs, outputs)
+        if channel is None:
+            continue
+        if channel.source not in places:
+            places[channel.source] = len(channels)
+            channels.append(channel)
+        sources[node.source] = places[channel.source]
     return tuple(channels), sources
+
+
+def _describe_channel(
+    source: str, runs: Sequence[Run], outputs: Sequence[OutputFormat]
+) -> Channel | None:
+    """Return the raw input behind a signal of the graph, or None where it needs none."""
+    if source.startswith(LOAD):
+        name = source.removeprefix(LOAD)
+        output = next(o for o in outputs if o.name == name)
+        lsb = 1.0 / output.lsb_per_unit
+        return Channel(f"measured_{name}", output.unit, lsb, bits=32, source=f"{MEASURED}{name}")
+    name = CLOCK if source == "clock_s" else source
+    if not all(name in run.inputs for run in runs):
+        return None
+    low, high = _find_span([run.inputs[name] for run in runs])
+    largest = max(abs(low), abs(high), 1e-30)
+    if name == CLOCK:  # whole seconds, as a real-time clock counts them
+        lsb = 2.0 ** max(0, math.ceil(math.log2(largest / 2.0**30)) - 1)
+        return Channel(name, "s", lsb, bits=32, source=name)
+    return Channel(name, "as logged", 2.0 ** math.ceil(math.log2(largest / 16384.0)), source=name)
 
 
 def _find_span(arrays: Sequence[Array]) -> tuple[float, float]:
@@ -118,32 +150,58 @@ def _choose_lsb_per_unit(full_scale: float) -> int:
     return int(10 ** max(0, min(9, decades)))
 
 
-def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> NDArray[np.int16]:
+def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> CodeArray:
     """Return the raw codes [n, C] that the hardware would have given for a run."""
+    names = [output.name for output in model.outputs]
     columns = []
     for channel in model.channels:
-        values = run.temperature_degC if channel.name == "temperature" else run.inputs[channel.name]
+        if channel.source == "temperature_degC":
+            values = run.temperature_degC
+        elif channel.source.startswith(MEASURED):
+            values = run.measured[:, names.index(channel.source.removeprefix(MEASURED))]
+        else:
+            values = run.inputs[channel.source]
         codes = np.round((values - channel.offset) / channel.lsb)
-        columns.append(np.clip(codes, -32768, 32767).astype(np.int16))
-    return np.stack(columns, axis=1)
+        limit = 2 ** (channel.bits - 1)
+        columns.append(np.clip(codes, -limit, limit - 1))
+    return np.stack(columns, axis=1).astype(code_type(model.channels))
+
+
+def count_elapsed(run: Run) -> int:
+    """Return the steps since power-on at the first sample of a run."""
+    first_s = float(run.time_s[0])
+    return round(first_s / run.sample_period_s) if 0.0 <= first_s < LATEST_RELATIVE_TIME_S else 0
+
+
+def predict_on_chip(compensator: "Compensator", run: Run) -> Array:
+    """Return the float model's drift [n, K] with loads as the chip knows them."""
+    nodes = list_nodes(compensator.physics.graph().features)
+    if any(node.source.startswith(LOAD) for node in nodes):
+        return predict_fed_back(compensator.predict, run)
+    return compensator.predict(run)
 
 
 def calibrate(compensator: "Compensator", model: FloatModel, runs: Sequence[Run]) -> Calibration:
     """Return the ranges that the training runs showed, with their margins."""
     limits = []
+    names = [output.name for output in model.outputs]
     codes = [encode_inputs(model, run).astype(np.int64) for run in runs]
-    spans = []
-    for index in range(len(model.channels)):
-        low = min(int(c[:, index].min()) for c in codes)
-        high = max(int(c[:, index].max()) for c in codes)
-        spans.append((low, high))
-        limits.append(_widen(low, high, RANGE_MARGIN * (high - low) + 1))
+    for index, channel in enumerate(model.channels):
+        columns = [c[:, index] for c in codes]
+        if channel.source.startswith(MEASURED):  # the limits are those of the load
+            k = names.index(channel.source.removeprefix(MEASURED))
+            columns = [np.round(r.reference[:, k] / channel.lsb).astype(np.int64) for r in runs]
+        low, high = min(int(c.min()) for c in columns), max(int(c.max()) for c in columns)
+        spans = RANGE_SPANS if channel.source == CLOCK else RANGE_MARGIN
+        margin = spans * (high - low) + 1
+        limits.append(_widen(low, high, margin, channel.bits))
+    span = (min(int(c[:, 0].min()) for c in codes), max(int(c[:, 0].max()) for c in codes))
     rate = max(int(np.abs(np.diff(c[:, 0])).max(initial=0)) for c in codes)
     largest = np.zeros(0)
     if compensator.front_end is not None:
         features = [compensator.front_end.compute(run) for run in runs]
         largest = np.max([np.abs(x).max(axis=0) for x in features], axis=0)
-    drifts = [compensator.predict(run) for run in runs] + [run.drift for run in runs]
+    drifts = [predict_on_chip(compensator, run) for run in runs] + [run.drift for run in runs]
     low_drift = np.min([d.min(axis=0) for d in drifts], axis=0)
     high_drift = np.max([d.max(axis=0) for d in drifts], axis=0)
     margin_drift = RANGE_MARGIN * (high_drift - low_drift)
@@ -154,13 +212,31 @@ def calibrate(compensator: "Compensator", model: FloatModel, runs: Sequence[Run]
         drift_high=high_drift + margin_drift,
         rate_max=min(math.ceil(rate * (1.0 + RANGE_MARGIN)) + 2, 65535),
         warm_up_steps=0,
-        temperature_range=_widen(*spans[0], FLAG_MARGIN_K / model.channels[0].lsb),
+        temperature_range=_widen(*span, FLAG_MARGIN_K / model.channels[0].lsb),
+        ranges=measure_ranges(compensator, model, runs),
     )
 
 
-def _widen(low: int, high: int, margin: float) -> tuple[int, int]:
-    """Return the int16 codes low - margin .. high + margin."""
-    return max(low - round(margin), -32768), min(high + round(margin), 32767)
+def measure_ranges(
+    compensator: "Compensator", model: FloatModel, runs: Sequence[Run]
+) -> dict[Node, tuple[float, float]]:
+    """Return the lowest and highest value of every node of the graph over the runs."""
+    nodes = list_nodes([*model.features, *model.taps])
+    lows, highs = np.full(len(nodes), np.inf), np.full(len(nodes), -np.inf)
+    for run in runs:
+        inputs = graph_inputs(read_signals(run, compensator.physics.plan))
+        values = evaluate(nodes, {**run.inputs, **inputs}, run.sample_period_s)
+        lows = np.minimum(lows, [float(v.min()) for v in values])
+        highs = np.maximum(highs, [float(v.max()) for v in values])
+    return {
+        node: (float(low), float(high)) for node, low, high in zip(nodes, lows, highs, strict=True)
+    }
+
+
+def _widen(low: int, high: int, margin: float, bits: int = 16) -> tuple[int, int]:
+    """Return the codes low - margin .. high + margin, as far as they fit."""
+    limit = 2 ** (bits - 1)
+    return max(low - round(margin), -limit), min(high + round(margin), limit - 1)
 
 
 def measure_warm_up(model: IntegerModel, runs: Sequence[Run]) -> int:
@@ -182,6 +258,7 @@ def measure_warm_up(model: IntegerModel, runs: Sequence[Run]) -> int:
 
 def predict_integer(model: IntegerModel, run: Run) -> Array:
     """Return the drift [n, K] that the chip computes for a run, in each output's unit."""
-    trace = Reference(model).run(encode_inputs(model, run)[None])
+    codes = encode_inputs(model, run)[None]
+    trace = Reference(model).run(codes, elapsed=count_elapsed(run))
     scale = np.array([output.lsb_per_unit for output in model.outputs], dtype=np.float64)
     return np.asarray(trace.drift[0] / scale)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.errors import InputError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
+from zerodrift.operations.arithmetic import CodeArray
 
 FIELDS = ("codes", "drift", "flags", "hidden", "hash")
 
@@ -17,7 +18,7 @@ FIELDS = ("codes", "drift", "flags", "hidden", "hash")
 class GoldenVectors:
     """One sequence from rest, step by step."""
 
-    codes: NDArray[np.int16]  # [T, C]
+    codes: CodeArray  # [T, C]
     drift: NDArray[np.int32]  # [T, K]
     flags: NDArray[np.uint32]  # [T]
     hidden: NDArray[np.int32]
@@ -39,7 +40,7 @@ class GoldenVectors:
         temporary.replace(path)
 
 
-def compute_golden(model: IntegerModel, codes: NDArray[np.int16]) -> GoldenVectors:
+def compute_golden(model: IntegerModel, codes: CodeArray) -> GoldenVectors:
     """Return what the reference computes for codes [T, C], from rest at the first."""
     trace = Reference(model).run(codes[None])
     return GoldenVectors(codes, trace.drift[0], trace.flags[0], trace.hidden[0], model.hash)

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -11,8 +11,12 @@ from typing import Any
 import numpy as np
 
 from zerodrift.errors import InputError
+from zerodrift.operations.clip import IntegerClip
+from zerodrift.operations.clock import IntegerCounter
+from zerodrift.operations.exp2 import IntegerExp2
 from zerodrift.operations.gru import IntegerGru
 from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.network import (
     IntegerDrift,
     IntegerFeatures,
@@ -20,6 +24,8 @@ from zerodrift.operations.network import (
     IntegerHead,
 )
 from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.play import IntegerPlay
+from zerodrift.operations.power import IntegerPower
 from zerodrift.operations.signal import (
     IntegerDelay,
     IntegerDifference,
@@ -28,19 +34,27 @@ from zerodrift.operations.signal import (
     IntegerOffset,
     IntegerProduct,
 )
+from zerodrift.operations.total import IntegerSum
 
-FORMAT = 1
+FORMAT = 2
 """Version of the integer arithmetic; equals ZD_RUNTIME_FORMAT of the C runtime."""
 
 NODE_CLASSES: dict[str, type[IntegerNode]] = {
     cls.kind: cls
     for cls in (
         IntegerInput,
+        IntegerLoad,
+        IntegerCounter,
         IntegerOffset,
         IntegerDifference,
+        IntegerSum,
         IntegerProduct,
+        IntegerPower,
+        IntegerExp2,
         IntegerLowpass,
         IntegerDelay,
+        IntegerPlay,
+        IntegerClip,
         IntegerFeatures,
         IntegerGruLayer,
         IntegerHead,
@@ -51,12 +65,21 @@ NODE_CLASSES: dict[str, type[IntegerNode]] = {
 
 @dataclass(frozen=True)
 class Channel:
-    """One raw int16 input: physical value = offset + code * lsb."""
+    """One raw integer input: physical value = offset + code * lsb."""
 
     name: str
     unit: str
     lsb: float
     offset: float = 0.0
+    bits: int = 16
+    """16 or 32: width of the code."""
+    source: str = ""
+    """Where a log has it: temperature_degC, measured:Fz or an input's name; empty for the name."""
+
+
+def code_type(channels: Sequence[Channel]) -> type[np.signedinteger[Any]]:
+    """Return the narrowest type that holds the codes of every channel."""
+    return np.int32 if any(channel.bits > 16 for channel in channels) else np.int16
 
 
 @dataclass(frozen=True)
@@ -111,6 +134,16 @@ class IntegerModel:
         return node
 
     @property
+    def feeds_back(self) -> bool:
+        """Whether some node reads the previous step's drift."""
+        return any(isinstance(n, IntegerLoad) for n in self.nodes)
+
+    @property
+    def code_type(self) -> type[np.signedinteger[Any]]:
+        """The narrowest type that holds the codes of every channel."""
+        return code_type(self.channels)
+
+    @property
     def recurrent(self) -> IntegerGruLayer | None:
         """The GRU layer, if there is one."""
         return next((n for n in self.nodes if isinstance(n, IntegerGruLayer)), None)
@@ -128,7 +161,7 @@ class IntegerModel:
         return int(self.hash[:8], 16) or 1
 
     def prove(self) -> list[Bound]:
-        """Return every bound the arithmetic relies on, for any int16 input codes.
+        """Return every bound the arithmetic relies on, for any input codes.
 
         Raises:
             CheckError: a bound does not hold; the model must not be generated.

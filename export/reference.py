@@ -17,9 +17,10 @@ from zerodrift.export.integer_model import (
     FLAG_WARMING_UP,
     IntegerModel,
 )
-from zerodrift.operations.arithmetic import IntArray
-from zerodrift.operations.node import State
-from zerodrift.operations.signal import CODES
+from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.clock import IntegerCounter
+from zerodrift.operations.load import START_PASSES
+from zerodrift.operations.node import CODES, PREVIOUS_DRIFT, State
 
 Observer = Callable[[int, dict[str, IntArray]], None]
 """Called after every step with its number and the values of all nodes."""
@@ -32,21 +33,24 @@ class ModelState:
     nodes: dict[str, State]
     steps: IntArray  # [B] steps since `init`, saturating at max(warm_up_steps, 1)
     previous: IntArray  # [B] last temperature code
+    drift: IntArray
+    """[B, K] drift of the last step where the model reads it, else [B, 0]."""
 
     def pack(self) -> IntArray:
-        """Return all of it as [B, n]: steps, previous, then each node's fields in order.
+        """Return all of it as [B, n]: steps, previous, drift, then each node's fields in order.
 
         Delay lines and windows stand oldest first, whatever ring the C keeps them in.
         """
         batch = self.steps.size
-        columns = [self.steps[:, None], self.previous[:, None]]
+        columns = [self.steps[:, None], self.previous[:, None], self.drift]
         for state in self.nodes.values():
             columns += [state[key].reshape(batch, -1) for key in sorted(state)]
         return np.concatenate(columns, axis=1)
 
     def unpack(self, packed: IntArray) -> "ModelState":
         """Return the state that `pack` turned into `packed` [B, n]; self gives the layout."""
-        batch, column = packed.shape[0], 2
+        outputs = self.drift.shape[1]
+        batch, column = packed.shape[0], 2 + outputs
         nodes: dict[str, State] = {}
         for name, state in self.nodes.items():
             fields = {}
@@ -56,7 +60,12 @@ class ModelState:
                 fields[key] = packed[:, column : column + size].reshape((batch, *shape))
                 column += size
             nodes[name] = fields
-        return ModelState(nodes=nodes, steps=packed[:, 0], previous=packed[:, 1])
+        return ModelState(
+            nodes=nodes,
+            steps=packed[:, 0],
+            previous=packed[:, 1],
+            drift=packed[:, 2 : 2 + outputs],
+        )
 
 
 @dataclass(frozen=True)
@@ -77,31 +86,45 @@ class Reference:
         self.model = model
         self._full = max(model.guards.warm_up_steps, 1)
 
-    def start(self, codes: IntArray, *, settled: bool) -> ModelState:
+    def start(self, codes: IntArray, *, settled: bool, elapsed: int = 0) -> ModelState:
         """Return the state before the first step, whose codes [B, C] are given.
 
         Args:
             codes: [B, C] raw input codes.
             settled: True for `settle` (at rest at these codes), False for `init`, after which the
                 first step takes its linear parts to be at rest but the network to be cold.
+            elapsed: steps since power-on, for a log that starts later; 0 on the chip.
         """
-        values: dict[str, IntArray] = {CODES: codes.astype(np.int64)}
+        batch = codes.shape[0]
+        drift = np.zeros((batch, len(self.model.outputs)), dtype=np.int64)
+        for _ in range(START_PASSES if self.model.feeds_back else 0):
+            drift = self._rest(codes, drift, settled, elapsed)[1]
+        return ModelState(
+            nodes=self._rest(codes, drift, settled, elapsed)[0],
+            steps=np.full(batch, self._full if settled else 0, dtype=np.int64),
+            previous=codes[:, self.model.guards.temperature_channel].astype(np.int64),
+            drift=drift if self.model.feeds_back else drift[:, :0],
+        )
+
+    def _rest(
+        self, codes: IntArray, drift: IntArray, settled: bool, elapsed: int
+    ) -> tuple[dict[str, State], IntArray]:
+        """Return all nodes' states at rest, and the drift [B, K] there."""
+        values: dict[str, IntArray] = {CODES: codes.astype(np.int64), PREVIOUS_DRIFT: drift}
         states: dict[str, State] = {}
         for node in self.model.nodes:
             states[node.name] = node.settle(values) if settled else node.rest(values)
+            if isinstance(node, IntegerCounter):
+                count = min(elapsed, node.limit)
+                states[node.name] = {"count": states[node.name]["count"] + count}
             _, values[node.name] = node.step(states[node.name], values)
-        batch = codes.shape[0]
-        return ModelState(
-            nodes=states,
-            steps=np.full(batch, self._full if settled else 0, dtype=np.int64),
-            previous=codes[:, self.model.guards.temperature_channel].astype(np.int64),
-        )
+        return states, values[self.model.drift.name]
 
     def step(
         self, state: ModelState, codes: IntArray
     ) -> tuple[ModelState, dict[str, IntArray], IntArray, IntArray]:
         """Return the next state, all nodes' values, drift [B, K] and flags [B]."""
-        values: dict[str, IntArray] = {CODES: codes}
+        values: dict[str, IntArray] = {CODES: codes, PREVIOUS_DRIFT: state.drift}
         states: dict[str, State] = {}
         for node in self.model.nodes[:-1]:
             states[node.name], values[node.name] = node.step(state.nodes[node.name], values)
@@ -114,6 +137,7 @@ class Reference:
             nodes=states,
             steps=np.minimum(state.steps + 1, self._full),
             previous=codes[:, self.model.guards.temperature_channel],
+            drift=drift if self.model.feeds_back else state.drift,
         )
         return after, values, drift, flags
 
@@ -130,16 +154,17 @@ class Reference:
 
     def run(
         self,
-        codes: NDArray[np.int16],
+        codes: CodeArray,
         *,
         settled: bool = True,
+        elapsed: int = 0,
         state: ModelState | None = None,
         observe: Observer | None = None,
     ) -> Trace:
-        """Run T steps over codes [B, T, C], from `state` or else from a start at codes[:, 0]."""
+        """Run T steps over codes [B, T, C], from `state` or else from `start` at codes[:, 0]."""
         batch, steps, _ = codes.shape
         wide = np.ascontiguousarray(codes.swapaxes(0, 1), dtype=np.int64)  # step by step
-        now = state if state is not None else self.start(wide[0], settled=settled)
+        now = state or self.start(wide[0], settled=settled, elapsed=elapsed)
         layer = self.model.recurrent
         streaming = layer is not None and not layer.window
         hidden = layer.width if layer is not None and streaming else 0

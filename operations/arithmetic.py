@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 IntArray = NDArray[np.int64]
+CodeArray = NDArray[np.signedinteger[Any]]
+"""Raw input codes: int16, or int32 where a channel needs it."""
 
 INT16_MIN, INT16_MAX = -(2**15), 2**15 - 1
 INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
@@ -55,7 +57,7 @@ def matmul_exact(vector: NDArray[Any], matrix_t: NDArray[np.float64]) -> IntArra
 
 def choose_exponent(largest: float, limit: int) -> int:
     """Return the largest f <= 62 with largest * 2**f <= limit; it may be negative."""
-    if largest <= 0.0:
+    if largest <= limit * 2.0**-62:
         return 62
     exponent = int(np.floor(np.log2(limit / largest)))
     while largest * 2.0**exponent > limit:

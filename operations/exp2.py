@@ -1,12 +1,30 @@
 """Powers of two: a photo-transistor's dark current doubles every so many kelvin."""
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
+
+from zerodrift.errors import CheckError
+from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.intervals import Bound, Interval, check_shift
+from zerodrift.operations.node import IntegerNode, State, Values
+from zerodrift.operations.polynomial import bound_polynomial, evaluate_polynomial
 
 Array = NDArray[np.float64]
 
 EXPONENT_LIMIT = 60.0
 """|x| beyond this is limited: 2**60 of anything is no longer a measurement."""
+EXPONENT_BITS = 24
+"""Fractional bits of the exponent in fixed point."""
+OCTAVE_Q29 = (536870912, 372130457, 128972571, 29786284, 5198974, 665093, 117533)
+"""2**f = sum c_i f**i for 0 <= f <= 1 in Q2.29, exact at both ends, within 4.1 LSB between them.
+
+All are positive, so that Horner's rule is monotone in f.
+"""
+MANTISSA_SHIFT = 2
+"""Results stay at or below 2**28: this many bits fewer than the octave's 2**30."""
 
 
 def exp2(x: Array) -> Array:
@@ -16,3 +34,63 @@ def exp2(x: Array) -> Array:
         x: any shape, dimensionless.
     """
     return np.exp2(np.clip(x, -EXPONENT_LIMIT, EXPONENT_LIMIT))
+
+
+@dataclass(frozen=True)
+class IntegerExp2(IntegerNode):
+    """2**e of an affine function e of the input, the largest result near 2**28.
+
+        t = saturate((bias + coefficient x) >> shift, low, high)         e in Q7.24
+        result = round_shift(octave(t mod 2**24), min(top + 2 - (t >> 24), 31))
+
+    It stands for 2**(e - top) 2**27.
+    """
+
+    kind: ClassVar[str] = "exp2"
+    coefficient: int
+    bias: int
+    """The rounding half of `shift` folded in."""
+    shift: int
+    low: int
+    high: int
+    """Limits of the exponent in Q7.24."""
+    top: int
+    """high >> 24: the octave in which results are largest."""
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return the power of two."""
+        total = values[self.inputs[0]] * self.coefficient + self.bias
+        return {}, self._raise(np.asarray(saturate(total >> self.shift, self.low, self.high)))
+
+    def _raise(self, t_q24: IntArray) -> IntArray:
+        f_q31 = (t_q24 & ((1 << EXPONENT_BITS) - 1)) << (31 - EXPONENT_BITS)
+        mantissa = evaluate_polynomial(f_q31, OCTAVE_Q29)
+        shift = np.minimum(self.top + MANTISSA_SHIFT - (t_q24 >> EXPONENT_BITS), 31)
+        return np.asarray((mantissa + (np.int64(1) << (shift - 1))) >> shift)
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the exponent's sum and every step of the polynomial; exact for the result.
+
+        All coefficients of the octave are positive and octave(1) <= 2**30, so the result is
+        monotone in t and lies between its values at the ends.
+        """
+        check_shift(self.name, self.shift, 62)
+        if not (self.low <= self.high and self.high >> EXPONENT_BITS == self.top):
+            raise CheckError(
+                f"{self.name}: exponents {self.low} .. {self.high} do not end in octave {self.top}."
+                " The model is refused."
+            )
+        bias = Interval(self.bias, self.bias)
+        scaled = inputs[0][0].scale(self.coefficient)
+        total = scaled + bias
+        t = Interval(total.low >> self.shift, total.high >> self.shift)
+        t = t.saturate(self.low, self.high)
+        low, high = (int(self._raise(np.array([end]))[0]) for end in (t.low, t.high))
+        out = Interval(low, high)
+        reach = abs(self.bias) + scaled.magnitude
+        return [out], [
+            Bound(f"{self.name}.sum", Interval(-reach, reach), 64).check(),
+            Bound(f"{self.name}.exponent", t, 32).check(),
+            *bound_polynomial(self.name, OCTAVE_Q29),
+            Bound(self.name, out, 32).check(),
+        ]

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from zerodrift.errors import CheckError
 
 
@@ -87,3 +90,32 @@ def check_shift(where: str, shift: int, most: int) -> None:
         raise CheckError(
             f"{where}: a shift by {shift} bits; 0 .. {most} are possible. The model is refused."
         )
+
+
+def check_limits(where: str, low: int, high: int) -> Interval:
+    """Return the interval low .. high.
+
+    Raises:
+        CheckError: the limits are the wrong way round.
+    """
+    if low > high:
+        raise CheckError(
+            f"{where}: limits {low} .. {high} are the wrong way round. The model is refused."
+        )
+    return Interval(low, high)
+
+
+def bound_row(
+    where: str, row: NDArray[np.int64], bias: int, inputs: list[Interval], bits: int
+) -> tuple[Interval, Bound]:
+    """Return the interval of bias + row . inputs and a bound that covers every partial sum.
+
+    Raises:
+        CheckError: some order of summation could overflow.
+    """
+    total = Interval(bias, bias)
+    partial = abs(bias)
+    for weight, interval in zip(row.tolist(), inputs, strict=True):
+        total = total + interval.scale(weight)
+        partial += abs(weight) * interval.magnitude
+    return total, Bound(where, Interval(-partial, partial), bits).check()

@@ -16,20 +16,8 @@ from zerodrift.operations.arithmetic import (
     saturate,
 )
 from zerodrift.operations.gru import H_LIMIT_Q30, IntegerGru
-from zerodrift.operations.intervals import Bound, Interval, check_shift
+from zerodrift.operations.intervals import Bound, Interval, bound_row, check_shift
 from zerodrift.operations.node import IntegerNode, State, Values
-
-
-def _bound_row(
-    where: str, row: NDArray[np.int64], bias: int, inputs: list[Interval], bits: int
-) -> tuple[Interval, Bound]:
-    """Return the interval of bias + row . inputs and a bound that covers every partial sum."""
-    total = Interval(bias, bias)
-    partial = abs(bias)
-    for weight, interval in zip(row.tolist(), inputs, strict=True):
-        total = total + interval.scale(weight)
-        partial += abs(weight) * interval.magnitude
-    return total, Bound(where, Interval(-partial, partial), bits).check()
 
 
 @dataclass(frozen=True)
@@ -67,7 +55,7 @@ class IntegerFeatures(IntegerNode):
         out, bounds = [], []
         for i in range(self.width):
             check_shift(f"{self.name}[{i}]", self.shift[i], 63)
-            total, bound = _bound_row(
+            total, bound = bound_row(
                 f"{self.name}[{i}]", self.matrix[i].astype(np.int64), int(self.bias[i]), flat, 64
             )
             shifted = Interval(total.low >> self.shift[i], total.high >> self.shift[i])
@@ -156,7 +144,7 @@ class IntegerHead(IntegerNode):
         """Bound the 32-bit sums."""
         h_q15 = [h_q30.round_shift(15) for h_q30 in inputs[0]]
         rows = [
-            _bound_row(f"{self.name}[{k}]", self.weights[k].astype(np.int64), 0, h_q15, 32)
+            bound_row(f"{self.name}[{k}]", self.weights[k].astype(np.int64), 0, h_q15, 32)
             for k in range(self.width)
         ]
         return [total for total, _ in rows], [bound for _, bound in rows]
@@ -230,7 +218,7 @@ class IntegerDrift(IntegerNode):
             if self.head:
                 row = np.append(row, self.head_coefficients[k])
                 terms.append(inputs[-1][k])
-            total, bound = _bound_row(f"{self.name}[{k}]", row, int(self.bias[k]), terms, 64)
+            total, bound = bound_row(f"{self.name}[{k}]", row, int(self.bias[k]), terms, 64)
             shifted = Interval(total.low >> self.shift[k], total.high >> self.shift[k])
             out.append(shifted.saturate(self.low[k], self.high[k]))
             bounds.append(bound)

@@ -9,6 +9,10 @@ from zerodrift.operations.intervals import Bound, Interval
 
 Values = Mapping[str, IntArray]
 """Node name -> its present output: [B] for a scalar signal, [B, width] for a vector."""
+CODES = "codes"
+"""The values under this name are the raw input codes [B, C]."""
+PREVIOUS_DRIFT = "previous drift"
+"""The values under this name are the drifts [B, K] that the step before gave."""
 State = dict[str, IntArray]
 """What a node carries from one step to the next, by field name; arrays lead with the batch."""
 

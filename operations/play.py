@@ -1,9 +1,16 @@
 """Play (backlash): the rate-independent memory that hysteresis is made of."""
 
 import math
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from zerodrift.errors import CheckError
+from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.node import IntegerNode, State, Values
 
 Array = NDArray[np.float64]
 
@@ -54,3 +61,39 @@ def _limit(x: Array, low: Array, high: Array, out: Array) -> Array:
     """Write x limited to low .. high into `out`; half the time of `np.clip` on short vectors."""
     np.maximum(x, low, out=out)
     return np.minimum(out, high, out=out)
+
+
+@dataclass(frozen=True)
+class IntegerPlay(IntegerNode):
+    """y' = saturate(y, x - half_width, x + half_width): no rounding, nothing but comparisons."""
+
+    kind: ClassVar[str] = "play"
+    half_width: int
+
+    def rest(self, values: Values) -> State:
+        """Return y in the middle of its slack."""
+        return {"y": values[self.inputs[0]]}
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return the next y, which is the output."""
+        x = values[self.inputs[0]]
+        y = np.asarray(saturate(state["y"], x - self.half_width, x + self.half_width))
+        return {"y": y}, y
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound x -+ half_width, and y by induction.
+
+        y starts at an x, within x's range X. A y in X that is below x - r becomes x - r, which lies
+        between y and x; one that is above x + r likewise. So y stays in X.
+        """
+        if self.half_width < 0:
+            raise CheckError(
+                f"{self.name}: a half-width of {self.half_width}; at least 0 is possible."
+                " The model is refused."
+            )
+        x = inputs[0][0]
+        slack = Interval(-self.half_width, self.half_width)
+        return [x], [
+            Bound(f"{self.name}.slack", x + slack, 32).check(),
+            Bound(f"{self.name}.y", x, 32).check(),
+        ]

@@ -6,36 +6,49 @@ from typing import ClassVar
 import numpy as np
 
 from zerodrift.errors import CheckError
-from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift, saturate
-from zerodrift.operations.intervals import Bound, Interval, check_shift
-from zerodrift.operations.node import IntegerNode, State, Values
+from zerodrift.operations.arithmetic import (
+    INT32_MAX,
+    INT32_MIN,
+    IntArray,
+    round_shift,
+    saturate,
+)
+from zerodrift.operations.intervals import Bound, Interval, check_limits, check_shift
+from zerodrift.operations.node import CODES, IntegerNode, State, Values
 
-CODES = "codes"
-"""The values under this name are the raw input codes [B, C]."""
 LOWPASS_FRACTION = 24
 """Extra fractional bits of the low-pass state, against stalling (see `IntegerLowpass`)."""
 
 
 @dataclass(frozen=True)
 class IntegerInput(IntegerNode):
-    """A raw int16 code, limited to its declared range and given `shift` fractional bits."""
+    """A raw code, limited to its declared range, counted from `origin`, given fractional bits.
+
+    The code is int16 or int32, as the model's channel says; `origin` is for the wide ones, such as
+    seconds since 1970.
+    """
 
     kind: ClassVar[str] = "input"
     channel: int
     low: int
     high: int
     shift: int
+    origin: int = 0
 
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
-        """Return saturate(code, low, high) << shift."""
-        code = values[CODES][:, self.channel]
-        return {}, np.asarray(saturate(code, self.low, self.high) << self.shift)
+        """Return (saturate(code, low, high) - origin) << shift."""
+        code = saturate(values[CODES][:, self.channel], self.low, self.high)
+        return {}, np.asarray((code - self.origin) << self.shift)
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
-        """Bound the shifted code; holds for every int16 code because of the limits."""
+        """Bound the shifted code; holds for every code because of the limits."""
         check_shift(self.name, self.shift, 30)
-        out = Interval(self.low << self.shift, self.high << self.shift)
-        return [out], [Bound(self.name, out, 32).check()]
+        code = check_limits(self.name, self.low, self.high) - Interval(self.origin, self.origin)
+        out = Interval(code.low << self.shift, code.high << self.shift)
+        return [out], [
+            Bound(f"{self.name}.code", code, 32).check(),
+            Bound(self.name, out, 32).check(),
+        ]
 
 
 @dataclass(frozen=True)
@@ -73,22 +86,31 @@ class IntegerDifference(IntegerNode):
 
 @dataclass(frozen=True)
 class IntegerProduct(IntegerNode):
-    """round_shift(a * b, shift), the product in 64 bits."""
+    """saturate(round_shift(a * b, shift), low, high), the product in 64 bits."""
 
     kind: ClassVar[str] = "product"
     shift: int
+    low: int = INT32_MIN
+    high: int = INT32_MAX
+
+    @property
+    def limited(self) -> bool:
+        """Whether the result is limited to less than its 32 bits."""
+        return (self.low, self.high) != (INT32_MIN, INT32_MAX)
 
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
-        """Return round_shift(a * b, shift)."""
-        product = values[self.inputs[0]] * values[self.inputs[1]]
-        return {}, np.asarray(round_shift(product, self.shift))
+        """Return the product."""
+        product = round_shift(values[self.inputs[0]] * values[self.inputs[1]], self.shift)
+        limited = saturate(product, self.low, self.high) if self.limited else product
+        return {}, np.asarray(limited)
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
         """Bound the 64-bit product with its rounding half, and the 32-bit result."""
         check_shift(self.name, self.shift, 62)
+        check_limits(self.name, self.low, self.high)
         product = inputs[0][0] * inputs[1][0]
         half = Interval(0, 1 << self.shift >> 1)
-        out = product.round_shift(self.shift)
+        out = product.round_shift(self.shift).saturate(self.low, self.high)
         return [out], [
             Bound(f"{self.name}.product", product + half, 64).check(),
             Bound(self.name, out, 32).check(),
@@ -163,10 +185,17 @@ class IntegerLowpass(IntegerNode):
 
 @dataclass(frozen=True)
 class IntegerDelay(IntegerNode):
-    """x as it was `steps` samples ago; at rest it was always what it is now."""
+    """x as it was `steps` samples ago, or between that and one sample later; at rest always x.
+
+    A delay by steps - share samples mixes the two, on the straight line between them:
+
+        result = older + round_shift((newer - older) newer_q31, 31)
+    """
 
     kind: ClassVar[str] = "delay"
     steps: int
+    newer_q31: int = 0
+    """Share of the sample `steps` - 1 ago, in Q0.31; 0: none."""
 
     def rest(self, values: Values) -> State:
         """Return a line filled with the present input, oldest first."""
@@ -174,14 +203,27 @@ class IntegerDelay(IntegerNode):
         return {"line": np.repeat(x[:, None], self.steps, axis=1)}
 
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
-        """Return the line with the present input appended, and the oldest entry."""
+        """Return the line with the present input appended, and the delayed input."""
         x = values[self.inputs[0]]
-        line = state["line"]
-        return {"line": np.concatenate([line[:, 1:], x[:, None]], axis=1)}, line[:, 0]
+        line = np.concatenate([state["line"], x[:, None]], axis=1)
+        older, newer = line[:, 0], line[:, 1]
+        out = older + round_shift((newer - older) * self.newer_q31, 31)
+        return {"line": line[:, 1:]}, np.asarray(out)
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
-        """Bound the output by the input's range, and the ring's position by 16 bits."""
-        return [inputs[0][0]], [
-            Bound(f"{self.name}.line", inputs[0][0], 32).check(),
+        """Bound the output by the input's range, and the ring's position by 16 bits.
+
+        With 0 <= newer_q31 < 2**31 the result lies between older and newer.
+        """
+        if not 0 <= self.newer_q31 <= INT32_MAX:
+            raise CheckError(
+                f"{self.name}: a share of {self.newer_q31} 2**-31 is not within 0 .. 1."
+                " The model is refused."
+            )
+        x = inputs[0][0]
+        half = Interval(0, 1 << 30)
+        return [x], [
+            Bound(f"{self.name}.line", x, 32).check(),
+            Bound(f"{self.name}.rise", (x - x).scale(self.newer_q31) + half, 64).check(),
             Bound(f"{self.name}.steps", Interval(1, self.steps), 16).check(),
         ]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Run
-from zerodrift.export.compose import encode_inputs
+from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
 from zerodrift.train.compensator import Compensator
 
 Array = NDArray[np.float64]
@@ -50,8 +50,11 @@ def tell_errors(
     """
     outputs = host.model.outputs
     scale = np.array([output.lsb_per_unit for output in outputs], dtype=np.float64)
-    floats = [compensator.predict(run) for run in runs]
-    integers = [host.run(encode_inputs(host.model, run)).drift / scale for run in runs]
+    floats = [predict_on_chip(compensator, run) for run in runs]
+    integers = [
+        host.run(encode_inputs(host.model, run), elapsed=count_elapsed(run)).drift / scale
+        for run in runs
+    ]
     none = [np.zeros_like(run.drift) for run in runs]
     uncompensated, float_error, integer_error = (
         _join(runs, answer, compensator.tared) for answer in (none, floats, integers)

@@ -6,9 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zerodrift.c_runtime.footprint import Footprint, measure_footprint
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
@@ -17,6 +14,7 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.compose import compose_integer_model, encode_inputs
 from zerodrift.export.golden import compute_golden
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.errors_told import OutputError, tell_errors
 from zerodrift.verify.firmware_check import FirmwareCheck, check_firmware
@@ -95,7 +93,7 @@ def build_firmware(
     )
 
 
-def list_sequences(model: IntegerModel, dataset: Dataset) -> dict[str, NDArray[np.int16]]:
+def list_sequences(model: IntegerModel, dataset: Dataset) -> dict[str, CodeArray]:
     """Return the check's inputs: every log's codes, then random ones up to LEAST_VECTORS steps."""
     runs: tuple[Run, ...] = (*dataset.test, *dataset.train, *dataset.dwell)
     sequences = {f"log {r.name}": encode_inputs(model, r)[:LONGEST_LOG_STEPS] for r in runs}

@@ -4,14 +4,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.errors import CheckError
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.mismatch import Mismatch
 
@@ -55,7 +53,7 @@ class FirmwareCheck:
 def check_firmware(
     model: IntegerModel,
     code: GeneratedCode,
-    sequences: Mapping[str, NDArray[np.int16]],
+    sequences: Mapping[str, CodeArray],
     directory: Path,
     progress: Progress = lambda _: None,
 ) -> FirmwareCheck:

@@ -9,11 +9,10 @@ state from which the next one began, the two runs are equal by induction over th
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.export.reference import ModelState, Reference
-from zerodrift.operations.arithmetic import IntArray
+from zerodrift.operations.arithmetic import CodeArray, IntArray
 from zerodrift.verify.mismatch import Mismatch, find_mismatch, label_columns
 
 CHUNKS_AT_ONCE = 256
@@ -31,7 +30,11 @@ class HostCheck:
 
 
 def check_host(
-    host: HostModel, codes: NDArray[np.int16], *, settled: bool = True, chunk: int = 0
+    host: HostModel,
+    codes: CodeArray,
+    *,
+    settled: bool = True,
+    chunk: int = 0,
 ) -> HostCheck:
     """Compare drift, flags, every node and every state of a host build with the reference.
 
@@ -81,7 +84,11 @@ def check_host(
 
 
 def _run_reference(
-    reference: Reference, codes: NDArray[np.int16], state: ModelState, *, observe: bool
+    reference: Reference,
+    codes: CodeArray,
+    state: ModelState,
+    *,
+    observe: bool,
 ) -> tuple[IntArray, ModelState]:
     """Return the observed values [B, T, N] (nodes, flags, drift) and the state afterwards."""
     nodes: list[IntArray] = []

@@ -1,20 +1,20 @@
 """The input sequences that a model is checked on: the logs themselves, and what logs never show."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.codegen.selftest import limits_of
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.operations.arithmetic import CodeArray
 
 RANDOM_SEED = 20250217
 """Only makes the sequences repeatable; any other would do."""
 
 
-def draw_sequences(model: IntegerModel, steps: int) -> dict[str, NDArray[np.int16]]:
+def draw_sequences(model: IntegerModel, steps: int) -> dict[str, CodeArray]:
     """Return sequences [T, C] of raw codes by name, `steps` in all.
 
-    Noise and jumps over the whole int16 range, the rails, a slow walk through the calibrated range
-    and beyond it, and a long dwell.
+    Noise over everything that the input's type holds and within the calibrated range, jumps, the
+    rails, a slow walk through the calibrated range and beyond it, and a long dwell.
 
     Args:
         model: gives the channels and their calibrated range.
@@ -23,8 +23,12 @@ def draw_sequences(model: IntegerModel, steps: int) -> dict[str, NDArray[np.int1
     rng = np.random.default_rng(RANDOM_SEED)
     part, channels = steps // 5, len(model.channels)
     low, high = (np.array(x, dtype=np.float64) for x in limits_of(model))
-    noise = rng.integers(-32768, 32768, size=(part, channels))
-    rails = np.where(rng.random((part, channels)) < 0.5, -32768, 32767)
+    bits = np.array([channel.bits for channel in model.channels])
+    first, last = -(1 << (bits - 1)), (1 << (bits - 1)) - 1
+    noise = rng.integers(first, last + 1, size=(part, channels))
+    within = rng.integers(low.astype(np.int64), high.astype(np.int64) + 1, size=(part, channels))
+    noise = np.where(rng.random((part, 1)) < 0.5, noise, within)
+    rails = np.where(rng.random((part, channels)) < 0.5, first, last)
     jumps = np.repeat(noise[:: max(part // 40, 1)], max(part // 40, 1), axis=0)[:part]
     span = high - low
     walk = np.cumsum(rng.normal(size=(part, channels)) * span / 50.0, axis=0)
@@ -32,6 +36,6 @@ def draw_sequences(model: IntegerModel, steps: int) -> dict[str, NDArray[np.int1
     dwell = np.repeat(((low + high) / 2.0)[None], steps - 4 * part, axis=0)
     named = {"noise": noise, "rails": rails, "jumps": jumps, "walk": walk, "constant": dwell}
     return {
-        name: np.clip(np.round(codes), -32768, 32767).astype(np.int16)
+        name: np.clip(np.round(codes), first, last).astype(model.code_type)
         for name, codes in named.items()
     }

@@ -1,4 +1,4 @@
-/* zerodrift runtime: the activation table and the CRC. The table is written by `make golden`.
+/* zerodrift runtime: the tables and the CRC. The tables are written by `make golden`.
  * SPDX-License-Identifier: Apache-2.0; may be used under any terms beside a generated model. */
 #include "zd_runtime.h"
 
@@ -46,6 +46,10 @@ const int32_t zd_tanh_nodes_q19[ZD_TANH_NODES] = {
     524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272,
     524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272,
     524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272, 524272
+};
+
+const int32_t zd_exp2_octave_q29[ZD_EXP2_TERMS] = {
+    536870912, 372130457, 128972571, 29786284, 5198974, 665093, 117533
 };
 
 uint32_t zd_crc32(uint32_t crc, const uint8_t *bytes, uint32_t n) {

@@ -32,6 +32,7 @@ from zerodrift.c_runtime.footprint import CORES
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.operations.arithmetic import CodeArray
 
 _ARM_CPUS = {
     "cortex-m0plus": UC_CPU_ARM_CORTEX_M0,
@@ -49,7 +50,7 @@ _MAIN = """
 #include "zd_runtime.c"
 {prefix}_state_t chip_state;
 {prefix}_input_t chip_input;
-int16_t chip_codes[{batch} * {channels}];
+{code_type} chip_codes[{batch} * {channels}];
 int32_t chip_drift[{batch} * {outputs}];
 uint32_t chip_flags[{batch}];
 void chip_start(int settled) {{ zd_start(&chip_state, chip_codes, settled); }}
@@ -83,6 +84,7 @@ class EmulatedModel:
         self, model: IntegerModel, code: GeneratedCode, core: str, folder: Path, optimise: str
     ) -> None:
         self._outputs = len(model.outputs)
+        self._code_type = np.dtype(model.code_type).newbyteorder("<")
         program = _build(model, code, core, folder, optimise)
         self._arm = core in _ARM_CPUS
         self._chip = _make_chip(core)
@@ -95,7 +97,7 @@ class EmulatedModel:
         self._chip.mem_map(_STOP, _PAGE)
 
     def run(
-        self, codes: NDArray[np.int16], *, settled: bool
+        self, codes: CodeArray, *, settled: bool
     ) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
         """Return drift [T, K] and flags [T] for codes [T, C]."""
         drift, flags = [], []
@@ -113,7 +115,7 @@ class EmulatedModel:
         """Return what the model's own self-test returns on this chip."""
         return self._call("chip_selftest")
 
-    def count_instructions(self, codes: NDArray[np.int16]) -> list[int]:
+    def count_instructions(self, codes: CodeArray) -> list[int]:
         """Return the number of instructions of `step` for each of codes [T, C], from rest."""
         counts = []
         total = [0]
@@ -128,7 +130,7 @@ class EmulatedModel:
         self._chip.hook_del(hook)
         return counts
 
-    def measure_stack(self, codes: NDArray[np.int16]) -> int:
+    def measure_stack(self, codes: CodeArray) -> int:
         """Return the bytes of stack that settle and steps over codes [T, C] really touched."""
         self._chip.mem_write(_STACK, bytes([_UNTOUCHED]) * _STACK_BYTES)
         self._write("chip_input", codes[0])
@@ -152,8 +154,8 @@ class EmulatedModel:
         self._chip.emu_start(self._symbols[function] | self._arm, _STOP)
         return int(self._chip.reg_read(result))
 
-    def _write(self, symbol: str, codes: NDArray[np.int16]) -> None:
-        self._chip.mem_write(self._symbols[symbol], codes.astype("<i2").tobytes())
+    def _write(self, symbol: str, codes: CodeArray) -> None:
+        self._chip.mem_write(self._symbols[symbol], codes.astype(self._code_type).tobytes())
 
     def _read(self, symbol: str, kind: str, count: int) -> NDArray[Any]:
         raw = self._chip.mem_read(self._symbols[symbol], 4 * count)
@@ -167,7 +169,8 @@ def _build(
     (folder / f"{code.prefix}_harness.c").write_text(code.harness, encoding="utf-8")
     main = folder / "main.c"
     sizes = {"batch": _BATCH, "channels": len(model.channels), "outputs": len(model.outputs)}
-    main.write_text(_MAIN.format(prefix=code.prefix, **sizes), encoding="utf-8")
+    types = {"code_type": f"{np.dtype(model.code_type).name}_t"}
+    main.write_text(_MAIN.format(prefix=code.prefix, **sizes, **types), encoding="utf-8")
     # string.h, which the harness names for the host's sake, is not there without a C library
     (folder / "string.h").write_text("", encoding="utf-8")
     compiler = Compiler("zig", (sys.executable, "-m", "ziglang", "cc", *CORES[core]))

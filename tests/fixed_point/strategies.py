@@ -48,6 +48,7 @@ def shapes(
         update_bias=draw(st.sampled_from((0.0, -4.0, -9.0))),
         code_limit=draw(st.sampled_from((32768, 12000, 300))),
         drift_limit=draw(st.sampled_from((1e9, 1e4, 20.0))),
+        measured=tuple(draw(st.sampled_from(((), (0,), (0, outputs - 1) if outputs > 1 else ())))),
         warm_up_steps=draw(st.sampled_from((0, 1, 40))),
         channel_names=tuple(draw(st.lists(names, min_size=inputs, max_size=inputs))),
         output_names=tuple(draw(st.lists(names, min_size=outputs, max_size=outputs))),

@@ -12,11 +12,16 @@ from tests.golden.model_factory import Draw, Shape, draw_model
 from zerodrift.errors import CheckError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
+from zerodrift.operations.clock import IntegerCounter
+from zerodrift.operations.exp2 import OCTAVE_Q29, IntegerExp2
 from zerodrift.operations.gru import H_LIMIT_Q30, IntegerGru
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.network import IntegerDrift, IntegerFeatures, IntegerGruLayer
+from zerodrift.operations.play import IntegerPlay
+from zerodrift.operations.power import IntegerPower
 from zerodrift.operations.signal import IntegerDelay, IntegerLowpass, IntegerProduct
 from zerodrift.operations.tables import sigmoid_q31
+from zerodrift.operations.total import IntegerSum
 from zerodrift.verify.vectors import draw_sequences
 
 Array = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
@@ -77,6 +82,18 @@ def recompute_gru(gru: IntegerGru, name: str, x: Array, h_q30: Array) -> dict[st
     return out
 
 
+def recompute_polynomial(
+    name: str, f_q31: Array, coefficients: tuple[int, ...]
+) -> dict[str, Array]:
+    """Return every partial result of Horner's rule by its certificate name."""
+    out: dict[str, Array] = {}
+    total = np.zeros_like(f_q31)
+    for degree in range(len(coefficients) - 1, -1, -1):
+        total = coefficients[degree] + ((total * f_q31 + 2**30) >> 31)
+        out[f"{name}.degree_{degree}"] = total
+    return out
+
+
 def recompute(
     model: IntegerModel, values: dict[str, Array], before: dict[str, Array]
 ) -> dict[str, Array]:
@@ -97,6 +114,40 @@ def recompute(
                     f"{node.name}.gap": gap,
                     f"{node.name}.scaled": gap * node.m_q31 + (1 << node.shift >> 1),
                 }
+            case IntegerSum():
+                row = np.array(node.coefficients)
+                out[f"{node.name}.sum"] = np.stack(inputs, 1) @ row + node.bias
+            case IntegerExp2():
+                total = inputs[0] * node.coefficient + node.bias
+                t = np.clip(total >> node.shift, node.low, node.high)
+                out |= {f"{node.name}.sum": total, f"{node.name}.exponent": t}
+                out |= recompute_polynomial(node.name, (t % 2**24) * 2**7, OCTAVE_Q29)
+            case IntegerPower():
+                x = np.maximum(inputs[0], 1)
+                n = np.array([int(v).bit_length() - 1 for v in x])
+                terms = recompute_polynomial(node.name, (x << (31 - n)) - 2**31, node.octave)
+                m = np.clip(terms[f"{node.name}.degree_0"], node.low, node.high)
+                gain = np.array(node.gains)[n]
+                out |= terms
+                out |= {
+                    f"{node.name}.octaves": n,
+                    f"{node.name}.mantissa": m,
+                    f"{node.name}.gain": gain,
+                    f"{node.name}.product": m * gain + (1 << node.shift >> 1),
+                }
+            case IntegerPlay():
+                out |= {
+                    f"{node.name}.slack": np.concatenate(
+                        [inputs[0] - node.half_width, inputs[0] + node.half_width]
+                    ),
+                    f"{node.name}.y": before[f"{node.name}.y"],
+                }
+            case IntegerDelay():
+                line = np.concatenate([before[f"{node.name}.line"], inputs[0][:, None]], axis=1)
+                rise = (line[:, 1] - line[:, 0]) * node.newer_q31 + 2**30
+                out |= {f"{node.name}.line": line.ravel(), f"{node.name}.rise": rise}
+            case IntegerCounter():
+                out[f"{node.name}.count"] = before[f"{node.name}.count"] + 1
             case IntegerFeatures():
                 sums = np.stack(inputs, 1) @ node.matrix.astype(np.int64).T + node.bias
                 out |= {f"{node.name}[{i}]": sums[:, i] for i in range(node.width)}

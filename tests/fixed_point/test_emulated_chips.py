@@ -26,9 +26,18 @@ SHAPES = {
         hidden=9, outputs=2, code_limit=15000, drift_limit=80.0,
     ),
     "int8 before": Shape(weights="int8", reset="before", hidden=7, inputs=3, gain=20.0),
+    "effects": Shape(
+        front_end=("exp2", "root", "play", "clip", "late", "mix", "warm_up", "load"),
+        hidden=4, inputs=3, outputs=2, code_limit=15000, drift_limit=1e5, measured=(1,),
+    ),
     "window": Shape(window=4, hidden=6, inputs=1, outputs=1),
 }  # fmt: skip
-QUICK = {("cortex-m0plus", "everything"), ("cortex-m4", "everything"), ("cortex-m4", "int8 before")}
+QUICK = {
+    ("cortex-m0plus", "effects"),
+    ("cortex-m0plus", "everything"),
+    ("cortex-m4", "everything"),
+    ("cortex-m4", "int8 before"),
+}
 """What `make test` runs; the rest of cores and shapes are slow tests."""
 STEPS = 600
 
@@ -53,7 +62,10 @@ def draw_codes(channels: int) -> np.ndarray[tuple[int, int], np.dtype[np.int16]]
 def test_chip_equals_reference(core: str, shape: str, tmp_path: Path) -> None:
     model = draw_model(SHAPES[shape], 31)
     chip = EmulatedModel(model, generate(model), core, tmp_path, "-O2")
-    codes = draw_codes(len(model.channels))
+    codes = draw_codes(len(model.channels)).astype(model.code_type)
+    for k, channel in enumerate(model.channels):
+        if channel.bits > 16:
+            codes[:, k] *= 2**15  # a raw output, also far beyond its load's limits
     for settled in (True, False):
         expected = Reference(model).run(codes[None], settled=settled)
         drift, flags = chip.run(codes, settled=settled)

@@ -101,7 +101,9 @@ def test_first_differing_step_is_named(tmp_path: Path) -> None:
         "    uint32_t flags = 0;\n    static uint32_t zd_calls;\n    zd_calls++;\n",
         1,
     ).replace(
-        "    return flags;\n}", "    drift[1] ^= (zd_calls == 38u) ? 1 : 0;\n    return flags;\n}"
+        "    return flags;\n}",
+        "    drift[1] ^= (zd_calls == 38u) ? 1 : 0;\n    return flags;\n}",
+        1,
     )
     bad = GeneratedCode(code.prefix, code.header, late, code.harness)
     host = HostModel(model, bad, tmp_path, flags=("-O1",), observe=False)

@@ -11,7 +11,7 @@ import pytest
 from tests.golden.model_factory import Shape, draw_model
 
 from zerodrift.errors import InputError
-from zerodrift.export.integer_model import load_model
+from zerodrift.export.integer_model import FORMAT, load_model
 from zerodrift.export.reference import Reference
 
 SHAPES = [
@@ -65,7 +65,7 @@ EDITS: dict[str, tuple[Edit, str]] = {
     "a guard": (lambda b: b["guards"].update(rate_max=1), "edited or damaged"),
     "another hash": (rehash, "edited or damaged"),
     "no hash": (lambda b: b.pop("hash"), "edited or damaged"),
-    "another format": (lambda b: b.update(format=99), "format 1"),
+    "another format": (lambda b: b.update(format=99), f"format {FORMAT}"),
     "unknown kind": (lambda b: find_node(b, "head").update(kind="heads"), "unknown kind 'heads'"),
     "field missing": (lambda b: find_node(b, "lowpass").pop("c_q24"), "expected the fields"),
     "field added": (lambda b: find_node(b, "lowpass").update(tau=1), "expected the fields"),
@@ -103,7 +103,7 @@ def test_truncated_model_file_is_refused(keep: float, saved: Path) -> None:
         load_model(saved)
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"[]", b"null", b"3", b'{"format": 1}'])
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"[]", b"null", b"3", b'{"format": 2}'])
 def test_file_that_is_no_model_is_refused(content: bytes, saved: Path) -> None:
     saved.write_bytes(content)
     with pytest.raises(InputError):

@@ -12,8 +12,10 @@ from zerodrift.export.quantize import Calibration, FloatModel, quantize
 from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.operations.gru import FloatGru
 
-FRONT_ENDS = ("lowpass", "delay", "difference", "product", "power")
+LINEAR = ("lowpass", "delay", "difference", "product", "power")
+FRONT_ENDS = (*LINEAR, "exp2", "root", "play", "clip", "late", "mix", "warm_up", "load")
 SAMPLE_PERIOD_S = 0.5
+LOAD_LIMIT = 3_000_000
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,8 @@ class Shape:
     """Inputs are limited to +- this code."""
     drift_limit: float = 1e6
     warm_up_steps: int = 5
+    measured: tuple[int, ...] = ()
+    """Outputs whose raw value is an input of 32 bits; "load" needs one."""
     channel_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
 
@@ -71,11 +75,19 @@ def draw_float_model(shape: Shape, seed: int) -> tuple[FloatModel, Calibration]:
     sources = {f"source{i}": i for i in range(shape.inputs)}
     inputs = [ops.input(source) for source in sources]
     full = shape.code_limit / 128.0
+    loads = [ops.input(f"load:out{k}") for k in shape.measured]
+    for k in shape.measured:
+        sources[f"load:out{k}"] = len(channels)
+        lsb = 10.0 ** -(k % 4)
+        channels = (*channels, Channel(f"measured{k}", "N", lsb, bits=32))
     taps: list[tuple[Node, float]] = [(node, full) for node in inputs]
-    taps += _draw_front_end(ops, inputs, full, shape, draw)
+    taps += _draw_front_end(ops, inputs, loads, full, shape, draw)
     outputs = tuple(
         OutputFormat(
-            shape.output_names[k] if shape.output_names else f"out{k}", "N", 10 ** (k % 4), 2000.0
+            shape.output_names[k] if shape.output_names and k not in shape.measured else f"out{k}",
+            "N",
+            10 ** (k % 4),
+            2000.0,
         )
         for k in range(shape.outputs)
     )
@@ -94,13 +106,14 @@ def draw_float_model(shape: Shape, seed: int) -> tuple[FloatModel, Calibration]:
         **(_draw_network(taps, shape, draw) if shape.hidden else {}),
     )
     calibration = Calibration(
-        code_limits=((max(-shape.code_limit, -32768), min(shape.code_limit, 32767)),)
-        * shape.inputs,
+        code_limits=((max(-shape.code_limit, -32768), min(shape.code_limit, 32767)),) * shape.inputs
+        + ((-LOAD_LIMIT, LOAD_LIMIT),) * len(shape.measured),
         feature_max=np.full(shape.inputs, 2.0),
         drift_low=np.full(shape.outputs, -shape.drift_limit),
         drift_high=np.full(shape.outputs, shape.drift_limit * 0.75),
         rate_max=1000,
         warm_up_steps=shape.warm_up_steps,
+        ranges={node: (-largest, largest) for node, largest in taps if node.op != "exp2"},
     )
     return model, calibration
 
@@ -112,7 +125,12 @@ def draw_model(shape: Shape, seed: int) -> IntegerModel:
 
 
 def _draw_front_end(
-    ops: GraphOperations, inputs: list[Node], full: float, shape: Shape, draw: Draw
+    ops: GraphOperations,
+    inputs: list[Node],
+    loads: list[Node],
+    full: float,
+    shape: Shape,
+    draw: Draw,
 ) -> list[tuple[Node, float]]:
     """Return nodes with their largest value; each kind acts on an input and the node before it."""
     nodes: list[tuple[Node, float]] = []
@@ -133,6 +151,35 @@ def _draw_front_end(
             case "power":
                 exponent = 2 + int(draw.uniform(0.0, 3.0, 1)[0])
                 nodes.append((ops.power(x, float(exponent)), full**exponent))
+            case "exp2":
+                doubling, offset = full / draw.uniform(0.5, 12.0, 1)[0], draw.uniform(-9.0, 9.0, 1)
+                argument = ops.affine(x, 1.0 / doubling, float(offset[0]))
+                largest = 2.0 ** (full / doubling + float(offset[0]))
+                nodes.append((ops.exp2(argument), largest))
+            case "root":
+                exponent = 0.1 + float(draw.uniform(0.0, 2.5, 1)[0])
+                nodes.append((ops.power(ops.affine(x, -1.0, 2.0), exponent), full**exponent))
+            case "play":
+                width = full * float(draw.uniform(0.001, 0.5, 1)[0])
+                nodes.append((ops.play(nodes[-1][0] if nodes else x, width), full))
+            case "clip":
+                low, high = full * np.sort(draw.uniform(-1.2, 1.2, 2))
+                nodes.append((ops.clip(x, float(low), float(high)), full))
+            case "late":
+                nodes.append((ops.delay(x, float(draw.uniform(0.01, 6.0, 1)[0])), full))
+            case "mix":
+                other, largest = nodes[-1] if nodes else (inputs[-1], full)
+                share = float(draw.uniform(-2.0, 2.0, 1)[0]) * full / largest
+                mixed = ops.total(ops.affine(x, 0.3, 1.0), ops.affine(other, share, 0.0))
+                nodes.append((mixed, 2.3 * full))
+            case "warm_up":
+                halvings = ops.affine(
+                    ops.input("elapsed_s"), -float(draw.uniform(0.0, 0.3, 1)[0]), 0.0
+                )
+                nodes.append((ops.product(ops.exp2(halvings), x), full))
+            case "load" if loads:
+                span = ops.product(ops.affine(x, 0.002 / full, 0.0), loads[position % len(loads)])
+                nodes.append((span, 1e-3 * LOAD_LIMIT))
     return nodes
 
 

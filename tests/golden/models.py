@@ -4,12 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from tests.golden.model_factory import Draw, Shape, draw_model
 from tests.golden.vectors import Golden, compute
 
+from zerodrift.operations.arithmetic import CodeArray
+
 STEPS = 120
-Codes = NDArray[np.int16]
+Codes = CodeArray
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,14 @@ def dwell(draw: Draw, channels: int) -> Codes:
     return np.concatenate([np.repeat(before[None], 10, 0), np.repeat(after[None], 3990, 0)])
 
 
+def steps_of_load(draw: Draw, channels: int) -> Codes:
+    """Return a walk whose last channel, a raw output of 32 bits, jumps every tenth step."""
+    codes = walk(draw, channels).astype(np.int32)
+    loads = draw.uniform(-4e6, 4e6, STEPS // 10).astype(np.int32)
+    codes[:, -1] = np.repeat(loads, 10)
+    return codes
+
+
 CASES: dict[str, Case] = {
     "ordinary": Case(Shape(front_end=("lowpass",), update_bias=-2.0, code_limit=10000), walk),
     "rails": Case(Shape(hidden=8, outputs=2), rails),
@@ -57,6 +66,19 @@ CASES: dict[str, Case] = {
     "int8": Case(Shape(weights="int8", hidden=12), walk),
     "int8_before": Case(Shape(weights="int8", reset="before", hidden=5), noise),
     "windowed": Case(Shape(window=10, outputs=6), walk, settled=False),
+    "effects": Case(
+        Shape(
+            inputs=3,
+            hidden=5,
+            outputs=2,
+            front_end=("exp2", "root", "play", "clip", "late", "mix", "warm_up", "load"),
+            code_limit=12000,
+            drift_limit=1e4,
+            measured=(1,),
+        ),
+        steps_of_load,
+        settled=False,
+    ),
     "front_end": Case(
         Shape(
             name="front_end",
@@ -79,5 +101,5 @@ def make(name: str) -> Golden:
     case = CASES[name]
     seed = sum(name.encode())
     model = draw_model(case.shape, seed)
-    codes = case.inputs(Draw(seed + 1), case.shape.inputs)
+    codes = case.inputs(Draw(seed + 1), len(model.channels))
     return compute(model, codes, case.settled, case.every)

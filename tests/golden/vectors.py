@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.export.integer_model import IntegerModel, load_model
 from zerodrift.export.reference import Reference
+from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.mismatch import label_columns
 
 FOLDER = Path(__file__).parent
@@ -22,7 +23,7 @@ class Golden:
     """A model, an input sequence, and what every back end must make of it."""
 
     model: IntegerModel
-    codes: NDArray[np.int16]  # [T, C]
+    codes: CodeArray  # [T, C]
     settled: bool
     """Starts from `settle`; else from `init`, which leaves a streaming network cold."""
     every: int
@@ -45,15 +46,13 @@ class Golden:
         return json.dumps(body, indent=0) + "\n"
 
 
-def compute(model: IntegerModel, codes: NDArray[np.int16], settled: bool, every: int = 1) -> Golden:
+def compute(model: IntegerModel, codes: CodeArray, settled: bool, every: int = 1) -> Golden:
     """Return the golden vectors that the reference gives."""
     trace = run_reference(model, codes, settled)
     return Golden(model, codes, settled, every, trace[every - 1 :: every], crc_of(trace))
 
 
-def run_reference(
-    model: IntegerModel, codes: NDArray[np.int16], settled: bool
-) -> NDArray[np.int32]:
+def run_reference(model: IntegerModel, codes: CodeArray, settled: bool) -> NDArray[np.int32]:
     """Return all rows [T, K + 1 + H] as the reference computes them."""
     hidden: list[NDArray[np.int64]] = []
     trace = Reference(model).run(
@@ -64,7 +63,7 @@ def run_reference(
     return _join(trace.drift[0], trace.flags[0], np.stack(hidden))
 
 
-def run_host(host: HostModel, codes: NDArray[np.int16], settled: bool) -> NDArray[np.int32]:
+def run_host(host: HostModel, codes: CodeArray, settled: bool) -> NDArray[np.int32]:
     """Return all rows [T, K + 1 + H] as the compiled C computes them."""
     trace = host.run(codes, settled=settled)
     columns = [label.startswith(f"{HIDDEN}[") for label in label_columns(host.model)]
@@ -84,7 +83,7 @@ def load(name: str) -> Golden:
     rows = [[_signed(word, 32) for word in row.split()] for row in body["rows"]]
     return Golden(
         model=model,
-        codes=_decode_runs(body["codes"]),
+        codes=_decode_runs(body["codes"], model),
         settled=body["settled"],
         every=body["every"],
         rows=np.array(rows, dtype=np.int32),
@@ -102,19 +101,21 @@ def _encode_row(row: NDArray[np.integer], digits: int) -> str:
     return " ".join(f"{int(v) & (16**digits - 1):0{digits}x}" for v in row)
 
 
-def _encode_runs(codes: NDArray[np.int16]) -> list[str]:
+def _encode_runs(codes: CodeArray) -> list[str]:
     """Return "COUNT: codes" for every stretch of equal rows."""
     starts = np.flatnonzero(np.append(True, (codes[1:] != codes[:-1]).any(axis=1)))
     counts = np.diff(np.append(starts, len(codes)))
-    return [f"{n}: {_encode_row(codes[i], 4)}" for i, n in zip(starts, counts, strict=True)]
+    digits = 2 * codes.dtype.itemsize
+    return [f"{n}: {_encode_row(codes[i], digits)}" for i, n in zip(starts, counts, strict=True)]
 
 
-def _decode_runs(runs: list[str]) -> NDArray[np.int16]:
+def _decode_runs(runs: list[str], model: IntegerModel) -> CodeArray:
+    bits = 8 * np.dtype(model.code_type).itemsize
     rows = []
     for run in runs:
         count, words = run.split(":")
-        rows += [[_signed(word, 16) for word in words.split()]] * int(count)
-    return np.array(rows, dtype=np.int16)
+        rows += [[_signed(word, bits) for word in words.split()]] * int(count)
+    return np.array(rows, dtype=model.code_type)
 
 
 def _signed(word: str, bits: int) -> int:

@@ -12,9 +12,15 @@ from tests.main_job.conftest import invoke, write_project
 from zerodrift.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.errors import CheckError
-from zerodrift.export.compose import encode_inputs, measure_warm_up, predict_integer
+from zerodrift.export.compose import (
+    encode_inputs,
+    measure_warm_up,
+    predict_integer,
+    predict_on_chip,
+)
 from zerodrift.export.integer_model import FLAG_TEMPERATURE_RANGE, FLAG_WARMING_UP, load_model
 from zerodrift.export.reference import Reference
+from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.compensator import Compensator
 
 
@@ -159,16 +165,60 @@ def test_export_writes_a_proven_model(project: Path, tmp_path: Path) -> None:
     assert load_model(copy / "build" / "model.json").hash == body["model_hash"]
 
 
-def test_firmware_with_an_effect_without_integer_form_is_refused(
-    logs: Path, tmp_path: Path
-) -> None:
-    directory = write_project(tmp_path / "p", logs)
+USER_EFFECT = """
+from zerodrift.physics.catalogue import register
+from zerodrift.physics.effect import Effect, Feature
+
+
+def build(ops, signals, p):
+    rise = ops.affine(signals.temperature_degC, 0.1, -2.5)
+    slack = ops.difference(ops.play(rise, 0.4), ops.delay(rise, {delay_s}))
+    glow = ops.exp2(ops.clip(ops.lowpass(rise, 30.0), -2.0, 2.0))
+    age = ops.power(ops.affine(signals.elapsed_s, 0.001, 0.0), 0.37)
+    mixed = ops.total(ops.product(glow, age), ops.affine(ops.power(rise, 3), 0.01, 0.0))
+    return [Feature("slack", slack), Feature("mixed", mixed)]
+
+
+register(Effect(kind="own", title="an effect of everything there is", build=build))
+"""
+
+
+def write_user_effect(directory: Path, delay_s: float) -> None:
+    """Add an effect from a file to a project, beside dark current, and take its network away."""
     toml = directory / "zerodrift.toml"
     text = re.sub(r"\[network\][^\[]*", "", toml.read_text())
-    toml.write_text(text + '\n[[effect]]\nkind = "dark_current"\n')
+    effects = '\n[[effect]]\nkind = "dark_current"\n\n[[effect]]\nkind = "own"\n'
+    toml.write_text(text + effects + '\n[plugins]\nfiles = ["own.py"]\n')
+    (directory / "own.py").write_text(USER_EFFECT.replace("{delay_s}", str(delay_s)))
+
+
+def test_effect_of_a_user_goes_to_c(logs: Path, tmp_path: Path) -> None:
+    directory = write_project(tmp_path / "p", logs)
+    write_user_effect(directory, 2.3)
+    result = invoke("firmware", "-C", str(directory), "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["bit_exact"] is True
+    model = load_model(directory / "build" / "model.json")
+    kinds = {node.kind for node in model.nodes}
+    assert {"play", "delay", "exp2", "clip", "power", "counter", "product"} <= kinds
+    config = load_config(directory)
+    catalogue = load_catalogue(config.plugin_files)
+    compensator = Compensator.load(directory / "build", catalogue)
+    run = load_dataset(config).train[0]  # the test run is hotter than what was calibrated
+    wanted = predict_on_chip(compensator, run)
+    error = predict_integer(model, run) - wanted
+    assert (np.sqrt((error**2).mean(axis=0) / (wanted**2).mean(axis=0)) < 1e-4).all()
+    assert invoke("verify", "-C", str(directory)).exit_code == 0
+
+
+def test_effect_that_cannot_go_to_c_is_refused(logs: Path, tmp_path: Path) -> None:
+    directory = write_project(tmp_path / "p", logs)
+    write_user_effect(directory, 40_000.0)
     result = invoke("firmware", "-C", str(directory))
     assert result.exit_code == 1
-    assert "no fixed-point form" in str(result.exception)
+    message = str(result.exception)
+    assert "feature 'own: slack'" in message
+    assert "a delay of 40000 s is 40000 steps" in message and "shorter delay" in message
     assert not (directory / "firmware").exists()
 
 

@@ -142,7 +142,7 @@ def _open_network(compensator: "Compensator") -> Predictor:
 
 def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Predictor:
     """Return the integer model, computed by its reference in Python or by its C on this host."""
-    from zerodrift.export.compose import encode_inputs, predict_integer
+    from zerodrift.export.compose import count_elapsed, encode_inputs, predict_integer
     from zerodrift.export.integer_model import load_model
 
     path = config.build_directory / "model.json"
@@ -162,6 +162,7 @@ def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Pred
         host = HostModel(model, generate(model), Path(scratch), observe=False)
 
     def predict(run: Run) -> Array:
-        return np.asarray(host.run(encode_inputs(model, run)).drift / scale)
+        trace = host.run(encode_inputs(model, run), elapsed=count_elapsed(run))
+        return np.asarray(trace.drift / scale)
 
     return Predictor(C, predict, physics.effects, physics.tared)
