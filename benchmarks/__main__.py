@@ -5,7 +5,7 @@ import importlib
 import time
 
 NAMES = (
-    *("bench_main_job", "bench_kernels", "bench_effects", "bench_logs", "bench_real"),
+    *("bench_main_job", "bench_kernels", "bench_effects", "bench_logs", "bench_loop", "bench_real"),
     "bench_training",
 )
 """Modules of this folder, each with `main(quick: bool) -> None`."""

@@ -224,6 +224,7 @@ def _plan_run(
     who = f"{source.label}: run '{run}'" if run else source.label
     time_s = table.columns[config.time_column]
     span_s = (0.0, math.inf)
+    start_s = float(time_s[start])
     if selection.cut is not None:
         span_s = selection.cut.to_span(float(time_s[stop - 1] - time_s[start]))
         cut = selection.cut.find_rows(time_s[start:stop])
@@ -246,7 +247,7 @@ def _plan_run(
             f"{config.sample_period_s:g} s"
         )
     cut_text = selection.cut.text if selection.cut else ""
-    key = RunKey(selection.path, run, cut_text, span_s, selection.where)
+    key = RunKey(selection.path, run, cut_text, span_s, selection.where, start_s)
     return [_allocate(config, key, part, stretch) for part, stretch in enumerate(long_enough)]
 
 
@@ -320,6 +321,7 @@ def _finish(piece: _Piece, names: dict[RunKey, str], config: Config) -> Run:
         measured=piece.measured,
         reference=piece.reference,
         inputs={name: piece.inputs[name] for name in config.inputs},
+        start_s=piece.key.start_s,
     )
 
 

@@ -22,6 +22,8 @@ class RunKey:
     """The part in seconds since the run's first row, the second end not included."""
     where: str
     """Place in zerodrift.toml, for messages."""
+    start_s: float = 0.0
+    """The log's clock at the run's first row, before any cut."""
 
     def name(self, detail: int, directory: Path) -> str:
         """Return a name: by run or stem (0), by stem and run (1), by path and run (2)."""

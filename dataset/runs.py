@@ -40,6 +40,8 @@ class Run:
     """[n, K] what the outputs should have been; zero where the config names no reference."""
     inputs: Mapping[str, Array] = field(default_factory=dict)
     """Optional channels [n] by the name that effects use: supply, humidity, clock, ..."""
+    start_s: float | None = None
+    """The log's own clock at the first row of the whole run; None: at this stretch's first."""
 
     @property
     def drift(self) -> Array:

@@ -16,6 +16,7 @@ from zerodrift.dataset.runs import Run
 from zerodrift.errors import InputError
 from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.physics.effect import Feature
+from zerodrift.physics.octaves import MEANS
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.rates import Rates
 from zerodrift.physics.reduction import Column, plan_reduction, select_means
@@ -173,8 +174,8 @@ class Campaign:
             column = self.rates.compute(node)
         if not np.isfinite(column.octaves).all():
             raise InputError(
-                f"{label or node!r}: some values are NaN or infinite; keep the arguments of each "
-                "operation where it is defined, or narrow the parameters' bounds."
+                f"{label or repr(node)}: some values are NaN or infinite; keep the arguments of "
+                "each operation where it is defined, or narrow the parameters' bounds."
             )
         self._cache[key] = column
         if len(self._cache) > CACHED_COLUMNS:
@@ -211,6 +212,21 @@ class Campaign:
             len(outputs),
             mask,
         )
+
+    def mean_of(self, node: Node) -> Array:
+        """Return the mean [G] of a node's values over each piece, but for a constant."""
+        return self._list_means(self.column(node))
+
+    def drift_means(self) -> Array:
+        """Return the mean [G, K] of the drift over each piece, but for a constant."""
+        return np.stack([self._list_means(column) for column in self._drifts], axis=1)
+
+    def _list_means(self, column: Column) -> Array:
+        """Return the means over the pieces from a column's coefficients."""
+        octaves = self.reduction.octaves
+        rows = np.flatnonzero(octaves.octave == MEANS)
+        # The coefficient is the mean times the root of the piece's samples.
+        return np.asarray(column.octaves[rows] * octaves.left[rows] / np.sqrt(self.block))
 
     def fill(self, terms: Sequence[Term], coefficients: Array) -> None:
         """Fill samples at a converter's rail anew, by what a fitted model says of them.

@@ -1,7 +1,7 @@
 """The effects that a model may lack: which can be tested with these logs, and how well they fit."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,9 @@ from zerodrift.physics.projection import (
     set_coordinates,
 )
 from zerodrift.physics.reduction import combine
-from zerodrift.physics.search import Found, grid, list_slopes, search, sum_with_slopes
+from zerodrift.physics.search import Found, assess, grid, list_slopes, search, sum_with_slopes
 from zerodrift.physics.signals import explain_missing
-from zerodrift.physics.terms import CHIP, Term, start_term
+from zerodrift.physics.terms import CHIP, Term, name_feature, start_term
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,11 @@ NEAR = 3.0
 """A value is near its typical range within this factor of it."""
 LEADING = 0.5
 """Candidates with this share of the best one's gain are fitted on all samples."""
+AT_AN_END, OF_WHAT_IS_LEFT = 0.02, 0.01
+"""A value is as good as the end of its range if it gains less over that than these shares of its
+effect's gain and of the squared error that is left, ..."""
+AT_AN_END_UNITS = 10.0
+"""... or less than this in noise units."""
 LEAST_EXCITATION = 0.05
 """Share of an effect that the model cannot imitate, below which it cannot be tested."""
 
@@ -61,6 +66,9 @@ class Candidate:
     excitation: float
     exact: bool
     """Whether it was fitted on all samples, not on averages over blocks."""
+    distinct: bool = True
+    """Whether its values do better than the ends of their ranges, where an effect turns into a
+    simpler one: a play wider than the load's range is a gain, a very fast creep is one too."""
 
     @property
     def kind(self) -> str:
@@ -78,9 +86,11 @@ class Candidate:
 
     @property
     def is_plausible(self) -> bool:
-        """Whether every fitted value lies near its typical range and off its bounds."""
+        """Whether every fitted value is distinct, near its typical range and off its bounds."""
         term = self.found.terms[self.proposal.place]
-        return all(_is_near_typical(p, term.values[p.name]) for p in term.free)
+        return self.distinct and all(
+            p.is_setting or _is_near_typical(p, term.values[p.name]) for p in term.free
+        )
 
 
 def _is_near_typical(parameter: Parameter, value: float) -> bool:
@@ -181,7 +191,8 @@ def try_candidates(
         else:
             candidates.append(fit_candidate(campaign, proposal, weights, excitation))
         advance(proposal.kind)
-    return _refine_leaders(campaign, candidates, weights), untested
+    refined = _refine_leaders(campaign, base, candidates, weights)
+    return [_compare_with_ends(campaign, base, c, weights) for c in refined], untested
 
 
 def fit_candidate(
@@ -198,16 +209,21 @@ def fit_candidate(
 
 
 def _refine_leaders(
-    campaign: Campaign, candidates: Sequence[Candidate], weights: Array
+    campaign: Campaign, base: Found, candidates: Sequence[Candidate], weights: Array
 ) -> list[Candidate]:
     """Return the candidates, those near the best one fitted on all samples."""
     if not candidates:
         return []
-    scores = [float(c.held_out.score(weights).sum()) for c in candidates]
-    limit = min(scores) + (1.0 - LEADING) * (max(scores) - min(scores))
+    exact = _score(campaign, base, weights)
+    with campaign.rates.search_roughly():
+        # On averages the model itself is less good too: like is compared with like.
+        rough = _score(campaign, assess(campaign, base.terms, weights), weights)
+    gains = [
+        (exact if c.exact else rough) - float(c.held_out.score(weights).sum()) for c in candidates
+    ]
     refined = []
-    for candidate, score in zip(candidates, scores, strict=True):
-        if candidate.exact or score > limit:
+    for candidate, gain in zip(candidates, gains, strict=True):
+        if candidate.exact or gain < LEADING * max(gains):
             refined.append(candidate)
             continue
         found = search(campaign, candidate.found.terms, weights, vary=())
@@ -215,6 +231,35 @@ def _refine_leaders(
             _judge(campaign, candidate.proposal, found, weights, candidate.excitation, exact=True)
         )
     return refined
+
+
+def _compare_with_ends(
+    campaign: Campaign, base: Found, candidate: Candidate, weights: Array
+) -> Candidate:
+    """Return the candidate, marked where an end of a parameter's range does about as well."""
+    terms, place = candidate.found.terms, candidate.proposal.place
+    best = float(candidate.found.solution.errors.sum())
+    gain = float(base.solution.errors.sum()) - best
+    if not candidate.exact or gain <= 0.0:
+        return candidate
+    for coordinate in list_coordinates(terms):
+        if coordinate.term != place or coordinate.parameter.is_setting:
+            continue
+        for end in coordinate.bounds:
+            moved = set_coordinates(terms, [coordinate], np.array([end]))
+            lost = float(assess(campaign, moved, weights).solution.errors.sum()) - best
+            if lost <= max(AT_AN_END_UNITS, min(AT_AN_END * gain, OF_WHAT_IS_LEFT * best)):
+                return replace(candidate, distinct=False)
+    return candidate
+
+
+def _score(campaign: Campaign, found: Found, weights: Array) -> float:
+    """Return the held-out score of a model as it was found."""
+    coordinates = list_coordinates(found.terms)
+    sums = sum_with_slopes(campaign, found.terms, coordinates)
+    position = get_coordinates(found.terms, coordinates)
+    held_out = hold_out(sums, weights, coordinates, position, campaign.unit_of_piece)
+    return float(held_out.score(weights).sum())
 
 
 def _judge(
@@ -274,7 +319,7 @@ def _excite(campaign: Campaign, base: Found, terms: Sequence[Term], weights: Arr
     known = {f.name: j for j, f in enumerate(features)}
     new = [f for f in changed if f.name not in known]
     if new:
-        extra = [campaign.column(f.signal) for f in new]
+        extra = [campaign.column(f.signal, name_feature(f, terms)) for f in new]
     else:
         steps = [
             (known[f.name], campaign.column(f.signal) - campaign.column(now.signal))

@@ -30,7 +30,7 @@ class Catalogue(Mapping[str, Effect]):
     def __getitem__(self, kind: str) -> Effect:
         if kind not in self.effects:
             raise InputError(
-                f"no effect '{kind}'{nearest(kind, self.effects)} "
+                f"no effect '{kind}'{nearest(kind, self.effects) or '.'} "
                 f"The catalogue has: {', '.join(self.effects)}."
             )
         return self.effects[kind]

@@ -1,11 +1,13 @@
 """Changes of a model's effects, checked before anything is fitted or written."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from zerodrift.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.errors import InputError, nearest
 from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.effect import Effect
 from zerodrift.physics.signals import explain_missing, plan_signals
 from zerodrift.physics.terms import CHIP, start_term
 
@@ -30,6 +32,26 @@ def name_effect(effect: EffectConfig) -> str:
     """Return the effect's kind, with its thermometer where it is not the chip's."""
     signal = effect.options.get("signal", CHIP)
     return f"{effect.kind}[{signal}]" if signal else effect.kind
+
+
+def write_command(
+    effects: Sequence[EffectConfig], effect: Effect, parameters: Mapping[str, float]
+) -> str:
+    """Return the command that adds an effect in the form that was found, or makes it richer.
+
+    Args:
+        effects: the model's `[[effect]]` tables.
+        effect: what is missing.
+        parameters: its values as found; choices among them are held, fitted values are not.
+    """
+    present = next((e for e in effects if name_effect(e) == effect.kind), None)
+    held = {
+        p.name: parameters[p.name] for p in effect.parameters if p.choices and p.name in parameters
+    }
+    if present is not None:
+        held = {name: value for name, value in held.items() if present.held.get(name) != value}
+    holds = "".join(f" --hold {name}={value:g}" for name, value in held.items())
+    return f"zerodrift add {effect.kind}{holds}"
 
 
 def propose_addition(
@@ -66,6 +88,43 @@ def propose_addition(
         )
     effects = (*config.effects[:place], effect, *config.effects[place + 1 :])
     return Change(action, effect, effects, place)
+
+
+def propose_forms(
+    config: Config, dataset: Dataset, catalogue: Catalogue, effect: EffectConfig
+) -> tuple[Change, ...]:
+    """Return the changes that `add` chooses from, simplest first.
+
+    These are the forms that the catalogue lists for an effect, or for one that is there already
+    its richer ones. A user who holds a value has chosen.
+
+    Raises:
+        InputError: as `propose_addition`; an effect that is there already has no richer form.
+    """
+    if effect.held or effect.kind not in catalogue:
+        return (propose_addition(config, dataset, catalogue, effect),)
+    declared = catalogue[effect.kind]
+    names = [name_effect(present) for present in config.effects]
+    defaults = {p.name: p.default for p in declared.parameters}
+    if name_effect(effect) not in names:
+        forms = [
+            {name: value for name, value in form.items() if value != defaults[name]}
+            for form in declared.variants
+        ]
+    else:
+        present = config.effects[names.index(name_effect(effect))]
+        values = start_term(catalogue, replace(present, line=0)).values
+        fitting = [
+            i
+            for i, form in enumerate(declared.variants)
+            if all(values[name] == value for name, value in form.items())
+        ]
+        richer = declared.variants[fitting[-1] + 1 :] if fitting else ()
+        # Without a richer form the refusal below says that the effect is there.
+        forms = [dict(form) for form in richer] or [{}]
+    return tuple(
+        propose_addition(config, dataset, catalogue, replace(effect, held=form)) for form in forms
+    )
 
 
 def propose_removal(config: Config, kind: str, signal: str = CHIP) -> Change:

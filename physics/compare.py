@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.floor import NoiseFloor, measure_floor
 from zerodrift.physics.held_out import NONE, TEST_LOGS, HeldOut
-from zerodrift.physics.run_errors import RunError, collect_errors, pool_rmse
+from zerodrift.physics.run_errors import FindUsable, RunError, collect_errors, pool_rmse
 from zerodrift.physics.segments import MOST_SEGMENTS, Failures, find_failures
 
 Array = NDArray[np.float64]
@@ -66,6 +66,10 @@ class Comparison:
     failures: Failures
     method: HeldOut
     tared: bool
+    find_usable: FindUsable | None
+    """Run -> [n, K] which samples count; None: all."""
+    set_aside: float
+    """Share of all samples that do not count: a converter stood at its rail."""
 
     @property
     def told(self) -> tuple[ErrorSummary, ...]:
@@ -109,6 +113,7 @@ class Comparison:
             "held_out": self.method.method,
             "noise_floor_source": self.floor.source,
             "tared": self.tared,
+            "set_aside": self.set_aside,
         }
 
 
@@ -152,6 +157,7 @@ def compare(
     held_out: HeldOut | None = None,
     floor: NoiseFloor | None = None,
     tared: bool = False,
+    find_usable: FindUsable | None = None,
     effects: Sequence[str] = (),
     channel_units: Mapping[str, str] | None = None,
     most: int = MOST_SEGMENTS,
@@ -166,6 +172,7 @@ def compare(
         floor: the noise floor; by default from the dwell logs, or estimated.
         tared: each log is zeroed on its own, so that a run's mean error says nothing about the
             model and is taken off.
+        find_usable: run -> [n, K] which samples count; by default all.
         effects: names of the model's effects, for the report.
         channel_units: units of the input channels, for the words.
         most: how many of the worst segments to list.
@@ -173,10 +180,13 @@ def compare(
     if held_out is None:
         predictions = {run.name: predict(run) for run in dataset.test}
         held_out = HeldOut(TEST_LOGS if dataset.test else NONE, predictions)
-    inside = collect_errors(dataset.train, {run.name: predict(run) for run in dataset.train}, tared)
-    outside = collect_errors([*dataset.train, *dataset.test], held_out.predictions, tared)
+    fitted = {run.name: predict(run) for run in dataset.train}
+    inside = collect_errors(dataset.train, fitted, tared, find_usable)
+    runs = [*dataset.train, *dataset.test]
+    outside = collect_errors(runs, held_out.predictions, tared, find_usable)
     if floor is None:
-        floor = measure_floor(dataset, [part for e in inside.values() for part in e.stretches])
+        left = [part for e in inside.values() for part in e.stretches]
+        floor = measure_floor(dataset, left, predict)
     told = {**inside, **outside}
     failures = find_failures(
         [e.runs for e in told.values()],
@@ -209,20 +219,34 @@ def compare(
         failures=failures,
         method=held_out,
         tared=tared,
+        find_usable=find_usable,
+        set_aside=_share_set_aside(list(told.values())),
     )
+
+
+def _share_set_aside(errors: Sequence[RunError]) -> float:
+    """Return the share of all samples that do not count."""
+    return 1.0 - sum(float(e.usable.sum()) for e in errors) / sum(e.usable.size for e in errors)
 
 
 def _summarise(errors: Sequence[RunError]) -> tuple[ErrorSummary, ...]:
     """Return the errors [K] over all samples of some runs."""
-    drift = pool_rmse([e.drift for e in errors])
-    left = pool_rmse([e.error for e in errors])
+    drift = _root_mean_square([e.drift for e in errors])
+    left = pool_rmse(errors)
     largest = np.max([np.abs(e.error).max(axis=0) for e in errors], axis=0)
     offset = np.sqrt(np.mean([e.offset**2 for e in errors], axis=0))
     tared = bool(offset.any())
-    moved = pool_rmse([e.drift - e.drift.mean(axis=0) for e in errors]) if tared else drift
+    means = [e.drift.mean(axis=0) if tared else 0.0 for e in errors]
+    moved = _root_mean_square([e.drift - m for e, m in zip(errors, means, strict=True)])
     explained = 1.0 - (left / np.where(moved > 0.0, moved, 1.0)) ** 2
     explained = np.where(moved > 0.0, explained, 0.0)
     return tuple(
         ErrorSummary(*(float(x[k]) for x in (drift, left, largest, offset, explained)))
         for k in range(drift.size)
     )
+
+
+def _root_mean_square(parts: Sequence[Array]) -> Array:
+    """Return the root mean square [K] over all samples of parts [n, K]."""
+    squares = np.sum([np.sum(part**2, axis=0) for part in parts], axis=0)
+    return np.asarray(np.sqrt(squares / sum(part.shape[0] for part in parts)))

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 
 from zerodrift.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
+from zerodrift.physics.case import Advance, open_case
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
-from zerodrift.physics.diagnose import Advance, Diagnostician, diagnose
+from zerodrift.physics.diagnose import diagnose, list_idle
 from zerodrift.physics.diagnosis import Diagnosis
 
 MOST_ADDED = 6
@@ -46,7 +47,7 @@ def diagnose_until_done(
         if steps[-1].effect is None:
             break
         effects = extend_model(effects, catalogue, steps[-1])
-    drop = Diagnostician(dataset, catalogue, effects, advance).list_idle()
+    drop = list_idle(open_case(dataset, catalogue, effects, advance))
     return Course(tuple(steps), tuple(effects), drop)
 
 

@@ -20,6 +20,17 @@ class CandidateReport:
 
 
 @dataclass(frozen=True)
+class OutputErrors:
+    """Held-out RMSE of one output, in its unit."""
+
+    unit: str
+    before: float
+    after: float | None
+    """With the missing effect; None unless the verdict is `missing`."""
+    noise_floor: float
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """What a model lacks, and how sure that is."""
 
@@ -43,6 +54,8 @@ class Diagnosis:
     """The same with the effect added; with `complete` and `unknown`, as it is."""
     floor_source: str
     """dwell | estimated."""
+    outputs: Mapping[str, OutputErrors]
+    """Output -> its errors."""
     remainder: tuple[Pattern, ...]
     """For `unknown`: what the remainder follows."""
     next_experiment: str
@@ -76,6 +89,15 @@ class Diagnosis:
             "floor_ratio_before": self.floor_ratio_before,
             "floor_ratio_after": self.floor_ratio_after,
             "floor": self.floor_source,
+            "outputs": {
+                name: {
+                    "unit": output.unit,
+                    "rmse_heldout": output.before,
+                    "rmse_heldout_after": output.after,
+                    "noise_floor": output.noise_floor,
+                }
+                for name, output in self.outputs.items()
+            },
             "remainder": [{"follows": p.follows, "share": p.share} for p in self.remainder],
             "next_experiment": self.next_experiment,
             "evidence": self.evidence,

@@ -39,6 +39,9 @@ class Parameter:
     """Allowed values of a choice, such as the order of a polynomial; empty for a real number."""
     meaning: str = ""
     """One phrase for the catalogue."""
+    is_setting: bool = False
+    """Whether it says how the effect is computed, not what the sensor is: fitted like the others,
+    but any value of it is as credible as any other."""
     when: Values = field(default_factory=dict)
     """The choices under which this parameter exists at all."""
 
@@ -132,7 +135,7 @@ class Effect:
                 return parameter
         known = [parameter.name for parameter in self.parameters]
         raise InputError(
-            f"effect '{self.kind}' has no parameter '{name}'{nearest(name, known)} "
+            f"effect '{self.kind}' has no parameter '{name}'{nearest(name, known) or '.'} "
             f"It has: {', '.join(known) or 'none'}."
         )
 

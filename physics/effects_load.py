@@ -269,7 +269,7 @@ register(
         kind="adc_saturation",
         title="clipping at the converter's rails",
         sets_aside=True,
-        needs=("load", "saturated"),
+        needs=("saturated",),
         physics="Beyond the converter's input range the code stays at its first or last value, "
         "whatever load and temperature do. What was cut off cannot be computed back: samples at a "
         "rail are set aside from fit and error, and the chip flags them.",

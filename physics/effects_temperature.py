@@ -92,11 +92,17 @@ register(
 def build_thermal_gradient(
     ops: Operations[S], signals: Signals[S], p: Values
 ) -> Sequence[Feature[S]]:
-    """Return dT/dt, smoothed over `smoothing_s`: (T - LP(T)) / smoothing."""
+    """Return dT/dt, smoothed over `smoothing_s` without coming late: 2 s - LP(s).
+
+    s = (T - LP(T)) / smoothing follows the slope late by the smoothing; its own lag, taken away
+    once more, makes up for that to first order.
+    """
     temperature = signals.temperature_degC
-    smooth_s = max(p["smoothing_s"], 3.0 * ops.sample_period_s)
+    smooth_s = max(p["smoothing_s"], ops.sample_period_s)
     behind = ops.difference(temperature, ops.lowpass(temperature, smooth_s))
-    return (Feature("dT/dt", ops.affine(behind, 1.0 / smooth_s, 0.0), "K/s"),)
+    late = ops.affine(behind, 1.0 / smooth_s, 0.0)
+    slope = ops.total(late, ops.difference(late, ops.lowpass(late, smooth_s)))
+    return (Feature("dT/dt", slope, "K/s"),)
 
 
 register(
@@ -109,11 +115,11 @@ register(
                 "smoothing_s",
                 "s",
                 0.5,
-                100.0,
-                (2.0, 20.0),
-                default=5.0,
-                meaning="the slope is taken over this time, at least three samples, so that the "
-                "chip's quantization does not show",
+                30.0,
+                (1.0, 10.0),
+                is_setting=True,
+                meaning="the slope is taken over this time, at least one sample: short where the "
+                "temperature bends fast, long where the chip's quantization shows",
             ),
         ),
         needs=("temperature",),

@@ -1,7 +1,7 @@
 """One look at a model: what each effect that it lacks would gain, run by run, beside the floor."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 PRIOR_COUNT = 8.0
 """The dwell counts as this many coefficients per octave beside those that the runs leave over."""
+WARMED_UP_S = 1e6
+"""Time since power-on at which nothing warms up any more."""
 LIKE_BEST = 0.01
 """Of an effect's forms, the simplest within this share of the best form's gain is taken."""
 LIKE_BEST_UNITS = 10.0
@@ -61,6 +63,8 @@ class Judged:
     of its parameters takes away, while a run left out may lie beyond the others' temperatures."""
     share: float
     """Share of the squared error above the floor that it takes away, fitted."""
+    errors: Array
+    """[K] held-out mean squares with it."""
 
     @property
     def gain(self) -> float:
@@ -181,12 +185,26 @@ def measure_rest(campaign: Campaign, dwell: Sequence[Run], found: Found) -> tupl
     missing effects included, and its RMS is a lower bound from the fast octaves alone.
     """
     span = _typical_length(campaign)
-    runs = dwell or campaign.runs
-    rests = [run.drift - predict(found, run, campaign.plan, campaign.order) for run in runs]
+    runs = campaign.runs
     if dwell:
+        rests = [_rest_of_dwell(found, run, campaign) for run in dwell]
         noise = measure_noise(rests, "dwell")
         return noise, noise.rms(span)
+    rests = [run.drift - predict(found, run, campaign.plan, campaign.order) for run in runs]
     return measure_noise(rests, "residual"), estimate_fast_noise(rests, span)
+
+
+def _rest_of_dwell(found: Found, run: Run, campaign: Campaign) -> Array:
+    """Return what a dwell [n, K] has beyond a model, be it warmed up or begun at power-on.
+
+    A log's time seldom says which; the right reading leaves less.
+    """
+    warm = replace(run, time_s=run.time_s - run.time_s[0] + WARMED_UP_S, start_s=0.0)
+    rests = [
+        run.drift - predict(found, reading, campaign.plan, campaign.order)
+        for reading in (run, warm)
+    ]
+    return min(rests, key=lambda rest: float(np.log(rest.var(axis=0) + 1e-300).sum()))
 
 
 def predict(found: Found, run: Run, plan: SignalPlan, order: Sequence[str]) -> Array:
@@ -254,7 +272,6 @@ def _judge(
     base_out, base_in = base
     units = campaign.unit_of_piece
     base_score = _per_unit(base_out.score(weights), units)
-    base_errors = base_out.mean_squares(campaign.means) / floor**2
     gains = {
         id(c): base_score - _per_unit(judged_by[id(c)].score(weights), units) for c in candidates
     }
@@ -262,9 +279,14 @@ def _judge(
     if not chosen:
         return []
     p_values = flip_signs(np.stack([gains[id(c)] for c in chosen]))
+    # Runs that share an offset are compared by their means too; the floor is within runs.
+    unjudged = campaign.means & (not campaign.uses_means)
+    before = base_out.mean_squares(unjudged)
     base_left = float(np.mean(base_in.mean_squares(campaign.means) / floor**2))
     judged = []
     for candidate, p_value in zip(chosen, p_values.tolist(), strict=True):
+        ratios = judged_by[id(candidate)].mean_squares(unjudged) / before
+        weight = before / floor**2
         errors = judged_by[id(candidate)].mean_squares(campaign.means) / floor**2
         left = hold_in(candidate.sums, weights).mean_squares(campaign.means) / floor**2
         judged.append(
@@ -276,11 +298,12 @@ def _judge(
                 candidate.is_plausible,
                 gains[id(candidate)],
                 p_value,
-                float(np.sqrt(np.mean(errors) / np.mean(base_errors))),
-                float(np.sqrt(np.min(errors / base_errors))),
+                float(np.sqrt(np.average(ratios, weights=weight))),
+                float(np.sqrt(np.min(ratios))),
                 float(np.sqrt(np.mean(errors))),
                 float(np.sqrt(np.mean(left))),
                 share_explained(base_left, float(np.mean(left))),
+                errors * floor**2,
             )
         )
     return sorted(judged, key=lambda j: -j.gain)

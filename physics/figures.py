@@ -70,7 +70,7 @@ def draw_comparison(
     predictions = {
         run.name: held_out[run.name] if run.name in held_out else predict(run) for run in runs
     }
-    errors = collect_errors(runs, predictions, comparison.tared)
+    errors = collect_errors(runs, predictions, comparison.tared, comparison.find_usable)
     return [
         _draw_output(list(errors.values()), comparison, k) for k in range(len(comparison.outputs))
     ]

@@ -17,6 +17,8 @@ DURATION_S = 7200.0
 STEPS = 3600
 LOWEST_DEGC, HIGHEST_DEGC = -20.0, 60.0
 FULL_LOAD = 100.0
+RAIL_SHARE = 0.6
+LOAD_LABEL = "load, % of full scale"
 
 DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 """Bits of a Braille character's dots, by row and column."""
@@ -36,20 +38,24 @@ class Fingerprint:
 def draw_fingerprint(effect: Effect, catalogue: Catalogue) -> Fingerprint | None:
     """Return what the effect does in the experiment that shows it, at typical values.
 
-    An effect that only changes what others see is shown by what it does to a linear zero shift.
+    An effect that only changes what others see is shown by what a straight line against the
+    temperature leaves of a linear zero shift.
     """
-    if effect.sets_aside:
-        return None
     t: Array = np.asarray(np.arange(STEPS) * (DURATION_S / (STEPS - 1)), dtype=np.float64)
     load: Array = np.zeros(STEPS)
     channel: Array = np.zeros(STEPS)
     temperature: Array = np.full(STEPS, 0.5 * (LOWEST_DEGC + HIGHEST_DEGC))
     minutes: Array = np.asarray(t / 60.0, dtype=np.float64)
     against = minutes
+    if effect.sets_aside:
+        load = _rise_and_fall(t)
+        clipped = np.clip(load, -RAIL_SHARE * FULL_LOAD, RAIL_SHARE * FULL_LOAD)
+        experiment = f"load up and down, rails at {100.0 * RAIL_SHARE:.0f} %"
+        return _scale(load, clipped - load, LOAD_LABEL, experiment)
     label, experiment = "time, min", "at rest since power-on"
     if "load" in effect.needs:
-        load = _stairs(t)
-        against, label, experiment = load, "load", "load up and down in steps"
+        load = _rise_and_fall(t)
+        against, label, experiment = load, LOAD_LABEL, "load up and down, then a smaller loop"
         if "temperature" in effect.needs:
             temperature = _loop(t)
             load = FULL_LOAD * (np.floor(t / DURATION_S * 12.0) % 2.0)
@@ -67,10 +73,19 @@ def draw_fingerprint(effect: Effect, catalogue: Catalogue) -> Fingerprint | None
         channel = (np.floor(t / DURATION_S * 4.0) % 2.0).astype(np.float64)
         experiment = "the input stepped up and down"
     drift = _simulate(effect, catalogue, t, temperature, load, channel)
-    reach = float(np.abs(drift - drift.mean()).max())
+    if effect.rewrite is not None:
+        drift = drift - np.polyval(np.polyfit(temperature, drift, 1), temperature)
+        experiment += "; what a straight line leaves"
+    return _scale(against, drift, label, experiment)
+
+
+def _scale(x: Array, drift: Array, label: str, experiment: str) -> Fingerprint | None:
+    """Return the picture with the drift scaled to -1 .. 1; None where there is none."""
+    middle = 0.5 * (float(drift.max()) + float(drift.min()))
+    reach = float(np.abs(drift - middle).max())
     if reach == 0.0:
         return None
-    return Fingerprint(against, (drift - drift.mean()) / reach, label, experiment)
+    return Fingerprint(x, (drift - middle) / reach, label, experiment)
 
 
 def _simulate(
@@ -119,10 +134,11 @@ def _two_loops(t: Array) -> Array:
     return np.asarray(LOWEST_DEGC + (HIGHEST_DEGC - LOWEST_DEGC) * share)
 
 
-def _stairs(t: Array) -> Array:
-    """Return a load up to full scale and down to its negative and back, in steps."""
-    share = np.interp(t / DURATION_S, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
-    return np.asarray(FULL_LOAD * np.round(share * 10.0) / 10.0)
+def _rise_and_fall(t: Array) -> Array:
+    """Return a load up to full scale, down to its negative and back, and a loop half as wide."""
+    knots = [0.0, 0.15, 0.45, 0.6, 0.675, 0.825, 0.9, 1.0]
+    share = np.interp(t / DURATION_S, knots, [0.0, 1.0, -1.0, 0.0, 0.5, -0.5, 0.0, 0.0])
+    return np.asarray(FULL_LOAD * share)
 
 
 def draw_characters(fingerprint: Fingerprint, width: int = 60, height: int = 14) -> list[str]:

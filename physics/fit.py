@@ -11,6 +11,7 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.errors import InputError
 from zerodrift.physics.campaign import Campaign, Sums
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.physics.live import find_live
 from zerodrift.physics.model import FittedTerm, PhysicalModel
 from zerodrift.physics.projection import (
     Coordinate,
@@ -34,6 +35,8 @@ CLUSTERS = 8
 """Fewest runs whose scatter counts for the standard errors."""
 FIT_ROWS = 60_000
 """Rows of a fit; more samples than that are averaged where signals are slow."""
+UNTOLD = 10.0
+"""Standard error of a coordinate that the runs say nothing about: all of its range."""
 COLLINEAR = 0.03
 """A feature of which less than this share is left beside the others cannot be told from them."""
 
@@ -140,11 +143,12 @@ def fit_terms(
     set_aside = any(term.effect.sets_aside for term in terms)
     campaign = Campaign(runs, plan, order, tared=True, set_aside=set_aside, most_rows=FIT_ROWS)
     found = search_beyond_rails(campaign, terms, flat_weights(campaign), vary=vary)
-    if len(campaign.groups) > 1:
+    live = find_live(runs)
+    if len(campaign.groups) > 1 and live.any():
         common = Campaign(runs, plan, order, tared=False, set_aside=set_aside, most_rows=FIT_ROWS)
         common.fill(found.terms, found.solution.coefficients)
         together = search(common, found.terms, flat_weights(common), vary=())
-        ratio = float(np.mean(together.solution.errors / found.solution.errors))
+        ratio = float(np.mean((together.solution.errors / found.solution.errors)[live]))
         if ratio < TARE_RATIO:
             campaign, found = common, together
     return _finish(campaign, replace(found, terms=tuple(tidy_terms(found.terms))), units)
@@ -170,7 +174,7 @@ def _finish(campaign: Campaign, found: Found, units: Sequence[str]) -> PhysicalM
     )
     coefficients = solution.coefficients.T
     totals: dict[str, Array] = {}
-    samples: dict[str, int] = {}
+    samples: dict[str, Array] = {}
     names: tuple[str, ...] = ()
     feature_units: tuple[str, ...] = ()
     for run in runs:
@@ -178,17 +182,23 @@ def _finish(campaign: Campaign, found: Found, units: Sequence[str]) -> PhysicalM
         columns = build_columns(signals, terms, campaign.order, plan.sample_period_s)[1:]
         names = tuple(column.name for column in columns)
         feature_units = tuple(column.unit for column in columns)
-        rest = run.drift.sum(axis=0)
+        rest = run.drift
         for column, row in zip(columns, coefficients, strict=True):
-            rest = rest - column.signal.sum() * row
-        totals[run.group] = totals.get(run.group, 0.0) + rest
-        samples[run.group] = samples.get(run.group, 0) + len(run)
-    offsets = {group: total / samples[group] for group, total in totals.items()}
+            rest -= column.signal[:, None] * row
+        counts = np.full(len(plan.outputs), float(len(run)))
+        for name, flags in signals.saturated.items() if campaign.set_aside else ():
+            k = plan.outputs.index(name)
+            rest[flags > 0.0, k] = 0.0
+            counts[k] -= flags.sum()
+        totals[run.group] = totals.get(run.group, 0.0) + rest.sum(axis=0)
+        samples[run.group] = samples.get(run.group, 0.0) + counts
+    offsets = {group: totals[group] / np.maximum(samples[group], 1.0) for group in totals}
     tared = campaign.tared and len(campaign.groups) > 1
     if tared:
         constant = np.mean(np.stack(list(offsets.values())), axis=0)
     else:
-        constant = np.sum(np.stack(list(totals.values())), axis=0) / sum(samples.values())
+        whole = np.sum(np.stack(list(samples.values())), axis=0)
+        constant = np.sum(np.stack(list(totals.values())), axis=0) / np.maximum(whole, 1.0)
         offsets = {group: constant.copy() for group in offsets}
     scatter = np.std(np.stack(list(offsets.values())), axis=0) / np.sqrt(len(offsets))
     fitted = _attach_errors(terms, coordinates, theta_errors)
@@ -219,6 +229,7 @@ def estimate_errors(
     Source: White, Econometrica 48 (1980); Cameron and Miller, J. Human Resources 50 (2015).
     """
     size, outputs = sums.mask.shape
+    live = find_live(campaign.runs)
     along = slope_directions(sums, solution, count)
     offsets = len(sums.features) + len(sums.slopes) + np.arange(sums.offsets)
     clustered = len(campaign.groups) >= CLUSTERS
@@ -250,7 +261,7 @@ def estimate_errors(
         if clustered:
             variance = np.maximum(variance, np.sum((scores @ inverse) ** 2, axis=0))
         errors[seen, k] = np.sqrt(np.maximum(variance[: seen.size], 0.0))
-        if count:
+        if count and live[k]:
             first = gram[: plain.size, : plain.size]
             turn = np.concatenate(
                 [-gram[plain.size :, : plain.size] @ invert_scaled(first), np.eye(count)], axis=1
@@ -265,7 +276,9 @@ def estimate_errors(
     variance = np.diag(inverse @ by_octave @ inverse)
     if clustered:
         variance = np.maximum(variance, np.sum((by_run @ inverse) ** 2, axis=0))
-    return np.sqrt(np.maximum(variance, 0.0)), errors
+    # Where nothing bends, the value is anywhere in its range.
+    told = np.diag(curvature) > 0.0
+    return np.where(told, np.sqrt(np.maximum(variance, 0.0)), UNTOLD), errors
 
 
 def _attach_errors(
@@ -282,12 +295,15 @@ def _attach_errors(
                 continue
             name = coordinate.parameter.name
             std_errors[name] = float(abs(coordinate.slope(position)) * error)
-            intervals[name] = (
-                coordinate.decode(position - quantile * error),
-                coordinate.decode(position + quantile * error),
-            )
             low, high = coordinate.bounds
-            if min(position - low, high - position) < 1e-3 * (high - low):
+            # Beyond ten times its range an interval says no more than that.
+            reach = min(quantile * error, UNTOLD * (high - low))
+            intervals[name] = (
+                coordinate.decode(position - reach),
+                coordinate.decode(position + reach),
+            )
+            setting = coordinate.parameter.is_setting
+            if min(position - low, high - position) < 1e-3 * (high - low) and not setting:
                 at_bound.append(name)
         fitted.append(FittedTerm(term, std_errors, intervals, tuple(at_bound)))
     return tuple(fitted)

@@ -22,6 +22,7 @@ from zerodrift.physics.projection import (
     get_coordinates,
     invert_scaled,
     list_coordinates,
+    measure_cost,
     set_coordinates,
     slope_directions,
     solve,
@@ -116,14 +117,20 @@ def predict_left_out(model: PhysicalModel, folds: Sequence[_Fold]) -> dict[str, 
     predictions: dict[str, list[Array]] = {}
     for fold, left_out in enumerate(folds):
         design, now = together, terms
+        shift = np.zeros(len(coordinates))
         for _ in range(MOST_ROUNDS):
             total = design.pool_others(fold)
             shift = _find_shift(design.sums, total, now, coordinates)
-            now = set_coordinates(now, coordinates, get_coordinates(now, coordinates) + shift)
+            moved = set_coordinates(now, coordinates, get_coordinates(now, coordinates) + shift)
             if design.is_straight(total, shift):
+                now = moved
                 break
-            design = _Design(model, now, coordinates, folds)
+            there = _Design(model, moved, coordinates, folds)
             shift = np.zeros_like(shift)
+            if there.measure_cost(fold) >= design.measure_cost(fold):
+                # The slopes promised what is not there: better stay where all runs' fit is.
+                break
+            design, now = there, moved
         coefficients, constant = design.solve(fold, shift)
         _, features = _build(model, now, left_out.runs)
         prediction = features[left_out.rows] @ coefficients + constant
@@ -189,7 +196,7 @@ class _Design:
             columns = [features[group], *(slopes[group][p][:, j : j + 1] for p, j in pairs)]
             if not model.tared:
                 columns.append(np.ones((features[group].shape[0], 1)))
-            columns.append(np.concatenate([run.drift for run in runs]))
+            columns.append(np.concatenate([model.fill_rails(run) for run in runs]))
             table = np.concatenate(columns, axis=1)
             mean = table.mean(axis=0)
             if model.tared:
@@ -217,6 +224,10 @@ class _Design:
     def pool_others(self, fold: int) -> Array:
         """Return the sums [K, C, C] over all folds but one."""
         return np.asarray(np.delete(self._weighted, fold, axis=0).sum(axis=0))
+
+    def measure_cost(self, fold: int) -> float:
+        """Return what the fit to all folds but one leaves at the present values."""
+        return measure_cost(solve(self.sums, self.pool_others(fold)).errors)
 
     def is_straight(self, total: Array, shift: Array) -> bool:
         """Return whether the slopes hold for a move of the coordinates, as far as errors go."""

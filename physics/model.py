@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.physics.rails import bridge
 from zerodrift.physics.signals import SignalPlan, name_signals, read_signals
 from zerodrift.physics.terms import Term, build_columns, build_features
 
@@ -102,6 +103,18 @@ class PhysicalModel:
                 usable[:, self.outputs.index(name)] = flags == 0.0
         return usable
 
+    def fill_rails(self, run: Run) -> Array:
+        """Return the drift [n, K], samples that are not usable filled by what the model says."""
+        usable = self.find_usable(run)
+        drift = run.drift
+        if usable.all():
+            return drift
+        expected = self.predict(run)
+        for k in np.flatnonzero(~usable.all(axis=0)):
+            flags = (~usable[:, k]).astype(np.float64)
+            drift[:, k] = expected[:, k] + bridge(drift[:, k] - expected[:, k], flags)
+        return drift
+
     def graph(self, ops: GraphOperations | None = None) -> ModelGraph:
         """Return the features as graph nodes, which the exporter turns into integers and C.
 
@@ -126,6 +139,7 @@ class PhysicalModel:
             "channels": list(plan.channels),
             "reference_temperature_degC": plan.reference_temperature_degC,
             "clock_origin_s": plan.clock_origin_s,
+            "starts_at_first_row": plan.starts_at_first_row,
             "terms": [
                 {
                     "kind": fitted.kind,
@@ -170,6 +184,7 @@ class PhysicalModel:
                 channels=tuple(data["channels"]),
                 reference_temperature_degC=data["reference_temperature_degC"],
                 clock_origin_s=data["clock_origin_s"],
+                starts_at_first_row=data.get("starts_at_first_row", False),
             ),
             units=tuple(data["units"]),
             terms=tuple(

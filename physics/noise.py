@@ -10,12 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy.optimize import lsq_linear, nnls
 
 from zerodrift.physics.octaves import MEANS, WITHIN_BLOCKS, cut_octaves
 
 Array = NDArray[np.float64]
 
+PRIOR_COUNT = 2.0
+"""Coefficients that the mean over all octaves counts for, at the start of the fit."""
 SPACING = 4.0
 """Ratio of neighbouring time constants."""
 
@@ -64,6 +66,15 @@ class Noise:
             )
         )
 
+    def measure_growth(self, longest: int) -> float:
+        """Return the power of time by which variance grows up to a fourth of `longest` samples.
+
+        White noise has 0, flicker 1, a random walk 2; outputs are pooled.
+        """
+        half = longest / 4.0 * np.array([1.0, 0.125])
+        late, early = _detail_variance(half, self.tau_samples) @ self.weights
+        return float(np.log2(np.mean(late / np.maximum(early, 1e-300)))) / 3.0
+
 
 def measure_noise(columns: Sequence[Array], source: str) -> Noise:
     """Return the noise in records [n, K] of nothing else, such as dwells."""
@@ -109,15 +120,28 @@ def describe_noise(
     tau_samples = np.array(taus)
     dictionary = _detail_variance(2.0 ** octaves.astype(float), tau_samples)
     weights = np.zeros((tau_samples.size, variances.shape[1]))
-    for k in range(variances.shape[1]):
-        measured = np.maximum(variances[:, k], 1e-12 * max(float(variances[:, k].max()), 1e-300))
-        model = measured
+    for k in np.flatnonzero(variances.max(axis=0) > 0.0):
+        measured = np.maximum(variances[:, k], 1e-12 * float(variances[:, k].max()))
+        # The few coarse coefficients may be next to nothing by chance: what is expected of them
+        # starts from all octaves.
+        mean = float(np.average(measured, weights=counts))
+        model = (counts * measured + PRIOR_COUNT * mean) / (counts + PRIOR_COUNT)
+        least = 1e-3 * model
         for _ in range(4):
             # A mean square of n coefficients scatters by sqrt(2/n) of itself.
             trust = np.sqrt(counts) / model
-            weights[:, k], _ = nnls(dictionary * trust[:, None], measured * trust)
-            model = np.maximum(dictionary @ weights[:, k], 1e-3 * measured)
+            weights[:, k] = _fit_positive(dictionary * trust[:, None], measured * trust)
+            model = np.maximum(dictionary @ weights[:, k], least)
     return Noise(weights, tau_samples, source)
+
+
+def _fit_positive(matrix: Array, right: Array) -> Array:
+    """Return the least-squares answer that has no negative part."""
+    try:
+        return np.asarray(nnls(matrix, right)[0])
+    except RuntimeError:
+        # Columns that are nearly alike can make the active set go round in circles.
+        return np.asarray(lsq_linear(matrix, right, bounds=(0.0, np.inf)).x)
 
 
 def _sum_variance(length: Array, tau_samples: Array) -> Array:

@@ -7,6 +7,12 @@ Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 5
 """Samples at the extreme within a run before it counts as a rail."""
+RESOLVED = 0.2
+"""Where more than this share of the samples are little peaks or dips, noise is resolved."""
+PILED = 3.0
+"""There the extreme must be met this many times more often than any value next to it."""
+NEIGHBOURS = 4
+"""Values next to the extreme that it is compared with where noise is resolved."""
 RARITY = 5.0
 """The extreme must last, or be met, this many times longer than any other value."""
 FEWEST_VISITS = 20
@@ -22,20 +28,30 @@ def find_rails(measured: Array, reference: Array) -> Array:
 
     Limits: noise makes a value that is not clipped repeat its very extreme hardly ever. In a log
     of few distinct values every value lasts, and the extreme must last much longer to count.
+    Where no load moves, a drift may rest at the end of its range; there the extreme must be met
+    much more often than the values next to it, which noise would spread it over.
     """
     flags = np.zeros(measured.size)
     spread = float(np.ptp(measured))
-    if spread == 0.0 or float(np.ptp(reference)) == 0.0:
+    if spread == 0.0:
         return flags
     same = 1e-7 * spread
     lasts = _measure_stands(np.abs(np.diff(measured)) <= same)
     ends = [measured >= float(measured.max()) - same, measured <= float(measured.min()) + same]
     between = ~(ends[0] | ends[1])
     elsewhere = float(lasts[between].max(initial=1.0))
+    resolved = _is_resolved(measured, between, same)
+    if float(np.ptp(reference)) == 0.0 and not resolved:
+        return flags
     for sign, standing in zip((1.0, -1.0), ends, strict=True):
         height = sign * measured
         count = int(standing.sum())
         if count < FEWEST_SAMPLES:
+            continue
+        if resolved and count >= max(FEWEST_SAMPLES, PILED * _count_next(height, between, same)):
+            flags[standing] = 1.0
+            continue
+        if float(np.ptp(reference)) == 0.0:
             continue
         longest = _longest(standing)
         if longest >= max(FEWEST_SAMPLES, RARITY * elsewhere):
@@ -60,6 +76,19 @@ def bridge(x: Array, flags: Array) -> Array:
     if kept.size in (0, x.size):
         return x
     return np.interp(np.arange(x.size), kept, x[kept])
+
+
+def _is_resolved(measured: Array, between: NDArray[np.bool_], same: float) -> bool:
+    """Return whether noise, and not a trend alone, moves samples from one value to another."""
+    step = np.where(np.abs(np.diff(measured)) > same, np.diff(measured), 0.0)
+    turns = (step[1:] * step[:-1] < 0.0)[between[2:] & between[1:-1] & between[:-2]]
+    return turns.size > 0 and float(turns.mean()) > RESOLVED
+
+
+def _count_next(height: Array, between: NDArray[np.bool_], same: float) -> int:
+    """Return how often the most frequent of the values next to the extreme is met."""
+    values, counts = np.unique(np.round(height[between] / same), return_counts=True)
+    return int(counts[-NEIGHBOURS:].max(initial=1)) if values.size else 1
 
 
 def _measure_stands(unchanged: NDArray[np.bool_]) -> Array:

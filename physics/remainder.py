@@ -16,6 +16,12 @@ BINS = 16
 """Bins of a signal, each with about as many samples."""
 LEAST_SHARE = 0.1
 """A signal is named if it tells this share of the remainder in runs left out."""
+BELONGS_TO_RUNS = 0.8
+"""Runs are named if they hold this share of the squared remainder beyond the noise, ..."""
+FEW_RUNS = 0.4
+"""... and are no more than this share of all runs."""
+WITHOUT_MEMORY = 0.3
+"""Correlation of neighbouring samples below which a remainder is noise."""
 LINE_SHARE = 0.3
 """A period is named if it holds this share of the remainder's variance."""
 
@@ -56,6 +62,39 @@ def describe_remainder(
     if period is not None:
         patterns.append(period)
     return sorted(patterns, key=lambda pattern: -pattern.share)
+
+
+def single_out_runs(runs: Sequence[Run], rests: Sequence[Array], noise: Array) -> str:
+    """Return in words which few runs hold most of the remainder, or nothing if none do.
+
+    Args:
+        runs: the runs.
+        rests: what the model leaves, [n, K] per run.
+        noise: [K] RMS.
+    """
+    groups = list(dict.fromkeys(run.group for run in runs))
+    excess = dict.fromkeys(groups, 0.0)
+    memory: dict[str, list[float]] = {group: [] for group in groups}
+    for run, rest in zip(runs, rests, strict=True):
+        scaled = (rest - rest.mean(axis=0)) / noise
+        excess[run.group] += float((scaled**2).sum()) - scaled.size
+        squares = float((scaled**2).sum())
+        memory[run.group].append(float((scaled[1:] * scaled[:-1]).sum()) / max(squares, 1e-300))
+    total = sum(max(value, 0.0) for value in excess.values())
+    worst = sorted(groups, key=lambda group: -excess[group])[: int(FEW_RUNS * len(groups))]
+    named: list[str] = []
+    for group in worst:
+        named.append(group)
+        share = sum(excess[name] for name in named) / max(total, 1e-300)
+        if share >= BELONGS_TO_RUNS:
+            who = f"run {named[0]}" if len(named) == 1 else f"runs {', '.join(named)}"
+            if max(max(memory[name]) for name in named) < WITHOUT_MEMORY:
+                return f"{who}: noisier than the dwell, without any memory"
+            return (
+                f"{100.0 * share:.0f} % of what is left beyond the noise lies in {who}: "
+                "look there first"
+            )
+    return ""
 
 
 def _average(x: Array, block: int) -> Array:

@@ -13,7 +13,7 @@ from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.changes import REMOVE, Change, name_effect
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.floor import NoiseFloor, measure_floor
-from zerodrift.physics.held_out import HeldOut, hold_out
+from zerodrift.physics.held_out import BLOCKS, BLOCKS_OF_ONE_RUN, HeldOut, hold_out
 from zerodrift.physics.model import FittedTerm, PhysicalModel
 from zerodrift.physics.run_errors import RunError, collect_errors, pool_rmse
 
@@ -44,12 +44,20 @@ class Fitted:
     @property
     def rmse(self) -> Array:
         """[K] over all held-out samples."""
-        return pool_rmse([e.error for e in self.errors.values()])
+        return pool_rmse(list(self.errors.values()))
+
+    @property
+    def is_one_run(self) -> bool:
+        """Whether stretches of one run stand in for runs."""
+        return self.held_out.method == BLOCKS_OF_ONE_RUN
 
     @property
     def squares(self) -> Array:
-        """[R, K] sums of squared errors."""
-        return np.stack([np.sum(e.error**2, axis=0) for e in self.errors.values()])
+        """[R, K] sums of squared errors, per run or per stretch of the only one."""
+        errors = [e.error for e in self.errors.values()]
+        if self.is_one_run:
+            errors = np.array_split(errors[0], BLOCKS)
+        return np.stack([np.sum(error**2, axis=0) for error in errors])
 
 
 @dataclass(frozen=True)
@@ -83,16 +91,40 @@ def revise(config: Config, dataset: Dataset, catalogue: Catalogue, change: Chang
         catalogue: the known effects.
         change: what is added, changed or removed.
     """
+    return revise_best(config, dataset, catalogue, (change,))
+
+
+def revise_best(
+    config: Config, dataset: Dataset, catalogue: Catalogue, changes: Sequence[Change]
+) -> Revision:
+    """Fit the model before and after each of some changes, and judge the best of them.
+
+    Args:
+        config: the project as it is.
+        dataset: its runs.
+        catalogue: the known effects.
+        changes: forms of one change, simplest first; a later one is taken if it passes against
+            the best one before it what a change must pass against the model as it is.
+    """
     models = [
         fit_config(replace(config, effects=wanted), dataset, catalogue)
-        for wanted in (config.effects, change.effects)
+        for wanted in (config.effects, *(change.effects for change in changes))
     ]
     # The better model knows best whether logs are zeroed one by one; errors must be comparable.
     tared = any(model.tared for model in models)
-    before, after = (_hold_out(model, dataset, tared) for model in models)
+    before, *fitted = (_hold_out(model, dataset, tared) for model in models)
+    best = 0
+    for i in range(1, len(changes)):
+        if judge(fitted[best], fitted[i], dataset.units)[0]:
+            best = i
+    change, after = changes[best], fitted[best]
     floors = [
-        measure_floor(dataset, [e for error in _leave(m, dataset, tared) for e in error.stretches])
-        for m in models
+        measure_floor(
+            dataset,
+            [e for error in _leave(f.model, dataset, tared) for e in error.stretches],
+            f.model.predict,
+        )
+        for f in (before, after)
     ]
     floor = replace(floors[0], rms=np.minimum(floors[0].rms, floors[1].rms))
     judged = judge_removal if change.action == REMOVE else judge
@@ -103,13 +135,14 @@ def revise(config: Config, dataset: Dataset, catalogue: Catalogue, change: Chang
 def _hold_out(model: PhysicalModel, dataset: Dataset, tared: bool) -> Fitted:
     held_out = hold_out(model, dataset)
     runs = [*dataset.train, *dataset.test]
-    return Fitted(model, held_out, collect_errors(runs, held_out.predictions, tared))
+    errors = collect_errors(runs, held_out.predictions, tared, model.find_usable)
+    return Fitted(model, held_out, errors)
 
 
 def _leave(model: PhysicalModel, dataset: Dataset, tared: bool) -> list[RunError]:
     """Return what the model leaves of the runs that it was fitted to."""
     predictions = {run.name: model.predict(run) for run in dataset.train}
-    return list(collect_errors(dataset.train, predictions, tared).values())
+    return list(collect_errors(dataset.train, predictions, tared, model.find_usable).values())
 
 
 @dataclass(frozen=True)
@@ -121,7 +154,8 @@ class _Change:
     overall: float
     """Geometric mean of the ratios."""
     gains: Array
-    """[R] what each run gains, summed over the outputs in shares of their squared error before."""
+    """[R] what each run, or stretch of the only one, gains, summed over the outputs in shares of
+    their squared error before."""
 
 
 def _measure_change(before: Fitted, after: Fitted) -> _Change:
@@ -131,6 +165,11 @@ def _measure_change(before: Fitted, after: Fitted) -> _Change:
     ratio = np.where(whole > 0.0, np.sqrt(new.sum(axis=0) / scale), 1.0)
     overall = float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-12)))))
     return _Change(ratio, overall, ((old - new) / scale).sum(axis=1))
+
+
+def measure_overall(before: Fitted, after: Fitted) -> float:
+    """Return the held-out RMSE after over before, geometric mean over the outputs."""
+    return _measure_change(before, after).overall
 
 
 def _tell(before: Fitted, after: Fitted, units: Sequence[str], k: int) -> str:
@@ -153,21 +192,25 @@ def judge(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[bool, st
             f"the held-out error {falls}: {100.0 * (change.overall - 1.0):+.1f} % over all "
             f"outputs, at best {told}"
         )
-    if runs < MANY_RUNS and ratio[best] > WORTHWHILE_ON_FEW:
+    one = before.is_one_run
+    if (runs < MANY_RUNS or one) and ratio[best] > WORTHWHILE_ON_FEW:
+        count = (
+            "stretches of one run" if one else f"{runs} held-out {'run' if runs == 1 else 'runs'}"
+        )
         return False, (
-            f"the held-out error falls, {told}, but with {runs} held-out "
-            f"{'run' if runs == 1 else 'runs'} a fall of less than "
+            f"the held-out error falls, {told}, but with {count} a fall of less than "
             f"{100.0 * (1.0 - WORTHWHILE_ON_FEW):.0f} % may be chance"
         )
+    noun = "stretches of the only run" if one else "runs"
     better = int((change.gains > 0.0).sum())
     gained = float(change.gains[change.gains > 0.0].sum())
     lost = float(-change.gains[change.gains < 0.0].sum())
     if gained < GAIN_OVER_LOSS * lost:
         return False, (
-            f"the held-out error falls in {better} of {runs} runs and rises in the others by too "
+            f"the held-out error falls in {better} of {runs} {noun} and rises in the others by too "
             f"much to rule out chance, at best {told}"
         )
-    return True, f"the held-out error falls in {better} of {runs} runs, most for {told}"
+    return True, f"the held-out error falls in {better} of {runs} {noun}, most for {told}"
 
 
 def judge_removal(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[bool, str]:

@@ -1,6 +1,6 @@
 """What a prediction leaves of each run's drift, with the run's own offset apart."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.dataset.runs import Run
 
 Array = NDArray[np.float64]
+FindUsable = Callable[[Run], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,9 @@ class RunError:
     """[n, K] drift minus model, without the run's own offset."""
     offset: Array
     """[K] that was taken off; zeros where logs are not tared."""
+    usable: NDArray[np.bool_]
+    """[n, K] samples that count; where a converter stands at its rail they do not, if the model
+    knows of it, and their error is zero."""
 
     @property
     def stretches(self) -> tuple[Array, ...]:
@@ -34,7 +38,10 @@ class RunError:
 
 
 def collect_errors(
-    runs: Sequence[Run], predictions: Mapping[str, Array], tared: bool
+    runs: Sequence[Run],
+    predictions: Mapping[str, Array],
+    tared: bool,
+    find_usable: FindUsable | None = None,
 ) -> dict[str, RunError]:
     """Return the errors of each run that has a prediction, by the run's group.
 
@@ -43,6 +50,7 @@ def collect_errors(
         predictions: stretch's name -> [n, K] drift.
         tared: each log was zeroed on its own, so a run's mean error says nothing about the model
             and is taken off.
+        find_usable: run -> [n, K] which samples count; by default all.
     """
     groups = dict.fromkeys(run.group for run in runs if run.name in predictions)
     collected = {}
@@ -50,12 +58,19 @@ def collect_errors(
         own = tuple(run for run in runs if run.group == group)
         drift = np.concatenate([run.drift for run in own])
         error = drift - np.concatenate([predictions[run.name] for run in own])
-        offset = error.mean(axis=0) if tared else np.zeros(error.shape[1])
-        collected[group] = RunError(group, own, drift, error - offset, offset)
+        usable = np.ones(error.shape, dtype=np.bool_)
+        if find_usable is not None:
+            usable = np.concatenate([find_usable(run) for run in own])
+        offset = np.zeros(error.shape[1])
+        if tared:
+            offset = (error * usable).sum(axis=0) / np.maximum(usable.sum(axis=0), 1)
+        left = np.where(usable, error - offset, 0.0)
+        collected[group] = RunError(group, own, drift, left, offset, usable)
     return collected
 
 
-def pool_rmse(errors: Sequence[Array]) -> Array:
-    """Return the RMSE [K] over all samples of errors [n, K]."""
-    squares = np.sum([np.sum(e**2, axis=0) for e in errors], axis=0)
-    return np.asarray(np.sqrt(squares / sum(e.shape[0] for e in errors)))
+def pool_rmse(errors: Sequence[RunError]) -> Array:
+    """Return the RMSE [K] over all samples that count."""
+    squares = np.sum([np.sum(e.error**2, axis=0) for e in errors], axis=0)
+    counts = np.sum([e.usable.sum(axis=0) for e in errors], axis=0)
+    return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))

@@ -1,5 +1,6 @@
 """From a run, or for the exporter from nothing but names, to the signals that effects see."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -15,7 +16,13 @@ from zerodrift.physics.rails import find_rails
 Array = NDArray[np.float64]
 
 LATEST_RELATIVE_TIME_S = 1e7
-"""A log whose clock starts below this counts seconds since power-on; above it, calendar time."""
+"""A log whose clock starts below this may count seconds since power-on; above, calendar time."""
+
+
+EARLIEST_S = 1.0
+"""A log that begins later than this, and than one sample, may have missed power-on."""
+FEWEST_IN_ORDER = 3
+"""As many runs that follow one another in time share a clock that runs on."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +35,15 @@ class SignalPlan:
     loaded: tuple[str, ...]
     """Outputs whose reference varies, so that load-driven effects can be fitted."""
     saturated: tuple[str, ...]
-    """Loaded outputs whose converter stands at a rail in some run."""
+    """Outputs whose converter stands at a rail in some run."""
     channels: tuple[str, ...]
     """Inputs that every run has."""
     reference_temperature_degC: float
     """T0."""
     clock_origin_s: float
     """Start of the `clock` channel; 0 without one."""
+    starts_at_first_row: bool = False
+    """Whether power came on at each run's first row; else where the log's time is zero."""
 
 
 def plan_signals(
@@ -50,7 +59,7 @@ def plan_signals(
     ]
     saturated = [
         name
-        for name in loaded
+        for name in outputs
         if any(_find_rails(run, list(outputs).index(name)).any() for run in runs)
     ]
     channels = [name for name in runs[0].inputs if all(name in run.inputs for run in runs)]
@@ -64,7 +73,26 @@ def plan_signals(
         channels=tuple(channels),
         reference_temperature_degC=float(round(mean_degC)),
         clock_origin_s=min(clocks) if len(clocks) == len(runs) else 0.0,
+        starts_at_first_row=_start_at_first_row(runs),
     )
+
+
+def _start_at_first_row(runs: Sequence[Run]) -> bool:
+    """Return whether the log's time tells nothing of power-on, which the first row then is.
+
+    So it is where no run begins near zero, and where one clock runs on from run to run.
+    """
+    starts = {run.group: _start_of(run) for run in runs}
+    ends = {run.group: float(run.time_s[-1]) for run in runs}
+    if min(starts.values()) > max(runs[0].sample_period_s, EARLIEST_S):
+        return True
+    in_order = sorted(starts, key=lambda group: starts[group])
+    goes_on = all(starts[b] >= ends[a] for a, b in itertools.pairwise(in_order))
+    return goes_on and len(starts) >= FEWEST_IN_ORDER
+
+
+def _start_of(run: Run) -> float:
+    return float(run.time_s[0]) if run.start_s is None else run.start_s
 
 
 def _find_rails(run: Run, k: int) -> Array:
@@ -88,8 +116,8 @@ def read_signals(run: Run, plan: SignalPlan) -> Signals[Array]:
                 "with; add the column to the log or refit without it."
             )
     elapsed_s = run.time_s
-    if not 0.0 <= elapsed_s[0] < LATEST_RELATIVE_TIME_S:
-        elapsed_s = elapsed_s - elapsed_s[0]
+    if plan.starts_at_first_row or not 0.0 <= elapsed_s[0] < LATEST_RELATIVE_TIME_S:
+        elapsed_s = elapsed_s - _start_of(run)
     clock_s = run.inputs["clock"] - plan.clock_origin_s if "clock" in plan.channels else elapsed_s
     return Signals(
         temperature_degC=run.temperature_degC,
@@ -149,7 +177,7 @@ def explain_missing(effect: Effect, plan: SignalPlan, signal: str = "") -> str:
                 return "no output has a reference that varies, so the load is unknown"
         elif need == "saturated":
             if not plan.saturated:
-                return "no output ever stands still at an extreme while the load moves"
+                return "no output ever stands still at an extreme"
         elif not any(name in plan.channels for name in need.split("|")):
             return f"no input '{need.split('|')[0]}'"
     return ""

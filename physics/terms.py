@@ -109,7 +109,8 @@ def start_term(
         if option != "signal" or not effect.is_thermal:
             known = ["signal"] if effect.is_thermal else []
             raise InputError(
-                f"{where}effect '{effect.kind}' has no option '{option}'{nearest(option, known)} "
+                f"{where}effect '{effect.kind}' has no option '{option}'"
+                f"{nearest(option, known) or '.'} "
                 f"It has: {', '.join(known) or 'none'}; its parameters are "
                 f"{', '.join(p.name for p in effect.parameters) or 'none'}."
             )
@@ -160,11 +161,22 @@ def build_features(
     features = [Feature(OFFSET, ops.constant(1.0))]
     for term in terms:
         built = _call(term.effect, "build", term.effect.build, ops, view(term), term.values)
+        if not isinstance(built, list | tuple):
+            raise InputError(
+                f"{_where(term.effect)}: build returned {type(built).__name__}; expected a list "
+                "of Feature(name, signal)."
+            )
         for feature in built:
             if not isinstance(feature, Feature):
                 raise InputError(
                     f"{_where(term.effect)}: build returned a {type(feature).__name__} where a "
                     "Feature(name, signal) was expected; return a list of features."
+                )
+            if feature.output is not None and feature.output not in signals.outputs:
+                raise InputError(
+                    f"{_where(term.effect)}: feature '{feature.name}' is for output "
+                    f"'{feature.output}'{nearest(feature.output, signals.outputs) or '.'} "
+                    f"The outputs are: {', '.join(signals.outputs)}; None is for all of them."
                 )
             name = f"{term.name}: {feature.name}"
             features.append(Feature(name, feature.signal, feature.unit, feature.output))
@@ -218,9 +230,10 @@ def _call(effect: Effect, name: str, function: Any, *arguments: Any) -> Any:
         return function(*arguments)
     except InputError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         line = line_in(error, effect.file)
         raise InputError(
             f"{effect.file or 'built-in'}{line}: effect '{effect.kind}': {name} raised "
-            f"{type(error).__name__}: {error}."
+            f"{type(error).__name__}: {error}. Correct it; signals are combined by `ops` alone "
+            "(ops.affine, ops.product, ops.lowpass, ...)."
         ) from error

@@ -139,12 +139,15 @@ def test_channel_of_zeros_is_noted_and_compared(project, zerodrift):
     assert zerodrift("add", "thermal_lag", "-C", project.directory).code == 0
 
 
-def test_dead_channel_in_the_dwell_has_no_floor(project, zerodrift):
+def test_floor_of_a_channel_dead_in_the_dwell_is_estimated_and_said_to_be(project, zerodrift):
     path = project.directory / "logs" / "dwell.csv"
     header, *rows = path.read_text().splitlines()
     dead = [",".join([*row.split(",")[:3], "0.0", row.split(",")[4]]) for row in rows]
     path.write_text("\n".join([header, *dead]) + "\n")
-    assert compare(zerodrift, project)["outputs"]["Mx"]["noise_floor"] == 0.0
+    # What the lag leaves that the model does not know counts in part as noise.
+    assert 0.004 < compare(zerodrift, project)["outputs"]["Mx"]["noise_floor"] < 0.006
+    said = " ".join(zerodrift("compare", "-C", project.directory).out.split())
+    assert "Mx never moves in them, so it is estimated there" in said
 
 
 def test_run_of_ten_rows_is_compared(project, zerodrift):

@@ -36,13 +36,22 @@ def check_page(path):
     tutorial.walk_page(page, visit)
 
 
-def test_there_is_a_tutorial_on_simulated_and_one_on_real_logs():
-    assert [path.stem for path in PAGES] == ["real-resistor", "simulated-sensor"]
+def test_there_are_tutorials_on_simulated_and_on_real_logs():
+    assert [path.stem for path in PAGES] == [
+        "real-resistor",
+        "real-thin-evidence",
+        "simulated-sensor",
+    ]
 
 
 @pytest.mark.slow
 def test_resistor_tutorial_prints_what_it_says():
     check_page(next(path for path in PAGES if path.stem == "real-resistor"))
+
+
+@pytest.mark.slow
+def test_tutorial_on_thin_evidence_prints_what_it_says():
+    check_page(next(path for path in PAGES if path.stem == "real-thin-evidence"))
 
 
 @pytest.mark.slow

@@ -48,3 +48,25 @@ def test_noise_is_carried_on_to_octaves_that_the_record_lacks():
     rng = np.random.default_rng(5)
     noise = measure_noise([rng.normal(size=(1000, 1))], "dwell")
     assert noise.variance(np.array([12]), 10_000)[0, 0] == pytest.approx(1.0, rel=0.6)
+
+
+def test_coarse_octave_that_is_nothing_by_chance_does_not_count_for_all():
+    rng = np.random.default_rng(6)
+    record = np.round(make_ar(rng, 1024, 8.0))
+    # The coarsest coefficient is the difference between the halves; here there is none.
+    record[512:] = record[:512][::-1]
+    noise = measure_noise([record[:, None]], "dwell")
+    assert noise.rms(1024)[0] == pytest.approx(record.std(), rel=0.1)
+
+
+def test_flicker_grows_slower_than_a_random_walk():
+    rng = np.random.default_rng(7)
+    frequency = np.fft.rfftfreq(8192)[:, None]
+    frequency[0] = frequency[1]
+    flicker = np.fft.irfft(
+        np.fft.rfft(rng.normal(size=(8192, 6)), axis=0) / np.sqrt(frequency), axis=0
+    )[:2048]
+    walk = rng.normal(size=(2048, 6)).cumsum(axis=0)
+    slow, slower = (measure_noise([x], "dwell").measure_growth(2048) for x in (flicker, walk))
+    assert slow == pytest.approx(1.0, abs=0.3)
+    assert slower == pytest.approx(1.7, abs=0.2)

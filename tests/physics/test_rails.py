@@ -43,3 +43,20 @@ def test_bridge_draws_straight_lines():
     x = np.array([0.0, 1.0, 9.0, 9.0, 4.0])
     assert bridge(x, np.array([0.0, 0.0, 1.0, 1.0, 0.0])).tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert bridge(x, np.ones(5)) is x
+
+
+def test_drift_alone_can_meet_a_rail():
+    rng = np.random.default_rng(5)
+    drift = 3.0 * np.sin(np.arange(2000) / 200.0) + 0.05 * rng.normal(size=2000)
+    clipped = np.round(np.minimum(drift, 2.9) / 0.02) * 0.02
+    flags = find_rails(clipped, np.zeros(2000))
+    assert (flags == (clipped >= 2.9 - 0.01)).all()
+
+
+def test_plateau_of_an_unloaded_log_is_no_rail():
+    rng = np.random.default_rng(6)
+    drift = np.clip(3.0 * np.sin(np.arange(2000) / 200.0), -2.0, 2.0)
+    fine = np.round((drift + 0.05 * rng.normal(size=2000)) / 0.02) * 0.02
+    coarse = np.round((drift + 0.001 * rng.normal(size=2000)) / 0.02) * 0.02
+    assert not find_rails(fine, np.zeros(2000)).any()
+    assert not find_rails(coarse, np.zeros(2000)).any()

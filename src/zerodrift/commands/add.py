@@ -82,16 +82,19 @@ def command(
     """Add EFFECT to zerodrift.toml, refit all effects together, and show what it brought.
 
     An effect whose held-out error is not better by more than runs differ is not kept: the command
-    says so, leaves every file as it was and ends with exit code 1. --force keeps it. For an effect
-    that is in the model already, --hold sets other values.
+    says so, leaves every file as it was and ends with exit code 1. --force keeps it.
+
+    Of an effect's forms, such as the order of a polynomial, the simplest is added unless a richer
+    one passes the same test against it; --hold leaves that choice to you. For an effect that is
+    in the model already, richer forms are tried, and --hold sets other values.
     """
     from zerodrift.commands.console import open_console, show_progress
     from zerodrift.commands.project import open_project
     from zerodrift.commands.revise import open_history, print_revision, read_text, write_revision
     from zerodrift.config import EffectConfig
     from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.physics.changes import ADD, propose_addition
-    from zerodrift.physics.revision import describe_revision, revise
+    from zerodrift.physics.changes import ADD, CHANGE, propose_forms
+    from zerodrift.physics.revision import describe_revision, revise_best
     from zerodrift.physics.toml_edit import add_effect, set_parameters
 
     held, texts = read_held(hold), _split(options, "--set", "signal=body_temperature")
@@ -99,16 +102,25 @@ def command(
         config, dataset = open_project(directory, skip_invalid)
         catalogue = load_catalogue(config.plugin_files)
         wanted = EffectConfig(effect, held, texts)
-        change = propose_addition(config, dataset, catalogue, wanted)
+        changes = propose_forms(config, dataset, catalogue, wanted)
         text = read_text(config.path)
-        if change.action == ADD:
-            text = add_effect(text, effect, held, texts, path=config.path)
-        else:
-            text = set_parameters(text, change.place, held, path=config.path)
+        texts_after = [
+            add_effect(text, effect, c.effect.held, texts, path=config.path)
+            if c.action == ADD
+            else set_parameters(text, c.place, c.effect.held, path=config.path)
+            for c in changes
+        ]
         open_history(config)
         say(f"fitting without and with {effect}")
-        revision = revise(config, dataset, catalogue, change)
+        revision = revise_best(config, dataset, catalogue, changes)
+    text = texts_after[changes.index(revision.change)]
     print_notes(dataset.notes)
+    if revision.change.action == CHANGE and not held and not revision.helps and not force:
+        raise InputError(
+            f"{config.path}: effect '{effect}' is in the model already, and no richer form of it "
+            f"helps: {revision.reason}. Expected one that is not; `zerodrift diagnose` names what "
+            "is missing."
+        )
     is_kept = revision.helps or force
     if is_kept:
         write_revision(config, text, revision)

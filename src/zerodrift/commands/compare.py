@@ -79,6 +79,7 @@ def command(
             predictor.predict,
             held_out=predictor.held_out,
             tared=predictor.tared,
+            find_usable=predictor.find_usable,
             effects=predictor.effects,
             channel_units={name: read_unit(column) for name, column in config.inputs.items()},
             most=worst,
@@ -118,6 +119,11 @@ def explain_figures(comparison: "Comparison") -> list[str]:
         sentences.append(
             "The logs are zeroed one by one, so a run's own offset says nothing about the model: "
             "it is taken off every error."
+        )
+    if comparison.set_aside > 0.0:
+        sentences.append(
+            f"{100.0 * comparison.set_aside:.2g} % of the samples stand at a converter's rail and "
+            "are set aside."
         )
     return sentences
 

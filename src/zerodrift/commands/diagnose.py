@@ -1,5 +1,7 @@
 """`zerodrift diagnose`: names the physical effect that the model lacks."""
 
+import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +17,15 @@ from zerodrift.commands.common import (
 from zerodrift.commands.console import open_console, open_table, show_progress
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from rich.console import Console
 
+    from zerodrift.config import EffectConfig
     from zerodrift.physics.catalogue import Catalogue
     from zerodrift.physics.course import Course
     from zerodrift.physics.diagnosis import Diagnosis
+    from zerodrift.physics.effect import Effect
 
 MOST_LISTED = 8
 """Candidates that the table lists; --json has all of them."""
@@ -44,9 +50,12 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
     nothing is missing; or that something is, which the catalogue does not know.
     """
     from zerodrift.commands.project import open_project
+    from zerodrift.physics.bad_runs import describe_bad_run
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.physics.course import diagnose_until_done
     from zerodrift.physics.diagnose import diagnose
+    from zerodrift.physics.thermometers import OtherThermometer, try_thermometers
+    from zerodrift.physics.unseen import describe_unseen
 
     with show_progress("reading logs") as say:
         config, dataset = open_project(directory, skip_invalid)
@@ -61,76 +70,170 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
         else:
             course = None
             diagnosis = diagnose(config.effects, dataset, catalogue, advance)
+        aside: str | None = None
+        others: list[OtherThermometer] = []
+        effects = config.effects if course is None else course.effects
+        if diagnosis.verdict == "unknown":
+            say("trying other thermometers")
+            others = try_thermometers(config, effects, dataset, catalogue)
+            aside = describe_bad_run(effects, dataset, catalogue)
+        if diagnosis.verdict == "complete":
+            say("looking at the test logs")
+            aside = describe_unseen(effects, dataset, catalogue)
+    if aside is not None:
+        diagnosis = replace(diagnosis, notes=(*diagnosis.notes, aside))
     print_notes((*dataset.notes, *diagnosis.notes))
+    steps = (diagnosis,) if course is None else (*course.steps[:-1], diagnosis)
+    commands = list_commands(config.effects, steps, catalogue, directory)
     if as_json:
-        print_json(diagnosis.to_dict() if course is None else _tell_course(course))
+        told = [
+            {**step.to_dict(), "command": command}
+            for step, command in zip(steps, commands, strict=True)
+        ]
+        told[-1]["thermometers"] = [
+            {
+                "signal": other.signal,
+                "heldout_rmse_ratio": other.heldout_rmse_ratio,
+                "command": f"{other.command}{_name_directory(directory)}",
+            }
+            for other in others
+        ]
+        print_json(told[-1] if course is None else {**told[-1], **_tell_course(course, told)})
         return
     console = open_console()
-    if course is None:
-        print_diagnosis(diagnosis, catalogue, console)
-    else:
-        _print_course(course, catalogue, console)
+    if course is not None:
+        _print_steps(steps, commands, catalogue, console)
+    print_diagnosis(diagnosis, commands[-1], catalogue, console)
+    for other in others:
+        console.print(
+            f"The drift follows another thermometer, {other.signal}: {other.reason}. "
+            f"To add it: {other.command}{_name_directory(directory)}"
+        )
+    for kind in course.drop if course is not None else ():
+        console.print(
+            f"{kind} no longer earns its place: runs left out are predicted as well without it. "
+            f"To remove it: zerodrift remove {kind}{_name_directory(directory)}"
+        )
 
 
-def _tell_course(course: "Course") -> dict[str, Any]:
-    """Return the last diagnosis as JSON, with the steps before it."""
+def list_commands(
+    effects: "Sequence[EffectConfig]",
+    steps: "Sequence[Diagnosis]",
+    catalogue: "Catalogue",
+    directory: Path,
+) -> list[str]:
+    """Return the command that adds what each step names; empty where it names nothing."""
+    from zerodrift.physics.changes import write_command
+    from zerodrift.physics.course import extend_model
+
+    commands = []
+    for step in steps:
+        if step.effect is None:
+            commands.append("")
+            continue
+        command = write_command(effects, catalogue[step.effect], step.parameters)
+        commands.append(f"{command}{_name_directory(directory)}")
+        effects = extend_model(effects, catalogue, step)
+    return commands
+
+
+def _name_directory(directory: Path) -> str:
+    """Return the option that names the project, as a shell takes it."""
+    return "" if directory == Path() else f" -C {shlex.quote(str(directory))}"
+
+
+def _tell_course(course: "Course", told: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return what JSON has beside the last diagnosis: the steps before it."""
     return {
-        **course.steps[-1].to_dict(),
         "added": [
-            {"effect": step.effect, "parameters": dict(step.parameters)}
-            for step in course.steps
-            if step.effect is not None
+            {"effect": step["effect"], "parameters": step["parameters"], "command": step["command"]}
+            for step in told
+            if step["effect"] is not None
         ],
-        "steps": [step.to_dict() for step in course.steps],
+        "steps": told,
         "drop": list(course.drop),
     }
 
 
-def print_diagnosis(diagnosis: "Diagnosis", catalogue: "Catalogue", console: "Console") -> None:
-    """Print the candidates, and then the verdict in sentences."""
+def print_diagnosis(
+    diagnosis: "Diagnosis", command: str, catalogue: "Catalogue", console: "Console"
+) -> None:
+    """Print the candidates and the errors, and then the verdict in sentences."""
     table = open_table(
-        "Effects that the model lacks",
-        ("effect", "term", "values"),
-        ("held-out RMSE, of now", "p", "excitation"),
+        "Effects that the model lacks, one at a time",
+        ("effect", "term", "fitted values"),
+        ("error left", "p", "excited"),
     )
     for candidate in diagnosis.candidates[:MOST_LISTED]:
         effect = catalogue[candidate.effect]
-        values = ", ".join(f"{name} {value:.4g}" for name, value in candidate.parameters.items())
         table.add_row(
             effect.kind,
             effect.title,
-            values,
-            f"{candidate.heldout_rmse_ratio:.3f}",
+            write_values(effect, candidate.parameters),
+            f"{100.0 * candidate.heldout_rmse_ratio:.1f} %",
             f"{candidate.p_value:.2g}",
             f"{100.0 * candidate.excitation:.0f} %",
         )
-    console.print(table)
+    if diagnosis.candidates:
+        console.print(table)
+        console.print(
+            "Error left: RMSE in runs left out, over that of the model as it is. p: how often "
+            "chance alone does as well. Excited: the part that the model cannot imitate.\n"
+        )
     left_out = len(diagnosis.candidates) - MOST_LISTED
     if left_out > 0:
         console.print(f"{left_out} more that help less; --json lists all.\n")
+    reasons: dict[str, list[str]] = {}
     for untested in diagnosis.not_testable:
-        console.print(f"Not testable: {untested.effect}: {untested.why}.")
+        reasons.setdefault(untested.why, []).append(untested.effect)
+    for why, names in reasons.items():
+        console.print(f"Not testable: {', '.join(names)}: {why}.")
     if diagnosis.not_testable:
         console.print()
-    for sentence in explain_verdict(diagnosis, catalogue):
+    _print_errors(diagnosis, console)
+    for sentence in explain_verdict(diagnosis, command, catalogue):
         console.print(sentence)
 
 
-def explain_verdict(diagnosis: "Diagnosis", catalogue: "Catalogue") -> list[str]:
-    """Return the verdict in sentences."""
+def write_values(effect: "Effect", values: "Mapping[str, float]") -> str:
+    """Return fitted values with their units."""
+    return ", ".join(
+        f"{name} {value:.4g} {_write_unit(effect.parameter(name).unit)}".rstrip()
+        for name, value in values.items()
+    )
+
+
+def _print_errors(diagnosis: "Diagnosis", console: "Console") -> None:
+    """Print each output's error in its unit, beside the noise floor."""
+    after = f"with {diagnosis.effect}" if diagnosis.effect is not None else ""
+    source = "noise floor" if diagnosis.floor_source == "dwell" else "noise floor (estimated)"
+    headings = ("RMSE now", *((after,) if after else ()), source)
+    table = open_table("Error in runs left out", ("output", "unit"), headings)
+    for name, output in diagnosis.outputs.items():
+        figures = [output.before, *((output.after,) if after else ()), output.noise_floor]
+        table.add_row(name, output.unit, *("-" if x is None else f"{x:.4g}" for x in figures))
+    console.print(table)
+
+
+def explain_verdict(diagnosis: "Diagnosis", command: str, catalogue: "Catalogue") -> list[str]:
+    """Return the verdict in sentences.
+
+    Args:
+        diagnosis: what was found.
+        command: what adds the missing effect.
+        catalogue: the known effects.
+    """
     floor = f"{diagnosis.floor_ratio_before:.2f} times the noise floor"
     if diagnosis.floor_source != "dwell":
         floor += " (estimated)"
     sentences = []
+    thin = " (thin evidence)" if diagnosis.evidence.startswith("thin") else ""
     if diagnosis.verdict == "missing" and diagnosis.effect is not None:
         effect = catalogue[diagnosis.effect]
-        sentences.append(f"MISSING: {effect.kind} ({effect.title}).")
-        values = [
-            f"{name} = {value:.4g} {_write_unit(effect.parameter(name).unit)}".rstrip()
-            for name, value in diagnosis.parameters.items()
-        ]
+        sentences.append(f"MISSING{thin}: {effect.kind} ({effect.title}).")
+        values = write_values(effect, diagnosis.parameters)
         if values:
-            sentences.append(f"Fitted: {', '.join(values)}.")
+            sentences.append(f"Fitted: {values}.")
         sentences.append(
             f"Held-out error: {floor} now, {diagnosis.floor_ratio_after:.2f} times with it."
         )
@@ -141,10 +244,12 @@ def explain_verdict(diagnosis: "Diagnosis", catalogue: "Catalogue") -> list[str]
             sentences.append(f"Missing beside it: {', '.join(diagnosis.also)}.")
         sentences.append(effect.physics)
     elif diagnosis.verdict == "complete":
-        sentences.append("COMPLETE: no effect that these logs can test helps.")
+        sentences.append(f"COMPLETE{thin}: no effect that these logs can test helps.")
         sentences.append(f"Held-out error: {floor}.")
     else:
-        sentences.append("UNKNOWN: something is missing that no effect of the catalogue explains.")
+        sentences.append(
+            f"UNKNOWN{thin}: something is missing that no effect of the catalogue explains."
+        )
         sentences.append(f"Held-out error: {floor}.")
         if diagnosis.nearest is not None:
             sentences.append(f"Nearest, and not it: {diagnosis.nearest}.")
@@ -158,7 +263,11 @@ def explain_verdict(diagnosis: "Diagnosis", catalogue: "Catalogue") -> list[str]
     if diagnosis.next_experiment:
         sentences.append(f"Next experiment: {diagnosis.next_experiment}.")
     if diagnosis.effect is not None:
-        sentences.append(f"To add it: zerodrift add {diagnosis.effect}")
+        sentences.append(f"To add it: {command}")
+        if thin:
+            sentences.append(
+                "On evidence this thin `add` may refuse it; --force keeps what the hardware has."
+            )
     return sentences
 
 
@@ -167,25 +276,26 @@ def _write_unit(unit: str) -> str:
     return "" if unit == "1" else unit
 
 
-def _print_course(course: "Course", catalogue: "Catalogue", console: "Console") -> None:
-    """Print what was added one after the other, and the last verdict."""
+def _print_steps(
+    steps: "Sequence[Diagnosis]",
+    commands: "Sequence[str]",
+    catalogue: "Catalogue",
+    console: "Console",
+) -> None:
+    """Print what was added one after the other."""
     table = open_table(
-        "Added one after the other", ("effect", "values"), ("x floor before", "x floor with it")
+        "Added one after the other",
+        ("effect", "fitted values", "command"),
+        ("x floor before", "x floor with it"),
     )
-    for step in course.steps:
+    for step, command in zip(steps, commands, strict=True):
         if step.effect is not None:
-            values = ", ".join(f"{k} {v:.4g}" for k, v in step.parameters.items())
             table.add_row(
                 step.effect,
-                values,
+                write_values(catalogue[step.effect], step.parameters),
+                command,
                 f"{step.floor_ratio_before:.2f}",
                 f"{step.floor_ratio_after:.2f}",
             )
-    if len(course.steps) > 1:
+    if table.row_count:
         console.print(table)
-    print_diagnosis(course.steps[-1], catalogue, console)
-    for kind in course.drop:
-        console.print(
-            f"{kind} no longer earns its place: runs left out are predicted as well without it. "
-            f"To remove it: zerodrift remove {kind}"
-        )

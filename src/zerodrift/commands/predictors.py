@@ -15,6 +15,7 @@ from zerodrift.errors import InputError
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.held_out import HeldOut, hold_out
+from zerodrift.physics.run_errors import FindUsable
 
 if TYPE_CHECKING:
     from zerodrift.train.compensator import Compensator
@@ -38,6 +39,8 @@ class Predictor:
     held_out: HeldOut | None = None
     """None: the test logs, where there are any."""
     notes: tuple[str, ...] = ()
+    find_usable: FindUsable | None = None
+    """Run -> [n, K] which samples count; None: all."""
 
 
 def open_predictor(
@@ -80,6 +83,7 @@ def _open_physics(
         model.tared,
         hold_out(model, dataset),
         (*notes, *model.notes),
+        model.find_usable,
     )
 
 
@@ -137,6 +141,7 @@ def _open_network(compensator: "Compensator") -> Predictor:
         compensator.physics.effects,
         compensator.physics.tared,
         notes=compensator.notes,
+        find_usable=compensator.physics.find_usable,
     )
 
 
@@ -152,7 +157,11 @@ def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Pred
     physics = compensator.physics
     if kind == INTEGER:
         return Predictor(
-            INTEGER, lambda run: predict_integer(model, run), physics.effects, physics.tared
+            INTEGER,
+            lambda run: predict_integer(model, run),
+            physics.effects,
+            physics.tared,
+            find_usable=physics.find_usable,
         )
     from zerodrift.c_runtime.host import HostModel
     from zerodrift.codegen.generate import generate
@@ -165,4 +174,4 @@ def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Pred
         trace = host.run(encode_inputs(model, run), elapsed=count_elapsed(run))
         return np.asarray(trace.drift / scale)
 
-    return Predictor(C, predict, physics.effects, physics.tared)
+    return Predictor(C, predict, physics.effects, physics.tared, find_usable=physics.find_usable)
