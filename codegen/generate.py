@@ -22,7 +22,7 @@ from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.total import IntegerSum
 
-STATEFUL = ("lowpass", "delay", "play", "counter", "gru")
+STATEFUL = ("lowpass", "delay", "play", "counter", "gru", "gru_stack")
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from zerodrift.operations.graph import GraphOperations, Node, evaluate, list_nod
 from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S, graph_inputs, read_signals
 
 if TYPE_CHECKING:  # torch is not needed to read what training left
+    from zerodrift.export.compose_import import ImportedCompensator
     from zerodrift.train.compensator import Compensator
 
 Array = NDArray[np.float64]
@@ -76,10 +77,10 @@ def describe_compensator(
             names = (*names, *(str(tap) for tap in front_end.taps))
             coefficients = np.concatenate([coefficients, compensator.tap_coefficients])
     outputs = tuple(
-        OutputFormat(o.name, o.unit, _choose_lsb_per_unit(o.full_scale), o.full_scale)
+        OutputFormat(o.name, o.unit, choose_lsb_per_unit(o.full_scale), o.full_scale)
         for o in config.outputs
     )
-    channels, sources = _list_channels([*features, *taps], runs, outputs)
+    channels, sources = list_channels([*features, *taps], runs, outputs)
     return FloatModel(
         name=config.sensor_name,
         sample_period_s=config.sample_period_s,
@@ -101,7 +102,7 @@ def describe_compensator(
     )
 
 
-def _list_channels(
+def list_channels(
     roots: Sequence[Node], runs: Sequence[Run], outputs: Sequence[OutputFormat]
 ) -> tuple[tuple[Channel, ...], dict[str, int]]:
     """Return the raw inputs that the graph needs; the temperature is always the first."""
@@ -145,7 +146,8 @@ def _find_span(arrays: Sequence[Array]) -> tuple[float, float]:
     return min(float(a.min()) for a in arrays), max(float(a.max()) for a in arrays)
 
 
-def _choose_lsb_per_unit(full_scale: float) -> int:
+def choose_lsb_per_unit(full_scale: float) -> int:
+    """Return the counts of one unit: the power of ten that gives full scale a million of them."""
     decades = math.ceil(math.log10(OUTPUT_STEPS / full_scale))
     return int(10 ** max(0, min(9, decades)))
 
@@ -173,8 +175,10 @@ def count_elapsed(run: Run) -> int:
     return round(first_s / run.sample_period_s) if 0.0 <= first_s < LATEST_RELATIVE_TIME_S else 0
 
 
-def predict_on_chip(compensator: "Compensator", run: Run) -> Array:
+def predict_on_chip(compensator: "Compensator | ImportedCompensator", run: Run) -> Array:
     """Return the float model's drift [n, K] with loads as the chip knows them."""
+    if compensator.physics is None:
+        return compensator.predict(run)
     nodes = list_nodes(compensator.physics.graph().features)
     if any(node.source.startswith(LOAD) for node in nodes):
         return predict_fed_back(compensator.predict, run)
@@ -194,7 +198,7 @@ def calibrate(compensator: "Compensator", model: FloatModel, runs: Sequence[Run]
         low, high = min(int(c.min()) for c in columns), max(int(c.max()) for c in columns)
         spans = RANGE_SPANS if channel.source == CLOCK else RANGE_MARGIN
         margin = spans * (high - low) + 1
-        limits.append(_widen(low, high, margin, channel.bits))
+        limits.append(widen(low, high, margin, channel.bits))
     span = (min(int(c[:, 0].min()) for c in codes), max(int(c[:, 0].max()) for c in codes))
     rate = max(int(np.abs(np.diff(c[:, 0])).max(initial=0)) for c in codes)
     largest = np.zeros(0)
@@ -212,7 +216,7 @@ def calibrate(compensator: "Compensator", model: FloatModel, runs: Sequence[Run]
         drift_high=high_drift + margin_drift,
         rate_max=min(math.ceil(rate * (1.0 + RANGE_MARGIN)) + 2, 65535),
         warm_up_steps=0,
-        temperature_range=_widen(*span, FLAG_MARGIN_K / model.channels[0].lsb),
+        temperature_range=widen(*span, FLAG_MARGIN_K / model.channels[0].lsb),
         ranges=measure_ranges(compensator, model, runs),
     )
 
@@ -233,7 +237,7 @@ def measure_ranges(
     }
 
 
-def _widen(low: int, high: int, margin: float, bits: int = 16) -> tuple[int, int]:
+def widen(low: int, high: int, margin: float, bits: int = 16) -> tuple[int, int]:
     """Return the codes low - margin .. high + margin, as far as they fit."""
     limit = 2 ** (bits - 1)
     return max(low - round(margin), -limit), min(high + round(margin), limit - 1)

@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 
 from zerodrift.errors import InputError
+from zerodrift.export.model_checks import check_model
 from zerodrift.operations.clip import IntegerClip
 from zerodrift.operations.clock import IntegerCounter
 from zerodrift.operations.exp2 import IntegerExp2
 from zerodrift.operations.gru import IntegerGru
 from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.layers import IntegerDense, IntegerGruStack
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.network import (
     IntegerDrift,
@@ -57,6 +59,8 @@ NODE_CLASSES: dict[str, type[IntegerNode]] = {
         IntegerClip,
         IntegerFeatures,
         IntegerGruLayer,
+        IntegerGruStack,
+        IntegerDense,
         IntegerHead,
         IntegerDrift,
     )
@@ -251,11 +255,16 @@ def _build(cls: type[Any], path: str, body: Any) -> Any:
     if not isinstance(body, dict) or set(body) != names:
         found = sorted(body) if isinstance(body, dict) else type(body).__name__
         raise InputError(f"{path}: expected the fields {sorted(names)}, found {found}")
-    values = {
-        k: _build(IntegerGru, f"{path}.gru", v) if k == "gru" else _typed(f"{path}.{k}", v)
-        for k, v in body.items()
-    }
-    return cls(**values)
+    return cls(**{k: _read_field(f"{path}.{k}", k, v) for k, v in body.items()})
+
+
+def _read_field(path: str, key: str, value: Any) -> Any:
+    """Return a field of a node; `gru` is a layer, `lower` a list of them."""
+    if key == "gru":
+        return _build(IntegerGru, path, value)
+    if key == "lower" and value and isinstance(value, list):
+        return tuple(_build(IntegerGru, f"{path}[{i}]", v) for i, v in enumerate(value))
+    return _typed(path, value)
 
 
 def _nodes(path: str, bodies: Any) -> Iterator[IntegerNode]:
@@ -281,6 +290,7 @@ def load_model(path: Path) -> IntegerModel:
     Raises:
         InputError: not JSON, another format, fields missing or unknown, entries that do not fit
             their type, or a hash that does not match (the file was edited or damaged).
+        CheckError: a bound of the arithmetic does not hold.
     """
     try:
         body = json.loads(path.read_text(encoding="utf-8"))
@@ -319,4 +329,5 @@ def load_model(path: Path) -> IntegerModel:
             f"{path}: its hash is {found[:12]}, the file claims {str(claimed)[:12]}; it was"
             " edited or damaged. Run `zerodrift export`."
         )
+    check_model(str(path), model)
     return model

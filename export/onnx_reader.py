@@ -1,7 +1,8 @@
-"""Reads a GRU and its linear head from a float ONNX file, whoever wrote it.
+"""Reads a recurrent network from a float ONNX file, whoever wrote it.
 
-The quantizer sees nothing of PyTorch: what is read here, by the ONNX definition of its operators,
-is what reaches the chip.
+The quantizer sees nothing of PyTorch or Keras: what is read here, by the ONNX definition of the
+operators, is what reaches the chip. The graph is walked once from its inputs to its outputs; the
+values on the way are those of `zerodrift.export.onnx_values`.
 """
 
 from collections.abc import Mapping
@@ -14,164 +15,293 @@ import onnx
 from numpy.typing import NDArray
 from onnx import numpy_helper
 
-from zerodrift.errors import InputError
+from zerodrift.errors import InputError, nearest
+from zerodrift.export.float_network import FloatDense, FloatNetwork
+from zerodrift.export.onnx_fold import fold_constants
+from zerodrift.export.onnx_operators import OPERATORS, RESHAPING, SUPPORTED
+from zerodrift.export.onnx_values import (
+    Axis,
+    Constant,
+    Fill,
+    RawInput,
+    Refused,
+    Signal,
+    Unsupported,
+    Value,
+)
 from zerodrift.operations.gru import FloatGru
+
+__all__ = ["FloatNetwork", "ImportedNetwork", "read_imported", "read_network", "read_network_bytes"]
 
 Array = NDArray[np.float64]
 
-_RESHAPING = ("Squeeze", "Unsqueeze", "Reshape", "Transpose", "Identity", "Cast")
-_SUPPORTED = "one forward GRU with sigmoid and tanh, then MatMul, Gemm, Add, Mul with constants"
+LARGEST_FILE = 64 * 2**20
+"""Bytes; the weights of a network that fits a microcontroller take a fraction of this."""
+OLDEST_OPSET = 7
 
 
 @dataclass(frozen=True)
-class FloatNetwork:
-    """A GRU and its linear head in float64: outputs = head h + head_bias."""
+class ImportedNetwork:
+    """A network from an ONNX file, and how the file means it to be run."""
 
-    gru: FloatGru
-    head: Array
-    """[K, H] in output units."""
-    head_bias: Array
-    """[K] in output units."""
+    network: FloatNetwork
+    """On the graph's input as it is: any normalisation in the graph is folded into the weights."""
+    steps: int
+    """Samples of the sequence that the graph is made for; 0 for any number."""
+    last_only: bool
+    """Whether the graph gives an answer for the last sample only."""
+    initial_state: str
+    """"zero", "input" (the caller hands it over) or "constant" (other than zero)."""
+    input_name: str
+    output_name: str
+
+    @property
+    def window(self) -> int:
+        """The window's length that the graph itself implies; 0 for a state that is carried on."""
+        return self.steps if self.last_only and self.initial_state != "input" else 0
 
 
 def read_network(path: Path) -> FloatNetwork:
-    """Return the network of an ONNX file.
+    """Return the network of an ONNX file; see `read_imported`."""
+    return read_imported(path).network
+
+
+def read_imported(path: Path, output: str | None = None) -> ImportedNetwork:
+    """Return the network of an ONNX file and how it is run.
+
+    Args:
+        path: the file.
+        output: name of the graph output that is the drift; the only one that can be, if None.
 
     Raises:
         InputError: the file cannot be read, or holds something that has no fixed-point form here;
             names the node and what is supported.
     """
     try:
-        content = path.read_bytes()
+        size = path.stat().st_size
+        content = path.read_bytes() if size <= LARGEST_FILE else b""
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error}). Export the network again.") from error
-    return read_network_bytes(content, str(path))
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); expected an ONNX file."
+        ) from error
+    if size > LARGEST_FILE:
+        raise InputError(
+            f"{path}: has {size / 2**20:.0f} MiB; expected at most {LARGEST_FILE >> 20} MiB, since"
+            " the network is to fit a microcontroller. Export the network alone."
+        )
+    return read_imported_bytes(content, str(path), output)
 
 
 def read_network_bytes(content: bytes, where: str) -> FloatNetwork:
-    """Return the network of an ONNX file's content; see `read_network`."""
+    """Return the network of an ONNX file's content; see `read_imported`."""
+    return read_imported_bytes(content, where).network
+
+
+def read_imported_bytes(content: bytes, where: str, output: str | None = None) -> ImportedNetwork:
+    """Return the network of an ONNX file's content; see `read_imported`."""
+    return _read_graph(_parse(content, where), where, output)
+
+
+def _parse(content: bytes, where: str) -> onnx.GraphProto:
+    """Return the checked graph, functions inlined."""
     try:
         model = onnx.load_model_from_string(content)
-        onnx.checker.check_model(model)
-    except Exception as error:
+    except Exception as error:  # protobuf raises its own kinds, without a common base
         raise InputError(f"{where}: cannot be read as ONNX ({error}). Export it again.") from error
-    return read_network_proto(model, where)
-
-
-def read_network_proto(model: onnx.ModelProto, where: str) -> FloatNetwork:
-    """Return the network of an ONNX model in memory; see `read_network`."""
-    graph = model.graph
-    if any(t.data_location == onnx.TensorProto.EXTERNAL for t in graph.initializer):
+    tensors = [*model.graph.initializer]
+    tensors += [a.t for n in model.graph.node for a in n.attribute if a.HasField("t")]
+    if any(t.data_location == onnx.TensorProto.EXTERNAL for t in tensors):
         raise InputError(
             f"{where}: keeps its weights in another file, which is not followed. Save it with its"
-            " weights inside."
+            " weights inside (onnx.save with save_as_external_data=False)."
         )
-    constants = {t.name: numpy_helper.to_array(t) for t in graph.initializer}
-    for node in graph.node:
-        if node.op_type == "Constant":
-            constants[node.output[0]] = numpy_helper.to_array(_attributes(node)["value"])
-    recurrent = [n for n in graph.node if n.op_type in ("GRU", "LSTM", "RNN")]
-    if len(recurrent) != 1 or recurrent[0].op_type != "GRU":
-        found = [f"{n.op_type} '{n.name}'" for n in recurrent] or "none"
-        raise InputError(f"{where}: recurrent nodes are {found}; supported is {_SUPPORTED}")
-    gru = _read_gru(recurrent[0], constants, where)
-    head, bias = _read_head(graph, recurrent[0], constants, where)
-    return FloatNetwork(gru, head, bias)
+    if model.graph.sparse_initializer:
+        raise InputError(f"{where}: holds sparse weights; expected dense ones. Export it again.")
+    try:
+        if model.functions:
+            from onnx import inliner
 
-
-def _attributes(node: onnx.NodeProto) -> dict[str, Any]:
-    return {a.name: onnx.helper.get_attribute_value(a) for a in node.attribute}
-
-
-def _constant(
-    constants: Mapping[str, NDArray[Any]], node: onnx.NodeProto, index: int, where: str
-) -> Array:
-    name = node.input[index]
-    if name not in constants:
+            model = inliner.inline_local_functions(model)
+        onnx.checker.check_model(model)
+    except Exception as error:
+        reason = str(error).strip().split("\n")[0]
+        raise InputError(f"{where}: is no valid ONNX graph ({reason}). Export it again.") from error
+    opsets = [o.version for o in model.opset_import if o.domain in ("", "ai.onnx")]
+    if not opsets or opsets[0] < OLDEST_OPSET:
         raise InputError(
-            f"{where}: input {index} ('{name}') of {node.op_type} '{node.name}' is computed, not a"
-            " constant; its weights must lie in the file"
+            f"{where}: uses opset {opsets[0] if opsets else 'none'}; expected {OLDEST_OPSET} or"
+            " newer. Export it again."
         )
-    return np.asarray(constants[name], dtype=np.float64)
+    return model.graph
 
 
-def _read_gru(node: onnx.NodeProto, constants: Mapping[str, NDArray[Any]], where: str) -> FloatGru:
-    attributes = _attributes(node)
-    direction = attributes.get("direction", b"forward").decode()
-    activations = [a.decode().lower() for a in attributes.get("activations", [])]
-    if direction != "forward":
-        raise InputError(
-            f"{where}: GRU '{node.name}' is {direction}; a sensor has only the past. Supported is"
-            f" {_SUPPORTED}"
-        )
-    if activations and activations != ["sigmoid", "tanh"]:
-        raise InputError(f"{where}: GRU '{node.name}' has activations {activations}; {_SUPPORTED}")
-    if attributes.get("clip"):
-        raise InputError(f"{where}: GRU '{node.name}' clips its cells, which is not supported")
-    w = _constant(constants, node, 1, where)
-    r = _constant(constants, node, 2, where)
-    hidden = r.shape[2]
-    bias = np.zeros(6 * hidden)
-    if len(node.input) > 3 and node.input[3]:
-        bias = _constant(constants, node, 3, where)[0]
-    # ONNX orders the gates z, r, h; the update gate is kept as u = 1 - z, so z changes its sign.
-    w_z, w_r, w_n = w[0].reshape(3, hidden, -1)
-    r_z, r_r, r_n = r[0].reshape(3, hidden, hidden)
-    b_z, b_r, b_n, c_z, c_r, c_n = bias.reshape(6, hidden)
-    after = bool(attributes.get("linear_before_reset", 0))
-    inside = c_n if after else np.zeros(hidden)
-    outside = b_n if after else b_n + c_n
-    return FloatGru(
-        w_x=np.stack([w_r, -w_z, w_n]),
-        w_h=np.stack([r_r, -r_z, r_n]),
-        bias=np.stack([b_r + c_r, -(b_z + c_z), outside, inside]),
-        reset="after" if after else "before",
+@dataclass(frozen=True)
+class _Walk:
+    """What walking the graph found."""
+
+    values: dict[str, Value]
+    initial: dict[int, str]
+    """id of a GRU's layer -> kind of its initial state."""
+
+
+def _read_graph(graph: onnx.GraphProto, where: str, output: str | None) -> ImportedNetwork:
+    walk = _walk(graph)
+    name, signal = _choose_output(graph, walk.values, where, output)
+    chain = list(signal.source.chain())
+    recurrent = [s for s in chain if isinstance(s.layer, FloatGru)]
+    if not recurrent:
+        raise InputError(f"{where}: output '{name}' does not come from a GRU; {SUPPORTED}")
+    source = chain[-1]
+    time = recurrent[0].time
+    grus = [s.layer for s in reversed(chain) if isinstance(s.layer, FloatGru)]
+    dense = [s.layer for s in reversed(chain) if isinstance(s.layer, FloatDense)]
+    network = FloatNetwork(
+        gru=grus[0],
+        head=signal.matrix,
+        head_bias=signal.bias,
+        upper=tuple(grus[1:]),
+        dense=tuple(dense),
+    )
+    _refuse_not_finite(network, where)
+    kinds = {walk.initial[id(s)] for s in recurrent}
+    return ImportedNetwork(
+        network=network,
+        steps=(time.size if time is not None else None) or 0,
+        last_only=signal.last,
+        initial_state=next((k for k in ("constant", "input") if k in kinds), "zero"),
+        input_name=source.name,
+        output_name=name,
     )
 
 
-def _read_head(
-    graph: onnx.GraphProto,
-    gru: onnx.NodeProto,
-    constants: Mapping[str, NDArray[Any]],
-    where: str,
-) -> tuple[Array, Array]:
-    """Follow the linear operators from the GRU's states to the first graph output they reach."""
-    hidden = _constant(constants, gru, 2, where).shape[2]
-    outputs = {o.name for o in graph.output}
-    matrix, bias = np.eye(hidden), np.zeros(hidden)
-    value = gru.output[0]
-    if not value:
-        raise InputError(f"{where}: GRU '{gru.name}' does not give its states (output Y)")
-    seen_product = False
-    while not (value in outputs and seen_product):
-        users = [n for n in graph.node if value in n.input]
-        users = [n for n in users if not (value in outputs and n.op_type in _RESHAPING)] or users
-        if not users:
-            break
-        node = users[0]
-        if node.op_type in ("MatMul", "Gemm"):
-            weight = _constant(constants, node, 1, where)
-            attributes = _attributes(node)
-            if node.op_type == "Gemm":
-                weight = weight.T if attributes.get("transB", 0) else weight
-                weight = weight * attributes.get("alpha", 1.0)
-            matrix, bias = weight.T @ matrix, weight.T @ bias
-            if node.op_type == "Gemm" and len(node.input) > 2:
-                bias = bias + _constant(constants, node, 2, where).ravel() * attributes.get(
-                    "beta", 1.0
-                )
-            seen_product = True
-        elif node.op_type in ("Add", "Mul"):
-            operand = _constant(constants, node, 1 - list(node.input).index(value), where).ravel()
-            if node.op_type == "Add":
-                bias = bias + operand
-            else:
-                matrix, bias = (matrix.T * operand).T, bias * operand
-        elif node.op_type not in _RESHAPING:
+def _walk(graph: onnx.GraphProto) -> _Walk:
+    """Return every value of the graph; what cannot be followed becomes `Refused`."""
+    values: dict[str, Value] = {"": None}
+    initial: dict[int, str] = {}
+    for tensor in graph.initializer:
+        values[tensor.name] = _read_tensor(tensor)
+    for given in graph.input:
+        if given.name not in values:
+            values[given.name] = RawInput(given.name, _describe_axes(given))
+    for node in graph.node:
+        inputs = [values.get(name) for name in node.input]
+        attributes = {a.name: onnx.helper.get_attribute_value(a) for a in node.attribute}
+        results = _evaluate(node, attributes, inputs)
+        values.update((n, v) for n, v in zip(node.output, results, strict=False) if n)
+        for result in results[:1]:
+            if node.op_type == "GRU" and isinstance(result, Signal):
+                initial[id(result.source)] = _tell_initial(inputs)
+    return _Walk(values, initial)
+
+
+def _read_tensor(tensor: onnx.TensorProto) -> Value:
+    try:
+        return Constant(numpy_helper.to_array(tensor))
+    except (ValueError, TypeError, RuntimeError, MemoryError, KeyError) as error:
+        return Refused(f"constant '{tensor.name}' cannot be read ({error})")
+
+
+def _describe_axes(given: onnx.ValueInfoProto) -> tuple[Axis, ...]:
+    dims = given.type.tensor_type.shape.dim
+    return tuple(Axis(d.dim_value if d.dim_value > 0 else None) for d in dims)
+
+
+def _evaluate(
+    node: onnx.NodeProto, attributes: Mapping[str, Any], inputs: list[Value]
+) -> list[Value]:
+    """Return the values of a node's outputs."""
+    name = f"{node.op_type} '{node.name or ', '.join(node.output)}'"
+    outputs = len(node.output)
+    refused = next((v for v in inputs if isinstance(v, Refused)), None)
+    if refused is not None:
+        return [refused] * outputs
+    if node.op_type == "Constant" and "value" in attributes:
+        return [_read_tensor(attributes["value"])]
+    try:
+        if node.domain not in ("", "ai.onnx"):
+            raise Unsupported(f"an operator of {node.domain}")
+        arrays = [v.array if isinstance(v, Constant) else None for v in inputs]
+        if all(a is not None or v is None for a, v in zip(arrays, inputs, strict=True)):
+            folded = fold_constants(node, arrays)
+            if folded is not None:
+                return list(map(Constant, folded))
+        if node.op_type in RESHAPING and isinstance(inputs[0], Fill):
+            return [inputs[0]] * outputs
+        if node.op_type not in OPERATORS:
+            raise Unsupported("not supported")
+        return OPERATORS[node.op_type](node, dict(attributes), inputs)
+    except Unsupported as error:
+        message = f"{name}: {error}"
+    except (ValueError, IndexError, KeyError, TypeError, AttributeError, MemoryError) as error:
+        message = f"{name}: cannot be followed ({error})"
+    return [Refused(message)] * outputs
+
+
+def _tell_initial(inputs: list[Value]) -> str:
+    """Return the kind of a GRU's initial state."""
+    state = inputs[5] if len(inputs) > 5 else None
+    if state is None:
+        return "zero"
+    if isinstance(state, Constant):
+        return "constant" if state.array.any() else "zero"
+    if isinstance(state, Fill):
+        return "constant" if state.value else "zero"
+    return "input"
+
+
+def _choose_output(
+    graph: onnx.GraphProto, values: Mapping[str, Value], where: str, wanted: str | None
+) -> tuple[str, Signal]:
+    """Return the graph output that is the drift.
+
+    A graph may give its states beside its answer; the answer is what is not a state.
+    """
+    names = [o.name for o in graph.output]
+    if wanted is not None:
+        if wanted not in names:
             raise InputError(
-                f"{where}: {node.op_type} '{node.name}' after the GRU; supported is {_SUPPORTED}"
+                f"{where}: has no output '{wanted}'{nearest(wanted, names)} It has {names}."
             )
-        value = node.output[0]
-    if value not in outputs:
-        raise InputError(f"{where}: the GRU's states do not lead to an output of the graph")
-    return matrix, bias
+        names = [wanted]
+    found = {n: v for n in names if isinstance(v := values.get(n), Signal)}
+    refused = [v for n in names if isinstance(v := values.get(n), Refused)]
+    answers = {n: s for n, s in found.items() if not _is_state(s)}
+    if not answers and refused:
+        raise InputError(f"{where}: {refused[0].message}. {SUPPORTED[0].upper()}{SUPPORTED[1:]}.")
+    tops = {n: s for n, s in found.items() if not _feeds_another(s, found)}
+    candidates = answers or {n: s for n, s in tops.items() if not s.last} or tops
+    if len(candidates) != 1:
+        raise InputError(
+            f"{where}: {len(candidates)} of the outputs {names} could be the drift"
+            f" ({', '.join(candidates) or 'none comes from a GRU'}). Name one by --output."
+        )
+    return next(iter(candidates.items()))
+
+
+def _is_state(signal: Signal) -> bool:
+    """Tell whether a signal is the state of a GRU itself."""
+    identity = np.eye(signal.source.width)
+    same = signal.matrix.shape == identity.shape and (signal.matrix == identity).all()
+    return bool(isinstance(signal.source.layer, FloatGru) and same and not signal.bias.any())
+
+
+def _feeds_another(signal: Signal, found: Mapping[str, Signal]) -> bool:
+    """Tell whether another output comes from the same states, further up."""
+    others = [s for s in found.values() if s.source is not signal.source]
+    return any(signal.source in s.source.chain() for s in others)
+
+
+def _refuse_not_finite(network: FloatNetwork, where: str) -> None:
+    """Refuse weights that are NaN or infinite."""
+    arrays = {"head": network.head, "head bias": network.head_bias}
+    for index, gru in enumerate(network.layers):
+        arrays |= {f"GRU {index} {key}": getattr(gru, key) for key in ("w_x", "w_h", "bias")}
+    for index, layer in enumerate(network.dense):
+        arrays |= {f"dense layer {index}": np.column_stack([layer.weight, layer.bias])}
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            at = [int(i) for i in np.argwhere(~np.isfinite(array))[0]]
+            raise InputError(
+                f"{where}: {name} has the value {array[tuple(at)]} at {at}; expected finite"
+                " numbers. Train the network again."
+            )

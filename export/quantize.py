@@ -7,18 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.errors import CheckError
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.formats import COEFFICIENT_LIMIT, Signal
 from zerodrift.export.integer_model import Channel, Guards, IntegerModel, OutputFormat
 from zerodrift.export.lowering import Lowering
-from zerodrift.export.onnx_reader import FloatNetwork
-from zerodrift.export.quantize_gru import quantize_gru, quantize_head
+from zerodrift.export.quantize_layers import append_network
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN, choose_exponent
 from zerodrift.operations.graph import Node
 from zerodrift.operations.network import (
     IntegerDrift,
     IntegerFeatures,
-    IntegerGruLayer,
-    IntegerHead,
 )
 
 Array = NDArray[np.float64]
@@ -200,11 +198,7 @@ def _lower_network(
             shift=tuple(shifts),
         )
     )
-    gru = quantize_gru(network.gru, exponents, weights)
-    lowering.append(IntegerGruLayer(name="gru", inputs=("features",), gru=gru, window=model.window))
-    head, head_exponents = quantize_head(network.head)
-    lowering.append(IntegerHead(name="head", inputs=("gru",), weights=head))
-    return head_exponents
+    return append_network(lowering, network, exponents, weights, model.window)
 
 
 def _lower_drift(

@@ -14,6 +14,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from zerodrift.errors import InputError
 from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.gru_onnx import from_onnx_gates, to_onnx_gates
 
 Array = NDArray[np.float64]
 
@@ -32,7 +33,7 @@ def build_onnx(gru: FloatGru, head: Array, head_bias: Array, outputs: Sequence[s
     """
     hidden, features = gru.w_x.shape[1:]
     count = head.shape[0]
-    w, r, b = _to_onnx_gates(gru)
+    w, r, b = to_onnx_gates(gru)
     constants = {
         "gru.W": w[None],
         "gru.R": r[None],
@@ -84,40 +85,14 @@ def read_onnx_gru(content: bytes, where: str) -> FloatGru:
     """
     try:
         model = onnx.load_model_from_string(content)
-        constants = {
-            t.name: numpy_helper.to_array(t).astype(np.float64) for t in model.graph.initializer
-        }
-        w, r, b = (constants[f"gru.{name}"][0] for name in "WRB")
+        constants = {t.name: numpy_helper.to_array(t) for t in model.graph.initializer}
         node = next(node for node in model.graph.node if node.op_type == "GRU")
-        after = any(a.name == "linear_before_reset" and a.i == 1 for a in node.attribute)
-        hidden = r.shape[1]
-        w_z, w_r, w_n = w.reshape(3, hidden, -1)
-        r_z, r_r, r_n = r.reshape(3, hidden, hidden)
-        b_z, b_r, b_n, _, _, inside = b.reshape(6, hidden)
+        attributes = {a.name: helper.get_attribute_value(a) for a in node.attribute}
+        return from_onnx_gates(attributes, *(constants[f"gru.{name}"] for name in "WRB"))
     except Exception as error:  # protobuf raises its own kinds, without a common base
         raise InputError(
             f"{where}: this is no network of zerodrift ({error}). Run `zerodrift train` again."
         ) from error
-    return FloatGru(
-        w_x=np.stack([w_r, -w_z, w_n]),
-        w_h=np.stack([r_r, -r_z, r_n]),
-        bias=np.stack([b_r, -b_z, b_n, inside]),
-        reset="after" if after else "before",
-    )
-
-
-def _to_onnx_gates(gru: FloatGru) -> tuple[Array, Array, Array]:
-    """Return W [3 H, I], R [3 H, H] and B [6 H] in ONNX's order z, r, h; z is 1 - u."""
-    order, sign = (1, 0, 2), np.array([-1.0, 1.0, 1.0])
-    w = sign[:, None, None] * gru.w_x[order, ...]
-    r = sign[:, None, None] * gru.w_h[order, ...]
-    outside = sign[:, None] * gru.bias[order, ...]
-    inside = np.zeros_like(outside)
-    if gru.reset == "after":
-        inside[2] = gru.bias[3]
-    hidden = gru.w_x.shape[1]
-    b = np.concatenate([outside, inside]).reshape(6 * hidden)
-    return w.reshape(3 * hidden, -1), r.reshape(3 * hidden, hidden), b
 
 
 def _describe(name: str, shape: Sequence[str | int]) -> onnx.ValueInfoProto:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
+from zerodrift.export.compose_import import ImportedCompensator
 from zerodrift.train.compensator import Compensator
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ class OutputError:
 
 
 def tell_errors(
-    compensator: Compensator, host: HostModel, runs: Sequence[Run]
+    compensator: Compensator | ImportedCompensator, host: HostModel, runs: Sequence[Run]
 ) -> tuple[OutputError, ...]:
     """Return the errors over all samples of `runs`.
 

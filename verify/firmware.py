@@ -12,8 +12,10 @@ from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.compose import compose_integer_model, encode_inputs
+from zerodrift.export.compose_import import ImportedCompensator, compose_imported_model
 from zerodrift.export.golden import compute_golden
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.integer_onnx import save_integer_onnx
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.errors_told import OutputError, tell_errors
@@ -50,7 +52,7 @@ class Firmware:
 def build_firmware(
     config: Config,
     dataset: Dataset,
-    compensator: Compensator,
+    compensator: Compensator | ImportedCompensator,
     progress: Progress = lambda _: None,
 ) -> Firmware:
     """Build the firmware of a trained compensator and write it, if and only if all bits agree.
@@ -58,14 +60,17 @@ def build_firmware(
     Args:
         config: the project; says where the C goes.
         dataset: its logs; the test runs are the held-out ones.
-        compensator: the trained model.
+        compensator: the trained model, or a network from an ONNX file.
         progress: is told what is being done.
 
     Raises:
         CheckError: no safe format, or the C differs from the reference; nothing is written then.
     """
     progress("quantizing")
-    model = compose_integer_model(compensator, config, dataset)
+    if isinstance(compensator, ImportedCompensator):
+        model = compose_imported_model(compensator, config, dataset)
+    else:
+        model = compose_integer_model(compensator, config, dataset)
     code = generate(model)
     sequences = list_sequences(model, dataset)
     build = config.build_directory
@@ -115,4 +120,5 @@ def write_artefacts(config: Config, model: IntegerModel, code: GeneratedCode) ->
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     model.save(config.build_directory / "model.json")
+    save_integer_onnx(model, config.build_directory / "integer.onnx")
     return files

@@ -12,6 +12,8 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.mismatch import Mismatch
+from zerodrift.verify.onnx_check import check_onnx
+from zerodrift.verify.onnx_model import OnnxModel
 
 Progress = Callable[[str], None]
 
@@ -57,7 +59,9 @@ def check_firmware(
     directory: Path,
     progress: Progress = lambda _: None,
 ) -> FirmwareCheck:
-    """Compare host builds with the reference: once with every node observed, once as flashed.
+    """Compare host builds with the reference, and the integer ONNX with both.
+
+    Each is run twice: with every node observed, and as it is flashed or handed over.
 
     Args:
         model: the integer model.
@@ -70,6 +74,8 @@ def check_firmware(
     progress(f"compiling for the host with {compiler.name}")
     observed = HostModel(model, code, directory / "observed", compiler)
     plain = HostModel(model, code, directory / "plain", compiler, observe=False)
+    backends = ("reference", "host")
+    runtimes = [OnnxModel(model, observe=observe) for observe in (True, False)]
     vectors = 0
     for name, codes in sequences.items():
         for settled in (True, False):
@@ -79,9 +85,14 @@ def check_firmware(
                 outcome = check_host(host, part, settled=settled)
                 if outcome.mismatch is not None:
                     failure = Failure(backend, name, outcome.mismatch)
-                    return FirmwareCheck(vectors, ("reference", "host"), failure, plain)
+                    return FirmwareCheck(vectors, backends, failure, plain)
+            for runtime, host in zip(runtimes, (observed, plain), strict=True):
+                outcome = check_onnx(runtime, host, part, settled=settled)
+                if outcome.mismatch is not None:
+                    failure = Failure("onnx", name, outcome.mismatch)
+                    return FirmwareCheck(vectors, backends, failure, plain)
             vectors += len(part)
     if plain.selftest() != 0:
         failure = Failure("host self-test", "selftest", Mismatch(0, "selftest", 0, 1))
-        return FirmwareCheck(vectors, ("reference", "host"), failure, plain)
-    return FirmwareCheck(vectors, ("reference", "host"), None, plain)
+        return FirmwareCheck(vectors, backends, failure, plain)
+    return FirmwareCheck(vectors, (*backends, "onnx"), None, plain)

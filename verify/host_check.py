@@ -6,6 +6,7 @@ starts a batch of chunks from those states. If every chunk agrees at every step 
 state from which the next one began, the two runs are equal by induction over the whole sequence.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,12 +30,17 @@ class HostCheck:
     mismatch: Mismatch | None
 
 
+Peer = Callable[[CodeArray, IntArray], tuple[IntArray, IntArray]]
+"""Runs codes [B, T, C] from packed states [B, n]: all nodes, flags and drift [B, T, N], states."""
+
+
 def check_host(
     host: HostModel,
     codes: CodeArray,
     *,
     settled: bool = True,
     chunk: int = 0,
+    peer: Peer | None = None,
 ) -> HostCheck:
     """Compare drift, flags, every node and every state of a host build with the reference.
 
@@ -43,6 +49,7 @@ def check_host(
         codes: [T, C] one sequence of raw inputs.
         settled: start from `settle` rather than `init`.
         chunk: steps per chunk; 0 chooses so that a few batches of 256 chunks cover T.
+        peer: another back end to compare the host with, in place of the reference.
     """
     model, total = host.model, codes.shape[0]
     chunk = chunk or max(16, min(LONGEST_CHUNK, -(-total // CHUNKS_AT_ONCE)))
@@ -64,17 +71,19 @@ def check_host(
     for begin, end in groups:
         length = chunk if begin < whole else rest
         batch = codes[begin * chunk : begin * chunk + (end - begin) * length]
-        expected, after = _run_reference(
-            reference,
-            batch.reshape(end - begin, length, -1),
-            start.unpack(np.stack(states[begin:end])),
-            observe=host.observes,
-        )
+        batch = batch.reshape(end - begin, length, -1)
+        packed = np.stack(states[begin:end])
+        if peer is not None:
+            expected, after = peer(batch, packed)
+        else:
+            expected, after = _run_reference(
+                reference, batch, start.unpack(packed), observe=host.observes
+            )
         for i in range(begin, end):
             compared += expected[i - begin].size
             mismatch = find_mismatch(model, expected[i - begin], rows[i], labels, i * chunk)
             if mismatch is None:
-                ends = after.pack()[i - begin][None]
+                ends = after[i - begin][None]
                 fields = [f"state[{n}]" for n in range(ends.shape[1])]
                 last = i * chunk + length - 1
                 mismatch = find_mismatch(model, ends, states[i + 1][None], fields, last)
@@ -89,8 +98,8 @@ def _run_reference(
     state: ModelState,
     *,
     observe: bool,
-) -> tuple[IntArray, ModelState]:
-    """Return the observed values [B, T, N] (nodes, flags, drift) and the state afterwards."""
+) -> tuple[IntArray, IntArray]:
+    """Return the observed values [B, T, N] (nodes, flags, drift) and the states afterwards."""
     nodes: list[IntArray] = []
 
     def keep(_: int, values: dict[str, IntArray]) -> None:
@@ -105,4 +114,4 @@ def _run_reference(
     columns = [trace.flags[:, :, None].astype(np.int64), trace.drift.astype(np.int64)]
     if observe:
         columns.insert(0, np.stack(nodes, axis=1))
-    return np.concatenate(columns, axis=2), trace.state
+    return np.concatenate(columns, axis=2), trace.state.pack()

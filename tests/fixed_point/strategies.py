@@ -35,6 +35,7 @@ def shapes(
     """Draw any shape the generator accepts."""
     inputs = draw(st.integers(1, most_inputs))
     outputs = draw(st.integers(1, most_outputs))
+    further = st.tuples(st.integers(1, 12), st.sampled_from(("tanh", "relu", "relu6")))
     return Shape(
         name=draw(names),
         inputs=inputs,
@@ -52,4 +53,6 @@ def shapes(
         warm_up_steps=draw(st.sampled_from((0, 1, 40))),
         channel_names=tuple(draw(st.lists(names, min_size=inputs, max_size=inputs))),
         output_names=tuple(draw(st.lists(names, min_size=outputs, max_size=outputs))),
+        upper=tuple(draw(st.lists(st.integers(1, 12), max_size=2))),
+        dense=tuple(draw(st.lists(further, max_size=2))),
     )

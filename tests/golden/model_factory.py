@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.export.float_network import FloatDense, FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
-from zerodrift.export.onnx_reader import FloatNetwork
 from zerodrift.export.quantize import Calibration, FloatModel, quantize
 from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.operations.gru import FloatGru
@@ -44,6 +44,10 @@ class Shape:
     """Outputs whose raw value is an input of 32 bits; "load" needs one."""
     channel_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
+    upper: tuple[int, ...] = ()
+    """Hidden units of further recurrent layers on top of the first."""
+    dense: tuple[tuple[int, str], ...] = ()
+    """Rows and activation ("tanh", "relu", "relu6") of dense layers before the head."""
 
 
 class Draw:
@@ -198,14 +202,46 @@ def _draw_network(taps: list[tuple[Node, float]], shape: Shape, draw: Draw) -> d
         bias=bias,
         reset=shape.reset,
     )
+    top = shape.dense[-1][0] if shape.dense else shape.upper[-1] if shape.upper else hidden
     return {
         "taps": tuple(node for node, _ in taps),
         "tap_mean": draw.uniform(-5.0, 5.0, len(taps)),
         "whitening": mixing / np.array([largest for _, largest in taps]),
         "network": FloatNetwork(
             gru,
-            draw.uniform(-30.0, 30.0, shape.outputs, hidden),
+            draw.uniform(-30.0, 30.0, shape.outputs, top),
             draw.uniform(-5.0, 5.0, shape.outputs),
+            _draw_upper(shape, draw),
+            _draw_dense(shape, draw),
         ),
         "window": shape.window,
     }
+
+
+def _draw_upper(shape: Shape, draw: Draw) -> tuple[FloatGru, ...]:
+    """Return the further recurrent layers."""
+    layers, below = [], shape.hidden
+    for width in shape.upper:
+        bias = draw.uniform(-0.5, 0.5, 4, width) * shape.gain
+        bias[1] += shape.update_bias
+        if shape.reset == "before":
+            bias[3] = 0.0
+        w_x = draw.uniform(-shape.gain, shape.gain, 3, width, below)
+        w_h = draw.uniform(-shape.gain, shape.gain, 3, width, width) * np.sqrt(3.0 / width)
+        layers.append(FloatGru(w_x, w_h, bias, shape.reset))
+        below = width
+    return tuple(layers)
+
+
+def _draw_dense(shape: Shape, draw: Draw) -> tuple[FloatDense, ...]:
+    """Return the dense layers before the head."""
+    limits = {"tanh": (-np.inf, np.inf), "relu": (0.0, np.inf), "relu6": (0.0, 6.0)}
+    layers, below = [], (shape.hidden, *shape.upper)[-1]
+    for width, activation in shape.dense:
+        gain = min(shape.gain, 4.0)  # what relu lets through multiplies from layer to layer
+        weight = draw.uniform(-gain, gain, width, below)
+        bias = draw.uniform(-gain, gain, width)
+        kind = "tanh" if activation == "tanh" else "clip"
+        layers.append(FloatDense(weight, bias, kind, *limits[activation]))
+        below = width
+    return tuple(layers)

@@ -12,18 +12,23 @@ from zerodrift.commands.common import (
     print_notes,
     skip_invalid_option,
 )
+from zerodrift.commands.onnx_option import OnnxRequest, onnx_options, open_import
 
 
 @click.command()
 @directory_option
 @json_option
 @skip_invalid_option
-def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
+@onnx_options
+def command(directory: Path, as_json: bool, skip_invalid: bool, request: OnnxRequest) -> None:
     """Train if needed, quantize, generate C, and check it bit for bit on this host.
 
-    Writes <out>/<sensor>.h and .c with the runtime beside them, build/model.json and
-    build/golden.npz, and prints the errors in physical units with flash, RAM and stack. Nothing is
+    Writes <out>/<sensor>.h and .c with the runtime beside them, build/model.json, integer.onnx and
+    golden.npz, and prints the errors in physical units with flash, RAM and stack. Nothing is
     written unless every compared bit is equal.
+
+    With --onnx FILE the network comes from any program that exports ONNX, and takes the same road;
+    --calibrate LOG... names the logs that set the ranges of the integers.
     """
     from rich.console import Console
 
@@ -31,9 +36,14 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     from zerodrift.verify.firmware import build_firmware
 
     console = Console(stderr=True)
-    config, dataset = open_project(directory, skip_invalid)
-    print_notes(dataset.notes)
-    compensator = train_project(config, dataset, console)
+    compensator: Any
+    if request:
+        config, dataset, compensator, notes = open_import(request, directory, skip_invalid)
+        print_notes((*dataset.notes, *notes))
+    else:
+        config, dataset = open_project(directory, skip_invalid)
+        print_notes(dataset.notes)
+        compensator = train_project(config, dataset, console)
     with console.status("") as status:
         firmware = build_firmware(config, dataset, compensator, status.update)
     result = describe(firmware, config.directory)

@@ -32,7 +32,7 @@ def command(logs: tuple[Path, ...], directory: Path, force: bool, as_json: bool)
     target = directory / FILE_NAME
     if target.exists() and not force:
         raise InputError(f"{target}: exists already; --force overwrites it.")
-    paths = _find_logs(logs, directory)
+    paths = find_logs(logs, directory)
     uses = _sort_by_use(paths)
     guess = guess_project(uses["train"])
     selectors = {use: _write_selectors(files, directory) for use, files in uses.items()}
@@ -122,7 +122,7 @@ def _write_key(key: str) -> str:
     return key if is_bare else _quote(key)
 
 
-def _find_logs(logs: Sequence[Path], directory: Path) -> list[Path]:
+def find_logs(logs: Sequence[Path], directory: Path) -> list[Path]:
     """Return the files named, those of a directory sorted by name."""
     paths: list[Path] = []
     for log in logs:

@@ -1,0 +1,109 @@
+"""A recurrent network in float64, whoever trained it: GRUs, dense layers, a linear head."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.gru import FloatGru
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FloatDense:
+    """activation(weight x + bias)."""
+
+    weight: Array  # [M, N]
+    bias: Array  # [M]
+    activation: str
+    """"tanh", or "clip" to low .. high."""
+    low: float = -np.inf
+    high: float = np.inf
+
+    def step(self, x: Array) -> Array:
+        """Return the layer's output [..., M] for x [..., N]."""
+        total = x @ self.weight.T + self.bias
+        return np.tanh(total) if self.activation == "tanh" else np.clip(total, self.low, self.high)
+
+
+@dataclass(frozen=True)
+class FloatNetwork:
+    """GRUs on top of each other, dense layers, and outputs = head x + head_bias."""
+
+    gru: FloatGru
+    """The layer that reads the features."""
+    head: Array
+    """[K, N] in output units."""
+    head_bias: Array
+    """[K] in output units."""
+    upper: tuple[FloatGru, ...] = ()
+    """Further layers, each on the state of the one before it."""
+    dense: tuple[FloatDense, ...] = ()
+    """Between the topmost state and the head."""
+
+    @property
+    def layers(self) -> tuple[FloatGru, ...]:
+        """All recurrent layers from the bottom up."""
+        return (self.gru, *self.upper)
+
+    def start(self, batch: int) -> list[Array]:
+        """Return states of zero, [B, H] each."""
+        return [np.zeros((batch, layer.w_h.shape[1])) for layer in self.layers]
+
+    def settle(self, x: Array) -> list[Array]:
+        """Return the states at rest under constant features x [B, I]."""
+        states = []
+        for layer in self.layers:
+            x = layer.settle(x)
+            states.append(x)
+        return states
+
+    def step(self, x: Array, states: Sequence[Array]) -> list[Array]:
+        """Return the states after features x [B, I]."""
+        after = []
+        for layer, state in zip(self.layers, states, strict=True):
+            x = layer.step(x, state)
+            after.append(x)
+        return after
+
+    def read_out(self, top: Array) -> Array:
+        """Return the outputs [..., K] for the topmost state [..., H]."""
+        for layer in self.dense:
+            top = layer.step(top)
+        return np.asarray(top @ self.head.T + self.head_bias)
+
+    def run(self, features: Array, states: Sequence[Array] | None = None) -> Array:
+        """Return the outputs [B, T, K] for features [B, T, I], from states or else from zero."""
+        now = list(states) if states is not None else self.start(features.shape[0])
+        tops = []
+        for t in range(features.shape[1]):
+            now = self.step(features[:, t], now)
+            tops.append(now[-1])
+        return self.read_out(np.stack(tops, axis=1))
+
+    def run_windows(self, features: Array, length: int) -> Array:
+        """Return the outputs [n, K] for features [n, I], each from zero over the last `length`.
+
+        Before the first sample the features are taken to have been what they are there.
+        """
+        padded = np.concatenate([np.repeat(features[:1], length - 1, axis=0), features])
+        windows = np.lib.stride_tricks.sliding_window_view(padded, length, axis=0)  # [n, I, N]
+        now = self.start(len(features))
+        for t in range(length):
+            now = self.step(windows[:, :, t], now)
+        return self.read_out(now[-1])
+
+    def rescale_inputs(self, center: Array, scale: Array) -> "FloatNetwork":
+        """Return the same network for features (x - center) / scale in place of x."""
+        gru = self.gru
+        bias = gru.bias.copy()
+        bias[:3] += gru.w_x @ center
+        return FloatNetwork(
+            FloatGru(gru.w_x * scale, gru.w_h, bias, gru.reset),
+            self.head,
+            self.head_bias,
+            self.upper,
+            self.dense,
+        )

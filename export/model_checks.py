@@ -1,0 +1,120 @@
+"""What a model file must be beyond its hash: fields of the right type, indices that exist, a proof.
+
+A hash shows that a file was not changed by accident; who edits a file can compute a new one.
+"""
+
+import types
+import typing
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from zerodrift.errors import CheckError, InputError
+from zerodrift.operations.gru import IntegerGru
+from zerodrift.operations.network import IntegerGruLayer
+
+if TYPE_CHECKING:
+    from zerodrift.export.integer_model import IntegerModel
+
+RESETS = ("after", "before")
+
+
+def check_model(where: str, model: "IntegerModel") -> None:
+    """Refuse a model that no quantizer wrote.
+
+    Raises:
+        InputError: a field of the wrong type, or an index of something that is not there.
+        CheckError: a bound of the arithmetic does not hold.
+    """
+    try:
+        for node in model.nodes:
+            check_types(f"node '{node.name}'", node)
+            _check_references(node, model)
+        for part in (*model.channels, *model.outputs, model.guards):
+            check_types(type(part).__name__.lower(), part)
+        _check_whole(model)
+        model.prove()
+    except CheckError:
+        raise
+    except (TypeError, ValueError, IndexError, KeyError, AttributeError, OverflowError) as error:
+        raise InputError(
+            f"{where}: not built like an integer model ({error}). Run `zerodrift export`."
+        ) from error
+
+
+def check_types(where: str, part: Any) -> None:
+    """Raise TypeError where a field of a dataclass is not of its declared type."""
+    hints = typing.get_type_hints(type(part))
+    for field in fields(part):
+        value = getattr(part, field.name)
+        if not fits_type(value, hints[field.name]):
+            raise TypeError(f"{where}: {field.name} is {value!r:.60}")
+        for item in value if isinstance(value, tuple) else (value,):
+            if isinstance(item, IntegerGru):
+                check_types(f"{where}.{field.name}", item)
+
+
+def fits_type(value: Any, hint: Any) -> bool:
+    """Tell whether a value is of a type as annotated; a float may be a whole number."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return any(fits_type(value, option) for option in arguments)
+    if origin is np.ndarray:
+        wanted = typing.get_args(arguments[1])[0]
+        return isinstance(value, np.ndarray) and np.issubdtype(value.dtype, wanted)
+    if origin is tuple:
+        if not isinstance(value, tuple):
+            return False
+        if len(arguments) == 2 and arguments[1] is Ellipsis:
+            return all(fits_type(item, arguments[0]) for item in value)
+        return len(value) == len(arguments) and all(map(fits_type, value, arguments))
+    if hint is float:
+        return type(value) in (int, float) and np.isfinite(value)
+    if hint in (int, bool, str):
+        return type(value) is hint
+    return (hint is type(None) and value is None) or (
+        isinstance(hint, type) and isinstance(value, hint)
+    )
+
+
+def _check_references(node: Any, model: "IntegerModel") -> None:
+    """Raise where a node reads a channel, an output or a layer that does not fit."""
+    for name, count in (("channel", len(model.channels)), ("output", len(model.outputs))):
+        index = getattr(node, name, 0)
+        if not 0 <= index < count:
+            raise IndexError(f"node '{node.name}' reads {name} {index} of {count}")
+    if isinstance(node, IntegerGruLayer):
+        if node.window < 0:
+            raise ValueError(f"node '{node.name}' has a window of {node.window}")
+        for layer in (node.gru, *getattr(node, "lower", ())):
+            _check_layer(node.name, layer)
+
+
+def _check_layer(name: str, layer: IntegerGru) -> None:
+    hidden, inputs = layer.hidden, layer.inputs
+    shapes = [layer.w_x.shape, layer.w_h.shape, layer.bias.shape]
+    wanted = [(3, hidden, inputs), (3, hidden, hidden), (4, hidden)]
+    if layer.multiplier is not None:
+        shapes.append(layer.multiplier.shape)
+        wanted.append((3, hidden))
+    if shapes != wanted or hidden == 0:
+        raise ValueError(f"node '{name}': arrays {shapes} do not fit together")
+    if layer.reset not in RESETS:
+        raise ValueError(f"node '{name}': reset {layer.reset!r:.40}; expected one of {RESETS}")
+
+
+def _check_whole(model: "IntegerModel") -> None:
+    """Raise where the parts of a model do not fit together."""
+    drift, guards = model.drift, model.guards
+    count = len(model.outputs)
+    lengths = {drift.width, len(drift.shift), len(drift.low), len(drift.high), drift.bias.size}
+    lengths.add(drift.head_coefficients.size)
+    if lengths != {count} or drift.coefficients.shape != (count, len(drift.signals)):
+        raise ValueError(f"the drift has rows for {sorted(lengths)} outputs; there are {count}")
+    if not 0 <= guards.temperature_channel < len(model.channels):
+        raise IndexError(f"guards: channel {guards.temperature_channel} of {len(model.channels)}")
+    if not (0 <= guards.warm_up_steps < 2**31 and 0 <= guards.rate_max < 2**31):
+        raise ValueError(f"guards: {guards.warm_up_steps} steps, {guards.rate_max} codes a step")
+    if any(output.lsb_per_unit < 1 for output in model.outputs) or model.sample_period_s <= 0:
+        raise ValueError("an output's lsb_per_unit or the sample period is not above 0")

@@ -1,0 +1,86 @@
+"""The integer ONNX run by onnxruntime: a back end like any other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.integer_onnx import (
+    START_COLD,
+    START_GO_ON,
+    START_SETTLED,
+    build_integer_onnx,
+    list_state,
+)
+from zerodrift.operations.arithmetic import CodeArray, IntArray
+
+
+@dataclass(frozen=True)
+class OnnxTrace:
+    """What onnxruntime gave for a batch of sequences."""
+
+    drift: NDArray[np.int32]  # [B, T, K]
+    flags: NDArray[np.uint32]  # [B, T]
+    nodes: IntArray
+    """[B, T, N] the values of all nodes in order; N = 0 if not observed."""
+    state: IntArray
+    """[B, n] the state afterwards, in the order of `ModelState.pack`."""
+
+
+class OnnxModel:
+    """An integer model in onnxruntime, on one thread of the CPU.
+
+    Args:
+        model: the integer model.
+        observe: record every node's value; False runs the file exactly as it is written for users.
+    """
+
+    def __init__(self, model: IntegerModel, *, observe: bool = True) -> None:
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        self.model = model
+        self._session = onnxruntime.InferenceSession(
+            build_integer_onnx(model, observe=observe),
+            options,
+            providers=["CPUExecutionProvider"],
+        )
+        self._fields = list_state(model)
+        self._observed = [f"node:{node.name}" for node in model.nodes] if observe else []
+
+    def run(
+        self,
+        codes: CodeArray,
+        *,
+        settled: bool = True,
+        state: IntArray | None = None,
+    ) -> OnnxTrace:
+        """Run T steps over codes [B, T, C], from a packed state [B, n] or from a start."""
+        batch, steps, _ = codes.shape
+        feed: dict[str, NDArray[np.generic]] = {
+            "codes": np.ascontiguousarray(codes.swapaxes(0, 1), dtype=self.model.code_type),
+            "start": np.array(
+                START_GO_ON if state is not None else START_SETTLED if settled else START_COLD
+            ),
+        }
+        column = 0
+        for name, shape in self._fields.items():
+            size = int(np.prod(shape, dtype=np.int64))
+            part = np.zeros((batch, size)) if state is None else state[:, column : column + size]
+            feed[name] = part.reshape((batch, *shape)).astype(np.int64)
+            column += size
+        ends = [f"{name}.next" for name in self._fields]
+        results = self._session.run(["drift", "flags", *ends, *self._observed], feed)
+        drift, flags = results[:2]
+        after = [end.reshape(batch, -1) for end in results[2 : 2 + len(ends)]]
+        nodes = [value.reshape(steps, batch, -1) for value in results[2 + len(ends) :]]
+        return OnnxTrace(
+            drift=np.ascontiguousarray(drift.swapaxes(0, 1)),
+            flags=np.ascontiguousarray(flags.T),
+            nodes=np.ascontiguousarray(np.concatenate(nodes, axis=2).swapaxes(0, 1))
+            if nodes
+            else np.empty((batch, steps, 0), dtype=np.int64),
+            state=np.concatenate(after, axis=1),
+        )
