@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: tutorial help setup check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: setup-browser test-browser tutorial help setup check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -29,11 +29,20 @@ $(READY): requirements.lock pyproject.toml
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
+setup-browser: $(READY) ## what the browser tests need: Playwright, and Chromium from the system's packages
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-browser.lock
+	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || { \
+	  SUDO=$$([ "$$(id -u)" = 0 ] || echo sudo); \
+	  $$SUDO apt-get update -q && $$SUDO apt-get install -y -q --no-install-recommends chromium; }
+
 firmware-model: $(READY) ## logs -> trained, quantized, generated and host-checked C (SENSOR=examples/ft40)
 	$(VENV)/bin/zerodrift firmware -C $(SENSOR)
 
 test: $(READY) ## the tests (under 6 minutes on two cores)
 	$(RUN) -m pytest -q -n 2 -m "not slow" tests
+
+test-browser: setup-browser ## the page in Chromium; pictures of it in build/screenshots
+	$(RUN) -m pytest -q tests/workbench
 
 test-all: $(READY) ## every test, the long proofs included
 	$(RUN) -m pytest -q -n 2 tests

@@ -1,5 +1,7 @@
 """A progress bar on stderr for anything that takes longer than a moment."""
 
+import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -8,13 +10,24 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from zerodrift.train.training import Stage
 
+LINES = "ZERODRIFT_PROGRESS_LINES"
+"""Environment variable: progress is told in lines that begin with `progress: `."""
+
 
 @contextmanager
 def show_progress(title: str) -> Iterator[Callable[[Stage], None]]:
     """Show a bar while the block runs; yields what is called with each stage.
 
-    Where stderr is no terminal nothing is shown.
+    Where stderr is no terminal nothing is shown, or lines for another program (`LINES`).
     """
+    if os.environ.get(LINES):
+
+        def tell(stage: Stage) -> None:
+            text = f"{title}, {100.0 * stage.done:.0f} %: {stage.text}"
+            print(f"progress: {text}", file=sys.stderr, flush=True)
+
+        yield tell
+        return
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),

@@ -87,7 +87,7 @@ def command(
     print_notes((*dataset.notes, *predictor.notes))
     if html is not None:
         from zerodrift.commands.common import write_text
-        from zerodrift.physics.figures import draw_comparison, render_page
+        from zerodrift.report.figures import draw_comparison, render_page
 
         figures = draw_comparison(dataset, predictor.predict, comparison)
         write_text(html, render_page(f"{config.sensor_name}: model against measurements", figures))

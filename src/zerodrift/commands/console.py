@@ -1,5 +1,6 @@
 """Where the commands of the loop print: results on stdout, progress on stderr."""
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -9,6 +10,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+PROGRESS_LINES = "ZERODRIFT_PROGRESS_LINES"
+"""Environment variable: progress is told in lines that begin with PROGRESS_MARK."""
+PROGRESS_MARK = "progress: "
 LEAST_WIDTH = 120
 """Columns of a file or a pipe, which has no width of its own."""
 
@@ -35,9 +39,22 @@ def open_table(title: str, left: Sequence[str], right: Sequence[str]) -> "Table"
     return table
 
 
+def print_progress(text: str) -> None:
+    """Print a line of progress for another program."""
+    print(f"{PROGRESS_MARK}{text}", file=sys.stderr, flush=True)
+
+
 @contextmanager
 def show_progress(first: str) -> Iterator[Callable[[str], None]]:
-    """Show on stderr what is being done; gives a function that says what comes next."""
+    """Show on stderr what is being done; gives a function that says what comes next.
+
+    Where `PROGRESS_LINES` is set in the environment, each step is a line that another program can
+    read.
+    """
+    if os.environ.get(PROGRESS_LINES):
+        print_progress(first)
+        yield print_progress
+        return
     from rich.console import Console
 
     console = Console(stderr=True)

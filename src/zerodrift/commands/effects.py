@@ -167,15 +167,8 @@ def _print_text(text: str, console: "Console") -> None:
 
 def _draw_page(effect: "Effect", picture: "Fingerprint") -> str:
     """Return the picture as a self-contained page."""
-    import plotly.graph_objects as go
+    from zerodrift.report.figures import draw_fingerprint as draw_figure
+    from zerodrift.report.figures import render_page
 
-    from zerodrift.physics.figures import render_page
-
-    figure = go.Figure(go.Scatter(x=picture.x, y=picture.y, mode="lines", name=effect.kind))
-    figure.update_layout(
-        title=f"{effect.title} ({picture.experiment})",
-        xaxis_title=picture.x_label,
-        yaxis_title="drift, share of its largest",
-        template="plotly_white",
-    )
+    figure = draw_figure(effect.title, picture)
     return render_page(f"{effect.kind}: {effect.title}", [figure], [effect.equation])

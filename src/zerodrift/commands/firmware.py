@@ -1,5 +1,6 @@
 """`zerodrift firmware`: logs in, host-checked C out."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,13 @@ from zerodrift.commands.common import (
     print_json,
     print_notes,
     skip_invalid_option,
+    write_text,
 )
+from zerodrift.commands.console import show_progress
 from zerodrift.commands.onnx_option import OnnxRequest, onnx_options, open_import
+
+FILE_NAME = "firmware.json"
+"""In build/: what the last firmware achieved."""
 
 
 @click.command()
@@ -44,9 +50,10 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, request: OnnxReq
         config, dataset = open_project(directory, skip_invalid)
         print_notes(dataset.notes)
         compensator = train_project(config, dataset, console)
-    with console.status("") as status:
-        firmware = build_firmware(config, dataset, compensator, status.update)
+    with show_progress("quantizing") as say:
+        firmware = build_firmware(config, dataset, compensator, say)
     result = describe(firmware, config.directory)
+    keep(result, config.build_directory)
     if as_json:
         print_json(result)
         return
@@ -79,6 +86,12 @@ def describe(firmware: Any, directory: Path) -> dict[str, Any]:
         "model_hash": firmware.model.hash,
         "files": [show_path(path, directory) for path in firmware.files],
     }
+
+
+def keep(result: dict[str, Any], build: Path) -> None:
+    """Write the command's JSON to build/firmware.json, for the report."""
+    text = json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    write_text(build / FILE_NAME, text)
 
 
 def show_path(path: Path, directory: Path) -> str:

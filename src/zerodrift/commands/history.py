@@ -46,13 +46,13 @@ def command(directory: Path, html: Path | None, as_json: bool) -> None:
     steps = list_steps(entries)
     if html is not None:
         from zerodrift.commands.common import write_text
-        from zerodrift.physics.figures import draw_staircase, render_page
+        from zerodrift.report.figures import draw_staircase, render_page
 
         title = f"{config.sensor_name}: history of the model"
         notes = [f"{step.label}: {step.reason}" for step in steps if step.reason]
         write_text(html, render_page(title, [draw_staircase(steps)], notes))
     if as_json:
-        print_json({"steps": [_describe_step(step) for step in steps]})
+        print_json({"steps": describe_steps(steps)})
         return
     if not steps:
         click.echo(f"No history yet in {path}: `zerodrift add EFFECT` begins one.")
@@ -60,6 +60,11 @@ def command(directory: Path, html: Path | None, as_json: bool) -> None:
     print_steps(steps)
     if html is not None:
         click.echo(f"Wrote {html}")
+
+
+def describe_steps(steps: Sequence[Step]) -> list[dict[str, object]]:
+    """Return the staircase as it stands in the command's JSON."""
+    return [_describe_step(step) for step in steps]
 
 
 def _describe_step(step: Step) -> dict[str, object]:

@@ -1,0 +1,220 @@
+"""The page's marks: ready, zoom, diagnosis against the command; and the report's time and size.
+
+python -m benchmarks.bench_workbench [--quick]
+
+Logs are simulated: `zerodrift twin` writes the 11-run project; the long one is written here. Needs
+`make setup-browser`.
+"""
+
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars
+
+from zerodrift.report.figures_runs import Window, draw_run
+from zerodrift.workbench.server import Workbench
+
+DRAWN = "#main .js-plotly-plot .scatterlayer .trace"
+TWIN = ("twin", "--runs", "6", "--told", "zero_tempco", "--hidden", "thermal_lag", "--seed", "3")
+TOML = """\
+# SIMULATED
+[sensor]
+name = "long"
+time = "time_s"
+temperature = "temperature_degC"
+sample_period_s = 1.0
+[outputs.Fz]
+measured = "Fz_N"
+reference = "ref_Fz_N"
+unit = "N"
+full_scale = 200
+[logs]
+train = ["logs/*.parquet"]
+[[effect]]
+kind = "zero_tempco"
+"""
+ZOOMS = 12
+
+
+def run_command(*arguments: str) -> dict[str, float]:
+    """Return the seconds that a command takes, its process included: by the clock, and of CPU."""
+    begun, used = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, "-m", "zerodrift", *arguments]
+    subprocess.run(command, check=True, capture_output=True)
+    now = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu_s = now.ru_utime + now.ru_stime - used.ru_utime - used.ru_stime
+    return {"wall_s": time.perf_counter() - begun, "cpu_s": cpu_s}
+
+
+def write_long(directory: Path, rows: int, runs: int = 8) -> None:
+    """Write a project of so many rows in all, whose sensor lags its thermometer."""
+    from zerodrift.operations.lowpass import lowpass
+
+    (directory / "logs").mkdir(parents=True)
+    (directory / "zerodrift.toml").write_text(TOML)
+    count = rows // runs
+    time_s = np.arange(count, dtype=np.float64)
+    for number in range(runs):
+        rng = np.random.default_rng(number)
+        knots = rng.uniform(0.0, 50.0, max(count // 2000, 4))
+        temperature = np.interp(time_s, np.linspace(0.0, count, knots.size), knots)
+        load = np.repeat(20.0 * rng.integers(0, 4, -(-count // 500)), 500)[:count]
+        drift = 0.2 * lowpass(temperature, 1.0, 60.0) + 0.05 * rng.standard_normal(count)
+        columns = {
+            "time_s": time_s,
+            "temperature_degC": temperature,
+            "Fz_N": load + drift,
+            "ref_Fz_N": load,
+        }
+        polars.DataFrame(columns).write_parquet(directory / "logs" / f"run_{number}.parquet")
+
+
+def look(bench: Workbench, *, diagnoses: bool, timeout_s: float = 1800.0) -> dict[str, float]:
+    """Return the seconds until the findings, and where wanted until the verdict, are there."""
+    begun = time.perf_counter()
+    found: dict[str, float] = {}
+    while time.perf_counter() - begun < timeout_s:
+        findings, job = bench.place.findings, bench.place.job
+        if findings is not None:
+            found.setdefault("surveyed_s", time.perf_counter() - begun)
+            if not diagnoses:
+                return found
+            if findings.told["diagnose"] is not None:
+                found.setdefault("diagnosed_s", time.perf_counter() - begun)
+                return found
+        if job is not None and not job.running:
+            raise SystemExit(f"the survey failed: {bench.place.message}")
+        time.sleep(0.02)
+    raise SystemExit(f"no verdict within {timeout_s:g} s: {found}")
+
+
+def measure_page(bench: Workbench, browser: Any) -> dict[str, float]:
+    """Return seconds to a ready page, and milliseconds of a zoom: the server's, and until drawn."""
+    page = browser.new_page(viewport={"width": 1360, "height": 1000})
+    page.set_default_timeout(60_000)
+    begun = time.perf_counter()
+    page.goto(bench.url)
+    page.wait_for_selector(DRAWN)
+    ready_s = time.perf_counter() - begun
+    page.wait_for_timeout(1500)
+    first, last = page.evaluate(
+        "() => { const x = document.querySelector('#main .js-plotly-plot').calcdata[0];"
+        " return [x[0].x, x[x.length - 1].x]; }"
+    )
+    served, drawn = [], []
+    rng = np.random.default_rng(0)
+    for _ in range(ZOOMS):
+        width = (last - first) * 10.0 ** rng.uniform(-2.0, -0.2)
+        low = rng.uniform(first, last - width)
+        took = page.evaluate(
+            """([low, high]) => new Promise((resolve) => {
+              const plot = document.querySelector('#main .js-plotly-plot');
+              const begun = performance.now();
+              let asked = null;
+              const observer = new PerformanceObserver((list) => list.getEntries().forEach((e) => {
+                if (e.name.includes('_dash-update-component') && e.startTime >= begun - 1) {
+                  asked = asked === null ? e.duration : Math.max(asked, e.duration);
+                }
+              }));
+              observer.observe({ type: 'resource' });
+              const wait = () => {
+                const x = plot.calcdata[0];
+                if (asked !== null && x[0].x >= low - 0.2 * (high - low)) {
+                  observer.disconnect();
+                  resolve([asked, performance.now() - begun]);
+                } else if (performance.now() - begun > 20000) {
+                  resolve([asked, null]);
+                } else { setTimeout(wait, 5); }
+              };
+              Plotly.relayout(plot, { 'xaxis2.range[0]': low, 'xaxis2.range[1]': high });
+              wait();
+            })""",
+            [low, low + width],
+        )
+        served.append(took[0])
+        drawn.append(took[1])
+    page.close()
+    return {
+        "page_ready_s": ready_s,
+        "zoom_answered_ms": float(np.median(served)),
+        "zoom_answered_ms_worst": float(np.max(served)),
+        "zoom_drawn_ms": float(np.median([d for d in drawn if d is not None])),
+    }
+
+
+def measure_zoom(bench: Workbench) -> float:
+    """Return the median CPU milliseconds of drawing one part of a run, as JSON."""
+    findings = bench.place.findings
+    assert findings is not None
+    trace = findings.traces[0]
+    rng, first, last = np.random.default_rng(0), float(trace.time_s[0]), float(trace.time_s[-1])
+    used = []
+    for _ in range(ZOOMS):
+        width = (last - first) * 10.0 ** rng.uniform(-2.0, -0.2)
+        low = rng.uniform(first, last - width)
+        begun = time.thread_time()
+        window = Window(trace.run, low, low + width)
+        draw_run(trace, findings.told["compare"], findings.outputs[0], window).to_json()
+        used.append(1000.0 * (time.thread_time() - begun))
+    return float(np.median(used))
+
+
+def measure(directory: Path, browser: Any, *, diagnoses: bool = True) -> dict[str, float]:
+    """Return the marks of one project; with `diagnoses`, the time to the verdict too."""
+    bench = Workbench(directory)
+    thread = threading.Thread(target=bench.serve, daemon=True)
+    thread.start()
+    try:
+        found = look(bench, diagnoses=diagnoses)
+        if not diagnoses:
+            bench.place.cancel()
+        return {**found, **measure_page(bench, browser), "zoom_cpu_ms": measure_zoom(bench)}
+    finally:
+        bench.stop()
+        thread.join(10.0)
+
+
+def main(quick: bool) -> None:
+    """Print the marks as JSON.
+
+    Args:
+        quick: leaves the ten million rows out.
+    """
+    from playwright.sync_api import sync_playwright
+
+    told: dict[str, Any] = {"cpus": os.cpu_count(), "load_before": os.getloadavg()[0]}
+    path = shutil.which("chromium") or shutil.which("google-chrome")
+    options = ["--no-sandbox"] if os.geteuid() == 0 else []
+    with tempfile.TemporaryDirectory() as name, sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=options)
+        eleven = Path(name) / "eleven"
+        run_command(*TWIN, "-C", str(eleven))
+        told["report"] = run_command("report", "-C", str(eleven))
+        told["report, diagnosis kept"] = run_command("report", "-C", str(eleven))
+        told["report_bytes"] = (eleven / "report.html").stat().st_size
+        (eleven / "build" / "diagnosis.json").unlink()
+        told["diagnose command"] = run_command("diagnose", "-C", str(eleven), "--json")
+        told["eleven runs"] = measure(eleven, browser)
+        print(json.dumps(told), file=sys.stderr, flush=True)
+        for rows in (400_000,) if quick else (400_000, 10_000_000):
+            directory = Path(name) / str(rows)
+            write_long(directory, rows)
+            told[f"{rows} rows"] = measure(directory, browser, diagnoses=rows < 1_000_000)
+            print(f"{rows} rows: done", file=sys.stderr, flush=True)
+            shutil.rmtree(directory)
+        browser.close()
+    print(json.dumps(told, indent=1))
+
+
+if __name__ == "__main__":
+    main("--quick" in sys.argv)

@@ -1,0 +1,1 @@
+"""Figures, tables and the report: everything that shows what the commands found."""

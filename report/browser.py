@@ -1,0 +1,143 @@
+"""PDF and PNG through the Chromium or Chrome that is installed here, without a window."""
+
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import plotly.graph_objects as go
+
+from zerodrift.errors import InputError
+from zerodrift.report.page import render_template
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+VARIABLE = "ZERODRIFT_BROWSER"
+PATIENCE_S = 180
+WIDTH = 1000
+"""Pixels of a figure, of which each is drawn as 2 x 2."""
+
+
+def find_browser() -> str:
+    """Return the browser's path.
+
+    Raises:
+        InputError: there is none.
+    """
+    named = os.environ.get(VARIABLE, "")
+    for name in (named,) if named else BROWSERS:
+        path = shutil.which(name)
+        if path is not None:
+            return path
+    wanted = f"{VARIABLE}={named}, which is no program" if named else ", ".join(BROWSERS)
+    raise InputError(
+        f"--format pdf and png need Chromium or Chrome; looked for {wanted}. Install one (Debian: "
+        f"apt install chromium), name it in {VARIABLE}, or print the HTML report from any browser."
+    )
+
+
+def print_page(text: str, target: Path) -> None:
+    """Print a page to PDF.
+
+    Args:
+        text: the page's HTML.
+        target: the PDF; replaced whole or not at all.
+
+    Raises:
+        InputError: there is no browser, it failed, or the place cannot be written.
+    """
+    with _scratch(target.parent) as name:
+        page, made = Path(name) / "page.html", Path(name) / "page.pdf"
+        page.write_text(text, encoding="utf-8")
+        _run([f"--print-to-pdf={made}", "--no-pdf-header-footer", page.as_uri()], made)
+        made.replace(target)
+
+
+def picture_pages(figures: Mapping[str, go.Figure], directory: Path) -> list[Path]:
+    """Write each figure as a PNG of its own.
+
+    Args:
+        figures: by the name of the file.
+        directory: made if missing.
+
+    Raises:
+        InputError: as `print_page`.
+    """
+    paths = []
+    with _scratch(directory.parent) as name:
+        made = []
+        for number, (label, figure) in enumerate(figures.items()):
+            page, picture = Path(name) / "page.html", Path(name) / f"{number}.png"
+            page.write_text(
+                render_template("picture.html.j2", {"figure": figure}), encoding="utf-8"
+            )
+            size = f"--window-size={WIDTH},{int(figure.layout.height or 400) + 16}"
+            _run(
+                [
+                    f"--screenshot={picture}",
+                    size,
+                    "--force-device-scale-factor=2",
+                    "--hide-scrollbars",
+                    page.as_uri(),
+                ],
+                picture,
+            )
+            made.append((picture, directory / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', label)}.png"))
+        directory.mkdir(exist_ok=True)
+        for picture, path in made:
+            picture.replace(path)
+            paths.append(path)
+    return paths
+
+
+def _scratch(beside: Path) -> tempfile.TemporaryDirectory[str]:
+    """Return a scratch directory on the same file system as the result.
+
+    Raises:
+        InputError: it cannot be made there.
+    """
+    try:
+        return tempfile.TemporaryDirectory(prefix=".report-", dir=beside)
+    except OSError as error:
+        raise InputError(
+            f"{beside}: cannot be written ({error.strerror}); expected a directory that this user "
+            "may write to. Name another place by --out."
+        ) from error
+
+
+def _run(arguments: Sequence[str], made: Path) -> None:
+    """Run the browser once, in a profile of its own, and see to it that it made the file."""
+    browser = find_browser()
+    with tempfile.TemporaryDirectory(prefix="zerodrift-browser-") as profile:
+        command = [
+            browser,
+            "--headless=new",
+            "--disable-gpu",
+            "--disable-dev-shm-usage",
+            "--disable-background-networking",
+            "--no-first-run",
+            f"--user-data-dir={profile}",
+            "--run-all-compositor-stages-before-draw",
+            "--virtual-time-budget=20000",
+        ]
+        # A root user, as in a container, has no sandbox to go into.
+        if hasattr(os, "geteuid") and os.geteuid() == 0:
+            command.append("--no-sandbox")
+        try:
+            done = subprocess.run(
+                [*command, *arguments],
+                capture_output=True,
+                text=True,
+                timeout=PATIENCE_S,
+                check=False,
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise InputError(f"{browser}: could not print the page ({error}).") from error
+    if not made.exists() or not made.stat().st_size:
+        lines = done.stderr.strip().splitlines()
+        raise InputError(
+            f"{browser}: ended with code {done.returncode} and printed nothing"
+            f"{': ' + lines[-1] if lines else ''}. Print the HTML report from a browser instead."
+        )

@@ -1,0 +1,260 @@
+"""TK0, TKC, creep and hysteresis, before and after compensation, in a datasheet's terms.
+
+Each output's drift, and then what the compensation leaves of it, is described by the same few
+columns: an offset of each run, T - T0, the load, (T - T0) load, and the creeping load. For span and
+creep the drift's bend with temperature and its lag are described too (powers of T - T0 up to the
+third, T against T late by `LAGS_S`), since they are much larger than creep and would pass for it.
+Runs are the unit of evidence, so standard uncertainties come from how runs differ.
+
+The drift before compensation is the sensor's own, so all runs tell it; what is left after it is
+told by held-out runs where there are any.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.lowpass import lowpass
+from zerodrift.report.findings import Trace, find_threshold
+
+Array = NDArray[np.float64]
+
+MOST_ROWS = 60_000
+"""More samples than that are averaged in blocks."""
+CREEP_TAUS_S = tuple(float(t) for t in np.geomspace(30.0, 3600.0, 15).round())
+CREEP_AT_S = 1800.0
+PER_K = 10.0
+LEAST_LOAD = 0.01
+"""Share of full scale by which a load must move."""
+LEAST_SPAN_K = 5.0
+"""By how much the temperature must move."""
+BINS = 12
+TK0, TKC, CREEP = 0, 2, 3
+"""Columns among those behind the runs' offsets: T, load, T load, creep, then the bends."""
+LAGS_S = (30.0, 120.0, 480.0)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """One run, averaged in blocks."""
+
+    period_s: float
+    rise_K: Array
+    rate: Array
+    moving: float
+    """Rate in K/min above which the run heats, and below minus which it cools."""
+    load: Array
+    """[K, n]."""
+    before: Array
+    """[K, n]."""
+    after: Array
+    """[K, n]."""
+
+
+def measure_datasheet(traces: Sequence[Trace], compared: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the datasheet's figures of each output, ready for JSON.
+
+    Args:
+        traces: the runs.
+        compared: the JSON of `compare`, for units and full scale.
+
+    Returns:
+        Rows of quantity, output, unit, `before` and `after` as [value, standard uncertainty] or
+        null where these logs do not tell, and how the figure came about or why there is none.
+    """
+    block = -(-sum(t.time_s.size for t in traces) // MOST_ROWS)
+    middle = float(np.mean([t.temperature_degC.mean() for t in traces]))
+    moving = find_threshold(traces)
+    blocks = [_average(t, block, round(middle), moving) for t in traces]
+    held_out = [b for b, t in zip(blocks, traces, strict=True) if t.held_out] or blocks
+    rows: list[dict[str, Any]] = []
+    for k, (name, told) in enumerate(compared["outputs"].items()):
+        rows += _measure_output(
+            {"before": blocks, "after": held_out}, k, name, float(told["full_scale"])
+        )
+    return rows
+
+
+def _average(trace: Trace, block: int, reference_degC: float, moving: float) -> _Block:
+    def mean(x: Array) -> Array:
+        count = x.shape[-1] // block
+        return np.asarray(
+            x[..., : count * block].reshape(*x.shape[:-1], count, block).mean(axis=-1)
+        )
+
+    return _Block(
+        trace.sample_period_s * block,
+        mean(trace.temperature_degC) - reference_degC,
+        mean(trace.rate_K_per_min),
+        moving,
+        mean(trace.load),
+        mean(trace.drift),
+        mean(trace.error),
+    )
+
+
+def _measure_output(
+    sides: Mapping[str, Sequence[_Block]], k: int, name: str, full_scale: float
+) -> list[dict[str, Any]]:
+    blocks = sides["before"]
+    loaded = max(float(np.ptp(b.load[k])) for b in blocks) >= LEAST_LOAD * full_scale
+    moved = max(float(np.ptp(b.rise_K)) for b in blocks) >= LEAST_SPAN_K
+    tau_s = _choose_tau(blocks, k) if loaded else 0.0
+    slopes = {w: _fit(b, k, w, loaded=loaded, tau_s=tau_s) for w, b in sides.items()}
+    bent = {w: _fit(b, k, w, loaded=loaded, tau_s=tau_s, bends=True) for w, b in sides.items()}
+    percent = 100.0 / full_scale
+    how = f"mean slope; {len(blocks)} runs before, {len(sides['after'])} after"
+    still = f"the temperature moves by less than {LEAST_SPAN_K:g} K in a run"
+    unloaded = "no load that moves in these logs"
+    grown = 100.0 * (1.0 - float(np.exp(-CREEP_AT_S / tau_s))) if loaded else 0.0
+
+    def tell(
+        quantity: str,
+        unit: str,
+        column: int | None,
+        factor: float,
+        note: str,
+        why_not: str,
+        fits: Mapping[str, _Fit],
+    ) -> dict[str, Any]:
+        row: dict[str, Any] = {"quantity": quantity, "output": name, "unit": unit, "note": note}
+        for which, fit in fits.items():
+            row[which] = None
+            if not why_not and column is not None:
+                row[which] = _pair(fit.value[column] * factor, fit.error[column] * abs(factor))
+        if why_not:
+            row["note"] = f"not told: {why_not}"
+        return row
+
+    no_span = still if not moved else "" if loaded else unloaded
+    rows = [
+        tell("TK0", "%FS/10 K", TK0, PER_K * percent, how, "" if moved else still, slopes),
+        tell("TKC", "% of reading/10 K", TKC, 100.0 * PER_K, how, no_span, bent),
+        tell(
+            "creep, 30 min",
+            "% of load",
+            CREEP,
+            grown,
+            f"retardation time {tau_s:g} s",
+            "" if loaded else unloaded,
+            bent,
+        ),
+    ]
+    row = tell(
+        "temperature hysteresis",
+        "%FS",
+        None,
+        percent,
+        "heating − cooling, lag included",
+        "" if moved else still,
+        slopes,
+    )
+    if moved:
+        loops = {which: _measure_loop(sides[which], fit) for which, fit in slopes.items()}
+        for which, loop in loops.items():
+            row[which] = None if loop is None else _pair(loop[0] * percent, loop[1] * percent)
+        if loops["before"] is None:
+            row["note"] = "not told: no run passes one temperature both heating and cooling"
+    return [*rows, row]
+
+
+def _pair(value: float, error: float) -> list[float | None]:
+    """Return a value and its uncertainty; null for one that runs do not tell."""
+    return [float(value), float(error) if np.isfinite(error) else None]
+
+
+@dataclass(frozen=True)
+class _Fit:
+    value: Array
+    """[4] of T, load, T load, creep; zeros for columns that are not there."""
+    error: Array
+    """[4] standard uncertainties."""
+    square: float
+    """Sum of squares of what is left."""
+    rests: tuple[Array, ...]
+    """What the load's columns and offsets leave of each run: drift with temperature, and noise."""
+
+
+def _columns(block: _Block, k: int, *, loaded: bool, tau_s: float, bends: bool) -> Array:
+    """Return the columns [n, 1 to 9] of one run."""
+    rise, load = block.rise_K, block.load[k]
+    columns = [rise]
+    if loaded:
+        columns += [load, rise * load, lowpass(load, block.period_s, tau_s)]
+    if bends:
+        columns += [rise**2, rise**3]
+        columns += [rise - lowpass(rise, block.period_s, tau) for tau in LAGS_S]
+    return np.stack(columns, axis=1)
+
+
+def _fit(
+    blocks: Sequence[_Block],
+    k: int,
+    which: str,
+    *,
+    loaded: bool,
+    tau_s: float,
+    bends: bool = False,
+) -> _Fit:
+    """Return the least-squares fit with an offset for each run."""
+    designs, targets = [], []
+    for block in blocks:
+        x, y = _columns(block, k, loaded=loaded, tau_s=tau_s, bends=bends), getattr(block, which)[k]
+        designs.append(x - x.mean(axis=0))
+        targets.append(y - y.mean())
+    design, target = np.concatenate(designs), np.concatenate(targets)
+    scale = np.maximum(np.abs(design).max(axis=0), 1e-300)
+    inverse = np.linalg.pinv((design / scale).T @ (design / scale), rcond=1e-10)
+    solution = inverse @ ((design / scale).T @ target)
+    left = [y - (x / scale) @ solution for x, y in zip(designs, targets, strict=True)]
+    pushes = np.stack([(x / scale).T @ e for x, e in zip(designs, left, strict=True)])
+    runs = len(blocks)
+    spread = np.full(solution.size, np.inf)
+    if runs > 1:
+        meat = pushes.T @ pushes * runs / (runs - 1)
+        spread = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0))
+    value, error = np.zeros(4), np.full(4, np.inf)
+    told = 4 if loaded else 1
+    value[:told], error[:told] = (solution / scale)[:told], (spread / scale)[:told]
+    rests = tuple(y - x[:, 1:told] @ value[1:told] for x, y in zip(designs, targets, strict=True))
+    return _Fit(value, error, float(sum(e @ e for e in left)), rests)
+
+
+def _choose_tau(blocks: Sequence[_Block], k: int) -> float:
+    """Return the retardation time that describes the uncompensated drift best."""
+    slowest = max(b.period_s for b in blocks)
+    known = [tau for tau in CREEP_TAUS_S if tau > slowest] or [2.0 * slowest]
+    squares = [
+        _fit(blocks, k, "before", loaded=True, tau_s=tau, bends=True).square for tau in known
+    ]
+    return known[int(np.argmin(squares))]
+
+
+def _measure_loop(blocks: Sequence[_Block], fit: _Fit) -> tuple[float, float] | None:
+    """Return the largest mean difference of the two branches, and its standard uncertainty."""
+    low = min(float(b.rise_K.min()) for b in blocks)
+    high = max(float(b.rise_K.max()) for b in blocks)
+    edges = np.linspace(low, high, BINS + 1)[1:-1]
+    differences = np.full((len(blocks), BINS), np.nan)
+    for row, (block, rest) in enumerate(zip(blocks, fit.rests, strict=True)):
+        # Within a bin the branches may sit at different temperatures: take the slope off first.
+        flat = rest - fit.value[TK0] * (block.rise_K - block.rise_K.mean())
+        bins = np.searchsorted(edges, block.rise_K)
+        for number in range(BINS):
+            heating = flat[(bins == number) & (block.rate > block.moving)]
+            cooling = flat[(bins == number) & (block.rate < -block.moving)]
+            if heating.size and cooling.size:
+                differences[row, number] = heating.mean() - cooling.mean()
+    counts = np.sum(~np.isnan(differences), axis=0)
+    if not counts.any():
+        return None
+    wanted = max(2, int(counts.max()) // 2) if counts.max() > 1 else 1
+    kept = differences[:, counts >= wanted]
+    means = np.nanmean(kept, axis=0)
+    place = int(np.argmax(np.abs(means)))
+    own = kept[:, place][~np.isnan(kept[:, place])]
+    error = float(own.std(ddof=1) / np.sqrt(own.size)) if own.size > 1 else float("inf")
+    return abs(float(means[place])), error

@@ -1,0 +1,82 @@
+"""Pages that stand on their own: styles, plotting code and data inside, nothing fetched."""
+
+import html
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import plotly.graph_objects as go
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+
+from zerodrift.report.tables import Table
+
+TEMPLATES = files("zerodrift.report") / "templates"
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["figure"] = embed_figure
+    environment.filters["table"] = render_table
+    return environment
+
+
+def read_asset(name: str) -> str:
+    """Return the text of a style sheet, a script or a template."""
+    return (TEMPLATES / name).read_text(encoding="utf-8")
+
+
+def embed_figure(figure: go.Figure, label: str = "") -> Markup:
+    """Return a figure's place in a page, with its data; the page's script draws it."""
+    data = figure.to_json(remove_uids=True, validate=False)
+    height = int(figure.layout.height or 400)
+    return Markup(
+        f'<figure><div class="plot" role="img" aria-label="{html.escape(label)}" '
+        f'style="height:{height}px"></div>'
+        f'<script type="application/json">{data.replace("</", "<" + chr(92) + "/")}</script>'
+        "</figure>"
+    )
+
+
+def render_table(table: Table, *, folded: bool = False) -> Markup:
+    """Return a table as HTML; `folded` behind its title."""
+
+    def cell(tag: str, text: str, number: int) -> str:
+        kind = "" if number < table.texts else ' class="number"'
+        return f"<{tag}{kind}>{html.escape(text)}</{tag}>"
+
+    head = "".join(cell("th", text, i) for i, text in enumerate(table.headings))
+    body = "".join(
+        f"<tr>{''.join(cell('td', text, i) for i, text in enumerate(row))}</tr>"
+        for row in table.rows
+    )
+    inner = (
+        f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+        f"</div>" + (f'<p class="note">{html.escape(table.note)}</p>' if table.note else "")
+    )
+    title = html.escape(table.title)
+    if folded:
+        return Markup(f"<details><summary>{title}</summary>{inner}</details>")
+    return Markup(f'<div class="table"><h3>{title}</h3>{inner}</div>')
+
+
+def render_template(name: str, values: Mapping[str, Any]) -> str:
+    """Return a page from one of the templates, with style and scripts inside it."""
+    assets = {
+        "style": Markup(read_asset("page.css")),
+        "script": Markup(read_asset("page.js")),
+        "plotly": Markup(get_plotlyjs()),
+    }
+    return _environment().from_string(read_asset(name)).render(**assets, **values) + "\n"
+
+
+def render_page(title: str, figures: Sequence[go.Figure], notes: Sequence[str] = ()) -> str:
+    """Return one HTML page with all figures and the plotting code inside it."""
+    return render_template(
+        "figures.html.j2", {"title": title, "figures": list(figures), "notes": list(notes)}
+    )

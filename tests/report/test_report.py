@@ -1,0 +1,203 @@
+"""The report says what the commands say, stands on its own, and is written whole or not at all."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from zerodrift.commands.survey import survey_project
+from zerodrift.report.findings import ARRAYS, load_findings, measure_rate, save_findings
+from zerodrift.report.report import list_figures, render_report
+
+
+class Reader(HTMLParser):
+    """Collects what a page would fetch, the text outside of scripts, and its figures."""
+
+    def __init__(self):
+        super().__init__()
+        self.fetched, self.text, self.data, self.tags = [], [], [], []
+        self._script = None
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        told = dict(attributes)
+        self.fetched += [told[name] for name in ("src", "href", "data") if name in told]
+        if tag in ("script", "style"):
+            self._script = told.get("type", tag)
+
+    def handle_endtag(self, tag):
+        if tag in ("script", "style"):
+            self._script = None
+
+    def handle_data(self, data):
+        if self._script == "application/json":
+            self.data.append(json.loads(data))
+        elif self._script is None:
+            self.text.append(data)
+
+
+def read(page):
+    reader = Reader()
+    reader.feed(page)
+    return reader
+
+
+def test_report_fetches_nothing_and_its_policy_forbids_it(surveyed):
+    page = render_report(surveyed[1])
+    reader = read(page)
+    assert all(target.startswith("#") for target in reader.fetched)
+    assert reader.tags.count("link") == 0
+    assert "default-src 'none'" in page
+    assert len(page) < 8_000_000
+
+
+def test_report_shows_the_numbers_of_the_commands(surveyed, zerodrift):
+    project, findings = surveyed
+    text = " ".join(read(render_report(findings)).text)
+    compared = json.loads(zerodrift("compare", "-C", project.directory, "--json").out)
+    assert findings.told["compare"] == compared
+    diagnosed = json.loads(zerodrift("diagnose", "-C", project.directory, "--json").out)
+    assert findings.told["diagnose"] == diagnosed
+    assert f"The model lacks {diagnosed['effect']}" in text
+    for told in compared["outputs"].values():
+        assert f"{told['rmse_heldout']:.4g}" in text
+        assert f"{told['noise_floor']:.4g}" in text
+    for segment in compared["worst"]:
+        assert segment["pattern"] in text
+
+
+def test_report_is_the_same_bytes_each_time(surveyed):
+    project, findings = surveyed
+    assert render_report(findings) == render_report(survey_project(project.directory))
+
+
+def test_report_has_a_table_beside_every_figure_and_a_word_for_it(surveyed):
+    page = render_report(surveyed[1])
+    figures = re.findall(r'role="img" aria-label="([^"]*)"', page)
+    assert len(figures) == len(read(page).data)
+    assert all(figures)
+
+
+def test_lines_of_a_figure_differ_in_more_than_colour(surveyed):
+    for name, figure in list_figures(surveyed[1]).items():
+        shown = {}
+        for trace in figure.data:
+            if trace.type != "scatter" or trace.name is None or trace.mode == "markers":
+                continue
+            kind = (trace.mode, trace.line.dash, trace.line.width, trace.marker.symbol)
+            shown.setdefault(trace.name, kind)
+        assert len(set(shown.values())) == len(shown), name
+
+
+def test_text_of_the_user_cannot_become_markup(project, zerodrift):
+    text = project.toml.read_text().replace('name = "cell"', 'name = "<script>alert(1)</script>"')
+    project.toml.write_text(text)
+    assert zerodrift("report", "-C", project.directory, "--no-diagnose").code == 0
+    page = (project.directory / "report.html").read_text()
+    assert "<script>alert" not in page
+    assert "&lt;script&gt;alert" in page
+
+
+def test_simulated_logs_are_said_to_be(project, zerodrift):
+    assert zerodrift("report", "-C", project.directory, "--no-diagnose").code == 0
+    assert "Simulated data" not in (project.directory / "report.html").read_text()
+    project.toml.write_text("# SIMULATED\n" + project.toml.read_text())
+    assert zerodrift("report", "-C", project.directory, "--no-diagnose").code == 0
+    assert "Simulated data" in (project.directory / "report.html").read_text()
+
+
+def test_diagnosis_is_kept_until_the_logs_change(surveyed, monkeypatch):
+    project, findings = surveyed
+    monkeypatch.setattr("zerodrift.physics.diagnose.diagnose", None)
+    again = survey_project(project.directory)
+    assert again.told["diagnose"] == findings.told["diagnose"]
+
+
+def test_diagnosis_of_other_logs_is_not_shown(project, zerodrift):
+    survey_project(project.directory)
+    log = project.directory / "logs" / "run_0.csv"
+    lines = log.read_text().splitlines(keepends=True)
+    log.write_text("".join(lines[:-1]))
+    shown = json.loads(zerodrift("report", "-C", project.directory, "--no-diagnose", "--json").out)
+    assert shown["diagnose"] is None
+    assert "Not diagnosed" in (project.directory / "report.html").read_text()
+
+
+def test_findings_come_back_as_they_were_saved(surveyed, tmp_path):
+    findings = surveyed[1]
+    save_findings(findings, tmp_path)
+    back = load_findings(tmp_path)
+    assert back.told == json.loads(json.dumps(findings.told))
+    for old, new in zip(findings.traces, back.traces, strict=True):
+        assert (old.run, old.held_out) == (new.run, new.held_out)
+        for name in ARRAYS:
+            np.testing.assert_array_equal(getattr(old, name), getattr(new, name))
+
+
+def test_held_out_errors_of_the_traces_are_those_of_the_command(surveyed):
+    findings = surveyed[1]
+    error = np.concatenate([t.error[0] for t in findings.traces if t.held_out])
+    told = findings.told["compare"]["outputs"][findings.outputs[0]]["rmse_heldout"]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(told, rel=1e-12)
+
+
+def test_rate_of_a_ramp_is_its_slope():
+    time_s = np.arange(500.0) * 2.0
+    np.testing.assert_allclose(measure_rate(time_s, 20.0 + 0.05 * time_s, 2.0), 3.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--out", "missing/report.html"), "is no directory"),
+        (("--out", "logs"), "is a directory"),
+        (("--format", "png", "--out", "zerodrift.toml"), "is a file"),
+    ],
+)
+def test_report_refuses_a_place_it_cannot_write(project, zerodrift, monkeypatch, arguments, words):
+    monkeypatch.chdir(project.directory)
+    before = project.read_all()
+    done = zerodrift("report", *arguments)
+    assert done.code == 2
+    assert words in done.err
+    assert project.read_all() == before
+
+
+def test_pdf_without_a_browser_says_what_to_do(project, zerodrift, monkeypatch):
+    monkeypatch.setenv("ZERODRIFT_BROWSER", "no-such-browser")
+    done = zerodrift("report", "-C", project.directory, "--format", "pdf")
+    assert done.code == 2
+    assert "Install one" in done.err
+
+
+def test_firmware_of_another_model_is_not_shown(surveyed, tmp_path, zerodrift):
+    from tests.loop.conftest import write_project
+
+    other = write_project(tmp_path, runs=3)
+    build = other.directory / "build"
+    build.mkdir()
+    (build / "firmware.json").write_text('{"model_hash": "0"}')
+    findings = survey_project(other.directory, wants_diagnosis=False)
+    assert findings.told["firmware"] is None
+    assert "cannot be shown" in findings.told["firmware_note"]
+
+
+def test_full_disk_is_a_message_and_leaves_the_old_report(project, zerodrift, monkeypatch):
+    target = project.directory / "report.html"
+    target.write_text("old")
+
+    def fail(self, _):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.replace", fail)
+    done = zerodrift("report", "-C", project.directory, "--no-diagnose")
+    assert done.code == 2
+    assert "No space left" in done.err
+    assert target.read_text() == "old"
+    assert sorted(path.name for path in project.directory.iterdir()) == [
+        "logs",
+        "report.html",
+        "zerodrift.toml",
+    ]

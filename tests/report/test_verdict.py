@@ -1,0 +1,47 @@
+"""The sentence on top, for every verdict there is."""
+
+import pytest
+
+from zerodrift.report.verdict import write_headline
+
+TITLES = {"creep": "creep and creep recovery"}
+
+
+def told(verdict, effect=None, **changes):
+    return {
+        "verdict": verdict,
+        "effect": effect,
+        "lookalikes": [],
+        "also": [],
+        "nearest": None,
+        "candidates": [{}],
+        "not_testable": [],
+        "floor_ratio_before": 5.0,
+        "floor_ratio_after": 1.03,
+        "floor": "dwell",
+        **changes,
+    }
+
+
+@pytest.mark.parametrize(
+    ("diagnosed", "kind", "words"),
+    [
+        (told("missing", "creep"), "missing", "lacks creep, creep and creep recovery"),
+        (told("missing", "creep", also=["ageing"]), "missing", "beside it: ageing"),
+        (
+            told("missing", "creep", lookalikes=["ageing"]),
+            "lookalikes",
+            "creep or ageing: these logs cannot tell which",
+        ),
+        (told("complete"), "complete", "Nothing is missing; the held-out error is 5.00 times"),
+        (told("complete", not_testable=[{}, {}]), "complete", "2 cannot be tested"),
+        (told("complete", candidates=[]), "not testable", "can test no further effect"),
+        (told("unknown", nearest="creep"), "unknown", "Nearest, and not it: creep"),
+        (told("complete", floor="estimated"), "complete", "which is estimated"),
+        (None, "none", "Not diagnosed"),
+    ],
+)
+def test_headline_says_the_verdict(diagnosed, kind, words):
+    headline = write_headline(diagnosed, TITLES)
+    assert headline.kind == kind
+    assert words in headline.sentence

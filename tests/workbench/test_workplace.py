@@ -1,0 +1,179 @@
+"""What the page does to a project is what the command line does, and it can be taken back."""
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+
+import pytest
+
+from zerodrift.workbench.workplace import Workplace
+
+
+@pytest.fixture
+def place(project):
+    workplace = Workplace(project.directory)
+    yield workplace
+    workplace.close()
+
+
+def settle(place, timeout_s=120.0):
+    """Wait until nothing runs, a survey that follows a command included."""
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        job = place.job
+        if job is not None and job.running:
+            job.wait(timeout_s)
+        if not place.busy:
+            return
+    raise AssertionError("still busy")
+
+
+def run_command(directory, *arguments):
+    done = subprocess.run(
+        [sys.executable, "-m", "zerodrift", *arguments, "-C", str(directory)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.returncode, json.loads(done.stdout)
+
+
+def test_add_does_what_the_command_does_and_undo_takes_it_back(place, project, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(project.directory, copy)
+    before = project.toml.read_bytes()
+    place.look()
+    settle(place)
+    assert place.findings.told["diagnose"]["effect"] == "thermal_lag"
+    assert "thermal_lag" in place.previews
+    place.run("add", "Adding thermal_lag", ["add", "thermal_lag", "--json"])
+    settle(place)
+    _, told = run_command(copy, "add", "thermal_lag", "--json")
+    assert place.revision == {**told, "command": "add"}
+    assert told["after"]["rmse_heldout"]["Fz"] < told["before"]["rmse_heldout"]["Fz"]
+    assert project.toml.read_bytes() == (copy / "zerodrift.toml").read_bytes()
+    assert project.history.read_bytes() == (copy / "build" / "history.json").read_bytes()
+    assert place.findings.told["history"]["steps"][-1]["step"] == "+ thermal_lag"
+    place.undo()
+    settle(place)
+    assert project.toml.read_bytes() == before
+    assert not project.history.exists()
+    assert place.findings.told["compare"]["effects"] == ["zero_tempco"]
+
+
+@pytest.mark.slow
+def test_undo_refuses_a_file_that_was_edited_since(place, project):
+    place.run("add", "Adding thermal_lag", ["add", "thermal_lag", "--json"])
+    settle(place)
+    edited = project.toml.read_text() + "# mine\n"
+    project.toml.write_text(edited)
+    place.undo()
+    settle(place)
+    assert project.toml.read_text() == edited
+    assert "was edited since" in place.message.text
+
+
+@pytest.mark.slow
+def test_effect_that_does_not_help_is_told_and_not_kept(place, project):
+    before = project.toml.read_bytes()
+    place.run("add", "Adding ageing", ["add", "ageing", "--json"])
+    settle(place)
+    assert project.toml.read_bytes() == before
+    assert "was not added" in place.message.text
+    assert place.undo_stack == []
+
+
+@pytest.mark.slow
+def test_edit_from_outside_shows_up(place, project):
+    place.look()
+    settle(place)
+    place.poll()
+    assert not place.busy
+    text = project.toml.read_text()
+    project.toml.write_text(text.replace('kind = "zero_tempco"', 'kind = "dark_current"', 1))
+    place.poll()
+    assert "zerodrift.toml changed outside" in place.message.text
+    settle(place)
+    assert place.findings.told["compare"]["effects"] == ["dark_current"]
+
+
+@pytest.mark.slow
+def test_log_deleted_under_it_is_told_and_the_findings_stay(place, project):
+    place.look()
+    settle(place)
+    shutil.rmtree(project.directory / "logs")
+    place.poll()
+    settle(place)
+    assert place.message.is_error
+    assert "logs/run_*.csv" in place.message.text
+    assert "Traceback" not in place.message.text
+    assert place.findings.told["compare"]["effects"] == ["zero_tempco"]
+
+
+EFFECT = """
+from zerodrift.physics.catalogue import register
+from zerodrift.physics.effect import Effect, Feature
+{extra}
+def build(ops, signals, p):
+    {body}
+register(Effect(kind="mine", title="mine", build=build, needs=("temperature",)))
+"""
+
+
+def use_effect(project, body, extra=""):
+    (project.directory / "mine.py").write_text(EFFECT.format(body=body, extra=extra))
+    project.toml.write_text(project.toml.read_text() + '\n[plugins]\nfiles = ["mine.py"]\n')
+
+
+@pytest.mark.slow
+def test_failing_effect_of_the_user_is_a_message(place, project):
+    use_effect(project, "raise ZeroDivisionError('mine')")
+    place.look()
+    settle(place)
+    place.run("add", "Adding mine", ["add", "mine", "--json"])
+    settle(place)
+    assert "mine" in place.message.text
+    assert place.message.is_error
+
+
+def test_what_never_ends_can_be_cancelled_and_leaves_the_project_as_it_was(place, project):
+    use_effect(project, "return ()", extra="import time\ntime.sleep(600)")
+    before = project.read_all()
+    place.run("add", "Adding mine", ["add", "mine", "--json"])
+    time.sleep(1.0)
+    assert place.busy
+    place.cancel()
+    settle(place, 30.0)
+    assert "cancelled" in place.message.text
+    assert project.read_all() == before
+
+
+@pytest.mark.slow
+def test_file_named_like_a_package_in_the_project_is_not_run(place, project):
+    (project.directory / "numpy.py").write_text("raise SystemExit('hijacked')")
+    place.look()
+    settle(place)
+    assert place.message is None
+    assert place.findings is not None
+
+
+@pytest.mark.slow
+def test_read_only_configuration_is_a_message(place, project):
+    project.toml.chmod(0o444)
+    before = project.read_all()
+    place.run("add", "Adding thermal_lag", ["add", "thermal_lag", "--json"])
+    settle(place)
+    assert "read-only" in place.message.text
+    assert project.read_all() == before
+
+
+@pytest.mark.slow
+def test_second_command_waits_its_turn(place, project):
+    use_effect(project, "return ()", extra="import time\ntime.sleep(600)")
+    assert place.run("add", "Adding mine", ["add", "mine", "--json"])
+    assert not place.run("remove", "Removing", ["remove", "zero_tempco", "--json"])
+    assert "being done already" in place.message.text
+    place.cancel()
+    settle(place, 30.0)

@@ -1,0 +1,54 @@
+"use strict";
+(function () {
+  const root = document.documentElement;
+  const dark = window.matchMedia("(prefers-color-scheme: dark)");
+  const largest = 1 << 30;
+  let chosen = null;
+  function theme() {
+    root.dataset.theme = chosen || (dark.matches ? "dark" : "light");
+    return root.dataset.theme === "dark" ? "Light page" : "Dark page";
+  }
+  theme();
+  dark.addEventListener("change", theme);
+  window.dash_clientside = Object.assign({}, window.dash_clientside, {
+    zerodrift: {
+      turn: function (clicks) {
+        if (clicks) { chosen = root.dataset.theme === "dark" ? "light" : "dark"; }
+        return theme();
+      },
+    },
+  });
+  async function send(files) {
+    for (const file of files) {
+      if (file.size > largest) {
+        // Refused by the server from the size alone, so that nothing of it is sent.
+        await fetch("/upload/refused?name=" + encodeURIComponent(file.name) + "&size=" + file.size, { method: "POST" });
+        continue;
+      }
+      await fetch("/upload?name=" + encodeURIComponent(file.name), { method: "POST", body: file });
+    }
+  }
+  document.addEventListener("dragover", (event) => {
+    event.preventDefault();
+    const drop = document.getElementById("drop");
+    if (drop) { drop.classList.add("over"); }
+  });
+  document.addEventListener("dragleave", () => {
+    const drop = document.getElementById("drop");
+    if (drop) { drop.classList.remove("over"); }
+  });
+  document.addEventListener("drop", (event) => {
+    event.preventDefault();
+    const drop = document.getElementById("drop");
+    if (drop) { drop.classList.remove("over"); send(event.dataTransfer.files); }
+  });
+  document.addEventListener("click", (event) => {
+    if (event.target.id !== "choose") { return; }
+    const input = document.createElement("input");
+    input.type = "file";
+    input.multiple = true;
+    input.accept = ".csv,.parquet";
+    input.addEventListener("change", () => send(input.files));
+    input.click();
+  });
+})();

@@ -1,0 +1,80 @@
+"""What the page asks of processes of its own: the survey of a project, and its diagnosis.
+
+python -m zerodrift.workbench.child survey|diagnose PROJECT RESULT
+
+Both write into the directory RESULT and say by an event when something there is complete.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from zerodrift.commands.console import print_progress
+from zerodrift.commands.survey import diagnose_once, preview_effects, survey_project
+from zerodrift.errors import ZerodriftError
+from zerodrift.report.findings import save_findings
+from zerodrift.workbench.jobs import EVENT_MARK
+
+SURVEYED, DIAGNOSED, PREVIEWED = "surveyed", "diagnosed", "previewed"
+DIAGNOSIS = "diagnosis.json"
+PREVIEWS = 4
+
+
+def survey(directory: Path, result: Path) -> None:
+    """Write the findings, with the diagnosis where one of these logs is kept."""
+    findings = survey_project(directory, wants_diagnosis=False, say=print_progress)
+    print_progress("writing")
+    save_findings(findings, result)
+    _tell(SURVEYED)
+
+
+def diagnose(directory: Path, result: Path) -> None:
+    """Write the diagnosis, and then what the effects that it names would look like."""
+    from zerodrift.commands.project import open_project
+    from zerodrift.commands.survey import trace_provenance
+    from zerodrift.physics.catalogue import load_catalogue
+
+    config, dataset = open_project(directory)
+    catalogue = load_catalogue(config.plugin_files)
+    mark = trace_provenance(config, dataset)["mark"]
+    found = diagnose_once(config, dataset, catalogue, mark, True, print_progress)
+    text = json.dumps(found, ensure_ascii=False, allow_nan=False)
+    (result / DIAGNOSIS).write_text(text, encoding="utf-8")
+    _tell(DIAGNOSED)
+    if found is None:
+        return
+    previews = preview_effects(
+        config, dataset, catalogue, found["diagnosis"], PREVIEWS, print_progress
+    )
+    for effect, curves in previews.items():
+        for run, curve in curves.items():
+            np.save(name_preview(result, effect, run), curve, allow_pickle=False)
+    _tell(PREVIEWED)
+
+
+def name_preview(result: Path, effect: str, run: str) -> Path:
+    """Return where the preview of an effect in a run lies; names may hold any character."""
+    return result / f"preview.{effect.encode().hex()}.{run.encode().hex()}.npy"
+
+
+def _tell(event: str) -> None:
+    print(f"{EVENT_MARK}{event}", flush=True)
+
+
+def main() -> None:
+    """Do what the arguments say; a user's error is one message on stderr."""
+    what, directory, result = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
+    try:
+        {"survey": survey, "diagnose": diagnose}[what](directory, result)
+    except ZerodriftError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except OSError as error:
+        print(f"error: {error.filename or directory}: {error.strerror}.", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

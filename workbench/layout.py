@@ -1,0 +1,166 @@
+"""The page without anything in it yet: places for what the callbacks bring."""
+
+from typing import Any
+
+from dash import dcc, html
+
+from zerodrift.workbench import panels
+
+POLL_MS = 500
+CONTENTS = (
+    ("top", "Verdict"),
+    ("measured", "Measured and model"),
+    ("candidates-section", "What is missing"),
+    ("staircase-section", "Staircase"),
+    ("errors-section", "Errors"),
+    ("model-section", "Effects"),
+    ("firmware-section", "Firmware"),
+)
+PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+{%metas%}
+<title>{%title%}</title>
+<style>STYLE</style>
+{%css%}
+</head>
+<body>
+{%app_entry%}
+<footer class="scripts">{%config%}{%scripts%}{%renderer%}</footer>
+</body>
+</html>
+"""
+
+
+def lay_out() -> Any:
+    """Return the whole page."""
+    stores = [dcc.Store(id=name) for name in ("guess", "pressed", "begun", "drawn")]
+    return html.Div(
+        [
+            dcc.Interval(id="tick", interval=POLL_MS),
+            dcc.Store(id="version", data=-1),
+            *stores,
+            html.Div(id="job", className="job", role="status"),
+            html.Div(
+                html.Button("Cancel", id="cancel", className="cancel"), id="cancel-box", hidden=True
+            ),
+            html.Div(
+                [html.P("", id="message", role="alert"), html.Button("Dismiss", id="dismiss")],
+                id="message-box",
+                hidden=True,
+            ),
+            html.Div(id="start", hidden=True, className="layout single"),
+            html.Div(
+                [_lay_out_contents(), html.Main([*_lay_out_top(), *_lay_out_sections()], id="top")],
+                id="bench",
+                className="layout",
+                hidden=True,
+            ),
+        ]
+    )
+
+
+def _lay_out_contents() -> Any:
+    links = [html.Li(html.A(words, href=f"#{where}")) for where, words in CONTENTS]
+    theme = html.Button("Dark page", id="theme", className="theme")
+    return html.Nav([html.Ol(links), theme], className="contents", **{"aria-label": "Contents"})
+
+
+def _choose(words: str, name: str, **options: Any) -> Any:
+    """Return a dropdown with its words."""
+    return html.Label([words, dcc.Dropdown(id=name, **options)], className="wide")
+
+
+def _lay_out_top() -> list[Any]:
+    """Return the head: verdict, guess, actions, and what the last change brought."""
+    force = dcc.Checklist(["keep it even if it does not help"], [], id="force")
+    return [
+        html.P(id="kicker", className="kicker"),
+        html.H1(id="sensor"),
+        html.P(id="subtitle", className="subtitle"),
+        html.Section(id="verdict", className="verdict none"),
+        html.Div(
+            [
+                _choose("My guess", "guess-choice"),
+                html.Button("Now tell me", id="tell", className="primary"),
+            ],
+            id="guess-box",
+            className="actions",
+            hidden=True,
+        ),
+        html.P(id="guess-told", className="note"),
+        html.Div(
+            [
+                html.Button(id="add", className="primary"),
+                _choose("or another effect", "effect", placeholder="choose"),
+                html.Label(force),
+                html.Button("Undo", id="undo"),
+                html.Button("Look again", id="look"),
+            ],
+            id="actions",
+            className="actions",
+        ),
+        html.Section(id="revision", className="card", hidden=True),
+        html.Div(id="tiles", className="tiles"),
+    ]
+
+
+def _lay_out_sections() -> list[Any]:
+    """Return the sections below the head."""
+    ghost = "an effect, drawn over what is left"
+    choices = [
+        _choose("Output", "output", clearable=False),
+        _choose("Run", "run", clearable=False),
+        _choose("What would it look like", "ghost", placeholder=ghost),
+    ]
+    chart = dcc.Graph(id="main", config=panels.GRAPH, style={"height": "520px"})
+    table = [
+        html.Summary("What is drawn, as a table", id="main-summary"),
+        html.Div(id="main-table"),
+    ]
+    buttons = ("Train", "train"), ("Build firmware", "firmware"), ("Verify", "verify")
+    return [
+        _section(
+            "measured",
+            "Measured, model, and what is left",
+            html.Div(choices, className="choices"),
+            html.Figure(chart),
+            html.P(id="cause", className="note"),
+            html.Details(table, id="main-details"),
+        ),
+        _section(
+            "candidates-section",
+            "What is missing, and why not the others",
+            html.Div(id="candidates"),
+            html.Div(id="effect-told", className="card"),
+        ),
+        _section("staircase-section", "The staircase of errors", html.Div(id="staircase")),
+        _section("errors-section", "Errors", html.Div(id="errors")),
+        _section(
+            "model-section",
+            "Effects in the model",
+            html.Div(id="model"),
+            html.Div(
+                [_choose("Effect", "present"), html.Button("Remove", id="remove")],
+                className="actions",
+            ),
+        ),
+        _section(
+            "firmware-section",
+            "Firmware",
+            html.Div(
+                [
+                    *(html.Button(words, id=name) for words, name in buttons),
+                    html.Button("Write report", id="report"),
+                ],
+                className="actions",
+            ),
+            html.Div(id="outcome", role="status"),
+            html.Div(id="firmware-told"),
+        ),
+    ]
+
+
+def _section(name: str, title: str, *parts: Any) -> Any:
+    return html.Section([html.H2(title), *parts], id=name)

@@ -1,0 +1,149 @@
+"""Serves the page to this machine alone."""
+
+import socket
+from pathlib import Path
+from typing import Any
+
+from flask import Flask, Response, jsonify, request, send_file
+from werkzeug.serving import WSGIRequestHandler, make_server
+
+from zerodrift.errors import InputError
+from zerodrift.workbench.app import make_app
+from zerodrift.workbench.security import guard, make_token
+from zerodrift.workbench.workplace import Workplace
+
+HOST = "127.0.0.1"
+CHUNK = 1 << 20
+
+
+class _Quiet(WSGIRequestHandler):  # type: ignore[misc,unused-ignore]
+    """A request handler that prints nothing."""
+
+    def log(self, type: str, message: str, *args: Any) -> None:  # noqa: A002 - the base's name
+        """Say nothing."""
+
+
+class Workbench:
+    """A page being served."""
+
+    def __init__(self, directory: Path, port: int = 0) -> None:
+        """Open a directory and a port, and look at the project.
+
+        Args:
+            directory: of the project.
+            port: to listen on; 0 for any that is free.
+
+        Raises:
+            InputError: another workbench is open there, or the port is taken.
+        """
+        self.place = Workplace(directory)
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((HOST, port))
+        except OSError as error:
+            listener.close()
+            self.place.close()
+            raise InputError(
+                f"port {port} of {HOST} cannot be had ({error.strerror}); expected a free one. "
+                "Name another by --port, or leave it out."
+            ) from error
+        listener.listen()
+        self.port = int(listener.getsockname()[1])
+        self.token = make_token()
+        app = make_app(self.place)
+        guard(app.server, self.token, self.port)
+        add_routes(app.server, self.place)
+        self._listener = listener
+        self._server = make_server(
+            HOST,
+            self.port,
+            app.server,
+            threaded=True,
+            request_handler=_Quiet,
+            fd=listener.fileno(),
+        )
+        self.place.look()
+
+    @property
+    def url(self) -> str:
+        """Where the page is, with its token."""
+        return f"http://{HOST}:{self.port}/?token={self.token}"
+
+    def serve(self) -> None:
+        """Answer until `stop`, or until the user interrupts."""
+        self._server.serve_forever(poll_interval=0.2)
+
+    def stop(self) -> None:
+        """Stop answering, and end what runs."""
+        self._server.shutdown()
+        self.close()
+
+    def close(self) -> None:
+        """Let the port and the directory go."""
+        self._server.server_close()
+        self._listener.close()
+        self.place.close()
+
+
+def add_routes(server: Flask, place: Workplace) -> None:
+    """Add the two routes beside the page: a log going in, the report coming out."""
+
+    def upload() -> tuple[Response, int]:
+        name = request.args.get("name", "")
+        try:
+            if place.has_project:
+                raise InputError(
+                    "there is a project here already; copy further logs into it and name them in "
+                    "zerodrift.toml."
+                )
+            target = place.place_upload(name, request.content_length)
+            receive(target, request.content_length or 0)
+        except InputError as error:
+            place.tell(str(error))
+            return jsonify({"error": str(error)}), 400
+        place.tell(f"Took {target.name}.", is_error=False)
+        return jsonify({"file": target.name}), 200
+
+    def refuse() -> tuple[Response, int]:
+        try:
+            place.place_upload(request.args.get("name", ""), int(request.args.get("size", "-1")))
+        except InputError as error:
+            place.tell(str(error))
+        return jsonify({}), 400
+
+    def report() -> Response:
+        path = place.directory / "report.html"
+        if not path.is_file():
+            return Response("No report was written yet.", 404, mimetype="text/plain")
+        return send_file(path, mimetype="text/html")
+
+    server.add_url_rule("/upload", view_func=upload, methods=["POST"])
+    server.add_url_rule("/upload/refused", view_func=refuse, methods=["POST"])
+    server.add_url_rule("/report.html", view_func=report)
+
+
+def receive(target: Path, size: int) -> None:
+    """Write the body of the request, whole or not at all.
+
+    Raises:
+        InputError: it ended early, or the disk does not take it.
+    """
+    part = target.with_name(f".{target.name}.part")
+    try:
+        target.parent.mkdir(exist_ok=True)
+        got = 0
+        with part.open("wb") as file:
+            while chunk := request.stream.read(CHUNK):
+                file.write(chunk)
+                got += len(chunk)
+        if got != size:
+            raise InputError(f"{target.name}: {got} of {size} bytes arrived; drop the file again.")
+        part.replace(target)
+    except OSError as error:
+        raise InputError(
+            f"{target}: cannot be written ({error.strerror}); nothing of it was kept. Make "
+            "room, or make the directory writable."
+        ) from error
+    finally:
+        part.unlink(missing_ok=True)
