@@ -291,7 +291,8 @@ def wilson(hits: int, total: int) -> tuple[float, float]:
     share = hits / total
     middle = share + z * z / (2 * total)
     spread = z * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total))
-    return (middle - spread) / (1 + z * z / total), (middle + spread) / (1 + z * z / total)
+    low, high = (middle - spread) / (1 + z * z / total), (middle + spread) / (1 + z * z / total)
+    return max(low, 0.0), min(high, 1.0)
 
 
 def tell(name: str, hits: Iterable[bool]) -> float:

@@ -52,7 +52,8 @@ def generate(model: IntegerModel) -> GeneratedCode:
     Raises:
         CheckError: a bound of the model does not hold; an unproven model is never generated.
     """
-    bounds = {bound.where: bound.interval for bound in model.prove()}
+    claims = model.prove()
+    bounds = {bound.where: bound.interval for bound in claims}
     stateful = [n for n in model.nodes if n.kind in STATEFUL]
     layer = model.recurrent
     fed_at_rest = [n for n in stateful if n is not layer or layer.window]  # a cold GRU is 0
@@ -81,6 +82,7 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "selftest_low": selftest_low,
         "selftest_high": selftest_high,
         "bounds": bounds,
+        "claims": claims,
         "counts": any(n.kind == "counter" for n in model.nodes),
         "reads_inputs": any(n.kind in ("input", "load") for n in model.nodes),
         "code_type": f"{model.code_type.__name__}_t",
@@ -128,7 +130,7 @@ def make_environment() -> jinja2.Environment:
     environment.filters["int32"] = format_int32
     environment.filters["int64"] = format_int64
     environment.filters["factor"] = format_factor
-    environment.filters["sum"] = format_sum
+    environment.filters["total"] = format_sum
     environment.filters["by_unit"] = arrange_by_unit
     environment.filters["number"] = format_float
     return environment

@@ -39,6 +39,8 @@ WARM_SHARE = 1e-3
 """The model is warm when starts from cold and from rest differ by less than this share of the
 correction's range, for good."""
 WARM_UP_RUN_STEPS = 20_000
+POWER_ON, FIRST_ROW = "power_on", "first row of a log"
+"""Note of a model whose logs do not count their time from power-on."""
 
 
 def compose_integer_model(
@@ -52,6 +54,8 @@ def compose_integer_model(
     model = describe_compensator(compensator, config, dataset.train)
     calibration = calibrate(compensator, model, dataset.train)
     cold = quantize(model, calibration, config.weights)
+    if compensator.physics.plan.starts_at_first_row:
+        cold = replace(cold, notes={**cold.notes, POWER_ON: FIRST_ROW})
     steps = measure_warm_up(cold, dataset.train)
     return replace(cold, guards=replace(cold.guards, warm_up_steps=steps))
 
@@ -169,10 +173,16 @@ def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> CodeArray:
     return np.stack(columns, axis=1).astype(code_type(model.channels))
 
 
-def count_elapsed(run: Run) -> int:
-    """Return the steps since power-on at the first sample of a run."""
+def count_elapsed(model: IntegerModel, run: Run) -> int:
+    """Return the steps since power-on at the first sample of a run.
+
+    The log's time counts from power-on, unless the physical model found that its logs cannot (the
+    model's note says so) or it is no time since power-on at all: then the log's first row counts.
+    """
     first_s = float(run.time_s[0])
-    return round(first_s / run.sample_period_s) if 0.0 <= first_s < LATEST_RELATIVE_TIME_S else 0
+    if model.notes.get(POWER_ON) == FIRST_ROW or not 0.0 <= first_s < LATEST_RELATIVE_TIME_S:
+        first_s -= first_s if run.start_s is None else run.start_s
+    return round(first_s / run.sample_period_s)
 
 
 def predict_on_chip(compensator: "Compensator | ImportedCompensator", run: Run) -> Array:
@@ -263,6 +273,6 @@ def measure_warm_up(model: IntegerModel, runs: Sequence[Run]) -> int:
 def predict_integer(model: IntegerModel, run: Run) -> Array:
     """Return the drift [n, K] that the chip computes for a run, in each output's unit."""
     codes = encode_inputs(model, run)[None]
-    trace = Reference(model).run(codes, elapsed=count_elapsed(run))
+    trace = Reference(model).run(codes, elapsed=count_elapsed(model, run))
     scale = np.array([output.lsb_per_unit for output in model.outputs], dtype=np.float64)
     return np.asarray(trace.drift[0] / scale)

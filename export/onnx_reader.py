@@ -5,7 +5,7 @@ operators, is what reaches the chip. The graph is walked once from its inputs to
 values on the way are those of `zerodrift.export.onnx_values`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,8 @@ Array = NDArray[np.float64]
 LARGEST_FILE = 64 * 2**20
 """Bytes; the weights of a network that fits a microcontroller take a fraction of this."""
 OLDEST_OPSET = 7
+MOST_NODES = 100_000
+"""Of a graph whose functions are unfolded."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,7 @@ def _parse(content: bytes, where: str) -> onnx.GraphProto:
         if model.functions:
             from onnx import inliner
 
+            _check_inlined_size(model)
             model = inliner.inline_local_functions(model)
         onnx.checker.check_model(model)
     except Exception as error:
@@ -133,6 +136,31 @@ def _parse(content: bytes, where: str) -> onnx.GraphProto:
             " newer. Export it again."
         )
     return model.graph
+
+
+def _check_inlined_size(model: onnx.ModelProto) -> None:
+    """Refuse functions that call themselves, or one another so often that the graph explodes.
+
+    Raises:
+        ValueError: either of them.
+    """
+    functions = {(f.domain, f.name): f for f in model.functions}
+    sizes: dict[tuple[str, str], int] = {}
+
+    def measure(nodes: Sequence[onnx.NodeProto], above: tuple[tuple[str, str], ...]) -> int:
+        total = 0
+        for node in nodes:
+            key = (node.domain, node.op_type)
+            if key in above:
+                raise ValueError(f"function {node.op_type} calls itself")
+            if key in functions and key not in sizes:
+                sizes[key] = measure(functions[key].node, (*above, key))
+            total += sizes.get(key, 1)
+        return total
+
+    total = measure(model.graph.node, ())
+    if total > MOST_NODES:
+        raise ValueError(f"its functions unfold to {total} nodes, over {MOST_NODES}")
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ The integer meaning is normative and specified in `docs/reference/integer-arithm
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,17 @@ class FloatGru:
 
 def _sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return 0.5 * (1.0 + np.tanh(0.5 * x))
+
+
+class IntegerGates(NamedTuple):
+    """What a step of an `IntegerGru` goes through, each [B, H]."""
+
+    r_q31: NDArray[np.int32]
+    u_q31: NDArray[np.int32]
+    n_q30: NDArray[np.int32]
+    product: IntArray
+    """Reset "after": the sum inside the reset product, at `IntegerGru.inside_scale`; "before":
+    r h in Q0.15."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +139,7 @@ class IntegerGru:
     def _recurrent(self, h_q15: IntArray, rows: slice) -> Array:
         """Return w_h . h of some rows [B, rows] in their gates' accumulator formats.
 
-        Here and in `_gates` accumulators are integers held exactly in float64: the certificate
+        Here and in `gates` accumulators are integers held exactly in float64: the certificate
         bounds them and their partial sums by 2**31.
         """
         product = h_q15.astype(np.float64) @ self._rows.w_h_t[:, rows]
@@ -137,8 +149,23 @@ class IntegerGru:
         scaled = product.astype(np.int64) * self._rows.multiplier[rows] + (1 << shift >> 1)
         return (scaled >> shift).astype(np.float64)
 
-    def _gates(self, x: IntArray, h_q30: IntArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Return u in Q0.31 and n in Q1.30, both [B, H]."""
+    @property
+    def inside_scale(self) -> float:
+        """Real value of one count of the sum inside the reset product."""
+        return 2.0 ** -(self.shift[2] + 17)
+
+    def dequantize_recurrent(self) -> Array:
+        """Return the recurrent weights [3, H, H] as the integers act."""
+        exponents = np.array([self.shift[0] + 15, self.shift[1] + 15, self.shift[2] + 16])
+        exponents[2] += self.reset == "after"
+        weights = self.w_h.astype(np.float64)
+        if self.multiplier is not None:
+            weights = weights * self.multiplier[:, :, None]
+            exponents += np.array(self.multiplier_shift)
+        return np.asarray(weights * 2.0 ** (15.0 - exponents[:, None, None]))
+
+    def gates(self, x: IntArray, h_q30: IntArray) -> IntegerGates:
+        """Return the gates for int16 features x [B, I] and state h_q30 [B, H]."""
         hidden, after = self.hidden, self.reset == "after"
         ru, n = slice(0, 2 * hidden), slice(2 * hidden, 3 * hidden)
         from_x = x.astype(np.float64) @ self._rows.w_x_t + self._rows.bias
@@ -147,24 +174,27 @@ class IntegerGru:
         ru_q31 = sigmoid_q31(a_ru >> self._rows.shift[ru])
         r_q31, u_q31 = ru_q31[:, :hidden], ru_q31[:, hidden:]
         if after:
-            inside = (from_h[:, n] + self.bias[3]).astype(np.int64)
-            a_n = from_x[:, n].astype(np.int64) + round_shift(inside * r_q31, 32)
+            product = (from_h[:, n] + self.bias[3]).astype(np.int64)
+            a_n = from_x[:, n].astype(np.int64) + round_shift(product * r_q31, 32)
         else:
-            rh_q15 = round_shift(h_q30 * r_q31, 46)
-            a_n = (from_x[:, n] + self._recurrent(rh_q15, n)).astype(np.int64)
-        n_q30 = tanh_q30(a_n >> self.shift[2])
-        return u_q31, n_q30
+            product = round_shift(h_q30 * r_q31, 46)
+            a_n = (from_x[:, n] + self._recurrent(product, n)).astype(np.int64)
+        return IntegerGates(r_q31, u_q31, tanh_q30(a_n >> self.shift[2]), product)
 
     def step(self, x: IntArray, h_q30: IntArray) -> IntArray:
         """Return the next state [B, H] in Q1.30 from int16 features x [B, I] and state h_q30."""
-        u_q31, n_q30 = self._gates(x, h_q30)
-        return np.asarray(h_q30 + 2 * round_shift((n_q30 - h_q30) * u_q31, 32))
+        return self.move(self.gates(x, h_q30), h_q30)
+
+    @staticmethod
+    def move(gates: IntegerGates, h_q30: IntArray) -> IntArray:
+        """Return the state [B, H] in Q1.30 that the gates lead to from h_q30."""
+        return np.asarray(h_q30 + 2 * round_shift((gates.n_q30 - h_q30) * gates.u_q31, 32))
 
     def settle(self, x: IntArray) -> IntArray:
         """Return the state at rest [B, H] in Q1.30 under constant features x [B, I]."""
         h_q30 = np.zeros((x.shape[0], self.hidden), dtype=np.int64)
         for _ in range(RELAX_STEPS):
-            _, n_q30 = self._gates(x, h_q30)
+            n_q30 = self.gates(x, h_q30).n_q30
             h_q30 = np.asarray(h_q30 + 2 * round_shift((n_q30 - h_q30) * U_RELAX_Q31, 32))
         return h_q30
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from zerodrift.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset, Run
@@ -201,7 +202,7 @@ def _finish(campaign: Campaign, found: Found, units: Sequence[str]) -> PhysicalM
         constant = np.sum(np.stack(list(totals.values())), axis=0) / np.maximum(whole, 1.0)
         offsets = {group: constant.copy() for group in offsets}
     scatter = np.std(np.stack(list(offsets.values())), axis=0) / np.sqrt(len(offsets))
-    fitted = _attach_errors(terms, coordinates, theta_errors)
+    fitted = _attach_errors(terms, coordinates, theta_errors, len(campaign.groups))
     return PhysicalModel(
         plan=plan,
         units=tuple(units),
@@ -282,10 +283,14 @@ def estimate_errors(
 
 
 def _attach_errors(
-    terms: Sequence[Term], coordinates: Sequence[Coordinate], errors: Array
+    terms: Sequence[Term], coordinates: Sequence[Coordinate], errors: Array, runs: int
 ) -> tuple[FittedTerm, ...]:
-    """Return the terms with errors and intervals in the parameters' own units."""
-    quantile = 1.96
+    """Return the terms with errors and intervals in the parameters' own units.
+
+    A scatter that was read from few runs is itself uncertain: Student's t with a degree of freedom
+    for each run but one.
+    """
+    quantile = float(student.ppf(0.975, runs - 1)) if runs >= CLUSTERS else 1.96
     u = get_coordinates(terms, coordinates)
     fitted = []
     for i, term in enumerate(terms):

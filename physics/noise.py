@@ -71,9 +71,9 @@ class Noise:
 
         White noise has 0, flicker 1, a random walk 2; outputs are pooled.
         """
-        half = longest / 4.0 * np.array([1.0, 0.125])
+        half = longest / 4.0 * np.array([1.0, 0.25])
         late, early = _detail_variance(half, self.tau_samples) @ self.weights
-        return float(np.log2(np.mean(late / np.maximum(early, 1e-300)))) / 3.0
+        return float(np.log2(np.mean(late / np.maximum(early, 1e-300)))) / 2.0
 
 
 def measure_noise(columns: Sequence[Array], source: str) -> Noise:

@@ -59,11 +59,14 @@ def list_coordinates(terms: Sequence[Term]) -> list[Coordinate]:
 def set_coordinates(
     terms: Sequence[Term], coordinates: Sequence[Coordinate], u: Array
 ) -> list[Term]:
-    """Return the terms with the coordinates' values put in."""
+    """Return the terms with the coordinates' values put in, none beyond its bounds."""
     values: dict[int, dict[str, float]] = {}
     for coordinate, position in zip(coordinates, u, strict=True):
         place = values.setdefault(coordinate.term, {})
-        place[coordinate.parameter.name] = coordinate.decode(float(position))
+        place[coordinate.parameter.name] = min(
+            max(coordinate.decode(float(position)), coordinate.parameter.lower),
+            coordinate.parameter.upper,
+        )
     return [term.with_values(values.get(i, {})) for i, term in enumerate(terms)]
 
 

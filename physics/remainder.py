@@ -90,6 +90,9 @@ def single_out_runs(runs: Sequence[Run], rests: Sequence[Array], noise: Array) -
             who = f"run {named[0]}" if len(named) == 1 else f"runs {', '.join(named)}"
             if max(max(memory[name]) for name in named) < WITHOUT_MEMORY:
                 return f"{who}: noisier than the dwell, without any memory"
+            if len(named) == 1:
+                # Told by `bad_runs`, with more about it.
+                return ""
             return (
                 f"{100.0 * share:.0f} % of what is left beyond the noise lies in {who}: "
                 "look there first"

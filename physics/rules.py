@@ -34,12 +34,13 @@ ALIKE_UNITS = 10.0
 """... nor by less than this in noise units."""
 IMPLAUSIBLE = 0.97
 """An effect with values far from typical gives way to one with this share of its gain."""
-WANDERING = 0.4
+WANDERING = 0.3
 """Share of slow variance in a dwell above which the sensor wanders even at rest, ..."""
 SLOW = 0.125
 """... slow being noise whose memory is longer than this share of the dwell, ..."""
-GROWTH = 1.35
-"""... if variance grows by this power of the time at its end: flicker has 1, a random walk 2."""
+GROWTH, GROWTH_SPREAD = 1.0, 0.5
+"""... if variance grows by more than this power of the time at its end, flicker having 1 and a
+random walk 2; the second is what one output's power may be off by, to be on the safe side."""
 
 
 @dataclass(frozen=True)
@@ -104,5 +105,6 @@ def wanders(case: Case, examination: Examination) -> bool:
     noise = examination.noise
     longest = max(len(run) for run in case.dataset.dwell)
     slow = noise.weights[noise.tau_samples > SLOW * longest].sum(axis=0)
-    share = float(np.mean(slow / np.maximum(noise.weights.sum(axis=0), 1e-300)))
-    return share > WANDERING and noise.measure_growth(longest) > GROWTH
+    share_of = slow / np.maximum(noise.weights.sum(axis=0), 1e-300)
+    limit = GROWTH + GROWTH_SPREAD / np.sqrt(share_of.size)
+    return float(share_of.mean()) > WANDERING and noise.measure_growth(longest) > limit

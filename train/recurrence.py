@@ -37,7 +37,7 @@ class GruWeights(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Trace:
+class Trace:
     """What the forward pass leaves for the backward pass."""
 
     states: Array32
@@ -58,7 +58,7 @@ def _sigmoid_in_place(x: Array32) -> None:
     x *= np.float32(0.5)
 
 
-def _run_forward(x: Tensor, h0: Tensor, weights: GruWeights, reset: str) -> _Trace:
+def _run_forward(x: Tensor, h0: Tensor, weights: GruWeights, reset: str) -> Trace:
     w_x, w_h, bias = weights
     steps, _, batch = x.shape
     hidden = h0.shape[0]
@@ -102,15 +102,22 @@ def _run_forward(x: Tensor, h0: Tensor, weights: GruWeights, reset: str) -> _Tra
         np.subtract(n, h, out=following)
         following *= u
         following += h
-    return _Trace(states, gates, candidate, product)
+    return Trace(states, gates, candidate, product)
 
 
-def _run_backward(
-    d_states: Array32, trace: _Trace, w_h: Tensor, reset: str
+def propagate_back(
+    d_states: Array32, trace: Trace, w_h: Tensor, reset: str
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return the gradients of the pre-activations, outside and inside the reset, and of h0.
 
-    Shapes: [T, 3 H, B], [T, 3 H, B], [H, B]. With reset "before" the second differs from the first
+    Args:
+        d_states: [T, H, B] gradients of the states.
+        trace: what the forward pass left.
+        w_h: [3, H, H] recurrent weights that the forward pass acted with.
+        reset: "after" or "before" the recurrent product.
+
+    Returns:
+        [T, 3 H, B], [T, 3 H, B], [H, B]. With reset "before" the second differs from the first
     nowhere and is the same tensor.
     """
     steps, hidden, batch = trace.candidate.shape
@@ -155,7 +162,7 @@ def _run_backward(
     return d_outside_t, d_inside_t, torch.from_numpy(dh)
 
 
-def _sum_outer(left: Tensor, right: Tensor) -> Tensor:
+def sum_outer(left: Tensor, right: Tensor) -> Tensor:
     """Return the sum over time and sequences of left [T, A, B] times right [T, C, B]: [A, C]."""
     return torch.matmul(left, right.transpose(1, 2)).sum(0)
 
@@ -176,23 +183,23 @@ class _GruSequence(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients of h0, w_x, w_h and bias; features are data and get none."""
         x, w_x, w_h = ctx.saved_tensors
-        trace: _Trace = ctx.trace
+        trace: Trace = ctx.trace
         d_states = grads[0].contiguous().numpy()
-        d_outside, d_inside, d_h0 = _run_backward(d_states, trace, w_h, ctx.reset)
+        d_outside, d_inside, d_h0 = propagate_back(d_states, trace, w_h, ctx.reset)
         hidden = w_h.shape[1]
         h = torch.from_numpy(trace.states[:-1])
-        d_w_x = _sum_outer(d_outside, x).reshape(w_x.shape)
+        d_w_x = sum_outer(d_outside, x).reshape(w_x.shape)
         d_bias = torch.zeros(4, hidden)
         d_bias[:3] = d_outside.sum((0, 2)).reshape(3, hidden)
         if ctx.reset == "after":
-            d_w_h = _sum_outer(d_inside, h)
+            d_w_h = sum_outer(d_inside, h)
             d_bias[3] = d_inside[:, 2 * hidden :].sum((0, 2))
         else:
             reset_h = torch.from_numpy(trace.product)
             d_w_h = torch.cat(
                 (
-                    _sum_outer(d_inside[:, : 2 * hidden], h),
-                    _sum_outer(d_inside[:, 2 * hidden :], reset_h),
+                    sum_outer(d_inside[:, : 2 * hidden], h),
+                    sum_outer(d_inside[:, 2 * hidden :], reset_h),
                 )
             )
         return None, None, d_h0, d_w_x, d_w_h.reshape(w_h.shape), d_bias

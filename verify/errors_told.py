@@ -53,7 +53,8 @@ def tell_errors(
     scale = np.array([output.lsb_per_unit for output in outputs], dtype=np.float64)
     floats = [predict_on_chip(compensator, run) for run in runs]
     integers = [
-        host.run(encode_inputs(host.model, run), elapsed=count_elapsed(run)).drift / scale
+        host.run(encode_inputs(host.model, run), elapsed=count_elapsed(host.model, run)).drift
+        / scale
         for run in runs
     ]
     none = [np.zeros_like(run.drift) for run in runs]

@@ -7,17 +7,29 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.c_runtime.footprint import Footprint, measure_footprint
-from zerodrift.c_runtime.host import write_sources
+from zerodrift.c_runtime.host import HostModel, write_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.export.compose import compose_integer_model, encode_inputs
+from zerodrift.errors import CheckError
+from zerodrift.export.compose import (
+    calibrate,
+    compose_integer_model,
+    describe_compensator,
+    encode_inputs,
+)
 from zerodrift.export.compose_import import ImportedCompensator, compose_imported_model
+from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.golden import compute_golden
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.integer_onnx import save_integer_onnx
 from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.train.checkpoint import write_whole
 from zerodrift.train.compensator import Compensator
+from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
+from zerodrift.verify.certificate import certify
+from zerodrift.verify.certificate_check import Outcome, check_certificate
+from zerodrift.verify.error_budget import ErrorBudget, measure_budget, measure_whole
 from zerodrift.verify.errors_told import OutputError, tell_errors
 from zerodrift.verify.firmware_check import FirmwareCheck, check_firmware
 from zerodrift.verify.vectors import draw_sequences
@@ -39,6 +51,10 @@ class Firmware:
     code: GeneratedCode
     check: FirmwareCheck
     errors: tuple[OutputError, ...]
+    untuned: tuple[OutputError, ...]
+    """The same with 8-bit weights that are only rounded, not fine-tuned; empty for 16-bit ones."""
+    budget: ErrorBudget
+    """Which operations the integer model's error comes from, and how it goes on in time."""
     error_runs: tuple[str, ...]
     """Runs behind the errors."""
     held_out: bool
@@ -46,6 +62,8 @@ class Firmware:
     tared: bool
     """Whether each run's own offset was taken off the errors."""
     footprint: Footprint
+    certificate: Outcome
+    """What the independent check of the certificate says."""
     files: tuple[Path, ...]
 
 
@@ -64,13 +82,16 @@ def build_firmware(
         progress: is told what is being done.
 
     Raises:
-        CheckError: no safe format, or the C differs from the reference; nothing is written then.
+        CheckError: no safe format, the C differs from the reference, or the certificate does not
+            hold; nothing is written then.
     """
     progress("quantizing")
+    tuned = compensator
     if isinstance(compensator, ImportedCompensator):
         model = compose_imported_model(compensator, config, dataset)
     else:
-        model = compose_integer_model(compensator, config, dataset)
+        tuned = load_or_tune(compensator, config, dataset.train, progress)
+        model = compose_integer_model(tuned, config, dataset)
     code = generate(model)
     sequences = list_sequences(model, dataset)
     build = config.build_directory
@@ -80,22 +101,57 @@ def build_firmware(
         progress("measuring errors and sizes")
         runs = dataset.test or dataset.train
         errors = tell_errors(compensator, check.host, runs)
+        untuned: tuple[OutputError, ...] = ()
+        if tuned is not compensator and not isinstance(compensator, ImportedCompensator):
+            rounded = compose_integer_model(compensator, config, dataset)
+            host = HostModel(rounded, generate(rounded), Path(scratch) / "rounded")
+            untuned = tell_errors(compensator, host, runs)
+        if isinstance(compensator, ImportedCompensator):
+            budget = measure_whole(compensator, check.observed, runs)
+        else:
+            described = describe_compensator(compensator, config, dataset.train)
+            calibration = calibrate(compensator, described, dataset.train)
+            budget = measure_budget(described, calibration, compensator, check.observed, runs)
         footprint = measure_footprint(code, CORE)
+        progress("checking the certificate")
+        certificate = certify(model, code)
+        outcome = recheck(code, certificate, Path(scratch))
     progress("writing")
     golden = compute_golden(model, next(iter(sequences.values()))[:GOLDEN_STEPS])
-    files = write_artefacts(config, model, code)
+    files = write_artefacts(config, model, code, certificate)
     golden.save(build / "golden.npz")
     return Firmware(
         model=model,
         code=code,
         check=check,
         errors=errors,
+        untuned=untuned,
+        budget=budget,
         error_runs=tuple(run.name for run in runs),
         held_out=bool(dataset.test),
         tared=compensator.tared,
         footprint=footprint,
+        certificate=outcome,
         files=files,
     )
+
+
+def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> Outcome:
+    """Return what the independent check says of a certificate and the C it is about.
+
+    Raises:
+        CheckError: a claim does not hold, or the C holds something that there is no rule for.
+    """
+    folder = scratch / "certified"
+    folder.mkdir()
+    write_sources(code, folder)
+    (folder / CERTIFICATE).write_text(certificate, encoding="utf-8")
+    outcome = check_certificate(folder)
+    if outcome.failures:
+        raise CheckError(
+            f"the certificate does not hold: {'; '.join(outcome.failures[:5])}. Nothing written."
+        )
+    return outcome
 
 
 def list_sequences(model: IntegerModel, dataset: Dataset) -> dict[str, CodeArray]:
@@ -106,8 +162,10 @@ def list_sequences(model: IntegerModel, dataset: Dataset) -> dict[str, CodeArray
     return sequences | draw_sequences(model, max(LEAST_VECTORS - covered, 5000))
 
 
-def write_artefacts(config: Config, model: IntegerModel, code: GeneratedCode) -> tuple[Path, ...]:
-    """Write model and C, each file atomically; return the C files.
+def write_artefacts(
+    config: Config, model: IntegerModel, code: GeneratedCode, certificate: str
+) -> tuple[Path, ...]:
+    """Write model, C and certificate, each file atomically; return the files beside the C.
 
     Files are written beside their place first, so that a full disk leaves the old ones.
     """
@@ -115,10 +173,12 @@ def write_artefacts(config: Config, model: IntegerModel, code: GeneratedCode) ->
     out.mkdir(parents=True, exist_ok=True)
     staging = Path(tempfile.mkdtemp(prefix=".staging-", dir=out))
     try:
-        staged = write_sources(code, staging)
+        staged = [*write_sources(code, staging), staging / CERTIFICATE]
+        staged[-1].write_text(certificate, encoding="utf-8")
         files = tuple(path.replace(out / path.name) for path in staged)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     model.save(config.build_directory / "model.json")
+    write_whole(config.build_directory / CERTIFICATE, certificate.encode())
     save_integer_onnx(model, config.build_directory / "integer.onnx")
     return files

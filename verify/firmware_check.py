@@ -40,6 +40,8 @@ class FirmwareCheck:
     failure: Failure | None
     host: HostModel
     """The plain host build, exactly the source that is flashed."""
+    observed: HostModel
+    """The host build that tells every node's value."""
 
     def require(self) -> "FirmwareCheck":
         """Return self.
@@ -85,14 +87,14 @@ def check_firmware(
                 outcome = check_host(host, part, settled=settled)
                 if outcome.mismatch is not None:
                     failure = Failure(backend, name, outcome.mismatch)
-                    return FirmwareCheck(vectors, backends, failure, plain)
+                    return FirmwareCheck(vectors, backends, failure, plain, observed)
             for runtime, host in zip(runtimes, (observed, plain), strict=True):
                 outcome = check_onnx(runtime, host, part, settled=settled)
                 if outcome.mismatch is not None:
                     failure = Failure("onnx", name, outcome.mismatch)
-                    return FirmwareCheck(vectors, backends, failure, plain)
+                    return FirmwareCheck(vectors, backends, failure, plain, observed)
             vectors += len(part)
     if plain.selftest() != 0:
         failure = Failure("host self-test", "selftest", Mismatch(0, "selftest", 0, 1))
-        return FirmwareCheck(vectors, backends, failure, plain)
-    return FirmwareCheck(vectors, (*backends, "onnx"), None, plain)
+        return FirmwareCheck(vectors, backends, failure, plain, observed)
+    return FirmwareCheck(vectors, (*backends, "onnx"), None, plain, observed)

@@ -18,7 +18,7 @@ COMMANDS: dict[str, str] = {
     "remove": "Remove an effect, refit, and show the held-out error before and after.",
     "history": "The staircase of errors so far.",
     "train": "Fit the effects, then train the network on what is left.",
-    "export": "Write float ONNX, integer model and golden vectors.",
+    "export": "Write float ONNX, integer model, integer ONNX and golden vectors.",
     "firmware": "Everything up to C sources, built and checked bit for bit on the host.",
     "verify": "Replay the golden vectors on every back end there is.",
     "report": "One self-contained file: verdict, errors, effects, firmware, provenance.",

@@ -71,6 +71,81 @@ static const int16_t head_weights[24] = { /* [3][8] */
     2831, 3048, 6998, 4335, 6045, 4707, 6592, -14001, 4158, -7222, -11224, 7625
 };
 
+/* What certificate.json claims for any input, as far as a compiler can be asked for it. */
+#define ZD_CLAIM(name, holds) typedef char name[(holds) ? 1 : -1]
+ZD_CLAIM(front_end_state_step_fits, (INT64_C(1073709056) + ZD_GRU_H_LIMIT_Q30) <= INT32_MAX);
+ZD_CLAIM(front_end_state_copy_fits, ((ZD_GRU_H_LIMIT_Q30 + 16384) / 32768) <= INT16_MAX);
+ZD_CLAIM(front_end_claim_0, (INT64_C(-12000) >= INT32_MIN) && (INT64_C(12000) <= INT32_MAX)); /* in_0.code */
+ZD_CLAIM(front_end_claim_1, (INT64_C(-49152000) >= INT32_MIN) && (INT64_C(49152000) <= INT32_MAX)); /* in_0 */
+ZD_CLAIM(front_end_claim_2, (INT64_C(-12000) >= INT32_MIN) && (INT64_C(12000) <= INT32_MAX)); /* in_1.code */
+ZD_CLAIM(front_end_claim_3, (INT64_C(-49152000) >= INT32_MIN) && (INT64_C(49152000) <= INT32_MAX)); /* in_1 */
+ZD_CLAIM(front_end_claim_4, (INT64_C(-12000) >= INT32_MIN) && (INT64_C(12000) <= INT32_MAX)); /* in_2.code */
+ZD_CLAIM(front_end_claim_5, (INT64_C(-49152000) >= INT32_MIN) && (INT64_C(49152000) <= INT32_MAX)); /* in_2 */
+ZD_CLAIM(front_end_claim_6, (INT64_C(-824594253883605) >= INT64_MIN) && (INT64_C(824594253883605) <= INT64_MAX)); /* lowpass_3.v */
+ZD_CLAIM(front_end_claim_7, (INT64_C(-824633722939605) >= INT64_MIN) && (INT64_C(824633722939605) <= INT64_MAX)); /* lowpass_3.y */
+ZD_CLAIM(front_end_claim_8, (INT64_C(-393216001) >= INT32_MIN) && (INT64_C(393216001) <= INT32_MAX)); /* lowpass_3.gap */
+ZD_CLAIM(front_end_claim_9, (INT64_C(-661830130839217056) >= INT64_MIN) && (INT64_C(661830130841314208) <= INT64_MAX)); /* lowpass_3.scaled */
+ZD_CLAIM(front_end_claim_10, (INT64_C(-49152000) >= INT32_MIN) && (INT64_C(49152000) <= INT32_MAX)); /* lowpass_3 */
+ZD_CLAIM(front_end_claim_11, (INT64_C(-49938432) >= INT32_MIN) && (INT64_C(48365568) <= INT32_MAX)); /* offset_4 */
+ZD_CLAIM(front_end_claim_12, (INT64_C(-2454573809664000) >= INT64_MIN) && (INT64_C(2454573826441216) <= INT64_MAX)); /* product_5.product */
+ZD_CLAIM(front_end_claim_13, (INT64_C(-73152000) >= INT32_MIN) && (INT64_C(73152000) <= INT32_MAX)); /* product_5 */
+ZD_CLAIM(front_end_claim_14, (INT64_C(-49152000) >= INT32_MIN) && (INT64_C(49152000) <= INT32_MAX)); /* delay_6.line */
+ZD_CLAIM(front_end_claim_15, (INT64_C(0) >= INT64_MIN) && (INT64_C(1073741824) <= INT64_MAX)); /* delay_6.rise */
+ZD_CLAIM(front_end_claim_16, (INT64_C(1) >= INT16_MIN) && (INT64_C(5) <= INT16_MAX)); /* delay_6.steps */
+ZD_CLAIM(front_end_claim_17, (INT64_C(-814411188273193) >= INT64_MIN) && (INT64_C(814411188273193) <= INT64_MAX)); /* lowpass_7.v */
+ZD_CLAIM(front_end_claim_18, (INT64_C(-824633722929193) >= INT64_MIN) && (INT64_C(824633722929193) <= INT64_MAX)); /* lowpass_7.y */
+ZD_CLAIM(front_end_claim_19, (INT64_C(-393216001) >= INT32_MIN) && (INT64_C(393216001) <= INT32_MAX)); /* lowpass_7.gap */
+ZD_CLAIM(front_end_claim_20, (INT64_C(-667165627638705926) >= INT64_MIN) && (INT64_C(667165627638714118) <= INT64_MAX)); /* lowpass_7.scaled */
+ZD_CLAIM(front_end_claim_21, (INT64_C(-49152000) >= INT32_MIN) && (INT64_C(49152000) <= INT32_MAX)); /* lowpass_7 */
+ZD_CLAIM(front_end_claim_22, (INT64_C(-98304000) >= INT32_MIN) && (INT64_C(98304000) <= INT32_MAX)); /* difference_8 */
+ZD_CLAIM(front_end_claim_23, (INT64_C(-48365568) >= INT32_MIN) && (INT64_C(49938432) <= INT32_MAX)); /* offset_9 */
+ZD_CLAIM(front_end_claim_24, (INT64_C(-2415300628709376) >= INT64_MIN) && (INT64_C(2493847007395840) <= INT64_MAX)); /* product_10.product */
+ZD_CLAIM(front_end_claim_25, (INT64_C(-71981568) >= INT32_MIN) && (INT64_C(74322432) <= INT32_MAX)); /* product_10 */
+ZD_CLAIM(front_end_claim_26, (INT64_C(-5349845192933376) >= INT64_MIN) && (INT64_C(5523823931949056) <= INT64_MAX)); /* product_11.product */
+ZD_CLAIM(front_end_claim_27, (INT64_C(-79718906) >= INT32_MIN) && (INT64_C(82311390) <= INT32_MAX)); /* product_11 */
+ZD_CLAIM(front_end_claim_28, (INT64_C(-57910598088473648) >= INT64_MIN) && (INT64_C(57910598088473648) <= INT64_MAX)); /* features[0] */
+ZD_CLAIM(front_end_claim_29, (INT64_C(-59766918266878908) >= INT64_MIN) && (INT64_C(59766918266878908) <= INT64_MAX)); /* features[1] */
+ZD_CLAIM(front_end_claim_30, (INT64_C(-53197056549077158) >= INT64_MIN) && (INT64_C(53197056549077158) <= INT64_MAX)); /* features[2] */
+ZD_CLAIM(front_end_claim_31, (INT64_C(-463122765) >= INT32_MIN) && (INT64_C(463122765) <= INT32_MAX)); /* gru.r[0] */
+ZD_CLAIM(front_end_claim_32, (INT64_C(-630131412) >= INT32_MIN) && (INT64_C(630131412) <= INT32_MAX)); /* gru.u[0] */
+ZD_CLAIM(front_end_claim_33, (INT64_C(-321825123) >= INT32_MIN) && (INT64_C(321825123) <= INT32_MAX)); /* gru.n[0].inside */
+ZD_CLAIM(front_end_claim_34, (INT64_C(-267814548) >= INT32_MIN) && (INT64_C(267814548) <= INT32_MAX)); /* gru.n[0] */
+ZD_CLAIM(front_end_claim_35, (INT64_C(-376173633) >= INT32_MIN) && (INT64_C(376173633) <= INT32_MAX)); /* gru.r[1] */
+ZD_CLAIM(front_end_claim_36, (INT64_C(-537613121) >= INT32_MIN) && (INT64_C(537613121) <= INT32_MAX)); /* gru.u[1] */
+ZD_CLAIM(front_end_claim_37, (INT64_C(-470158892) >= INT32_MIN) && (INT64_C(470158892) <= INT32_MAX)); /* gru.n[1].inside */
+ZD_CLAIM(front_end_claim_38, (INT64_C(-633872846) >= INT32_MIN) && (INT64_C(633872846) <= INT32_MAX)); /* gru.n[1] */
+ZD_CLAIM(front_end_claim_39, (INT64_C(-477434400) >= INT32_MIN) && (INT64_C(477434400) <= INT32_MAX)); /* gru.r[2] */
+ZD_CLAIM(front_end_claim_40, (INT64_C(-472115050) >= INT32_MIN) && (INT64_C(472115050) <= INT32_MAX)); /* gru.u[2] */
+ZD_CLAIM(front_end_claim_41, (INT64_C(-285309673) >= INT32_MIN) && (INT64_C(285309673) <= INT32_MAX)); /* gru.n[2].inside */
+ZD_CLAIM(front_end_claim_42, (INT64_C(-644310413) >= INT32_MIN) && (INT64_C(644310413) <= INT32_MAX)); /* gru.n[2] */
+ZD_CLAIM(front_end_claim_43, (INT64_C(-549738674) >= INT32_MIN) && (INT64_C(549738674) <= INT32_MAX)); /* gru.r[3] */
+ZD_CLAIM(front_end_claim_44, (INT64_C(-523771198) >= INT32_MIN) && (INT64_C(523771198) <= INT32_MAX)); /* gru.u[3] */
+ZD_CLAIM(front_end_claim_45, (INT64_C(-335445673) >= INT32_MIN) && (INT64_C(335445673) <= INT32_MAX)); /* gru.n[3].inside */
+ZD_CLAIM(front_end_claim_46, (INT64_C(-474729159) >= INT32_MIN) && (INT64_C(474729159) <= INT32_MAX)); /* gru.n[3] */
+ZD_CLAIM(front_end_claim_47, (INT64_C(-446384156) >= INT32_MIN) && (INT64_C(446384156) <= INT32_MAX)); /* gru.r[4] */
+ZD_CLAIM(front_end_claim_48, (INT64_C(-567971506) >= INT32_MIN) && (INT64_C(567971506) <= INT32_MAX)); /* gru.u[4] */
+ZD_CLAIM(front_end_claim_49, (INT64_C(-383890761) >= INT32_MIN) && (INT64_C(383890761) <= INT32_MAX)); /* gru.n[4].inside */
+ZD_CLAIM(front_end_claim_50, (INT64_C(-553203520) >= INT32_MIN) && (INT64_C(553203520) <= INT32_MAX)); /* gru.n[4] */
+ZD_CLAIM(front_end_claim_51, (INT64_C(-411203162) >= INT32_MIN) && (INT64_C(411203162) <= INT32_MAX)); /* gru.r[5] */
+ZD_CLAIM(front_end_claim_52, (INT64_C(-546255475) >= INT32_MIN) && (INT64_C(546255475) <= INT32_MAX)); /* gru.u[5] */
+ZD_CLAIM(front_end_claim_53, (INT64_C(-490431910) >= INT32_MIN) && (INT64_C(490431910) <= INT32_MAX)); /* gru.n[5].inside */
+ZD_CLAIM(front_end_claim_54, (INT64_C(-617623171) >= INT32_MIN) && (INT64_C(617623171) <= INT32_MAX)); /* gru.n[5] */
+ZD_CLAIM(front_end_claim_55, (INT64_C(-708679237) >= INT32_MIN) && (INT64_C(708679237) <= INT32_MAX)); /* gru.r[6] */
+ZD_CLAIM(front_end_claim_56, (INT64_C(-374291072) >= INT32_MIN) && (INT64_C(374291072) <= INT32_MAX)); /* gru.u[6] */
+ZD_CLAIM(front_end_claim_57, (INT64_C(-407839845) >= INT32_MIN) && (INT64_C(407839845) <= INT32_MAX)); /* gru.n[6].inside */
+ZD_CLAIM(front_end_claim_58, (INT64_C(-627951313) >= INT32_MIN) && (INT64_C(627951313) <= INT32_MAX)); /* gru.n[6] */
+ZD_CLAIM(front_end_claim_59, (INT64_C(-627715516) >= INT32_MIN) && (INT64_C(627715516) <= INT32_MAX)); /* gru.r[7] */
+ZD_CLAIM(front_end_claim_60, (INT64_C(-565600824) >= INT32_MIN) && (INT64_C(565600824) <= INT32_MAX)); /* gru.u[7] */
+ZD_CLAIM(front_end_claim_61, (INT64_C(-418568156) >= INT32_MIN) && (INT64_C(418568156) <= INT32_MAX)); /* gru.n[7].inside */
+ZD_CLAIM(front_end_claim_62, (INT64_C(-557120271) >= INT32_MIN) && (INT64_C(557120271) <= INT32_MAX)); /* gru.n[7] */
+ZD_CLAIM(front_end_claim_63, (INT64_C(-2147418113) >= INT32_MIN) && (INT64_C(2147418113) <= INT32_MAX)); /* gru.state_step */
+ZD_CLAIM(front_end_claim_64, (INT64_C(-1671772340) >= INT32_MIN) && (INT64_C(1671772340) <= INT32_MAX)); /* head[0] */
+ZD_CLAIM(front_end_claim_65, (INT64_C(-1084686001) >= INT32_MIN) && (INT64_C(1084686001) <= INT32_MAX)); /* head[1] */
+ZD_CLAIM(front_end_claim_66, (INT64_C(-2017595258) >= INT32_MIN) && (INT64_C(2017595258) <= INT32_MAX)); /* head[2] */
+ZD_CLAIM(front_end_claim_67, (INT64_C(-121924808492174336) >= INT64_MIN) && (INT64_C(121924808492174336) <= INT64_MAX)); /* drift[0] */
+ZD_CLAIM(front_end_claim_68, (INT64_C(-165124110887904768) >= INT64_MIN) && (INT64_C(165124110887904768) <= INT64_MAX)); /* drift[1] */
+ZD_CLAIM(front_end_claim_69, (INT64_C(-199415192505932288) >= INT64_MIN) && (INT64_C(199415192505932288) <= INT64_MAX)); /* drift[2] */
+
 /* One step of the recurrent layer; u_keep = -1, or 0 to relax towards rest. */
 static void gru_step(const int16_t x[3], int32_t h_q30[8], int32_t u_keep) {
     int16_t h_q15[8];

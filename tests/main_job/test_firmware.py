@@ -165,6 +165,32 @@ def test_export_writes_a_proven_model(project: Path, tmp_path: Path) -> None:
     assert load_model(copy / "build" / "model.json").hash == body["model_hash"]
 
 
+def share_of_quantization(directory: Path) -> float:
+    """Return the RMS of integer less float over that of the drift, on a log that was calibrated."""
+    config = load_config(directory)
+    compensator = Compensator.load(directory / "build", load_catalogue(config.plugin_files))
+    run = load_dataset(config).train[0]  # the test run is hotter, and the correction limited there
+    wanted = predict_on_chip(compensator, run)
+    error = predict_integer(load_model(directory / "build" / "model.json"), run) - wanted
+    return float(np.sqrt((error**2).mean(axis=0) / (wanted**2).mean(axis=0)).max())
+
+
+def test_firmware_with_five_effects_and_a_network(logs: Path, tmp_path: Path) -> None:
+    directory = write_project(tmp_path / "p", logs)
+    toml = directory / "zerodrift.toml"
+    kinds = ("dark_current", "thermal_lag", "span_tempco", "warm_up")
+    tables = "".join(f'[[effect]]\nkind = "{kind}"\n\n' for kind in kinds)
+    toml.write_text(toml.read_text().replace("[network]", f"{tables}[network]"))
+    result = invoke("firmware", "-C", str(directory), "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["bit_exact"] is True
+    model = load_model(directory / "build" / "model.json")
+    assert {"exp2", "lowpass", "load", "counter"} <= {node.kind for node in model.nodes}
+    header = (directory / "firmware" / "ft40.h").read_text()
+    assert "int32_t measured_fz; /* measured_Fz: " in header
+    assert share_of_quantization(directory) < 1e-3
+
+
 USER_EFFECT = """
 from zerodrift.physics.catalogue import register
 from zerodrift.physics.effect import Effect, Feature
@@ -201,13 +227,7 @@ def test_effect_of_a_user_goes_to_c(logs: Path, tmp_path: Path) -> None:
     model = load_model(directory / "build" / "model.json")
     kinds = {node.kind for node in model.nodes}
     assert {"play", "delay", "exp2", "clip", "power", "counter", "product"} <= kinds
-    config = load_config(directory)
-    catalogue = load_catalogue(config.plugin_files)
-    compensator = Compensator.load(directory / "build", catalogue)
-    run = load_dataset(config).train[0]  # the test run is hotter than what was calibrated
-    wanted = predict_on_chip(compensator, run)
-    error = predict_integer(model, run) - wanted
-    assert (np.sqrt((error**2).mean(axis=0) / (wanted**2).mean(axis=0)) < 1e-4).all()
+    assert share_of_quantization(directory) < 1e-4
     assert invoke("verify", "-C", str(directory)).exit_code == 0
 
 

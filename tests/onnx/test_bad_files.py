@@ -138,6 +138,35 @@ def test_graph_that_would_fill_the_memory_is_refused(op: str, tmp_path: Path) ->
     refuse(path, "net.onnx")
 
 
+def nest_functions(levels: int, loop: bool = False) -> onnx.ModelProto:
+    """Return a graph of functions that each call the next one twice."""
+    model = build_network()
+    opsets = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
+    for level in range(levels):
+        following = f"f{level + 1}" if level + 1 < levels else "f0" if loop else "Identity"
+        domain = "own" if following != "Identity" else ""
+        nodes = [
+            helper.make_node(following, ["x"], ["t"], domain=domain),
+            helper.make_node(following, ["t"], ["y"], domain=domain),
+        ]
+        function = helper.make_function("own", f"f{level}", ["x"], ["y"], nodes, opsets)
+        model.functions.append(function)
+    model.opset_import.append(helper.make_opsetid("own", 1))
+    model.graph.node.insert(0, helper.make_node("f0", ["x"], ["called"], domain="own"))
+    model.graph.node[1].input[0] = "called"
+    return model
+
+
+def test_functions_are_unfolded_within_limits(tmp_path: Path) -> None:
+    path = tmp_path / "net.onnx"
+    path.write_bytes(nest_functions(3).SerializeToString())
+    assert read_imported(path).network.head.shape == (1, 4)
+    path.write_bytes(nest_functions(20).SerializeToString())
+    refuse(path, "unfold to")
+    path.write_bytes(nest_functions(3, loop=True).SerializeToString())
+    refuse(path, "no valid ONNX graph")
+
+
 def test_huge_file_is_refused_unread(tmp_path: Path) -> None:
     path = tmp_path / "net.onnx"
     with path.open("wb") as file:

@@ -10,6 +10,7 @@ from zerodrift.commands.common import (
     print_json,
     print_notes,
     skip_invalid_option,
+    write_text,
 )
 
 
@@ -18,35 +19,41 @@ from zerodrift.commands.common import (
 @json_option
 @skip_invalid_option
 def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
-    """Write build/network.onnx (float), model.json and integer.onnx (integer) and golden.npz.
+    """Write build/: network.onnx (float), model.json, integer.onnx, golden.npz, certificate.json.
 
     The integer model is proven free of overflow for every input, or refused with the reason.
     """
     from rich.console import Console
 
+    from zerodrift.codegen.generate import generate
     from zerodrift.commands.project import open_project, train_project
     from zerodrift.export.compose import compose_integer_model, encode_inputs
+    from zerodrift.export.fine_tune import load_or_tune
     from zerodrift.export.golden import compute_golden
     from zerodrift.export.integer_onnx import save_integer_onnx
+    from zerodrift.verify.certificate import certify
 
     console = Console(stderr=True)
     config, dataset = open_project(directory, skip_invalid)
     print_notes(dataset.notes)
     compensator = train_project(config, dataset, console)
     with console.status("quantizing"):
-        model = compose_integer_model(compensator, config, dataset)
+        tuned = load_or_tune(compensator, config, dataset.train)
+        model = compose_integer_model(tuned, config, dataset)
         run = (dataset.test or dataset.train)[0]
         golden = compute_golden(model, encode_inputs(model, run)[:2000])
     build = config.build_directory
     model.save(build / "model.json")
     save_integer_onnx(model, build / "integer.onnx")
     golden.save(build / "golden.npz")
+    write_text(build / "certificate.json", certify(model, generate(model)))
     files = ["build/network.onnx"] if compensator.network is not None else []
     files += [
         "build/compensator.json",
         "build/model.json",
         "build/integer.onnx",
         "build/golden.npz",
+        "build/certificate.json",
     ]
     bounds = model.prove()
     if as_json:

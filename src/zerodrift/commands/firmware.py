@@ -20,6 +20,9 @@ from zerodrift.commands.onnx_option import OnnxRequest, onnx_options, open_impor
 FILE_NAME = "firmware.json"
 """In build/: what the last firmware achieved."""
 
+BUDGET_ROWS = 5
+"""Nodes of the error budget that are printed; --json has them all."""
+
 
 @click.command()
 @directory_option
@@ -29,9 +32,10 @@ FILE_NAME = "firmware.json"
 def command(directory: Path, as_json: bool, skip_invalid: bool, request: OnnxRequest) -> None:
     """Train if needed, quantize, generate C, and check it bit for bit on this host.
 
-    Writes <out>/<sensor>.h and .c with the runtime beside them, build/model.json, integer.onnx and
-    golden.npz, and prints the errors in physical units with flash, RAM and stack. Nothing is
-    written unless every compared bit is equal.
+    Writes <out>/<sensor>.h and .c with the runtime and certificate.json beside them,
+    build/model.json, integer.onnx and golden.npz, and prints the errors in physical units with
+    flash, RAM and stack. Nothing is written unless every compared bit is equal and every bound of
+    the certificate is derived again from the C.
 
     With --onnx FILE the network comes from any program that exports ONNX, and takes the same road;
     --calibrate LOG... names the logs that set the ranges of the integers.
@@ -75,16 +79,41 @@ def describe(firmware: Any, directory: Path) -> dict[str, Any]:
             "uncompensated": {e.name: e.uncompensated for e in firmware.errors},
             "float": {e.name: e.float_model for e in firmware.errors},
             "integer": {e.name: e.integer_model for e in firmware.errors},
+            **(
+                {"integer_not_fine_tuned": {e.name: e.integer_model for e in firmware.untuned}}
+                if firmware.untuned
+                else {}
+            ),
         },
         "bias": {e.name: e.integer_bias for e in firmware.errors},
         "rmse_integer_to_float": {e.name: e.integer_to_float for e in firmware.errors},
+        "error_budget": describe_budget(firmware),
         "rmse_pct_fs": {e.name: e.percent_of_full_scale for e in firmware.errors},
         "units": {e.name: e.unit for e in firmware.errors},
         "held_out": firmware.held_out,
         "tared": firmware.tared,
         "runs": list(firmware.error_runs),
         "model_hash": firmware.model.hash,
+        "certificate": {"claims": firmware.certificate.holds},
         "files": [show_path(path, directory) for path in firmware.files],
+    }
+
+
+def describe_budget(firmware: Any) -> dict[str, Any]:
+    """Return where the error comes from: measurements, quantization, its nodes, and time."""
+
+    def name(values: Any) -> dict[str, float]:
+        return {e.name: float(v) for e, v in zip(firmware.errors, values, strict=True)}
+
+    budget = firmware.budget
+    return {
+        "float_to_measured": {e.name: e.float_model for e in firmware.errors},
+        "integer_to_float": name(budget.total),
+        "nodes": [{"node": n.node, "kind": n.kind, "rms": name(n.rms)} for n in budget.nodes],
+        "over_time": [
+            {"from_step": s.first_step, "to_step": s.last_step, "rms": name(s.rms)}
+            for s in budget.over_time
+        ],
     }
 
 
@@ -114,6 +143,17 @@ def _print(firmware: Any, directory: Path) -> None:
     console.print(table)
     if firmware.tared:
         console.print("The logs are tared: each run's own offset is taken off every error.")
+    if firmware.untuned:
+        pairs = zip(firmware.untuned, firmware.errors, strict=True)
+        losses = [
+            100.0 * (e.integer_model / max(e.float_model, 1e-300) - 1.0) for p in pairs for e in p
+        ]
+        console.print(
+            "The 8-bit weights were fine-tuned in the chip's arithmetic: the error against the"
+            f" measurements is up to {max(losses[1::2]):.2g} % larger than the float model's;"
+            f" only rounded it would be {max(losses[::2]):.2g} %."
+        )
+    _print_budget(firmware, console)
     size = firmware.footprint
     console.print(
         f"flash {size.flash_bytes} B, RAM {size.ram_bytes} B, stack {size.stack_bytes} B"
@@ -123,4 +163,27 @@ def _print(firmware: Any, directory: Path) -> None:
         f"bit-exact: {firmware.check.vectors} steps on {' = '.join(firmware.check.backends)}, every"
         " node, state and flag, 0 LSB"
     )
+    console.print(
+        f"no overflow for any input: {firmware.certificate.holds} claims of certificate.json, each"
+        " derived again from the C"
+    )
     console.print("wrote " + ", ".join(show_path(path, directory) for path in firmware.files))
+
+
+def _print_budget(firmware: Any, console: Any) -> None:
+    """Print what quantization costs, node by node, and over time."""
+    from rich.table import Table
+
+    table = Table(title="What quantization costs, RMS of integer minus float model")
+    for heading in ("", *(f"{e.name} {e.unit}" for e in firmware.errors)):
+        table.add_column(heading, justify="right" if heading else "left")
+    budget = firmware.budget
+    table.add_row("whole model", *(f"{x:.2g}" for x in budget.total), end_section=True)
+    for node in budget.largest[:BUDGET_ROWS]:
+        label = node.node if node.kind in node.node else f"{node.node} ({node.kind})"
+        table.add_row(f"of it {label}", *(f"{x:.2g}" for x in node.rms))
+    table.add_section()
+    for span in budget.over_time:
+        label = f"steps {span.first_step:.0e} to {span.last_step:.0e}".replace("e+0", "e")
+        table.add_row(label, *(f"{x:.2g}" for x in span.rms))
+    console.print(table)

@@ -128,6 +128,8 @@ def open_import(
             "the network of the file is the whole compensator; the effects and [network] of"
             f" {config.path.name} are not part of it."
         )
+    if dataset.test:
+        notes.append("whether the network was trained on the test logs, its file does not tell.")
     return config, dataset, compensator, notes + more
 
 

@@ -171,7 +171,7 @@ def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Pred
         host = HostModel(model, generate(model), Path(scratch), observe=False)
 
     def predict(run: Run) -> Array:
-        trace = host.run(encode_inputs(model, run), elapsed=count_elapsed(run))
+        trace = host.run(encode_inputs(model, run), elapsed=count_elapsed(model, run))
         return np.asarray(trace.drift / scale)
 
     return Predictor(C, predict, physics.effects, physics.tared, find_usable=physics.find_usable)

@@ -1,0 +1,263 @@
+"""The independent check agrees with the prover, and notices whatever is changed."""
+
+import hashlib
+import json
+import re
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.fixed_point.strategies import shapes
+from tests.golden.model_factory import Shape, draw_model
+from tests.golden.models import CASES
+from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compilers
+from zerodrift.c_runtime.host import write_sources
+from zerodrift.codegen.generate import generate
+from zerodrift.errors import CheckError
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.verify.c_intervals import Machine
+from zerodrift.verify.c_kernels import RULES
+from zerodrift.verify.c_reader import Code
+from zerodrift.verify.certificate import certify
+from zerodrift.verify.certificate_check import check_certificate, compare, judge
+
+FRONT = ("lowpass", "product", "delay", "difference", "power")
+C, TABLE, RUNTIME = "golden.c", "zd_runtime.c", "zd_runtime.h"
+FULL = Shape(front_end=FRONT, inputs=3, hidden=4, code_limit=12000)
+
+
+@cache
+def build(shape: Shape, seed: int = 3) -> tuple[str, dict[str, str]]:
+    """Return a certificate's text and the files it is about."""
+    model = draw_model(shape, seed)
+    return build_files(model)
+
+
+def build_files(model: IntegerModel) -> tuple[str, dict[str, str]]:
+    code = generate(model)
+    texts = {code.header_name: code.header, code.source_name: code.source}
+    texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    return certify(model, code), texts
+
+
+def count_claims(claims: dict[str, Any]) -> int:
+    return sum(len(claims[key]) for key in ("bounds", "shifts", "invariants", "tables"))
+
+
+def check_edited(shape: Shape, name: str, pattern: str, becomes: str, count: int = 1) -> list[str]:
+    """Return what the check says of C edited by someone who also corrected the hashes."""
+    certificate, texts = build(shape)
+    edited, found = re.subn(pattern, becomes, texts[name], count=count)
+    assert found and edited != texts[name], (
+        "the fault has no place in the C any more: plant it anew"
+    )
+    claims = json.loads(certificate)
+    claims["files"][name] = hashlib.sha256(edited.encode()).hexdigest()
+    return list(compare(claims, texts | {name: edited}).failures)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_claim_of_the_golden_models_holds(name: str) -> None:
+    certificate, texts = build_files(draw_model(CASES[name].shape, sum(name.encode())))
+    claims = json.loads(certificate)
+    outcome = compare(claims, texts)
+    assert outcome.failures == ()
+    assert outcome.holds == count_claims(claims)
+
+
+@settings(
+    max_examples=40,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+@given(shape=shapes(most_hidden=10, most_outputs=4), seed=st.integers(0, 2**31))
+def test_checker_derives_the_prover_s_bounds_exactly(shape: Shape, seed: int) -> None:
+    """Two derivations that share no code give the same numbers, for any model."""
+    certificate, texts = build_files(draw_model(shape, seed))
+    claims = json.loads(certificate)
+    machine = Machine(Code(texts, claims["prefix"]), RULES)
+    assert machine.failures == []
+    for claim in claims["bounds"]:
+        assert machine.bounds[claim["where"]] == (claim["low"], claim["high"], claim["bits"]), claim
+    assert judge(claims, machine) == (count_claims(claims), [])
+
+
+@pytest.mark.parametrize("side", ["low", "high"])
+@pytest.mark.parametrize(
+    "shape", [FULL, Shape(weights="int8", reset="before", hidden=3, window=4)], ids=["full", "int8"]
+)
+def test_any_bound_lowered_by_one_is_refused(shape: Shape, side: str) -> None:
+    certificate, texts = build(shape)
+    claims = json.loads(certificate)
+    machine = Machine(Code(texts, claims["prefix"]), RULES)
+    for claim in claims["bounds"]:
+        claim[side] -= 1 if side == "high" else -1
+        holds, failures = judge(claims, machine)
+        assert holds == count_claims(claims) - 1, claim
+        assert len(failures) == 1 and failures[0].startswith(f"{claim['where']}: claimed")
+        claim[side] += 1 if side == "high" else -1
+
+
+def test_any_shift_or_table_claimed_otherwise_is_refused() -> None:
+    certificate, texts = build(FULL)
+    claims = json.loads(certificate)
+    machine = Machine(Code(texts, claims["prefix"]), RULES)
+    for part, key in (("shifts", "shift"), ("invariants", "high"), ("tables", "lines")):
+        for claim in claims[part]:
+            claim[key] += 1
+            assert len(judge(claims, machine)[1]) == 1, claim
+            claim[key] -= 1
+    for part in ("bounds", "shifts"):
+        left_out = claims[part].pop(-1 if part == "shifts" else 40)
+        assert any(left_out["where"] in failure for failure in judge(claims, machine)[1])
+
+
+@pytest.mark.parametrize("name", ["golden.c", "golden.h", "zd_runtime.c", "zd_runtime.h"])
+def test_any_other_byte_is_noticed_by_the_hash(name: str) -> None:
+    certificate, texts = build(FULL)
+    for at in range(0, len(texts[name]), len(texts[name]) // 7):
+        swapped = "1" if texts[name][at] != "1" else "2"
+        edited = texts[name][:at] + swapped + texts[name][at + 1 :]
+        outcome = compare(json.loads(certificate), texts | {name: edited})
+        assert any("its hash is" in failure for failure in outcome.failures)
+
+
+@pytest.mark.parametrize("table", ["gru_w_x", "gru_w_h", "gru_bias", "head_weights"])
+def test_any_weight_farther_from_zero_breaks_its_claim(table: str) -> None:
+    """Even where the hashes are corrected; nearer to zero the claims remain true, and hold."""
+    certificate, texts = build(FULL)
+    text = texts["golden.c"]
+    start = text.index(f"{table}[")
+    body = text[text.index("= {", start) : text.index("};", start)]
+    clean = re.sub(r"/\*.*?\*/", lambda m: " " * len(m[0]), body)
+    numbers = [m for m in re.finditer(r"-?\d+", clean) if int(m[0]) != 0]
+    for place in numbers[:: max(1, len(numbers) // 12)]:
+        for direction, expect in ((1, True), (-1, False)):
+            value = int(place[0])
+            value += direction if value > 0 else -direction
+            edited = body[: place.start()] + str(value) + body[place.end() :]
+            claims = json.loads(certificate)
+            mutated = text.replace(body, edited)
+            claims["files"]["golden.c"] = hashlib.sha256(mutated.encode()).hexdigest()
+            failures = compare(claims, texts | {"golden.c": mutated}).failures
+            assert bool(failures) is expect, (table, place, failures)
+
+
+@pytest.mark.parametrize("kernel", ["PAIRS", "ROWS", "COLUMNS"])
+def test_every_kernel_s_own_table_is_checked(kernel: str) -> None:
+    """A kernel that reads its weights in another order has them in a table of its own."""
+    certificate, texts = build(Shape(inputs=3, hidden=5))
+    text = texts["golden.c"]
+    branch = re.search(rf"if ZD_KERNEL == ZD_KERNEL_{kernel}\n(.*?)\n#el", text, re.S)
+    if branch is None:
+        pytest.skip(f"this version has no kernel {kernel}")
+    numbers = list(re.finditer(r"(?<=[ ,{])-?\d{3,}(?=[,\n])", branch[1]))
+    for place in numbers[:: max(1, len(numbers) // 8)]:
+        mutated = branch[1][: place.start()] + "2147483000" + branch[1][place.end() :]
+        if (
+            kernel == "ROWS"
+            and abs(int(place[0])) < 32768
+            and "gru_bias" not in branch[1][: place.start()]
+        ):
+            mutated = branch[1][: place.start()] + "32767" + branch[1][place.end() :]
+        edited = text.replace(branch[1], mutated)
+        claims = json.loads(certificate)
+        claims["files"]["golden.c"] = hashlib.sha256(edited.encode()).hexdigest()
+        failures = compare(claims, texts | {"golden.c": edited}).failures
+        assert failures and all(f"ZD_KERNEL_{kernel}" in failure for failure in failures)
+
+
+TANH = r"(zd_tanh_(?:nodes_q19|offset_q30)\[\w+\] = \{\s+)"
+FAULTS = {
+    "input limit widened": (C, r"(zd_clamp32\(in->in0, )-12000", r"\1-12001"),
+    "input multiplied": (C, r"\* 4096;", "* 65536;"),
+    "product not widened": (C, r"\(int64_t\)(offset_\d+ \* )", r"\1"),
+    "product shifted less": (C, r"(\* lowpass_\d+, )\d+u", r"\g<1>2u"),
+    "shift undefined in C": (C, r"zd_asr64\(sum, \d+u\)", "zd_asr64(sum, 64u)"),
+    "feature shift": (C, r"(features_shift\[3\] = \{)\d+", r"\g<1>7"),
+    "drift cut short": (C, r"\(int32_t\)limited", "(int8_t)limited"),
+    "ring runs past its end": (C, r"== (\d)u\) \? 0u :", r"== 1\1u) ? 0u :"),
+    "state check forgets the ring": (C, r"_oldest >= (\d)u", r"_oldest >= 3\1u"),
+    "state check widened": (C, r"_line\[k\] < -", "_line[k] < -1"),
+    "state check never fails": (C, "sound = 0u;", "sound = 1u;"),
+    "low-pass check narrowed": (C, r"(_v < INT64_C\()-8\d", r"\1-1"),
+    "low-pass that grows": (C, r"(zd_lowpass\(&.*?, \d+, \d+, )\d+u", r"\g<1>3u"),
+    "low-pass share above one": (C, r"(zd_lowpass\(&.*?, in_\d, )\d+", r"\g<1>16777217"),
+    "step without its state check": (C, r"golden_state_is_sound\(s\) == 0u", "s->steps > 9u"),
+    "rest leaves a field": (C, r"    s->lowpass_\d+_v = zd_lowpass_rest.*\n", ""),
+    "gate shift": (C, r"    \{\d+, \d+, \d+\},\n", "    {40, 12, 11},\n"),
+    "more units than weights": (C, r"(zd_gru_step_after\(&gru, 3u, )4u", r"\g<1>5u"),
+    "head reads too many": (C, r"gru_q15, 4u\);\n    \}", "gru_q15, 400u);\n    }"),
+    "division": (C, r" - lowpass_(\d+);", r" / lowpass_\1;"),
+    "macro over a variable": (C, r'#include "zd_runtime.h"', "#define in_0 7\n"),
+    "macro over a kernel": (C, r'#include "zd_runtime.h"', "#define zd_asr64 3\n"),
+    "unknown function": (C, r"zd_clamp32\(in", "wrap32(in"),
+    "assembly": (C, r"    uint32_t flags = 0;", '    __asm__("nop");'),
+    "table not monotone": (TABLE, TANH + r"((?:-?\d+,\s+){200})-?\d+", r"\1\g<2>7"),
+    "table beyond one": (TABLE, r"524272\n", "524287\n"),
+    "table short": (TABLE, TANH + r"-?\d+,\s", r"\1"),
+    "invariant wider than 16 bits": (RUNTIME, "1073709057", "1073741824"),
+    "invariant narrower than a step": (RUNTIME, "1073709057", "1073709055"),
+}
+"""What is wrong -> (file, pattern, what it becomes); hashes are corrected after each."""
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_derivation_notices_a_planted_fault(fault: str) -> None:
+    name, pattern, becomes = FAULTS[fault]
+    failures = check_edited(FULL, name, pattern, becomes)
+    assert failures, f"not noticed: {fault}"
+
+
+def test_compiler_refuses_a_claim_beyond_its_width(tmp_path: Path) -> None:
+    """The claims in the C are asked of the compiler, whichever it is."""
+    model = draw_model(FULL, 3)
+    code = generate(model)
+    write_sources(code, tmp_path)
+    source = tmp_path / code.source_name
+    text = source.read_text()
+    places = [m.end() for m in re.finditer(r"_claim_\d+, \(INT64_C\(", text)]
+    assert len(places) == len(model.prove())
+    for compiler in find_compilers()[:2]:
+        compiler.run(["-std=c99", "-Werror", "-c", str(source), "-o", str(tmp_path / "a.o")])
+        beyond = text[: places[0]] + "-9223372036854775807" + text[text.index(")", places[0]) :]
+        source.write_text(beyond)
+        with pytest.raises(CheckError, match="claim_0"):
+            compiler.run(["-std=c99", "-c", str(source), "-o", str(tmp_path / "b.o")])
+        source.write_text(text)
+
+
+def test_folder_is_checked_as_it_lies_and_anything_else_refused(tmp_path: Path) -> None:
+    certificate, texts = build(FULL)
+    for name, text in {**texts, "certificate.json": certificate}.items():
+        (tmp_path / name).write_text(text)
+    assert check_certificate(tmp_path).failures == ()
+    for damage in ("", "[]", "{}", "null", '{"files": 3}', certificate[:-40], "\x00"):
+        (tmp_path / "certificate.json").write_text(damage)
+        assert check_certificate(tmp_path).failures
+    (tmp_path / "certificate.json").write_text(certificate)
+    (tmp_path / "golden.c").unlink()
+    assert check_certificate(tmp_path).failures
+
+
+def test_checker_shares_no_code_with_the_generator() -> None:
+    import zerodrift.verify
+
+    folder = Path(zerodrift.verify.__file__).parent
+    names = ("c_reader", "c_expressions", "c_intervals", "c_gru", "c_kernels", "certificate_check")
+    for name in names:
+        text = (folder / f"{name}.py").read_text()
+        imported = set(re.findall(r"^(?:from|import) (zerodrift\S*)", text, re.M))
+        assert imported <= {f"zerodrift.verify.{other}" for other in names}, imported
+    script = (
+        "import sys, zerodrift.verify.certificate_check\n"
+        "assert not {'numpy', 'jinja2', 'click', 'zerodrift.operations'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)

@@ -1,0 +1,171 @@
+"""Training in the chip's arithmetic: the same bits as the reference, and gradients that help."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from tests.fixed_point.strategies import shapes
+from tests.golden.model_factory import Draw, Shape, draw_float_model
+
+from zerodrift.export.fine_tune import build_integer_network
+from zerodrift.export.onnx_reader import read_network_bytes
+from zerodrift.export.quantize import FEATURE_HEADROOM, quantize
+from zerodrift.export.quantize_gru import quantize_gru
+from zerodrift.export.reference import Reference
+from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
+from zerodrift.operations.gru import FloatGru
+from zerodrift.train.fine_tune import Settings, fine_tune
+from zerodrift.train.integer_network import IntegerGruNetwork
+from zerodrift.train.onnx_export import build_onnx
+from zerodrift.train.recurrence import GruWeights, run_gru
+from zerodrift.train.sequences import Sequence32, predict_sequences
+
+EXPONENTS = np.array([13, 13, 14, 12])
+
+
+def as_stored(gru: FloatGru) -> FloatGru:
+    """Return weights as a network's file holds them, in 32 bits."""
+    parts = {name: getattr(gru, name).astype(np.float32) for name in ("w_x", "w_h", "bias")}
+    return FloatGru(**{k: v.astype(np.float64) for k, v in parts.items()}, reset=gru.reset)
+
+
+def make_network(shape: Shape, seed: int, exponents: IntArray) -> IntegerGruNetwork:
+    model, _ = draw_float_model(shape, seed)
+    assert model.network is not None
+    return build_integer_network(model.network, exponents, np.ones(shape.outputs))
+
+
+@settings(
+    max_examples=25,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+@given(shape=shapes(most_hidden=12, most_outputs=4), seed=st.integers(0, 2**31))
+def test_forward_pass_is_the_reference_bit_for_bit(shape: Shape, seed: int) -> None:
+    """Every state and every output sum, from the state at rest (or of each window) on."""
+    shape = replace(shape, hidden=max(shape.hidden, 1), upper=(), dense=())  # what is trained here
+    float_model, calibration = draw_float_model(shape, seed)
+    assert float_model.network is not None
+    stored = replace(float_model.network, gru=as_stored(float_model.network.gru))
+    model = quantize(replace(float_model, network=stored), calibration, "int8")
+    exponents = np.array(
+        [
+            min(choose_exponent(FEATURE_HEADROOM * float(x), INT16_MAX), 15)
+            for x in calibration.feature_max
+        ]
+    )
+    network = build_integer_network(stored, exponents, np.ones(shape.outputs))
+    codes = Draw(seed + 1).codes(-32768, 32767, 2, 40, shape.inputs)
+    seen: list[dict[str, IntArray]] = []
+    Reference(model).run(codes, observe=lambda _, values: seen.append(dict(values)))
+    x = np.stack([v["features"] for v in seen]).astype(np.float32)  # [T, B, I]
+    features = torch.from_numpy(np.ascontiguousarray(x.transpose(0, 2, 1)))
+    with torch.no_grad():
+        if shape.window:
+            padded = torch.cat([features[:1].expand(shape.window - 1, -1, -1), features])
+            parts = [padded[t : t + shape.window] for t in range(len(features))]
+            runs = [network(part, network.cold(2)) for part in parts]
+            drift = torch.stack([d[-1] for d, _ in runs])
+            states = torch.stack([h[-1] for _, h in runs])
+        else:
+            drift, states = network(features, network.rest(features[0]))
+    h_q30 = (states.numpy() * 2.0**30).transpose(0, 2, 1)
+    assert np.array_equal(h_q30, np.stack([v["gru"] for v in seen]))
+    sums = drift.numpy().transpose(0, 2, 1) / network.head.scale
+    assert np.array_equal(np.round(sums), np.stack([v["head"] for v in seen]))
+    assert np.abs(sums - np.round(sums)).max() < 1e-3
+
+
+@pytest.mark.parametrize("reset", ["after", "before"])
+def test_gradient_is_that_of_the_float_cell(reset: str) -> None:
+    """With weights that lose little to rounding both gradients agree; both are checked by hand."""
+    shape = Shape(inputs=4, hidden=5, outputs=2, reset=reset)
+    network = make_network(shape, 5, EXPONENTS)
+    network._quantize = lambda gru: quantize_gru(gru, EXPONENTS, "int16")
+    counts = Draw(6).codes(-9000, 9000, 20, 4, 3).astype(np.float32)
+    x = torch.from_numpy(counts)
+    drift, _ = network(x, network.cold(3))
+    drift.square().mean().backward()
+    weights = GruWeights(
+        *(w.detach().clone().requires_grad_() for w in (network.w_x, network.w_h, network.bias))
+    )
+    real = x * torch.from_numpy(2.0**-EXPONENTS).float()[:, None]
+    states = run_gru(real, torch.zeros(5, 3), weights, reset)
+    head = torch.from_numpy(network.head.rows * network.head.scale[:, None] * 2**15).float()
+    torch.matmul(head, states).square().mean().backward()
+    for mine, floats in zip((network.w_x, network.w_h, network.bias), weights, strict=True):
+        assert mine.grad is not None and floats.grad is not None
+        scale = floats.grad.abs().max()
+        assert (mine.grad - floats.grad).abs().max() < 0.01 * scale
+
+
+def make_problem(reset: str, memory: str | int) -> tuple[IntegerGruNetwork, list[Sequence32]]:
+    """Return an 8-bit network and, as targets, what its float form answers."""
+    shape = Shape(inputs=4, hidden=6, outputs=2, reset=reset, update_bias=-1.0)
+    model, _ = draw_float_model(shape, 11)
+    assert model.network is not None
+    gru = model.network.gru
+    walk = Draw(3).uniform(-600.0, 600.0, 3, 200, 4).cumsum(axis=1)
+    sequences = []
+    for counts in np.clip(np.round(walk), -30000, 30000):
+        x = counts * 2.0**-EXPONENTS
+        if memory == "stream":
+            h, states = gru.settle(x[:1]), []
+            for row in x:
+                h = gru.step(row[None], h)
+                states.append(h[0])
+            found = np.stack(states)
+        else:
+            padded = np.concatenate([np.repeat(x[:1], int(memory) - 1, axis=0), x])
+            found = np.zeros((len(x), 6))
+            for k in range(int(memory)):
+                found = gru.step(padded[k : k + len(x)], found)
+        target = found @ model.network.head.T
+        sequences.append(Sequence32("a", counts.astype(np.float32), target.astype(np.float32)))
+    size = np.sqrt(np.mean(np.concatenate([s.target for s in sequences]) ** 2, axis=0))
+    scaled = [Sequence32("a", s.features, (s.target / size).astype(np.float32)) for s in sequences]
+    return build_integer_network(model.network, EXPONENTS, size.astype(np.float64)), scaled
+
+
+@pytest.mark.parametrize(("reset", "memory"), [("after", "stream"), ("before", 6)])
+def test_fine_tuning_brings_8_bit_weights_nearer_to_the_float_network(
+    reset: str, memory: str | int
+) -> None:
+    short = Settings(epochs=12, batch=8, evaluations=6)
+    results = []
+    for _ in range(2):
+        network, sequences = make_problem(reset, memory)
+        results.append(fine_tune(network, sequences, memory, short))
+    first, second = results
+    assert first.epoch > 0 and first.after < 0.8 * first.before
+    for name in ("w_x", "w_h", "bias"):  # and the same again to the bit
+        assert np.array_equal(getattr(first.gru, name), getattr(second.gru, name))
+
+
+def test_weights_kept_are_those_that_the_chip_gets() -> None:
+    """Through the network's file and the quantizer: the answers measured in training come back."""
+    network, sequences = make_problem("after", "stream")
+    tuned = fine_tune(network, sequences, "stream", Settings(epochs=2, evaluations=1))
+    content = build_onnx(tuned.gru, np.ones((2, 6)), np.zeros(2), ["a", "b"])
+    again = quantize_gru(read_network_bytes(content, "test").gru, EXPONENTS, "int8")
+    expected = quantize_gru(tuned.gru, EXPONENTS, "int8")
+    for name in ("w_x", "w_h", "bias", "multiplier"):
+        assert np.array_equal(getattr(again, name), getattr(expected, name)), name
+    assert (again.shift, again.multiplier_shift) == (expected.shift, expected.multiplier_shift)
+
+
+def test_nothing_is_changed_where_nothing_can_be_gained() -> None:
+    network, sequences = make_problem("after", "stream")
+    answers = predict_sequences(network, [s.features for s in sequences], "stream")
+    own = [
+        Sequence32(s.group, s.features, a.astype(np.float32))
+        for s, a in zip(sequences, answers, strict=True)
+    ]
+    first = network.to_float()
+    tuned = fine_tune(network, own, "stream", Settings(epochs=2, evaluations=2))
+    assert tuned.before < 1e-6 and tuned.epoch == 0
+    assert np.array_equal(tuned.gru.w_h, first.w_h)

@@ -1,0 +1,163 @@
+"""What the GRU's kernels do with intervals, whatever order they have the weights in.
+
+Written from docs/reference/integer-arithmetic.md, section 4. Shares no code with the generator and
+needs the standard library only.
+"""
+
+import re
+from typing import Any
+
+from zerodrift.verify.c_intervals import Machine
+from zerodrift.verify.c_reader import Array, Value
+
+
+def shift_right(machine: Machine, x: Value, shift: Value, most: int) -> Value:
+    """Return x >> shift, which C must define."""
+    if shift.low != shift.high or not 0 <= shift.low <= most:
+        machine.fail(f"a shift by {shift.low} .. {shift.high} bits; C defines 0 .. {most}")
+    machine.shift = shift.low
+    return Value(x.low >> shift.low, x.high >> shift.low, x.type)
+
+
+Rows = tuple[list[int], list[int], list[int]]
+"""w_x [H][3][I], w_h [H][3][H] and bias [H][4] of a layer."""
+
+
+def run_portable(machine: Machine, after: bool, layer: Array, *given: Any) -> None:
+    """Step a layer whose weights lie unit by unit; `after` tells where the reset gate acts."""
+    constants = machine.code.constants
+    tables = [
+        [v.low for v in constants[t].flat()] if isinstance(t, str) else [] for t in layer.cells[:5]
+    ]
+    w_x, w_16, w_8, multiplier, bias = tables
+    _gru(machine, after, layer, (w_x, w_16 or w_8, bias), multiplier, *given)
+
+
+def run_packed(machine: Machine, unpack: Any, layer: Array, *given: Any) -> None:
+    """Step a layer whose weights lie in another order, which `unpack` knows."""
+    inputs, hidden = given[0].low, given[1].low
+    constants = machine.code.constants
+    tables = [[v.low for v in constants[t].flat()] for t in layer.cells if isinstance(t, str)]
+    _gru(machine, True, layer, unpack(*tables, inputs, hidden), [], *given)
+
+
+def _halves(words: list[int]) -> list[int]:
+    """Return the two 16-bit numbers of each word, the lower one first."""
+    return [((w >> s & 0xFFFF) ^ 0x8000) - 0x8000 for w in words for s in (0, 16)]
+
+
+def unpack_pairs(stream: list[int], inputs: int, hidden: int) -> Rows:
+    """[H]: four biases; then blocks of two pairs of inputs, r u n; then the same of the state."""
+    rows: Rows = ([], [], [])
+    words = iter(stream)
+    for _ in range(hidden):
+        rows[2].extend(next(words) for _ in range(4))
+        for target, count in ((rows[0], inputs), (rows[1], hidden)):
+            gates: list[list[int]] = [[], [], []]
+            for first in range(0, count, 4):
+                width = min(2, -(-(count - first) // 2))
+                for gate in gates:
+                    gate.extend(_halves([next(words) for _ in range(width)]))
+            for gate in gates:
+                target.extend(_trim(gate, count))
+    return rows
+
+
+def unpack_columns(stream: list[int], inputs: int, hidden: int) -> Rows:
+    """[H / 8]: biases [4][8]; then per pair of inputs r u n [3][8]; then the same of the state."""
+    units: list[Rows] = [([], [], []) for _ in range(-(-hidden // 8) * 8)]
+    words = iter(stream)
+    for first in range(0, hidden, 8):
+        some = units[first : first + 8]
+        for _ in range(4):
+            for unit in some:
+                unit[2].append(next(words))
+        for part, count in ((0, inputs), (1, hidden)):
+            gates: list[list[list[int]]] = [[[], [], []] for _ in some]
+            for _ in range(-(-count // 2)):
+                for gate in range(3):
+                    for unit_gates in gates:
+                        unit_gates[gate].extend(_halves([next(words)]))
+            for unit, unit_gates in zip(some, gates, strict=True):
+                unit[part].extend(w for gate in unit_gates for w in _trim(gate, count))
+    if any(any(numbers) for unit in units[hidden:] for numbers in unit):
+        raise ValueError("units beyond the last are not zero")
+    return tuple([n for unit in units[:hidden] for n in unit[part]] for part in range(3))  # type: ignore[return-value]
+
+
+def unpack_rows(numbers: list[int], biases: list[int], inputs: int, hidden: int) -> Rows:
+    """[U][3]: vectors of 8 features, then of 8 states; biases [U / 4][4][4]; U is H up to 4."""
+    wide_x, wide_h = -(-inputs // 8) * 8, -(-hidden // 8) * 8
+    rows: Rows = ([], [], [])
+    for row in range(3 * hidden):
+        both = numbers[row * (wide_x + wide_h) : (row + 1) * (wide_x + wide_h)]
+        rows[0].extend(_trim(both[:wide_x], inputs))
+        rows[1].extend(_trim(both[wide_x:], hidden))
+    for unit in range(hidden):
+        rows[2].extend(biases[unit // 4 * 16 + 4 * k + unit % 4] for k in range(4))
+    return rows
+
+
+def _trim(row: list[int], count: int) -> list[int]:
+    """Return a row without what fills it up, which must be zeros."""
+    if len(row) < count or any(row[count:]):
+        raise ValueError(f"a row of {count} weights is short, or filled up with more than zeros")
+    return row[:count]
+
+
+def _gru(
+    machine: Machine,
+    after: bool,
+    layer: Array,
+    rows: Rows,
+    multiplier: list[int],
+    inputs: Value,
+    hidden: Value,
+    features: Array,
+    h: Array,
+    *_: Any,
+) -> None:
+    """Every accumulator by the sum of its terms' sizes, hence in whatever order they are added."""
+    (w_x, w_h, bias), limit, x = rows, machine.h_limit, features.flat()
+    name = re.sub(r"_(\d+)$", r".\1", layer.place)  # a layer of a stack
+    if any(abs(v.low) > limit or abs(v.high) > limit for v in h.flat()):
+        machine.fail(f"{name}: the state is not known to be within {limit} before the step")
+    h.fill(Value(-limit, limit), hidden.low)
+    if (name, tuple(x)) in machine.recurrent:
+        return
+    vectors = [[v.low for v in cell.flat()] for cell in layer.cells if isinstance(cell, Array)]
+    shifts, multiplier_shifts = vectors[0], vectors[-1]
+    n_x, n_h, h_q15 = inputs.low, hidden.low, (limit + (1 << 14)) >> 15
+    if (len(w_x), len(w_h), len(bias)) != (3 * n_h * n_x, 3 * n_h * n_h, 4 * n_h) or len(x) != n_x:
+        machine.fail(f"{name}: tables do not have the size of {n_h} units and {n_x} inputs")
+        return
+    for g, gate in enumerate("run"):
+        shift_right(machine, Value(0, 0), Value(shifts[g], shifts[g]), 31)
+        machine.shifts[f"{name}.{gate}.shift"] = shifts[g]
+        if multiplier:
+            both = Value(multiplier_shifts[g], multiplier_shifts[g])
+            shift_right(machine, Value(0, 0), both, 62)
+            machine.shifts[f"{name}.{gate}.multiplier_shift"] = multiplier_shifts[g]
+    sizes = [max(abs(v.low), abs(v.high)) for v in x]
+    for row in range(3 * n_h):
+        j, g = divmod(row, 3)
+        where = f"{name}.{'run'[g]}[{j}]"
+        own = zip(w_x[row * n_x : (row + 1) * n_x], sizes, strict=True)
+        from_x = sum(abs(w) * size for w, size in own)
+        from_h = sum(map(abs, w_h[row * n_h : (row + 1) * n_h])) * h_q15
+        if multiplier:
+            scaled, shift = from_h * abs(multiplier[row]), multiplier_shifts[g]
+            machine.note(f"{where}.product", -from_h, from_h, 32)
+            total = scaled + (1 << shift >> 1)
+            machine.note(f"{where}.scaled", -total, total, 64)
+            from_h = (scaled >> shift) + 1
+        if g == 2 and after:
+            inside = abs(bias[4 * j + 3]) + from_h
+            machine.note(f"{where}.inside", -inside, inside, 32)
+            from_h = (inside * machine.r_max >> 32) + 1
+        total = abs(bias[4 * j + g]) + from_x + from_h
+        machine.note(where, -total, total, 32)
+    machine.shift = None
+    machine.recurrent.add((name, tuple(x)))
+    step = machine.tanh_max + limit
+    machine.note(f"{name}.state_step", -step, step, 32)

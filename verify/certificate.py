@@ -1,0 +1,136 @@
+"""The overflow certificate: every bound that the arithmetic of a model relies on, and of what C.
+
+What is claimed here holds for any int16 input codes. It is written by the prover that the quantizer
+uses; `certificate_check` derives it again from the C alone.
+"""
+
+import hashlib
+import json
+from typing import Any
+
+import numpy as np
+
+from zerodrift import __version__
+from zerodrift.c_runtime.compilers import RUNTIME_FILES
+from zerodrift.codegen.generate import GeneratedCode
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.operations.gru import GATES, H_LIMIT_Q30, IntegerGru
+from zerodrift.operations.network import IntegerGruLayer
+from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.tables import STEP_BITS, T_MAX, T_MIN, tanh_nodes
+
+FORMAT = 1
+FILE_NAME = "certificate.json"
+
+
+def certify(model: IntegerModel, code: GeneratedCode) -> str:
+    """Return the text of certificate.json, always the same for the same model and C.
+
+    Args:
+        model: the integer model.
+        code: the C that was generated of it.
+
+    Raises:
+        CheckError: a bound of the model does not hold.
+    """
+    texts = {code.header_name: code.header, code.source_name: code.source}
+    texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    layer = model.recurrent
+    # a delay by whole samples mixes no two of them
+    unused = {f"{n.name}.rise" for n in model.nodes if getattr(n, "newer_q31", 1) == 0}
+    body: dict[str, Any] = {
+        "certificate": FORMAT,
+        "about": "Nothing overflows, for any int16 input. Derived from the weights by intervals;"
+        " `zerodrift verify --certificate` derives it again from the C alone.",
+        "generator": f"zerodrift {__version__}",
+        "model": model.hash,
+        "prefix": code.prefix,
+        "files": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()},
+        "inputs": [
+            {"channel": channel.name, "low": -32768, "high": 32767} for channel in model.channels
+        ],
+        "invariants": [_describe_invariant(name) for name, _ in list_layers(layer)],
+        "tables": [_describe_table()] if layer else [],
+        "shifts": [
+            {"where": where, "shift": shift, "most": most}
+            for node in model.nodes
+            for where, shift, most in list_shifts(node)
+        ],
+        "bounds": [
+            {
+                "where": bound.where,
+                "low": int(bound.interval.low),
+                "high": int(bound.interval.high),
+                "bits": bound.bits,
+            }
+            for bound in model.prove()
+            if bound.where not in unused
+        ],
+    }
+    return format_certificate(body)
+
+
+def format_certificate(body: dict[str, Any]) -> str:
+    """Return a certificate's JSON text, one claim to a line."""
+    lines = []
+    for key, value in body.items():
+        if isinstance(value, list) and value:
+            rows = ",\n".join("  " + json.dumps(row, ensure_ascii=False) for row in value)
+            lines.append(f" {json.dumps(key)}: [\n{rows}\n ]")
+        else:
+            lines.append(f" {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def list_shifts(node: IntegerNode) -> list[tuple[str, int, int]]:
+    """Return name, amount and largest defined amount of every right shift of a node."""
+    if isinstance(node, IntegerGruLayer):
+        shifts = []
+        for name, gru in list_layers(node):
+            pairs = zip(GATES, gru.shift, gru.multiplier_shift, strict=True)
+            for gate, amount, multiplier_shift in pairs:
+                shifts.append((f"{name}.{gate}.shift", amount, 31))
+                if gru.multiplier is not None:
+                    shifts.append((f"{name}.{gate}.multiplier_shift", multiplier_shift, 62))
+        return shifts
+    shift = getattr(node, "shift", None)
+    if shift is None or node.kind in ("input", "load"):  # these are multiplied, to the left
+        return []
+    if node.kind == "sum" and shift == 0:  # is left out of the C
+        return []
+    if isinstance(shift, tuple):
+        most = 31 if node.kind == "dense" else 63
+        return [(f"{node.name}[{i}].shift", int(s), most) for i, s in enumerate(shift)]
+    return [(f"{node.name}.shift", int(np.int64(shift)), 62)]
+
+
+def list_layers(node: IntegerGruLayer | None) -> list[tuple[str, IntegerGru]]:
+    """Return name and weights of a recurrent node's layers, of which a stack has several."""
+    if node is None:
+        return []
+    lower: tuple[IntegerGru, ...] = getattr(node, "lower", ())
+    if not lower:
+        return [(node.name, node.gru)]
+    return [(f"{node.name}.{level}", gru) for level, gru in enumerate((*lower, node.gru))]
+
+
+def _describe_invariant(name: str) -> dict[str, Any]:
+    return {
+        "where": f"{name}.h_q30",
+        "low": -H_LIMIT_Q30,
+        "high": H_LIMIT_Q30,
+        "because": [
+            "h starts at 0, or where a step or the relaxation to rest left it",
+            "|n| <= 2^30 - 2^15 and u <= 1 - 2^-16, from the table",
+            "h' = h + 2 round(d u / 2^32) with d = n - h moves by d u within 1",
+            "|d| >= 2^16: it moves by |d| - 2^-16 |d| + 1 <= |d| at most and does not pass n",
+            "|d| < 2^16: it passes n by 1 at most, hence |h'| <= |n| + 1",
+        ],
+    }
+
+
+def _describe_table() -> dict[str, Any]:
+    """Return what any int32 reads of the table of tanh: a line of it, and a result in Q0.30."""
+    lines = ((T_MAX - T_MIN) >> STEP_BITS) + 1
+    largest = int(tanh_nodes().max()) << STEP_BITS
+    return {"where": "tanh", "lines": lines, "low": -largest, "high": largest}

@@ -1,0 +1,120 @@
+"""Derives every bound of a certificate again from the generated C alone, and compares.
+
+The C is run once over intervals (`c_intervals`). The runtime's kernels are taken at their
+specification (docs/reference/integer-arithmetic.md), their constants and table from zd_runtime.h
+and .c. Shares no code with the generator and needs the standard library only:
+
+    python -m zerodrift.verify.certificate_check FOLDER
+"""
+
+import hashlib
+import json
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from zerodrift.verify.c_intervals import Machine
+from zerodrift.verify.c_kernels import RULES
+from zerodrift.verify.c_reader import Code, NotUnderstoodError
+
+MALFORMED = (ValueError, KeyError, TypeError, AttributeError, IndexError)
+"""What files raise that are not built like a certificate and its C."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the check found: how many claims hold, and every one that does not."""
+
+    holds: int
+    failures: tuple[str, ...]
+    understood: bool = True
+    """False: the C holds something without a rule, so that nothing is shown either way."""
+
+
+def check_certificate(folder: Path) -> Outcome:
+    """Return what becomes of the certificate in a firmware folder, whatever is in its files."""
+    try:
+        claims = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
+        texts = {name: (folder / name).read_bytes() for name in claims["files"]}
+        return compare(claims, {name: text.decode() for name, text in texts.items()})
+    except (OSError, *MALFORMED) as error:
+        return Outcome(
+            0, (f"{folder}: not a certificate and its C ({type(error).__name__}: {error})",)
+        )
+
+
+def compare(claims: dict[str, Any], texts: dict[str, str]) -> Outcome:
+    """Hold a certificate's claims against the files they are about.
+
+    Args:
+        claims: the content of certificate.json.
+        texts: file name -> content, of the model's header and source and of the runtime.
+    """
+    prefix, failures = claims["prefix"], []
+    for name, digest in claims["files"].items():
+        found = hashlib.sha256(texts[name].encode()).hexdigest()
+        if found != digest:
+            failures.append(f"{name}: its hash is {found[:12]}, the certificate's {digest[:12]}")
+    if f'_MODEL_HASH "{claims["model"]}"' not in texts[f"{prefix}.h"]:
+        failures.append(f"{prefix}.h: does not name the certificate's model {claims['model'][:12]}")
+    kernels = {"ZD_KERNEL_PORTABLE", *re.findall(r"== (ZD_KERNEL_[A-Z]+)", texts[f"{prefix}.c"])}
+    holds = 0
+    for kernel in sorted(kernels):  # each has the weights in an order of its own
+        try:
+            machine = Machine(Code(texts, prefix, kernel), RULES)
+        except (NotUnderstoodError, *MALFORMED) as error:
+            failures.append(f"{kernel}: {error}: there is no rule for this, so nothing is shown")
+            return Outcome(0, tuple(failures), understood=False)
+        holds, contradictions = judge(claims, machine)
+        failures += [f"{kernel}: {text}" for text in (*machine.failures, *contradictions)]
+    return Outcome(holds, tuple(failures))
+
+
+def judge(claims: dict[str, Any], machine: Machine) -> tuple[int, list[str]]:
+    """Return how many claims hold for what was derived, and what is wrong with the others."""
+    holds, failures = 0, []
+    claimed = {c["where"]: (c["low"], c["high"], c["bits"]) for c in claims["bounds"]}
+    for where, (low, high, bits) in claimed.items():
+        found = machine.bounds.get(where)
+        if found is None:
+            failures.append(f"{where}: claimed, but nothing of that name is in the C")
+        elif found[0] < low or found[1] > high or found[2] != bits:
+            failures.append(
+                f"{where}: claimed {low} .. {high} in {bits} bits, derived {found[0]} .. {found[1]}"
+                f" in {found[2]}"
+            )
+        else:
+            holds += 1
+    # a variable that is no accumulator need not be claimed
+    missing = [w for w in machine.bounds if w not in claimed and re.search(r"[.\[]", w)]
+    failures += [f"{where}: relied on by the C, but not claimed" for where in missing]
+    shifts = {c["where"]: c["shift"] for c in claims["shifts"]}
+    for where in sorted({*shifts, *machine.shifts}):
+        if shifts.get(where) == machine.shifts.get(where):
+            holds += 1
+        else:
+            found_shift = machine.shifts.get(where)
+            failures.append(f"{where}: claimed {shifts.get(where)}, the C has {found_shift}")
+    known = {
+        (f"{place}.h_q30", -machine.h_limit, machine.h_limit) for place, _ in machine.recurrent
+    }
+    for claim in claims["invariants"]:
+        if (claim["where"], claim["low"], claim["high"]) in known:
+            holds += 1
+        else:
+            failures.append(f"{claim['where']}: the state check admits another range than claimed")
+    table = (machine.lines, -machine.tanh_max, machine.tanh_max)
+    for claim in claims["tables"]:
+        if (claim["lines"], claim["low"], claim["high"]) == table:
+            holds += 1
+        else:
+            failures.append(f"{claim['where']}: claimed {claim}, the C has {table}")
+    return holds, failures
+
+
+if __name__ == "__main__":
+    outcome = check_certificate(Path(sys.argv[1]))
+    sys.stdout.write("\n".join([*outcome.failures, f"{outcome.holds} claims hold", ""]))
+    sys.exit(1 if outcome.failures else 0)

@@ -1,0 +1,353 @@
+"""What each operation of the chip's arithmetic costs, in the outputs' units, and over time.
+
+The integer model differs from the float one in many small ways. To tell them apart the float model
+is turned into the integer one a node at a time, in the order of the arithmetic: up to some node
+everything is as on the chip, from there on everything is float. What the answer changes by when a
+node changes sides is that node's cost. The costs, as signals, add up to the whole difference.
+"""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.c_runtime.host import HostModel
+from zerodrift.dataset.runs import Run
+from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
+from zerodrift.export.compose_import import ImportedCompensator
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.lowering import Lowering
+from zerodrift.export.quantize import FEATURE_HEADROOM, Calibration, FloatModel
+from zerodrift.export.quantize_gru import quantize_head
+from zerodrift.operations.arithmetic import INT16_MAX, choose_exponent
+from zerodrift.operations.backend import NumpyOperations
+from zerodrift.operations.graph import Node, list_nodes
+from zerodrift.operations.gru import FloatGru
+from zerodrift.physics.signals import graph_inputs, read_signals
+from zerodrift.train.compensator import Compensator
+from zerodrift.verify.mismatch import label_columns
+
+Array = NDArray[np.float64]
+
+LONGEST_RUN_STEPS = 20_000
+DECADES = (100, 1000, 10_000, 100_000, 1_000_000)
+
+
+@dataclass(frozen=True)
+class NodeCost:
+    """What one node of the integer model adds to the error."""
+
+    node: str
+    kind: str
+    rms: Array
+    """[K] in the outputs' units."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """The difference of integer and float model between two steps of a long run."""
+
+    first_step: int
+    last_step: int
+    rms: Array
+    """[K] in the outputs' units."""
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """Where the error of the integer model comes from."""
+
+    total: Array
+    """[K] RMS difference of integer and float model, in the outputs' units."""
+    nodes: tuple[NodeCost, ...]
+    """In the order of the arithmetic; as signals they add up to the total."""
+    over_time: tuple[Span, ...]
+
+    @property
+    def largest(self) -> tuple[NodeCost, ...]:
+        """The nodes by their largest share of any output's total, largest first."""
+        floor = np.maximum(self.total, np.finfo(np.float64).tiny)
+        return tuple(sorted(self.nodes, key=lambda n: -float((n.rms / floor).max())))
+
+
+def measure_budget(
+    described: FloatModel,
+    calibration: Calibration,
+    compensator: Compensator,
+    host: HostModel,
+    runs: Sequence[Run],
+    steps: int = DECADES[-1],
+) -> ErrorBudget:
+    """Return the error budget of a quantized compensator.
+
+    Args:
+        described: the float model that was quantized.
+        calibration: what it was quantized with.
+        compensator: the same float model, for its signals and long runs.
+        host: the integer model's C, built to be observed and shown equal to the reference.
+        runs: measurements, preferably held out.
+        steps: length of the run that is followed over time.
+    """
+    runs = [_cut(run, LONGEST_RUN_STEPS) for run in runs]
+    levels = _Levels(described, calibration, host.model)
+    traces = [_observe(host, run) for run in runs]
+    inputs = [_read_inputs(compensator, run) for run in runs]
+    answers = [
+        np.concatenate(parts) for parts in zip(*levels.answer_all(inputs, traces), strict=True)
+    ]
+    costs = [after - before for before, after in itertools.pairwise(answers)]
+    kinds = {node.name: node.kind for node in host.model.nodes}
+    return ErrorBudget(
+        total=_rms(answers[-1] - answers[0]),
+        nodes=tuple(
+            NodeCost(name, kinds[name], _rms(cost))
+            for name, cost in zip(levels.order, costs, strict=True)
+        ),
+        over_time=follow_over_time(compensator, host, max(runs, key=len), steps),
+    )
+
+
+def measure_whole(
+    compensator: ImportedCompensator,
+    host: HostModel,
+    runs: Sequence[Run],
+    steps: int = LONGEST_RUN_STEPS,
+) -> ErrorBudget:
+    """Return the error budget of a network from elsewhere, which is one piece.
+
+    Args:
+        compensator: the float network.
+        host: its integer form's C, built to be observed.
+        runs: measurements, preferably held out.
+        steps: length of the run that is followed over time.
+    """
+    runs = [_cut(run, LONGEST_RUN_STEPS) for run in runs]
+    errors = [_subtract(compensator, host, run) for run in runs]
+    over_time = follow_over_time(compensator, host, max(runs, key=len), steps)
+    return ErrorBudget(_rms(np.concatenate(errors)), (), over_time)
+
+
+def follow_over_time(
+    compensator: Compensator | ImportedCompensator, host: HostModel, run: Run, steps: int
+) -> tuple[Span, ...]:
+    """Return the difference of integer and float model by decades of a run without end.
+
+    Args:
+        compensator: the float model.
+        host: the integer model's C.
+        run: is played forwards and backwards in turn, so that nothing jumps.
+        steps: how far.
+    """
+    endless = repeat_run(run, steps)
+    scale = np.array([output.lsb_per_unit for output in host.model.outputs], dtype=np.float64)
+    drift = np.empty((steps, scale.size))
+    codes = encode_inputs(host.model, endless)
+    for first in range(0, steps, LONGEST_RUN_STEPS):  # bounds the memory of the trace
+        part = host.run(
+            codes[first : first + LONGEST_RUN_STEPS],
+            restart=first == 0,
+            elapsed=count_elapsed(host.model, endless),
+        )
+        drift[first : first + LONGEST_RUN_STEPS] = part.drift / scale
+    difference = drift - predict_on_chip(compensator, endless)
+    ends = [0, *(d for d in DECADES if d < steps), steps]
+    return tuple(
+        Span(first, last, _rms(difference[first:last])) for first, last in itertools.pairwise(ends)
+    )
+
+
+def repeat_run(run: Run, steps: int) -> Run:
+    """Return `steps` samples of a run that goes to its end and back again, over and over."""
+    period = np.concatenate([np.arange(len(run)), np.arange(len(run))[::-1]])
+    order = np.resize(period, steps)
+    return replace(
+        run,
+        time_s=run.time_s[0] + np.arange(steps) * run.sample_period_s,
+        temperature_degC=run.temperature_degC[order],
+        measured=run.measured[order],
+        reference=run.reference[order],
+        inputs={name: values[order] for name, values in run.inputs.items()},
+    )
+
+
+class _Levels:
+    """The model with its first nodes as on the chip and the others in float."""
+
+    def __init__(
+        self, described: FloatModel, calibration: Calibration, model: IntegerModel
+    ) -> None:
+        self._float, self._model = described, model
+        lowering = Lowering(
+            channels=described.channels,
+            sources=described.sources,
+            limits=calibration.code_limits,
+            sample_period_s=described.sample_period_s,
+            outputs=tuple(output.name for output in described.outputs),
+            clock_origin_s=described.clock_origin_s,
+            ranges=calibration.ranges,
+        )
+        self._nodes = list_nodes([*described.features, *described.taps])
+        # in the order of the quantizer, so that the names are the model's
+        self._features = [lowering.lower_feature(root) for root in described.features]
+        self._signals = {node: lowering.lower(node) for node in described.taps}
+        self._signals |= {node: lowering.lower(node) for node in self._nodes}
+        self._feature_scale = np.array(
+            [
+                2.0 ** -min(choose_exponent(FEATURE_HEADROOM * float(x), INT16_MAX), 15)
+                for x in calibration.feature_max
+            ]
+        )
+        self.order = [node.name for node in model.nodes]
+
+    def answer_all(
+        self, inputs: Sequence[Mapping[str, Array]], traces: Sequence[Mapping[str, Array]]
+    ) -> list[list[Array]]:
+        """Return the drift [n, K] of every run at every level, from all float to all integer."""
+        levels = [set(self.order[:count]) for count in range(len(self.order) + 1)]
+        parts = [
+            [self._evaluate(level, *run) for level in levels]
+            for run in zip(inputs, traces, strict=True)
+        ]
+        network = self._float.network
+        if network is None:
+            states: Iterator[Array] = iter(())
+        else:
+            features = [x for run in parts for _, x in run if x is not None]
+            states = iter(run_float_gru(network.gru, features, self._float.window))
+        return [
+            [
+                self._finish(level, physical, next(states) if x is not None else None, trace)
+                for level, (physical, x) in zip(levels, run, strict=True)
+            ]
+            for run, trace in zip(parts, traces, strict=True)
+        ]
+
+    def _evaluate(
+        self, level: set[str], inputs: Mapping[str, Array], trace: Mapping[str, Array]
+    ) -> tuple[Array, Array | None]:
+        """Return the physical part [n, K] and the features [n, I], None where not needed."""
+        count = next(iter(trace.values())).shape[0]
+        ops = NumpyOperations(self._float.sample_period_s, (count,))
+        values: dict[Node, Array] = {}
+        for node in self._nodes:
+            signal = self._signals[node]
+            if signal.node in level:
+                values[node] = trace[signal.node][:, 0] * signal.scale + signal.offset
+            elif node.op == "input":
+                values[node] = inputs[node.source][:count]
+            else:
+                arguments = [values[child] for child in node.inputs]
+                values[node] = getattr(ops, node.op)(*arguments, *node.constants)
+        physical = np.broadcast_to(self._float.offset, (count, self._float.offset.size)).copy()
+        for node, signal, row in zip(
+            self._float.features, self._features, self._float.coefficients, strict=True
+        ):
+            if signal.node in level:  # as the chip holds it far beyond calibration
+                value = trace[signal.node][:, 0] * signal.scale + signal.offset
+            else:
+                value = values[node]
+            physical += value[:, None] * row
+        if self._float.network is None or "gru" in level:
+            return physical, None
+        if "features" in level:
+            return physical, trace["features"] * self._feature_scale
+        assert self._float.tap_mean is not None and self._float.whitening is not None
+        taps = np.stack([values[node] for node in self._float.taps], axis=1)
+        return physical, (taps - self._float.tap_mean) @ self._float.whitening.T
+
+    def _finish(
+        self, level: set[str], physical: Array, states: Array | None, trace: Mapping[str, Array]
+    ) -> Array:
+        """Return the drift [n, K] from what `_evaluate` gave."""
+        if "drift" in level:
+            scale = np.array([output.lsb_per_unit for output in self._model.outputs])
+            return np.asarray(trace["drift"] / scale)
+        network = self._float.network
+        if network is None:
+            return physical
+        if "head" in level:
+            _, exponents = quantize_head(network.head)
+            return np.asarray(physical + trace["head"] * 2.0**-exponents + network.head_bias)
+        if "gru" in level:
+            states = trace["gru"] / 2.0**30
+        assert states is not None
+        return np.asarray(physical + states @ network.head.T + network.head_bias)
+
+
+def run_float_gru(gru: FloatGru, features: Sequence[Array], window: int) -> list[Array]:
+    """Return the states [n, H] of a GRU for each of several feature sequences [n, I], from rest.
+
+    Args:
+        gru: the float cell.
+        features: sequences of any lengths; equal ones are computed once.
+        window: samples per window; 0 carries the state.
+    """
+    keys = [x.tobytes() for x in features]
+    distinct = list(dict(zip(keys, features, strict=True)).values())
+    if window:
+        found = [_run_windows(gru, x, window) for x in distinct]
+    else:
+        longest = max(len(x) for x in distinct)
+        padded = np.stack([np.pad(x, ((0, longest - len(x)), (0, 0)), "edge") for x in distinct])
+        h = gru.settle(padded[:, 0])
+        states = np.empty((longest, *h.shape))
+        for t in range(longest):
+            h = states[t] = gru.step(padded[:, t], h)
+        found = [states[: len(x), i] for i, x in enumerate(distinct)]
+    by_key = dict(zip(dict.fromkeys(keys), found, strict=True))
+    return [by_key[key] for key in keys]
+
+
+def _run_windows(gru: FloatGru, x: Array, window: int) -> Array:
+    padded = np.concatenate([np.repeat(x[:1], window - 1, axis=0), x])
+    h = np.zeros((len(x), gru.w_h.shape[1]))
+    for k in range(window):
+        h = gru.step(padded[k : k + len(x)], h)
+    return h
+
+
+def _subtract(compensator: ImportedCompensator, host: HostModel, run: Run) -> Array:
+    """Return integer minus float model [n, K], in the outputs' units."""
+    scale = np.array([output.lsb_per_unit for output in host.model.outputs])
+    return np.asarray(_observe(host, run)["drift"] / scale - predict_on_chip(compensator, run))
+
+
+def _read_inputs(compensator: Compensator, run: Run) -> dict[str, Array]:
+    """Return the float model's signals, the loads as the compensator leaves them."""
+    drift = predict_on_chip(compensator, run)
+    before = np.concatenate([drift[:1], drift[:-1]])
+    fed_back = replace(run, reference=run.measured - before)
+    signals = graph_inputs(read_signals(fed_back, compensator.physics.plan))
+    return {**run.inputs, **signals}
+
+
+def _observe(host: HostModel, run: Run) -> dict[str, Array]:
+    """Return the values [n, width] of every node as the C computes them."""
+    codes = encode_inputs(host.model, run)
+    columns = host.run(codes, elapsed=count_elapsed(host.model, run)).nodes.astype(np.float64)
+    assert columns.shape[1] == len(label_columns(host.model))
+    trace, first = {}, 0
+    for node in host.model.nodes:
+        trace[node.name] = columns[:, first : first + max(node.width, 1)]
+        first += max(node.width, 1)
+    return trace
+
+
+def _cut(run: Run, steps: int) -> Run:
+    """Return the first `steps` samples of a run."""
+    if len(run) <= steps:
+        return run
+    return replace(
+        run,
+        time_s=run.time_s[:steps],
+        temperature_degC=run.temperature_degC[:steps],
+        measured=run.measured[:steps],
+        reference=run.reference[:steps],
+        inputs={name: values[:steps] for name, values in run.inputs.items()},
+    )
+
+
+def _rms(x: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(x**2, axis=0)))
