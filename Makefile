@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup-browser test-browser tutorial help setup check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: bench-foreign setup-browser test-browser tutorial help setup setup-qemu flash-image fuzz check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -29,6 +29,10 @@ $(READY): requirements.lock pyproject.toml
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
+setup-qemu: ## QEMU and the GNU cross-compilers, by apt (root): the second opinion on every core
+	apt-get install -y --no-install-recommends qemu-system-arm qemu-system-misc \
+	  gcc-arm-none-eabi libnewlib-arm-none-eabi gcc-riscv64-unknown-elf
+
 setup-browser: $(READY) ## what the browser tests need: Playwright, and Chromium from the system's packages
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-browser.lock
 	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || { \
@@ -37,6 +41,10 @@ setup-browser: $(READY) ## what the browser tests need: Playwright, and Chromium
 
 firmware-model: $(READY) ## logs -> trained, quantized, generated and host-checked C (SENSOR=examples/ft40)
 	$(VENV)/bin/zerodrift firmware -C $(SENSOR)
+
+flash-image: $(READY) ## ELF and BIN of the example firmware for QEMU's Cortex-M4 board (SENSOR=examples/ft40)
+	@test -f $(SENSOR)/build/model.json || $(VENV)/bin/zerodrift firmware -C $(SENSOR)
+	$(RUN) examples/firmware/build.py $(SENSOR)
 
 test: $(READY) ## the tests (under 6 minutes on two cores)
 	$(RUN) -m pytest -q -n 2 -m "not slow" tests
@@ -77,8 +85,14 @@ sizes: $(READY) ## flash, RAM and stack of the golden models, against the last r
 bench: $(READY) ## every figure the documentation quotes (BENCH=--quick for the reduced form)
 	$(RUN) -m benchmarks $(BENCH)
 
+fuzz: $(READY) ## fuzz the generated C, 10 minutes per target, under sanitizers (needs clang)
+	$(RUN) tests/fuzz/build.py
+
 bench-hidden: $(READY) ## effects hidden in simulated logs and found again (BENCH=--quick)
 	$(RUN) benchmarks/bench_hidden.py $(BENCH)
+
+bench-foreign: $(READY) ## the diagnosis judged by a second simulator (BENCH=--quick)
+	$(RUN) -m benchmarks.foreign $(BENCH)
 
 tutorial: $(READY) ## run the tutorials' commands again and write their output into the pages
 	$(RUN) tests/loop/regenerate_tutorial.py

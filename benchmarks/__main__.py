@@ -5,8 +5,8 @@ import importlib
 import time
 
 NAMES = (
-    *("bench_main_job", "bench_kernels", "bench_effects", "bench_logs", "bench_loop", "bench_real"),
-    "bench_training",
+    *("bench_main_job", "bench_kernels", "bench_cores", "bench_effects", "bench_logs"),
+    *("bench_loop", "bench_real", "bench_training"),
     *("bench_onnx", "bench_certificate", "bench_int8"),
 )
 """Modules of this folder, each with `main(quick: bool) -> None`."""

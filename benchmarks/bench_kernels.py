@@ -107,15 +107,15 @@ def draw_slow_compensator(rng: np.random.Generator, codes: NDArray[np.int16]) ->
     return Compensator(model, calibration)
 
 
-def draw_fast_model(weights: str) -> IntegerModel:
+def draw_fast_model(weights: str, hidden: int = HIDDEN) -> IntegerModel:
     """Return a GRU(16) on four raw inputs: the shape whose speed is told everywhere."""
     rng = np.random.default_rng(1)
     ops = GraphOperations(1.0)
     names = [f"in{i}" for i in range(INPUTS)]
     gru = FloatGru(
-        rng.normal(size=(3, HIDDEN, INPUTS)),
-        rng.normal(size=(3, HIDDEN, HIDDEN)) / np.sqrt(HIDDEN),
-        rng.normal(size=(4, HIDDEN)) * 0.5,
+        rng.normal(size=(3, hidden, INPUTS)),
+        rng.normal(size=(3, hidden, hidden)) / np.sqrt(hidden),
+        rng.normal(size=(4, hidden)) * 0.5,
         "after",
     )
     model = FloatModel(
@@ -130,7 +130,7 @@ def draw_fast_model(weights: str) -> IntegerModel:
         taps=tuple(ops.input(name) for name in names),
         tap_mean=np.zeros(INPUTS),
         whitening=np.eye(INPUTS) / 8000.0,
-        network=FloatNetwork(gru, rng.normal(size=(OUTPUTS, HIDDEN)), np.zeros(OUTPUTS)),
+        network=FloatNetwork(gru, rng.normal(size=(OUTPUTS, hidden)), np.zeros(OUTPUTS)),
     )
     calibration = Calibration(
         code_limits=((-32768, 32767),) * INPUTS,
@@ -178,12 +178,17 @@ def time_kernels(rounds: int) -> None:
             )
 
 
-def build_float(compiler: Compiler, folder: Path, codes: NDArray[np.int16]) -> Callable[[], object]:
+def build_float(
+    compiler: Compiler,
+    folder: Path,
+    codes: NDArray[np.int16],
+    flags: tuple[str, ...] = ("-O3",),
+) -> Callable[[], object]:
     """Return a call that runs the float GRU over the codes."""
     library = folder / "float_gru.so"
     shape = [f"-DINPUTS={INPUTS}", f"-DHIDDEN={HIDDEN}", f"-DOUTPUTS={OUTPUTS}"]
     compiler.run(
-        ["-std=c99", "-O3", *shape, "-shared", "-fPIC", str(FLOAT_C), "-o", str(library), "-lm"]
+        ["-std=c99", *flags, *shape, "-shared", "-fPIC", str(FLOAT_C), "-o", str(library), "-lm"]
     )
     function = ctypes.CDLL(str(library)).float_gru_run
     rng = np.random.default_rng(1)

@@ -8,7 +8,8 @@ import argparse
 import json
 from pathlib import Path
 
-from zerodrift.c_runtime.footprint import CORES, measure_footprint
+from zerodrift.c_runtime.cores import CORES
+from zerodrift.c_runtime.footprint import measure_footprint
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import load_model
 

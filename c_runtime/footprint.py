@@ -6,8 +6,7 @@ is not called), the compiler's helper routines (64-bit arithmetic on small cores
 the state struct; stack is the deepest chain of calls below `step`.
 """
 
-import importlib.util
-import sys
+import re
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,20 +15,11 @@ from typing import Any
 from elftools.elf.elffile import ELFFile
 from elftools.elf.relocation import RelocationSection
 
-from zerodrift.c_runtime.compilers import Compiler
+from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.errors import InputError, nearest
+from zerodrift.errors import InputError
 
-CORES: dict[str, tuple[str, ...]] = {
-    "cortex-m0plus": ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m0plus"),
-    "cortex-m3": ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m3"),
-    "cortex-m4": ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m4"),
-    # +dsp: the optional extension, which nearly every Cortex-M33 has
-    "cortex-m33": ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m33+dsp"),
-    "rv32imc": ("-target", "riscv32-freestanding", "-mcpu=generic_rv32+m+c"),
-}
-"""Core -> what makes the compiler build for it."""
 FLAGS = (
     "-std=c99",
     "-Os",
@@ -44,8 +34,11 @@ HELPER_STACK_BYTES = 32
 """Taken for each routine of the compiler's own library, as the 64-bit product on a Cortex-M0+."""
 
 _IN_FLASH = (".text", ".rodata", ".srodata", ".data", ".sdata")
+_LAYER = ("gru_step", "gru_assembly", "zd_gru_step_after", "zd_gru_step_pairs")
+_LAYER_SECTION = re.compile(r"\.(gru|gru_(?!is_sound)\w+|zd_gru_\w+|zd_tanh_\w+|zd_dot\w*)$")
 _ENTRIES = ("init", "settle", "step")
 _STACK_SIZES = ".stack_sizes"
+_ASSEMBLY_STACK = "zd_stack_"
 
 
 @dataclass(frozen=True)
@@ -62,26 +55,29 @@ class Footprint:
     """Of the deepest of init, settle and step, with everything that they call."""
     helpers: tuple[str, ...]
     """Routines of the compiler's library that are called, as 64-bit products on a Cortex-M0+."""
+    layer_flash_bytes: int
+    """Of the flash: the recurrent layer's step, its weights and the activation table."""
+    layer_stack_bytes: int
+    """Of the recurrent layer's step alone; 0 if the compiler has merged it into its callers."""
 
 
-def measure_footprint(code: GeneratedCode, core: str = "cortex-m4") -> Footprint:
+def measure_footprint(
+    code: GeneratedCode, core: str = "cortex-m4", flags: tuple[str, ...] = ()
+) -> Footprint:
     """Return the footprint of a model, compiled with -Os.
 
     Args:
         code: the model's C.
-        core: one of `CORES`.
+        core: one of `cores.CORES`.
+        flags: further ones of the compiler, as -DZD_SMALL.
 
     Raises:
         InputError: the core is unknown, or the ziglang wheel is missing.
         CheckError: the C does not compile for it.
     """
-    if core not in CORES:
-        raise InputError(
-            f"core '{core}' is unknown{nearest(core, CORES)}; known are {', '.join(CORES)}"
-        )
-    if importlib.util.find_spec("ziglang") is None:
-        raise InputError("sizes need the ziglang wheel: `pip install ziglang`")
-    compiler = Compiler("zig", (sys.executable, "-m", "ziglang", "cc", *CORES[core]))
+    compilers = [c for c in find_cross_compilers(core) if c.name == "zig"]
+    if not compilers:
+        raise InputError(f"sizes on {core} need the ziglang wheel: `pip install ziglang`")
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         write_sources(code, folder)
@@ -92,7 +88,7 @@ def measure_footprint(code: GeneratedCode, core: str = "cortex-m4") -> Footprint
             encoding="utf-8",
         )
         target = folder / "unit.o"
-        compiler.run([*FLAGS, f"-I{folder}", "-c", str(unit), "-o", str(target)])
+        compilers[0].run([*FLAGS, *flags, f"-I{folder}", "-c", str(unit), "-o", str(target)])
         unit_object = _read(target)
     return Footprint(
         core=core,
@@ -100,6 +96,11 @@ def measure_footprint(code: GeneratedCode, core: str = "cortex-m4") -> Footprint
         ram_bytes=unit_object.sizes["zd_probe_state"],
         stack_bytes=max(unit_object.find_depth(f"{code.prefix}_{entry}") for entry in _ENTRIES),
         helpers=unit_object.helpers,
+        layer_flash_bytes=unit_object.layer_flash,
+        layer_stack_bytes=max(
+            (unit_object.find_depth(name) for name in unit_object.frames if name in _LAYER),
+            default=0,
+        ),
     )
 
 
@@ -108,6 +109,7 @@ class _Object:
     """What a relocatable ELF compiled with FLAGS tells."""
 
     flash: int
+    layer_flash: int
     sizes: dict[str, int]
     """Data symbol -> its size."""
     frames: dict[str, int]
@@ -149,8 +151,17 @@ def _read(path: Path) -> _Object:
                     frames[function] = _read_uleb(holder.data(), relocation["r_offset"] + 4)
                 elif section["sh_info"] in functions and function != functions[section["sh_info"]]:
                     calls[functions[section["sh_info"]]].add(function)
+        # An assembly function tells its frame by a symbol of its own.
+        for symbol in symbols:
+            if symbol.name.startswith(_ASSEMBLY_STACK):
+                frames[symbol.name.removeprefix(_ASSEMBLY_STACK)] = int(symbol["st_value"])
         return _Object(
             flash=sum(s["sh_size"] for s in elf.iter_sections() if s.name.startswith(_IN_FLASH)),
+            layer_flash=sum(
+                s["sh_size"]
+                for s in elf.iter_sections()
+                if s.name.startswith(_IN_FLASH) and _LAYER_SECTION.search(s.name)
+            ),
             sizes={s.name: s["st_size"] for s in symbols if s["st_info"]["type"] == "STT_OBJECT"},
             frames=frames,
             calls=calls,

@@ -13,6 +13,9 @@ from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import CodeArray
 
+SAVED_EXTRA_BYTES = 16
+"""Bytes of a saved state beyond the state itself: version, model, size, CRC."""
+
 
 @dataclass(frozen=True)
 class HostTrace:
@@ -68,6 +71,7 @@ class HostModel:
         library.unlink(missing_ok=True)
         compiler.run([*arguments, "-o", str(library)])
         self.model = model
+        self._prefix = code.prefix
         self.library = library
         self.observes = observe
         self._values = sum(max(node.width, 1) for node in model.nodes) if observe else 0
@@ -85,6 +89,20 @@ class HostModel:
     def selftest(self) -> int:
         """Return what the model's own self-test returns; 0 = passed."""
         return int(self._lib.zd_selftest())
+
+    def save(self) -> bytes:
+        """Return the copy of the state that the model's own save makes."""
+        saved = ctypes.create_string_buffer(self.state_bytes + SAVED_EXTRA_BYTES)
+        self._lib[f"{self._prefix}_save"](self._state, saved)
+        return saved.raw
+
+    def restore(self, saved: bytes) -> int:
+        """Take over a copy of `state_bytes` + 16 bytes; return what the C returns, 0 = accepted."""
+        if len(saved) != self.state_bytes + SAVED_EXTRA_BYTES:
+            raise ValueError(f"{len(saved)} bytes, not {self.state_bytes + SAVED_EXTRA_BYTES}")
+        function = self._lib[f"{self._prefix}_restore"]
+        function.restype = ctypes.c_uint32
+        return int(function(self._state, saved))
 
     def pack(self, length: int) -> NDArray[np.int64]:
         """Return the state as `length` numbers, in the order of `ModelState.pack`."""

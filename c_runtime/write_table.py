@@ -1,17 +1,56 @@
 """Writes the runtime's one generated file, src/zd_runtime.c, with the reference's tables."""
 
+import numpy as np
+from numpy.typing import NDArray
+
 from zerodrift.c_runtime.compilers import RUNTIME_DIRECTORY
 from zerodrift.codegen.generate import make_environment
+from zerodrift.codegen.layouts import crc_of_words
 from zerodrift.operations.exp2 import OCTAVE_Q29
-from zerodrift.operations.tables import tanh_nodes
+from zerodrift.operations.tables import STEP_BITS, tanh_nodes
 
 RUNTIME_SOURCE = RUNTIME_DIRECTORY / "src" / "zd_runtime.c"
+
+
+def compute_lines() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return offset [512] in Q0.30 and slope [512] in Q0.19 of every line between two nodes.
+
+    With p = 2**11 i + f, for line i counted from the middle and 0 <= f < 2**11,
+    2**11 node_i + (node_{i+1} - node_i) f = offset_i + slope_i p, with slope_i the difference and
+    offset_i = 2**11 (node_i - slope_i i): the same integer without taking p apart.
+
+    Raises:
+        AssertionError: the table has changed and a value does not fit its type.
+    """
+    nodes = tanh_nodes().astype(np.int64)
+    slope = nodes[1:] - nodes[:-1]
+    line = np.arange(slope.size) - slope.size // 2
+    offset = (nodes[:-1] - slope * line) * 2**STEP_BITS
+    largest = slope * (np.abs(line) + 1) * 2**STEP_BITS
+    if slope.max() >= 2**15 or np.abs(offset).max() >= 2**31 or largest.max() >= 2**31:
+        raise AssertionError("a line of the activation table does not fit int32 and int16")
+    return offset, slope
+
+
+def compute_half() -> NDArray[np.int32]:
+    """Return the nodes from 0 up to one beyond the first that has the last one's value."""
+    nodes = tanh_nodes()[tanh_nodes().size // 2 :]
+    return nodes[: int(np.argmax(nodes == nodes[-1])) + 2]
 
 
 def render_runtime_source() -> str:
     """Return zd_runtime.c with the tables that the reference uses."""
     template = make_environment().get_template("zd_runtime.c.j2")
-    return template.render(nodes=tanh_nodes().tolist(), octave=OCTAVE_Q29)
+    offset, slope = compute_lines()
+    half, slopes = compute_half().tolist(), [*slope.tolist(), 0]
+    return template.render(
+        half=half,
+        half_crc=crc_of_words(half),
+        offsets=offset.tolist(),
+        slopes=slopes,
+        lines_crc=crc_of_words([*offset.tolist(), *slopes]),
+        octave=OCTAVE_Q29,
+    )
 
 
 if __name__ == "__main__":

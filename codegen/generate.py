@@ -15,6 +15,14 @@ from zerodrift.codegen.identifiers import (
     sanitize_identifiers,
     sanitize_prefix,
 )
+from zerodrift.codegen.layouts import (
+    crc_of_words,
+    has_fast_kernels,
+    lay_out_columns,
+    lay_out_pairs,
+    lay_out_row_biases,
+    lay_out_rows,
+)
 from zerodrift.codegen.selftest import SELFTEST_SEED, SELFTEST_STEPS, compute_selftest, limits_of
 from zerodrift.export.integer_model import FORMAT, IntegerModel
 from zerodrift.operations.gru import IntegerGru
@@ -133,6 +141,10 @@ def make_environment() -> jinja2.Environment:
     environment.filters["total"] = format_sum
     environment.filters["by_unit"] = arrange_by_unit
     environment.filters["number"] = format_float
+    environment.filters["crc"] = crc_of_words
+    environment.filters["has_fast_kernels"] = has_fast_kernels
+    for layout in (lay_out_pairs, lay_out_columns, lay_out_rows, lay_out_row_biases):
+        environment.filters[layout.__name__] = layout
     return environment
 
 

@@ -15,6 +15,7 @@ DIRECTIVE = re.compile(
     r'#\s*(include "\w+\.h"|include <std\w+\.h>|error .*'
     r"|define \w+_H|define ZD_OBSERVE\(values, count\)"
     r"|define ZD_QUIET\(on\)"
+    r"|define [A-Z]\w*_SAVED_BYTES \(16u \+ sizeof\(\w+_state_t\)\)"
     r"|define ZD_CLAIM\(name, holds\) typedef char name\[\(holds\) \? 1 : -1\]"
     r'|define (\w+) ("\w+"|-?\d+|UINT32_C\(\d+\)))'
 )

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from zerodrift.c_runtime.footprint import Footprint, measure_footprint
 from zerodrift.c_runtime.host import HostModel, write_sources
+from zerodrift.codegen.application import render_dbc
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
 from zerodrift.dataset.runs import Dataset, Run
@@ -29,6 +30,7 @@ from zerodrift.train.compensator import Compensator
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import Outcome, check_certificate
+from zerodrift.verify.chip_check import ChipCheck, check_chip
 from zerodrift.verify.error_budget import ErrorBudget, measure_budget, measure_whole
 from zerodrift.verify.errors_told import OutputError, tell_errors
 from zerodrift.verify.firmware_check import FirmwareCheck, check_firmware
@@ -62,6 +64,8 @@ class Firmware:
     tared: bool
     """Whether each run's own offset was taken off the errors."""
     footprint: Footprint
+    chip: ChipCheck | None
+    """On the emulated core; None where unicorn is not installed."""
     certificate: Outcome
     """What the independent check of the certificate says."""
     files: tuple[Path, ...]
@@ -98,6 +102,8 @@ def build_firmware(
     build.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".firmware-", dir=build) as scratch:
         check = check_firmware(model, code, sequences, Path(scratch), progress).require()
+        progress(f"running on an emulated {CORE}")
+        chip = check_chip(CORE, code, check.host, sequences, Path(scratch) / "chip")
         progress("measuring errors and sizes")
         runs = dataset.test or dataset.train
         errors = tell_errors(compensator, check.host, runs)
@@ -131,6 +137,7 @@ def build_firmware(
         held_out=bool(dataset.test),
         tared=compensator.tared,
         footprint=footprint,
+        chip=chip,
         certificate=outcome,
         files=files,
     )
@@ -175,6 +182,9 @@ def write_artefacts(
     try:
         staged = [*write_sources(code, staging), staging / CERTIFICATE]
         staged[-1].write_text(certificate, encoding="utf-8")
+        frames = staging / f"{code.prefix}.dbc"
+        frames.write_text(render_dbc(model), encoding="ascii")
+        staged.append(frames)
         files = tuple(path.replace(out / path.name) for path in staged)
     finally:
         shutil.rmtree(staging, ignore_errors=True)

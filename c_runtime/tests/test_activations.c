@@ -24,12 +24,11 @@ static void check_tanh_is_monotone_odd_and_saturates(void) {
 }
 
 static void check_tanh_by_hand(void) {
-    /* Node 256 + k stands for k / 32. Between nodes 1 (16381) and 2 (32729), half way: 24555. */
-    CHECK_EQUAL(zd_tanh_nodes_q19[257], 16381);
-    CHECK_EQUAL(zd_tanh_nodes_q19[258], 32729);
+    /* Node k stands for k / 32. Between nodes 1 (16381) and 2 (32729), half way: 24555. */
     CHECK_EQUAL(zd_tanh_q30(2048), 16381 * 2048);
     CHECK_EQUAL(zd_tanh_q30(2048 + 1024), 24555 * 2048);
     CHECK_EQUAL(zd_tanh_q30(2048 + 1), (16381 * 2048) + (32729 - 16381));
+    CHECK_EQUAL(zd_tanh_q30(-2048 - 1), (-16381 * 2048) - (32729 - 16381));
 }
 
 static void check_sigmoid_complement_is_exact(void) {

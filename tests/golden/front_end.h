@@ -66,8 +66,19 @@ void front_end_settle(front_end_state_t *s, const front_end_input_t *in);
 uint32_t front_end_step(front_end_state_t *s, const front_end_input_t *in,
                   int32_t drift[FRONT_END_OUTPUTS]);
 
-/* Replays a built-in sequence; 0 = this chip computes what the reference computed. */
+/* Replays a built-in sequence and checks the CRC of the constants; 0 = this chip computes what the
+ * reference computed, otherwise the sum of the faults. */
 uint32_t front_end_selftest(void);
+#define FRONT_END_FAULT_REPLAY UINT32_C(1) /* another result: compiler, chip or memory */
+#define FRONT_END_FAULT_TABLES UINT32_C(2) /* weights or activation table damaged */
+
+/* Copies the state with version, model and CRC, for a reset without a new start. */
+#define FRONT_END_SAVED_BYTES (16u + sizeof(front_end_state_t))
+void front_end_save(const front_end_state_t *s, uint8_t saved[FRONT_END_SAVED_BYTES]);
+
+/* 0 = the state goes on from the copy; 1 = the copy is not sound, or another build's, and the state
+ * is as after front_end_init. */
+uint32_t front_end_restore(front_end_state_t *s, const uint8_t saved[FRONT_END_SAVED_BYTES]);
 
 #ifdef __cplusplus
 }

@@ -29,6 +29,8 @@ def test_firmware_reports_equal_bits_and_errors_in_physical_units(project: Path)
     assert result["bit_exact"] is True
     assert result["vectors"] >= 100_000
     assert result["backends"][:2] == ["reference", "host"]
+    assert result["backends"][-1] == "cortex-m4"
+    assert 300 < result["instructions_per_step"]["cortex-m4"] < 20_000
     assert result["held_out"] is True
     for name in ("Fz", "Mx"):
         rmse = {key: result["rmse"][key][name] for key in ("uncompensated", "float", "integer")}

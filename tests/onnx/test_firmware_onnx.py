@@ -176,7 +176,17 @@ def test_command_writes_checked_firmware(project: Path) -> None:
     for name in ("Fz", "Mx"):
         assert told["rmse"]["float"][name] == pytest.approx(told["rmse"]["integer"][name], rel=0.01)
     files = {path.name for path in (project / "firmware").iterdir()}
-    assert files == {"cell.h", "cell.c", "zd_runtime.h", "zd_runtime.c", "certificate.json"}
+    assert files == {
+        "cell.h",
+        "cell.c",
+        "zd_runtime.h",
+        "zd_runtime.c",
+        "zd_gru_pairs.h",
+        "zd_gru_rows.h",
+        "zd_gru_columns.h",
+        "certificate.json",
+        "cell.dbc",
+    }
     assert (project / "build" / "integer.onnx").is_file()
     assert invoke("verify", "-C", project).exit_code == 0
 

@@ -59,7 +59,7 @@ def test_forward_pass_is_the_reference_bit_for_bit(shape: Shape, seed: int) -> N
         ]
     )
     network = build_integer_network(stored, exponents, np.ones(shape.outputs))
-    codes = Draw(seed + 1).codes(-32768, 32767, 2, 40, shape.inputs)
+    codes = Draw(seed + 1).codes(-32768, 32767, 2, 40, len(model.channels))
     seen: list[dict[str, IntArray]] = []
     Reference(model).run(codes, observe=lambda _, values: seen.append(dict(values)))
     x = np.stack([v["features"] for v in seen]).astype(np.float32)  # [T, B, I]

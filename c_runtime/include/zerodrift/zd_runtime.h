@@ -14,21 +14,54 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#if defined(__ARM_FEATURE_DSP)
+#if defined(__ARM_FEATURE_DSP) || defined(__ARM_FEATURE_SAT)
 #include <arm_acle.h>
+#endif
+
+/* How a GRU with 16-bit weights and its reset gate after the product is computed. All ways give the
+ * same bits; the target's own macros choose, -DZD_KERNEL=... overrides (docs/reference/kernels.md).
+ * ZD_SMALL, defined for every file of a build, trades speed for 2.3 KB of flash. */
+#define ZD_KERNEL_PORTABLE 0
+#define ZD_KERNEL_PAIRS 1   /* dual 16-bit multiplier: Cortex-M4, M7, M33 */
+#define ZD_KERNEL_ROWS 2    /* Arm MVE: Cortex-M55, M85 */
+#define ZD_KERNEL_COLUMNS 3 /* AVX2 */
+#if !defined(ZD_KERNEL)
+#if defined(ZD_SMALL)
+#define ZD_KERNEL ZD_KERNEL_PORTABLE
+#elif defined(__ARM_FEATURE_MVE)
+#define ZD_KERNEL ZD_KERNEL_ROWS
+#elif defined(__ARM_FEATURE_DSP)
+#define ZD_KERNEL ZD_KERNEL_PAIRS
+#elif defined(__AVX2__)
+#define ZD_KERNEL ZD_KERNEL_COLUMNS
+#else
+#define ZD_KERNEL ZD_KERNEL_PORTABLE
+#endif
 #endif
 
 /* A model generated for another format must be regenerated: its constants mean something else. */
 #define ZD_RUNTIME_FORMAT 2
 
-#define ZD_TANH_NODES 513
+#if defined(ZD_SMALL)
+#define ZD_TANH_HALF_NODES 179
+#else
+#define ZD_TANH_LINES 512
+#endif
 #define ZD_LOWPASS_FRACTION 24
 #define ZD_GRU_RELAX_STEPS 64
-#define ZD_GRU_RELAX_U_Q31 1073741824 /* u = 1/2 while the state relaxes towards rest */
 #define ZD_GRU_H_LIMIT_Q30 1073709057 /* 2^30 - 2^15 + 1: |h| never exceeds it */
 
-/* tanh at -8, -8 + 1/32, ..., 8 in Q0.19. */
-extern const int32_t zd_tanh_nodes_q19[ZD_TANH_NODES];
+/* The table of the specification, 4.1, in one of two forms. An undefined reference to one of these
+ * means that ZD_SMALL was defined for a part of the build only. */
+#if defined(ZD_SMALL)
+/* tanh at 0, 1/32, ..., 178/32 in Q0.19; beyond, the last value holds. */
+extern const int32_t zd_tanh_half_q19[ZD_TANH_HALF_NODES];
+#else
+/* Line i - 256 of 512, between (i - 256) / 32 and the next: its rise in Q0.19 and where it cuts the
+ * axis in Q0.30. One more slope, so that a vector unit may read 32 bits at the last one. */
+extern const int32_t zd_tanh_offset_q30[ZD_TANH_LINES];
+extern const int16_t zd_tanh_slope_q19[ZD_TANH_LINES + 1];
+#endif
 
 /* 2^f = sum c[i] f^i for 0 <= f <= 1 in Q2.29. */
 #define ZD_EXP2_TERMS 7u
@@ -39,6 +72,37 @@ uint32_t zd_crc32(uint32_t crc, const uint8_t *bytes, uint32_t n);
 
 /* Continues the CRC-32 with the four bytes of x, least significant first. */
 uint32_t zd_crc32_word(uint32_t crc, uint32_t x);
+
+/* Continues the CRC-32 with each of n numbers as a 32-bit word. */
+uint32_t zd_crc32_i16(uint32_t crc, const int16_t *values, uint32_t n);
+uint32_t zd_crc32_i32(uint32_t crc, const int32_t *values, uint32_t n);
+
+/* 1 if the activation table is what it was written as. */
+uint32_t zd_tables_are_sound(void);
+
+/* A state's copy: version, model, size, the bytes, CRC-32; ZD_SAVED_EXTRA bytes more than the
+ * state. For the same build of a firmware: the bytes lie as the compiler laid them out. */
+#define ZD_SAVED_VERSION 1u
+#define ZD_SAVED_EXTRA 16u
+void zd_save(uint8_t *saved, const uint8_t *state, uint32_t size, uint32_t identity);
+
+/* 0 = restored; otherwise the copy is damaged, or another version's or model's, and the state is
+ * left as it was. */
+uint32_t zd_restore(uint8_t *state, const uint8_t *saved, uint32_t size, uint32_t identity);
+
+/* Makes the compiler forget what it knows of a pointer and of memory. Without it, it spreads small
+ * arrays over registers that it does not have, or addresses them too far away for short loads. */
+#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
+#define ZD_FORGET(pointer) __asm volatile("" : "+r"(pointer) : : "memory")
+#else
+#define ZD_FORGET(pointer)
+#endif
+/* The same of a number: a mask that the compiler knows to be a mask becomes a branch. */
+#if defined(__GNUC__)
+#define ZD_FORGET_NUMBER(x) __asm("" : "+r"(x))
+#else
+#define ZD_FORGET_NUMBER(x)
+#endif
 
 /* --- Shifts and rounding: the only places where a signed number is shifted right. ------------- */
 
@@ -58,7 +122,22 @@ static inline int64_t zd_round_shift64(int64_t x, unsigned shift) {
 
 /* a * b / 2^32 to nearest, halves up; any a, b except both -2^31. */
 static inline int32_t zd_mul_high(int32_t a, int32_t b) {
+#if defined(__ARM_ARCH_6M__) || defined(__ARM_ARCH_8M_BASE__)
+    /* No 64-bit product here: of halves, a = 2^16 ah + al. |middle| <= 32767 * 65535 + 65534 +
+     * 32768 = 2^31 - 1, and the second sum is smaller. */
+    const int32_t ah = zd_asr32(a, 16);
+    const int32_t bh = zd_asr32(b, 16);
+    const uint32_t al = (uint32_t)a & 0xFFFFu;
+    const uint32_t bl = (uint32_t)b & 0xFFFFu;
+    const int32_t middle = (ah * (int32_t)bl) + (int32_t)((al * bl) >> 16) + 32768;
+    const int32_t other = ((int32_t)al * bh) + (int32_t)((uint32_t)middle & 0xFFFFu);
+    return (ah * bh) + zd_asr32(middle, 16) + zd_asr32(other, 16);
+#elif defined(__riscv)
+    const int64_t product = (int64_t)a * b;
+    return (int32_t)zd_asr64(product, 32) + (int32_t)(((uint32_t)product) >> 31);
+#else
     return (int32_t)zd_asr64(((int64_t)a * b) + ((int64_t)1 << 31), 32);
+#endif
 }
 
 static inline int32_t zd_clamp32(int32_t x, int32_t low, int32_t high) {
@@ -71,15 +150,46 @@ static inline int64_t zd_clamp64(int64_t x, int64_t low, int64_t high) {
 
 /* --- Activations ------------------------------------------------------------------------------ */
 
-/* tanh in Q0.30 of t in Q3.16, any int32: outside -8 .. 8 the end nodes hold.
- * |result| <= 2^30 - 2^15. */
+/* t limited to 20 bits, -2^19 .. 2^19 - 1; without a branch on every core. */
+static inline int32_t zd_saturate20(int32_t t) {
+#if defined(__ARM_FEATURE_SAT)
+    return __ssat(t, 20);
+#elif defined(__riscv) || defined(__ARM_ARCH_6M__) || defined(__ARM_ARCH_8M_BASE__)
+    const int32_t sign = zd_asr32(t, 31);
+    int32_t inside = -(zd_asr32(t, 19) ^ sign); /* 0 if t has 20 bits, negative otherwise */
+    ZD_FORGET_NUMBER(inside);
+    return t ^ ((t ^ sign ^ 524287) & zd_asr32(inside, 31));
+#else
+    return zd_clamp32(t, -524288, 524287);
+#endif
+}
+
+#if !defined(ZD_SMALL)
+/* tanh in Q0.30 of t, from the middles of the two tables. |slope * t| < 2^29: where a line is
+ * steep, t is small. */
+static inline int32_t zd_line_q30(int32_t t_q16, const int32_t *offset_q30,
+                                  const int16_t *slope_q19) {
+    const int32_t position = zd_saturate20(t_q16);
+    const int32_t line = zd_asr32(position, 11);
+    return offset_q30[line] + (slope_q19[line] * position);
+}
+#endif
+
+/* tanh in Q0.30 of t in Q3.16, any int32: outside -8 .. 8 the ends hold. |result| <= 2^30 - 2^15.
+ */
 static inline int32_t zd_tanh_q30(int32_t t_q16) {
-    const uint32_t position = (uint32_t)(zd_clamp32(t_q16, -524288, 524287) + 524288);
-    const uint32_t index = position >> 11;
-    const int32_t fraction = (int32_t)(position & 2047u);
-    const int32_t start = zd_tanh_nodes_q19[index];
-    const int32_t slope = zd_tanh_nodes_q19[index + 1u] - start;
-    return (start * 2048) + (slope * fraction);
+#if defined(ZD_SMALL)
+    const int32_t end = (ZD_TANH_HALF_NODES - 2) * 2048;
+    const int32_t clamped = zd_clamp32(t_q16, -end, end);
+    const int32_t sign = zd_asr32(clamped, 31);
+    const uint32_t position = (uint32_t)((clamped ^ sign) - sign);
+    const int32_t start = zd_tanh_half_q19[position >> 11];
+    const int32_t slope = zd_tanh_half_q19[(position >> 11) + 1u] - start;
+    const int32_t size = (start * 2048) + (slope * (int32_t)(position & 2047u));
+    return (size ^ sign) - sign;
+#else
+    return zd_line_q30(t_q16, &zd_tanh_offset_q30[256], &zd_tanh_slope_q19[256]);
+#endif
 }
 
 /* sigmoid in Q0.31 of twice t in Q3.16: 2^15 .. 2^31 - 2^15. */
@@ -104,6 +214,22 @@ static inline int32_t zd_sigmoid_q31(int32_t half_t_q16) {
 #define ZD_ROLLED _Pragma("GCC unroll 1") /* or gcc -O3 unrolls the loop before vectorising it */
 #else
 #define ZD_ROLLED
+#endif
+
+#if ZD_LANES == 1u
+#define ZD_UNROLLED ZD_ROLLED
+#define ZD_IN_ORDER(pointer)
+#elif defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
+#define ZD_UNROLLED _Pragma("GCC unroll 16")
+#define ZD_IN_ORDER(pointer) ZD_FORGET(pointer)
+#else
+#define ZD_UNROLLED
+#define ZD_IN_ORDER(pointer)
+#endif
+#if defined(__thumb__) && defined(__clang__)
+#define ZD_PER_UNIT(pointer) ZD_FORGET(pointer)
+#else
+#define ZD_PER_UNIT(pointer)
 #endif
 
 /* acc + w . x of ZD_LANES neighbours. */
@@ -146,8 +272,9 @@ static inline void zd_dot3_i16(const int16_t *w, const int16_t *x, uint32_t n, i
     int32_t b = 0;
     int32_t c = 0;
     uint32_t i = 0;
-    ZD_ROLLED
+    ZD_UNROLLED
     for (; (i + ZD_LANES) <= n; i += ZD_LANES) {
+        ZD_IN_ORDER(x);
         a = zd_mac(a, &w[i], &x[i]);
         b = zd_mac(b, &w[n + i], &x[i]);
         c = zd_mac(c, &w[(2u * n) + i], &x[i]);
@@ -299,6 +426,11 @@ static inline void zd_gru_recurrent3(const zd_gru_t *layer, uint32_t row, const 
     }
 }
 
+/* The update gate; 1/2 if u_keep is 0 rather than -1. */
+static inline int32_t zd_gru_update_q31(int32_t half_t_q16, int32_t u_keep) {
+    return (zd_tanh_q30(half_t_q16) & u_keep) + ((int32_t)1 << 30);
+}
+
 /* h + u (n - h). Since |n|, |h| <= 2^30 - 2^15 + 1 the difference fits 32 bits, and |h| stays. */
 static inline int32_t zd_gru_move(int32_t h_q30, int32_t n_q30, int32_t u_q31) {
     return h_q30 + (2 * zd_mul_high(n_q30 - h_q30, u_q31));
@@ -321,6 +453,7 @@ static inline void zd_gru_step_after(const zd_gru_t *layer, uint32_t inputs, uin
                                      int32_t u_keep) {
     zd_gru_copy_state(h_q30, h_q15, hidden);
     for (uint32_t j = 0; j < hidden; j++) {
+        ZD_PER_UNIT(h_q15);
         const uint32_t row = 3u * j;
         const int32_t *bias = &layer->bias[4u * j];
         int32_t from_x[3];
@@ -330,10 +463,10 @@ static inline void zd_gru_step_after(const zd_gru_t *layer, uint32_t inputs, uin
         const int32_t a_r = bias[0] + from_x[0] + from_h[0];
         const int32_t a_u = bias[1] + from_x[1] + from_h[1];
         const int32_t r_q31 = zd_sigmoid_q31(zd_asr32(a_r, layer->shift[0]));
-        const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, layer->shift[1]));
+        const int32_t u_q31 = zd_gru_update_q31(zd_asr32(a_u, layer->shift[1]), u_keep);
         const int32_t a_n = bias[2] + from_x[2] + zd_mul_high(bias[3] + from_h[2], r_q31);
         const int32_t n_q30 = zd_tanh_q30(zd_asr32(a_n, layer->shift[2]));
-        h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & ZD_GRU_RELAX_U_Q31));
+        h_q30[j] = zd_gru_move(h_q30[j], n_q30, u_q31);
     }
 }
 
@@ -357,9 +490,9 @@ static inline void zd_gru_step_before(const zd_gru_t *layer, uint32_t inputs, ui
                             zd_gru_recurrent(layer, row + 1u, 1u, h_q15, hidden);
         const int32_t a_n = bias[2] + zd_dot_i16(&w_x[2u * inputs], x, inputs) +
                             zd_gru_recurrent(layer, row + 2u, 2u, rh_q15, hidden);
-        const int32_t u_q31 = zd_sigmoid_q31(zd_asr32(a_u, layer->shift[1]));
+        const int32_t u_q31 = zd_gru_update_q31(zd_asr32(a_u, layer->shift[1]), u_keep);
         const int32_t n_q30 = zd_tanh_q30(zd_asr32(a_n, layer->shift[2]));
-        h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q31 & u_keep) | (~u_keep & ZD_GRU_RELAX_U_Q31));
+        h_q30[j] = zd_gru_move(h_q30[j], n_q30, u_q31);
     }
 }
 
@@ -373,5 +506,13 @@ static inline uint32_t zd_gru_state_is_sound(const int32_t *h_q30, uint32_t hidd
     }
     return sound;
 }
+
+#if ZD_KERNEL == ZD_KERNEL_PAIRS
+#include "zd_gru_pairs.h"
+#elif ZD_KERNEL == ZD_KERNEL_ROWS
+#include "zd_gru_rows.h"
+#elif ZD_KERNEL == ZD_KERNEL_COLUMNS
+#include "zd_gru_columns.h"
+#endif
 
 #endif /* ZD_RUNTIME_H */

@@ -70,11 +70,14 @@ def describe(firmware: Any, directory: Path) -> dict[str, Any]:
     return {
         "bit_exact": firmware.check.failure is None,
         "vectors": firmware.check.vectors,
-        "backends": list(firmware.check.backends),
+        "backends": [*firmware.check.backends, *([firmware.chip.core] if firmware.chip else [])],
         "flash_bytes": size.flash_bytes,
         "ram_bytes": size.ram_bytes,
         "stack_bytes": size.stack_bytes,
         "core": size.core,
+        "instructions_per_step": (
+            {firmware.chip.core: firmware.chip.instructions_per_step} if firmware.chip else {}
+        ),
         "rmse": {
             "uncompensated": {e.name: e.uncompensated for e in firmware.errors},
             "float": {e.name: e.float_model for e in firmware.errors},
@@ -163,6 +166,13 @@ def _print(firmware: Any, directory: Path) -> None:
         f"bit-exact: {firmware.check.vectors} steps on {' = '.join(firmware.check.backends)}, every"
         " node, state and flag, 0 LSB"
     )
+    if firmware.chip is not None:
+        console.print(
+            f"{firmware.chip.core}, emulated: {firmware.chip.steps} steps with the same drifts and"
+            f" flags; {firmware.chip.instructions_per_step} instructions per step"
+        )
+    else:
+        console.print("not run on an emulated core: `pip install unicorn`")
     console.print(
         f"no overflow for any input: {firmware.certificate.holds} claims of certificate.json, each"
         " derived again from the C"

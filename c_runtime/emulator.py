@@ -1,0 +1,305 @@
+"""A generated model on an emulated chip: cross-compiled, and run by unicorn."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from elftools.elf.elffile import ELFFile
+from numpy.typing import NDArray
+from unicorn import (
+    UC_ARCH_ARM,
+    UC_ARCH_RISCV,
+    UC_HOOK_CODE,
+    UC_MODE_MCLASS,
+    UC_MODE_RISCV32,
+    UC_MODE_THUMB,
+    unicorn,
+)
+from unicorn.arm_const import (
+    UC_ARM_REG_LR,
+    UC_ARM_REG_R0,
+    UC_ARM_REG_SP,
+    UC_CPU_ARM_CORTEX_M0,
+    UC_CPU_ARM_CORTEX_M3,
+    UC_CPU_ARM_CORTEX_M4,
+    UC_CPU_ARM_CORTEX_M7,
+    UC_CPU_ARM_CORTEX_M33,
+)
+from unicorn.riscv_const import UC_RISCV_REG_A0, UC_RISCV_REG_RA, UC_RISCV_REG_SP
+
+from zerodrift.c_runtime.compilers import Compiler
+from zerodrift.c_runtime.cores import find_cross_compilers
+from zerodrift.c_runtime.host import write_sources
+from zerodrift.codegen.generate import GeneratedCode
+from zerodrift.errors import InputError
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.operations.layers import IntegerGruStack
+
+_ARM_CPUS = {
+    "cortex-m0plus": UC_CPU_ARM_CORTEX_M0,
+    "cortex-m3": UC_CPU_ARM_CORTEX_M3,
+    "cortex-m4": UC_CPU_ARM_CORTEX_M4,
+    "cortex-m7": UC_CPU_ARM_CORTEX_M7,
+    "cortex-m33": UC_CPU_ARM_CORTEX_M33,
+}
+_BATCH = 256  # steps per call into the chip
+_PAGE = 4096
+_STACK, _STACK_BYTES, _STOP = 0x8000_0000, 0x8000, 0x9000_0000
+_UNTOUCHED = 0xA5
+_MAIN = """
+#define ZD_PLAIN
+#include "{prefix}_harness.c"
+#include "zd_runtime.c"
+/* What a compiler may call where there is no C library. */
+void *memset(void *to, int value, size_t n) {{
+    volatile uint8_t *bytes = to;
+    for (size_t i = 0; i < n; i++) {{ bytes[i] = (uint8_t)value; }}
+    return to;
+}}
+void *memcpy(void *to, const void *from, size_t n) {{
+    volatile uint8_t *bytes = to;
+    for (size_t i = 0; i < n; i++) {{ bytes[i] = ((const uint8_t *)from)[i]; }}
+    return to;
+}}
+{prefix}_state_t chip_state;
+{prefix}_input_t chip_input;
+{code_type} chip_codes[{batch} * {channels}];
+int32_t chip_drift[{batch} * {outputs}];
+uint32_t chip_flags[{batch}];
+void chip_start(int settled) {{ zd_start(&chip_state, chip_codes, settled); }}
+void chip_run(uint32_t steps) {{
+    zd_run(&chip_state, chip_codes, steps, chip_drift, chip_flags, NULL);
+}}
+void chip_step(void) {{ (void){prefix}_step(&chip_state, &chip_input, chip_drift); }}
+void chip_settle(void) {{ {prefix}_settle(&chip_state, &chip_input); }}
+uint32_t chip_selftest(void) {{ return {prefix}_selftest(); }}
+{layer}
+void _start(void) {{
+    chip_start(0);
+    chip_layer();
+    chip_run(chip_selftest());
+    chip_settle();
+    chip_step();
+}}
+"""
+_LAYER = """int16_t chip_features[{inputs}];
+int32_t chip_h_q30[{hidden}];
+void chip_layer(void) {{ {name}_step(chip_features, chip_h_q30, -1); }}
+"""
+_STACK_OF_LAYERS = """int16_t chip_features[{inputs}];
+int32_t chip_lower_q30[{lower}];
+int32_t chip_h_q30[{hidden}];
+void chip_layer(void) {{ {name}_step(chip_features, chip_lower_q30, chip_h_q30); }}
+"""
+
+
+class EmulatedModel:
+    """A generated model that runs on an emulated core.
+
+    Args:
+        model: the integer model, for its shapes.
+        code: its C.
+        core: one of `cores.CORES`.
+        folder: where sources and program are written.
+        flags: of the compiler, "-O2" by default.
+        compiler: for the core; the preferred one if None.
+
+    Raises:
+        InputError: there is no compiler for the core, or the core is unknown.
+        CheckError: the C does not compile.
+    """
+
+    def __init__(
+        self,
+        model: IntegerModel,
+        code: GeneratedCode,
+        core: str,
+        folder: Path,
+        flags: tuple[str, ...] = ("-O2",),
+        compiler: Compiler | None = None,
+    ) -> None:
+        self._outputs = len(model.outputs)
+        self._code_type = np.dtype(model.code_type).newbyteorder("<")
+        fields = [(f"c{k}", f"<i{c.bits // 8}") for k, c in enumerate(model.channels)]
+        self._input_type = np.dtype(fields, align=True)  # as the compilers lay the struct out
+        program = _build(model, code, folder, flags, compiler or _find(core))
+        self._arm = core in _ARM_CPUS
+        self._chip = _make_chip(core)
+        with program.open("rb") as file:
+            image = ELFFile(file)
+            _load(self._chip, image)
+            table: Any = image.get_section_by_name(".symtab")
+            self._symbols = {s.name: int(s["st_value"]) for s in table.iter_symbols()}
+        self._chip.mem_map(_STACK, _STACK_BYTES)
+        self._chip.mem_map(_STOP, _PAGE)
+
+    def run(
+        self, codes: CodeArray, *, settled: bool
+    ) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
+        """Return drift [T, K] and flags [T] for codes [T, C]."""
+        drift, flags = [], []
+        self._write("chip_codes", codes[:1])
+        self._call("chip_start", int(settled))
+        for first in range(0, len(codes), _BATCH):
+            part = codes[first : first + _BATCH]
+            self._write("chip_codes", part)
+            self._call("chip_run", len(part))
+            drift.append(self._read("chip_drift", "<i4", len(part) * self._outputs))
+            flags.append(self._read("chip_flags", "<u4", len(part)))
+        return np.concatenate(drift).reshape(len(codes), -1), np.concatenate(flags)
+
+    def selftest(self) -> int:
+        """Return what the model's own self-test returns on this chip."""
+        return self._call("chip_selftest")
+
+    def count_instructions(self, codes: CodeArray) -> list[int]:
+        """Return the number of instructions of `step` for each of codes [T, C], from rest."""
+        counts = []
+        self._write_input(codes[0])
+        self._call("chip_settle")
+        for row in codes:
+            self._write_input(row)
+            counts.append(self._count("chip_step"))
+        return counts
+
+    def count_layer(
+        self, features: NDArray[np.int16] | None = None, h_q30: NDArray[np.int32] | None = None
+    ) -> int:
+        """Return the number of instructions of the recurrent layer's step, call included.
+
+        Args:
+            features: [I] what the layer reads; as they are if None.
+            h_q30: [H] state before the step; as it is if None.
+        """
+        if features is not None:
+            self._chip.mem_write(self._symbols["chip_features"], features.astype("<i2").tobytes())
+        if h_q30 is not None:
+            self._chip.mem_write(self._symbols["chip_h_q30"], h_q30.astype("<i4").tobytes())
+        return self._count("chip_layer")
+
+    def _count(self, function: str) -> int:
+        """Return the number of instructions of a call.
+
+        Code that has been translated before the hook was set would not be counted.
+        """
+        total = [0]
+        hook = self._chip.hook_add(UC_HOOK_CODE, lambda *_: total.__setitem__(0, total[0] + 1))
+        self._chip.ctl_flush_tb()
+        self._call(function)
+        self._chip.hook_del(hook)
+        self._chip.ctl_flush_tb()
+        return total[0]
+
+    def measure_stack(self, codes: CodeArray) -> int:
+        """Return the bytes of stack that settle and steps over codes [T, C] really touched."""
+        self._chip.mem_write(_STACK, bytes([_UNTOUCHED]) * _STACK_BYTES)
+        self._write_input(codes[0])
+        self._call("chip_settle")
+        for row in codes:
+            self._write_input(row)
+            self._call("chip_step")
+        stack = np.frombuffer(bytes(self._chip.mem_read(_STACK, _STACK_BYTES)), dtype=np.uint8)
+        return _STACK_BYTES - int((stack != _UNTOUCHED).argmax())
+
+    def _call(self, function: str, argument: int = 0) -> int:
+        """Call a function of the program and return its result."""
+        result, link, stack = (
+            (UC_ARM_REG_R0, UC_ARM_REG_LR, UC_ARM_REG_SP)
+            if self._arm
+            else (UC_RISCV_REG_A0, UC_RISCV_REG_RA, UC_RISCV_REG_SP)
+        )
+        self._chip.reg_write(result, argument)
+        self._chip.reg_write(stack, _STACK + _STACK_BYTES)
+        self._chip.reg_write(link, _STOP | self._arm)
+        self._chip.emu_start(self._symbols[function] | self._arm, _STOP)
+        return int(self._chip.reg_read(result))
+
+    def _write(self, symbol: str, codes: CodeArray) -> None:
+        self._chip.mem_write(self._symbols[symbol], codes.astype(self._code_type).tobytes())
+
+    def _write_input(self, row: CodeArray) -> None:
+        packed = np.zeros((), dtype=self._input_type)
+        for name, code in zip(self._input_type.fields or (), row, strict=True):
+            packed[name] = code
+        self._chip.mem_write(self._symbols["chip_input"], packed.tobytes())
+
+    def _read(self, symbol: str, kind: str, count: int) -> NDArray[Any]:
+        raw = self._chip.mem_read(self._symbols[symbol], 4 * count)
+        return np.frombuffer(bytes(raw), dtype=kind)
+
+
+def _find(core: str) -> Compiler:
+    compilers = find_cross_compilers(core)
+    if not compilers:
+        raise InputError(f"no compiler for {core}: `pip install ziglang`, or a GNU cross-compiler")
+    return compilers[0]
+
+
+def _build(
+    model: IntegerModel,
+    code: GeneratedCode,
+    folder: Path,
+    flags: tuple[str, ...],
+    compiler: Compiler,
+) -> Path:
+    write_sources(code, folder)
+    (folder / f"{code.prefix}_harness.c").write_text(code.harness, encoding="utf-8")
+    main = folder / "main.c"
+    text = _MAIN.format(
+        prefix=code.prefix,
+        batch=_BATCH,
+        channels=len(model.channels),
+        outputs=len(model.outputs),
+        code_type=f"{np.dtype(model.code_type).name}_t",
+        layer=_render_layer(model),
+    )
+    main.write_text(text, encoding="utf-8")
+    # string.h, which the harness names for the host's sake, is not there without a C library
+    (folder / "string.h").write_text("", encoding="utf-8")
+    program = folder / "main.elf"
+    free = ["-std=c99", *flags, "-g", "-ffreestanding", f"-I{folder}", str(main)]
+    if compiler.name == "gcc":
+        # relaxing would address data by a register that only a start-up sets
+        free += ["-nostdlib", "-Wl,-Ttext=0x10000,-Tdata=0x100000,--no-relax", "-lgcc"]
+    compiler.run([*free, "-o", str(program)])
+    return program
+
+
+def _render_layer(model: IntegerModel) -> str:
+    """Return the C that calls the recurrent layer alone, or all layers of a stack."""
+    layer = model.recurrent
+    if layer is None:
+        return "void chip_layer(void) {}\n"
+    gru = layer.gru
+    if not isinstance(layer, IntegerGruStack):
+        return _LAYER.format(name=layer.name, inputs=gru.inputs, hidden=gru.hidden)
+    return _STACK_OF_LAYERS.format(
+        name=layer.name,
+        inputs=layer.lower[0].inputs,
+        lower=sum(below.hidden for below in layer.lower),
+        hidden=gru.hidden,
+    )
+
+
+def _make_chip(core: str) -> Any:
+    machine: Any = unicorn.Uc  # the wheel's own types are incomplete
+    if core not in _ARM_CPUS:
+        return machine(UC_ARCH_RISCV, UC_MODE_RISCV32)
+    chip = machine(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS)
+    chip.ctl_set_cpu_model(_ARM_CPUS[core])
+    return chip
+
+
+def _load(chip: Any, image: ELFFile) -> None:
+    """Map and fill the program's segments, page by page."""
+    mapped: set[int] = set()
+    for segment in image.iter_segments():
+        if segment["p_type"] != "PT_LOAD" or not segment["p_memsz"]:
+            continue
+        first, end = segment["p_vaddr"], segment["p_vaddr"] + segment["p_memsz"]
+        for page in range(first // _PAGE, -(-end // _PAGE)):
+            if page not in mapped:
+                chip.mem_map(page * _PAGE, _PAGE)
+                mapped.add(page)
+        chip.mem_write(first, segment.data())

@@ -1,0 +1,76 @@
+"""The CAN frames of a model as a DBC file, and an application that sends them, as text."""
+
+from zerodrift import __version__
+from zerodrift.codegen.generate import make_environment
+from zerodrift.codegen.identifiers import (
+    RESERVED_OUTPUTS,
+    sanitize_comment,
+    sanitize_identifiers,
+    sanitize_prefix,
+)
+from zerodrift.export.compose import MEASURED
+from zerodrift.export.integer_model import IntegerModel
+
+FIRST_FRAME_ID = 0x100
+"""Two identifiers per output from here on, of the 11-bit range."""
+
+
+def name_outputs(model: IntegerModel) -> list[str]:
+    """Return the outputs' names as the header and the CAN frames call them, in lower case."""
+    return sanitize_identifiers((o.name for o in model.outputs), "output", RESERVED_OUTPUTS)
+
+
+def render_dbc(model: IntegerModel) -> str:
+    """Return a DBC file with two frames per output.
+
+    `<NAME>_MEASURED` holds what was measured and the drift, `<NAME>_COMPENSATED` their difference,
+    the flags of the step and a counter of the steps. Values are int32 counts, little-endian, with
+    the scale that makes them the output's unit.
+    """
+    lines = [f'VERSION "{model.hash[:16]}"', "", "NS_ :", "", "BS_:", "", "BU_: SENSOR", ""]
+    for k, name in enumerate(name_outputs(model)):
+        output = model.outputs[k]
+        unit = sanitize_comment(output.unit)
+        scale = repr(1.0 / output.lsb_per_unit)
+        low, high = -(2**31) / output.lsb_per_unit, (2**31 - 1) / output.lsb_per_unit
+        value = f'({scale},0) [{low!r}|{high!r}] "{unit}" Vector__XXX'
+        first = FIRST_FRAME_ID + 2 * k
+        lines += [
+            f"BO_ {first} {name.upper()}_MEASURED: 8 SENSOR",
+            f" SG_ Raw : 0|32@1- {value}",
+            f" SG_ Drift : 32|32@1- {value}",
+            "",
+            f"BO_ {first + 1} {name.upper()}_COMPENSATED: 7 SENSOR",
+            f" SG_ Compensated : 0|32@1- {value}",
+            ' SG_ Flags : 32|8@1+ (1,0) [0|255] "" Vector__XXX',
+            ' SG_ Counter : 40|16@1+ (1,0) [0|65535] "" Vector__XXX',
+            "",
+        ]
+    return "\n".join(lines)
+
+
+def render_application(model: IntegerModel) -> str:
+    """Return the C of an application: thermometer, other inputs, step, CAN frames."""
+    prefix = sanitize_prefix(model.name)
+    names = name_outputs(model)
+    of_outputs = {f"{MEASURED}{output.name}": k for k, output in enumerate(model.outputs)}
+    return (
+        make_environment()
+        .get_template("application.c.j2")
+        .render(
+            model=model,
+            version=__version__,
+            title=sanitize_comment(model.name),
+            prefix=prefix,
+            PREFIX=prefix.upper(),
+            channels=sanitize_identifiers((c.name for c in model.channels), "input"),
+            outputs=[name.upper() for name in names],
+            can_names=names,
+            measured={
+                k: of_outputs[channel.source]
+                for k, channel in enumerate(model.channels)
+                if channel.source in of_outputs
+            },
+            guards=model.guards,
+        )
+    )

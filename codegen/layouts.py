@@ -1,0 +1,101 @@
+"""The orders in which the kernels read a GRU's weights; one array each, laid out once, here.
+
+Two neighbouring 16-bit numbers are a *pair*: one 32-bit number, the first in its lower half. An odd
+row is filled up with a zero.
+"""
+
+import zlib
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.gru import IntegerGru
+
+Words = NDArray[np.int64]
+
+COLUMN_UNITS = 8
+"""Units that one vector of the columns kernel holds (AVX2: 256 bits)."""
+ROW_NUMBERS = 8
+"""16-bit numbers that one vector of the rows kernel holds (MVE: 128 bits)."""
+ROW_UNITS = 4
+"""Units whose activations the rows kernel takes at once."""
+
+
+def has_fast_kernels(gru: IntegerGru) -> bool:
+    """Tell whether the layouts below exist: reset after the product, 16-bit weights."""
+    return gru.reset == "after" and gru.multiplier is None
+
+
+def pack_pairs(rows: NDArray[np.int16] | NDArray[np.int8]) -> Words:
+    """Return int16 [..., n] as signed 32-bit pairs [..., (n + 1) // 2].
+
+    Example:
+        >>> pack_pairs(np.array([1, -1, 2], dtype=np.int16)).tolist()
+        [-65535, 2]
+    """
+    odd = rows.shape[-1] % 2
+    even = np.pad(rows.astype(np.int64), [(0, 0)] * (rows.ndim - 1) + [(0, odd)])
+    words = (even[..., 0::2] & 0xFFFF) | ((even[..., 1::2] & 0xFFFF) << 16)
+    return np.where(words >= 2**31, words - 2**32, words)
+
+
+def lay_out_pairs(gru: IntegerGru) -> list[int]:
+    """Return the stream of the pairs kernel, [H][4 + 3 (X + R)] with X = ceil(I/2), R = ceil(H/2).
+
+    Unit by unit: biases r, u, n outside, n inside; then blocks of two pairs of features, each block
+    r r u u n n, a last odd one r u n; then the same of the state.
+    """
+    words: list[int] = []
+    w_x, w_h = pack_pairs(gru.w_x), pack_pairs(gru.w_h)  # [3, H, pairs]
+    for unit in range(gru.hidden):
+        words += [int(b) for b in gru.bias[:, unit]]
+        for rows in (w_x[:, unit], w_h[:, unit]):
+            for first in range(0, rows.shape[1], 2):
+                words += [int(w) for w in rows[:, first : first + 2].ravel()]
+    return words
+
+
+def lay_out_columns(gru: IntegerGru) -> list[int]:
+    """Return the stream of the columns kernel, [ceil(H/8)][4 + 3 (X + R)][8].
+
+    Eight units side by side; missing ones are zeros. First the four biases; then for each pair of
+    features r, u, n; then the same of the state.
+    """
+    units = -(-gru.hidden // COLUMN_UNITS) * COLUMN_UNITS
+    wide = [(0, 0), (0, units - gru.hidden)]
+    bias = np.pad(gru.bias.astype(np.int64), wide)
+    w_x, w_h = (np.pad(pack_pairs(w), [*wide, (0, 0)]) for w in (gru.w_x, gru.w_h))
+    words: list[int] = []
+    for first in range(0, units, COLUMN_UNITS):
+        some = slice(first, first + COLUMN_UNITS)
+        words += [int(b) for b in bias[:, some].ravel()]
+        for rows in (w_x, w_h):
+            words += [int(w) for w in rows[:, some].transpose(2, 0, 1).ravel()]
+    return words
+
+
+def lay_out_rows(gru: IntegerGru) -> list[int]:
+    """Return the weights of the rows kernel, [U][3][8 X + 8 R], X = ceil(I/8), R = ceil(H/8).
+
+    U is H filled up to a multiple of four; features and state are filled up with zeros to whole
+    vectors.
+    """
+    units = -(-gru.hidden // ROW_UNITS) * ROW_UNITS
+    parts = []
+    for weights in (gru.w_x, gru.w_h):
+        fill = -weights.shape[2] % ROW_NUMBERS
+        parts.append(np.pad(weights, [(0, 0), (0, units - gru.hidden), (0, fill)]))
+    return [int(w) for w in np.moveaxis(np.concatenate(parts, axis=2), 1, 0).ravel()]
+
+
+def lay_out_row_biases(gru: IntegerGru) -> list[int]:
+    """Return the biases of the rows kernel, [U / 4][r, u, n outside, n inside][4]."""
+    units = -(-gru.hidden // ROW_UNITS) * ROW_UNITS
+    bias = np.pad(gru.bias, [(0, 0), (0, units - gru.hidden)]).reshape(4, -1, ROW_UNITS)
+    return [int(b) for b in bias.transpose(1, 0, 2).ravel()]
+
+
+def crc_of_words(numbers: Iterable[int]) -> int:
+    """Return the CRC-32 of numbers as 32-bit words, the least significant byte first."""
+    return zlib.crc32(np.array([int(n) & 0xFFFFFFFF for n in numbers], dtype="<u4").tobytes())

@@ -1,0 +1,81 @@
+"""The C of every board that QEMU has, built by GNU cross-compilers: 0 LSB against the reference."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.fixed_point.test_emulated_chips import SHAPES, draw_codes
+from tests.golden.model_factory import Shape, draw_model
+from tests.golden.vectors import load
+
+from zerodrift.c_runtime.qemu import MACHINES, QemuModel, is_available
+from zerodrift.codegen.generate import generate
+from zerodrift.export.reference import Reference
+
+LEVELS = ("-O0", "-O1", "-O2", "-O3", "-Os")
+QUICK = {("cortex-m4", "-O2"), ("cortex-m55", "-O2"), ("rv32imc", "-Os")}
+STREAM = Shape(hidden=11, inputs=3, outputs=2, gain=3.0)
+"""Odd in everything: the last pair, vector and block of each kernel are partly filled."""
+
+
+def require(core: str) -> None:
+    if not is_available(core):
+        pytest.skip(f"QEMU and a GNU cross-compiler for {core} are not installed: make setup-qemu")
+
+
+def compare(core: str, shape: Shape, seed: int, flags: tuple[str, ...], folder: Path) -> None:
+    model = draw_model(shape, seed)
+    codes = draw_codes(len(model.channels))
+    board = QemuModel(model, generate(model), core, folder, flags)
+    for settled in (True, False):
+        expected = Reference(model).run(codes[None], settled=settled)
+        found = board.run(codes, settled=settled)
+        np.testing.assert_array_equal(found.drift, expected.drift[0])
+        np.testing.assert_array_equal(found.flags, expected.flags[0])
+        assert found.selftest == 0
+
+
+@pytest.mark.parametrize(
+    ("core", "level"),
+    [
+        pytest.param(core, level, marks=() if (core, level) in QUICK else pytest.mark.slow)
+        for core in MACHINES
+        for level in LEVELS
+    ],
+)
+def test_board_equals_reference_at_every_level(core: str, level: str, tmp_path: Path) -> None:
+    require(core)
+    compare(core, STREAM, 41, (level,), tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("core", MACHINES)
+def test_board_equals_reference_for_every_shape(core: str, shape: str, tmp_path: Path) -> None:
+    require(core)
+    compare(core, SHAPES[shape], 42, ("-O2",), tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("core", ["cortex-m4", "cortex-m55"])
+def test_board_equals_reference_for_random_models(core: str, seed: int, tmp_path: Path) -> None:
+    require(core)
+    shape = Shape(
+        hidden=1 + (5 * seed) % 17, inputs=1 + seed % 9, outputs=1 + seed % 3, gain=4.0**seed / 64
+    )
+    compare(core, shape, 100 + seed, ("-O3",), tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ordinary", "rails", "saturation", "odd_hidden", "eight_inputs"])
+@pytest.mark.parametrize("core", ["cortex-m4", "cortex-m55", "rv32imc"])
+def test_board_replays_golden_vectors(core: str, name: str, tmp_path: Path) -> None:
+    require(core)
+    golden = load(name)
+    board = QemuModel(golden.model, generate(golden.model), core, tmp_path)
+    found = board.run(golden.codes, settled=golden.settled)
+    rows = np.column_stack([found.drift, found.flags.astype(np.int32)])
+    outputs = len(golden.model.outputs)
+    expected = golden.rows[:, : outputs + 1]
+    np.testing.assert_array_equal(rows[golden.every - 1 :: golden.every], expected)
