@@ -19,6 +19,7 @@ from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.errors import CheckError, InputError
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.operations.arithmetic import CodeArray
 
 SUPPORT = Path(__file__).parent / "bare_metal"
 LONGEST_RUN_S = 500
@@ -113,10 +114,11 @@ class QemuModel:
         self._machine = MACHINES[core]
         self._folder = folder
         self._outputs = len(model.outputs)
+        self._code_type = np.dtype(model.code_type).newbyteorder("<")
         compiler = next(c for c in find_cross_compilers(core) if c.name == "gcc")
         self.program = self._build(model, code, compiler, flags)
 
-    def run(self, codes: NDArray[np.int16], *, settled: bool = True) -> QemuRun:
+    def run(self, codes: CodeArray, *, settled: bool = True) -> QemuRun:
         """Run over codes [T, C] from `settle` or `init` at codes[0].
 
         Raises:
@@ -124,7 +126,7 @@ class QemuModel:
         """
         steps = len(codes)
         head = struct.pack("<II", int(settled), steps)
-        (self._folder / "in.bin").write_bytes(head + codes.astype("<i2").tobytes())
+        (self._folder / "in.bin").write_bytes(head + codes.astype(self._code_type).tobytes())
         result = self._folder / "out.bin"
         result.unlink(missing_ok=True)
         command = [self._machine.program, *self._machine.arguments]
@@ -164,8 +166,9 @@ class QemuModel:
         (folder / "string.h").write_text("", encoding="utf-8")
         layer = model.recurrent
         shape = [f"-DCHANNELS={len(model.channels)}", f"-DOUTPUTS={self._outputs}"]
+        shape += [f"-DCODE={np.dtype(model.code_type).name}_t"]
         shape += [f'-DHARNESS="{code.prefix}_harness.c"', "-DZD_PLAIN"]
-        if layer is not None:
+        if layer is not None and layer.kind == "gru":
             shape += [f"-DLAYER_STEP={layer.name}_step"]
             shape += [f"-DINPUTS={layer.gru.inputs}", f"-DHIDDEN={layer.gru.hidden}"]
         script = folder / "link.ld"

@@ -111,7 +111,7 @@ static void write_file(uintptr_t file, const void *from, uint32_t bytes) {
 }
 
 static uint64_t state[1024];
-static int16_t codes[BATCH * CHANNELS];
+static CODE codes[BATCH * CHANNELS];
 static int32_t drift[BATCH * OUTPUTS];
 static uint32_t flags[BATCH];
 static uint32_t rows[BATCH * (OUTPUTS + 1u)];
@@ -151,7 +151,7 @@ int main(void) {
     read_file(in, head, sizeof head);
     for (uint32_t first = 0; first < head[1]; first += BATCH) {
         const uint32_t count = ((head[1] - first) < BATCH) ? (head[1] - first) : BATCH;
-        read_file(in, codes, count * CHANNELS * 2u);
+        read_file(in, codes, count * CHANNELS * (uint32_t)sizeof(CODE));
         if (first == 0u) {
             zd_start(state, codes, (int)head[0]);
         }

@@ -68,7 +68,7 @@ def test_board_equals_reference_for_random_models(core: str, seed: int, tmp_path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ordinary", "rails", "saturation", "odd_hidden", "eight_inputs"])
+@pytest.mark.parametrize("name", ["ordinary", "rails", "saturation", "odd_hidden", "effects"])
 @pytest.mark.parametrize("core", ["cortex-m4", "cortex-m55", "rv32imc"])
 def test_board_replays_golden_vectors(core: str, name: str, tmp_path: Path) -> None:
     require(core)

@@ -1,6 +1,5 @@
 """A project whose sensor lags its thermometer, and a way to run commands on it."""
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,32 +110,3 @@ def project(tmp_path: Path) -> Project:
 def make_project(tmp_path: Path) -> Callable[..., Project]:
     """Return a function that writes a project in the test's own directory."""
     return lambda **options: write_project(tmp_path, **options)
-
-
-@dataclass(frozen=True)
-class Result:
-    """What a command left behind."""
-
-    code: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def zerodrift(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., Result]:
-    """Return a function that runs the command line in this process, as a shell would."""
-    from zerodrift.cli import main
-
-    def run(*arguments: object) -> Result:
-        monkeypatch.setattr(sys, "argv", ["zerodrift", *map(str, arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = int(end.code or 0)
-        captured = capsys.readouterr()
-        return Result(code, captured.out, captured.err)
-
-    return run

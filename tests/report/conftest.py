@@ -1,8 +1,5 @@
 """A small project with a hidden lag, and what the commands find about it."""
 
-import sys
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,33 +21,6 @@ def surveyed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, Finding
 def project(tmp_path: Path) -> Project:
     """Return a project of one's own."""
     return write_project(tmp_path, runs=3)
-
-
-@dataclass(frozen=True)
-class Result:
-    code: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def zerodrift(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., Result]:
-    """Return a function that runs the command line in this process, as a shell would."""
-    from zerodrift.cli import main
-
-    def run(*arguments: object) -> Result:
-        monkeypatch.setattr(sys, "argv", ["zerodrift", *map(str, arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = int(end.code or 0)
-        captured = capsys.readouterr()
-        return Result(code, captured.out, captured.err)
-
-    return run
 
 
 def make_trace(
