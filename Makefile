@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: bench-foreign setup-browser test-browser tutorial help setup setup-qemu flash-image fuzz check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -30,14 +30,23 @@ $(READY): requirements.lock pyproject.toml
 	@touch $@
 
 setup-qemu: ## QEMU and the GNU cross-compilers, by apt (root): the second opinion on every core
-	apt-get install -y --no-install-recommends qemu-system-arm qemu-system-misc \
-	  gcc-arm-none-eabi libnewlib-arm-none-eabi gcc-riscv64-unknown-elf
+	.ci/apt-install qemu-system-arm qemu-system-misc gcc-arm-none-eabi libnewlib-arm-none-eabi \
+	  gcc-riscv64-unknown-elf
+
+setup-fuzz: $(READY) ## what fuzzing needs: clang with libFuzzer by apt (root), and atheris
+	$(RUN) -m tests.fuzz --have-clang || .ci/apt-install clang libclang-rt-dev? libc6-dev
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-fuzz.lock
 
 setup-browser: $(READY) ## what the browser tests need: Playwright, and Chromium from the system's packages
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-browser.lock
 	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || { \
 	  SUDO=$$([ "$$(id -u)" = 0 ] || echo sudo); \
 	  $$SUDO apt-get update -q && $$SUDO apt-get install -y -q --no-install-recommends chromium; }
+
+docs: $(READY) ## the manual as a site, in build/site
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-docs.lock
+	NO_MKDOCS_2_WARNING=1 DISABLE_MKDOCS_2_WARNING=true $(RUN) -m mkdocs build --quiet --strict
+	@echo "build/site/index.html; for its search, serve it: $(RUN) -m http.server -b 127.0.0.1 -d build/site"
 
 firmware-model: $(READY) ## logs -> trained, quantized, generated and host-checked C (SENSOR=examples/ft40)
 	$(VENV)/bin/zerodrift firmware -C $(SENSOR)
@@ -49,8 +58,11 @@ flash-image: $(READY) ## ELF and BIN of the example firmware for QEMU's Cortex-M
 test: $(READY) ## the tests (under 6 minutes on two cores)
 	$(RUN) -m pytest -q -n 2 -m "not slow" tests
 
-test-browser: setup-browser ## the page in Chromium; pictures of it in build/screenshots
-	$(RUN) -m pytest -q tests/workbench
+test-boards: $(READY) ## every core on QEMU's boards, in short; says what could not run
+	$(RUN) -m pytest -q -m "board and not slow" tests/chips
+
+test-browser: $(READY) ## after setup-browser: the page in Chromium; pictures of it in build/screenshots
+	$(RUN) -m pytest -q -n 2 tests/workbench
 
 test-all: $(READY) ## every test, the long proofs included
 	$(RUN) -m pytest -q -n 2 tests
@@ -79,14 +91,14 @@ c-test: $(READY) ## build the C runtime with CMake and run its ctest programs, s
 	$(VENV)/bin/cmake --build build/cmake-sanitized
 	$(VENV)/bin/ctest --test-dir build/cmake-sanitized --output-on-failure
 
-sizes: $(READY) ## flash, RAM and stack of the golden models, against the last recorded table
+sizes: $(READY) ## flash, RAM, stack and instructions of the golden models, against main's last commit
 	$(RUN) benchmarks/sizes.py
 
 bench: $(READY) ## every figure the documentation quotes (BENCH=--quick for the reduced form)
 	$(RUN) -m benchmarks $(BENCH)
 
-fuzz: $(READY) ## fuzz the generated C, 10 minutes per target, under sanitizers (needs clang)
-	$(RUN) tests/fuzz/build.py
+fuzz: $(READY) ## fuzz the generated C and the readers of files, 10 CPU minutes per target (FUZZ=--seconds=20)
+	$(RUN) -m tests.fuzz $(FUZZ)
 
 bench-hidden: $(READY) ## effects hidden in simulated logs and found again (BENCH=--quick)
 	$(RUN) benchmarks/bench_hidden.py $(BENCH)

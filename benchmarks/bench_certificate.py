@@ -7,7 +7,12 @@ from collections import defaultdict
 
 import numpy as np
 from tests.certificate.test_check import build_files
-from tests.fixed_point.test_certificate import observe, prove_values, recompute, recompute_gru
+from tests.fixed_point.accumulators import (
+    prove_values,
+    recompute,
+    recompute_gru,
+    record_sequences,
+)
 from tests.golden.model_factory import Shape, draw_model
 
 from zerodrift.export.integer_model import IntegerModel
@@ -62,13 +67,8 @@ def main(quick: bool) -> None:
 def run(model: IntegerModel, steps: int) -> Observed:
     """Return the largest magnitude of every accumulator over all sequences."""
     seen: Observed = defaultdict(int)
-    for values, before in observe(model, steps):
-        for where, found in recompute(model, values, before).items():
-            seen[where] = max(seen[where], int(np.abs(found).max()))
-        for node in model.nodes:
-            if not node.width:
-                largest = int(np.abs(values[node.name]).max())
-                seen[node.name] = max(seen[node.name], largest)
+    for where, found in recompute(model, record_sequences(model, steps)):
+        seen[where] = max(seen[where], int(np.abs(found).max()))
     return seen
 
 

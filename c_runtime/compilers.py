@@ -15,9 +15,13 @@ RUNTIME_DIRECTORY = Path(__file__).parent
 INCLUDE_DIRECTORY = RUNTIME_DIRECTORY / "include" / "zerodrift"
 RUNTIME_FILES = (
     INCLUDE_DIRECTORY / "zd_runtime.h",
+    INCLUDE_DIRECTORY / "zd_signals.h",
+    INCLUDE_DIRECTORY / "zd_gru_portable.h",
     INCLUDE_DIRECTORY / "zd_gru_pairs.h",
     INCLUDE_DIRECTORY / "zd_gru_rows.h",
     INCLUDE_DIRECTORY / "zd_gru_columns.h",
+    INCLUDE_DIRECTORY / "zd_gru_columns_sse2.h",
+    INCLUDE_DIRECTORY / "zd_gru_columns_avx2.h",
     RUNTIME_DIRECTORY / "src" / "zd_runtime.c",
 )
 """What has to lie beside a generated model."""

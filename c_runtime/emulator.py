@@ -74,11 +74,15 @@ void chip_run(uint32_t steps) {{
 void chip_step(void) {{ (void){prefix}_step(&chip_state, &chip_input, chip_drift); }}
 void chip_settle(void) {{ {prefix}_settle(&chip_state, &chip_input); }}
 uint32_t chip_selftest(void) {{ return {prefix}_selftest(); }}
+uint8_t chip_saved[{PREFIX}_SAVED_BYTES];
+void chip_save(void) {{ {prefix}_save(&chip_state, chip_saved); }}
+uint32_t chip_restore(void) {{ return {prefix}_restore(&chip_state, chip_saved); }}
 {layer}
 void _start(void) {{
     chip_start(0);
     chip_layer();
-    chip_run(chip_selftest());
+    chip_save();
+    chip_run(chip_selftest() + chip_restore());
     chip_settle();
     chip_step();
 }}
@@ -131,16 +135,28 @@ class EmulatedModel:
             _load(self._chip, image)
             table: Any = image.get_section_by_name(".symtab")
             self._symbols = {s.name: int(s["st_value"]) for s in table.iter_symbols()}
+            self._objects = {
+                s.name: int(s["st_size"])
+                for s in table.iter_symbols()
+                if s["st_info"]["type"] == "STT_OBJECT"
+            }
         self._chip.mem_map(_STACK, _STACK_BYTES)
         self._chip.mem_map(_STOP, _PAGE)
 
     def run(
-        self, codes: CodeArray, *, settled: bool
+        self, codes: CodeArray, *, settled: bool = True, restart: bool = True
     ) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
-        """Return drift [T, K] and flags [T] for codes [T, C]."""
+        """Return drift [T, K] and flags [T] for codes [T, C].
+
+        Args:
+            codes: raw input codes.
+            settled: start from `settle` rather than `init`.
+            restart: False goes on from the last call.
+        """
         drift, flags = [], []
-        self._write("chip_codes", codes[:1])
-        self._call("chip_start", int(settled))
+        if restart:
+            self._write("chip_codes", codes[:1])
+            self._call("chip_start", int(settled))
         for first in range(0, len(codes), _BATCH):
             part = codes[first : first + _BATCH]
             self._write("chip_codes", part)
@@ -152,6 +168,32 @@ class EmulatedModel:
     def selftest(self) -> int:
         """Return what the model's own self-test returns on this chip."""
         return self._call("chip_selftest")
+
+    def save(self) -> bytes:
+        """Return the copy of the state that the model's own save makes on this chip."""
+        self._call("chip_save")
+        return self.read_memory("chip_saved")
+
+    def restore(self, saved: bytes) -> int:
+        """Take over a copy of the state; return what the C returns, 0 = accepted."""
+        if len(saved) != self._objects["chip_saved"]:
+            raise ValueError(f"{len(saved)} bytes, not {self._objects['chip_saved']}")
+        self._chip.mem_write(self._symbols["chip_saved"], saved)
+        return self._call("chip_restore")
+
+    @property
+    def arrays(self) -> dict[str, int]:
+        """Name -> bytes of the model's and the runtime's constants, which lie in the flash."""
+        return {name: size for name, size in self._objects.items() if not name.startswith("chip_")}
+
+    def read_memory(self, symbol: str) -> bytes:
+        """Return the bytes of a constant or variable."""
+        return bytes(self._chip.mem_read(self._symbols[symbol], self._objects[symbol]))
+
+    def flip_bit(self, symbol: str, bit: int) -> None:
+        """Damage a constant or variable, as a failing memory does."""
+        at = self._symbols[symbol] + bit // 8
+        self._chip.mem_write(at, bytes([self._chip.mem_read(at, 1)[0] ^ 1 << bit % 8]))
 
     def count_instructions(self, codes: CodeArray) -> list[int]:
         """Return the number of instructions of `step` for each of codes [T, C], from rest."""
@@ -248,6 +290,7 @@ def _build(
     main = folder / "main.c"
     text = _MAIN.format(
         prefix=code.prefix,
+        PREFIX=code.prefix.upper(),
         batch=_BATCH,
         channels=len(model.channels),
         outputs=len(model.outputs),

@@ -1,6 +1,8 @@
 """Flash, RAM and stack of a generated model on a chip, read from what a cross-compiler makes of it.
 
-The compiler is the clang inside the `ziglang` wheel, so that no toolchain has to be installed.
+The compiler is the clang inside the `ziglang` wheel, so that no toolchain has to be installed, or
+the GNU one. Stack frames are what the compiler says of itself: clang's -fstack-size-section, gcc's
+-fstack-usage.
 Flash counts code and constants of model and runtime, self-test included (a linker drops it where it
 is not called), the compiler's helper routines (64-bit arithmetic on small cores) excluded. RAM is
 the state struct; stack is the deepest chain of calls below `step`.
@@ -18,7 +20,7 @@ from elftools.elf.relocation import RelocationSection
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.errors import InputError
+from zerodrift.errors import CheckError, InputError
 
 FLAGS = (
     "-std=c99",
@@ -28,8 +30,8 @@ FLAGS = (
     "-fno-asynchronous-unwind-tables",
     "-ffunction-sections",
     "-fdata-sections",
-    "-fstack-size-section",
 )
+_STACK_FLAG = {"zig": "-fstack-size-section", "gcc": "-fstack-usage"}
 HELPER_STACK_BYTES = 32
 """Taken for each routine of the compiler's own library, as the 64-bit product on a Cortex-M0+."""
 
@@ -62,22 +64,27 @@ class Footprint:
 
 
 def measure_footprint(
-    code: GeneratedCode, core: str = "cortex-m4", flags: tuple[str, ...] = ()
+    code: GeneratedCode,
+    core: str = "cortex-m4",
+    flags: tuple[str, ...] = (),
+    compiler: str = "zig",
 ) -> Footprint:
     """Return the footprint of a model, compiled with -Os.
 
     Args:
         code: the model's C.
-        core: one of `cores.CORES`.
+        core: one of `cores.CORES`, or for gcc of `cores.GCC_CORES`.
         flags: further ones of the compiler, as -DZD_SMALL.
+        compiler: "zig" or "gcc".
 
     Raises:
-        InputError: the core is unknown, or the ziglang wheel is missing.
+        InputError: the core is unknown, or the compiler is missing.
         CheckError: the C does not compile for it.
     """
-    compilers = [c for c in find_cross_compilers(core) if c.name == "zig"]
+    compilers = [c for c in find_cross_compilers(core) if c.name == compiler]
     if not compilers:
-        raise InputError(f"sizes on {core} need the ziglang wheel: `pip install ziglang`")
+        remedy = "`pip install ziglang`" if compiler == "zig" else "`make setup-qemu`"
+        raise InputError(f"sizes on {core} need the compiler {compiler}: {remedy}")
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         write_sources(code, folder)
@@ -88,8 +95,9 @@ def measure_footprint(
             encoding="utf-8",
         )
         target = folder / "unit.o"
-        compilers[0].run([*FLAGS, *flags, f"-I{folder}", "-c", str(unit), "-o", str(target)])
-        unit_object = _read(target)
+        told = [_STACK_FLAG[compiler], *flags]
+        compilers[0].run([*FLAGS, *told, f"-I{folder}", "-c", str(unit), "-o", str(target)])
+        unit_object = _read(target, _read_stack_usage(target.with_suffix(".su")))
     return Footprint(
         core=core,
         flash_bytes=unit_object.flash,
@@ -124,7 +132,20 @@ class _Object:
         return self.frames[function] + max(below, default=0)
 
 
-def _read(path: Path) -> _Object:
+def _read_stack_usage(path: Path) -> dict[str, int]:
+    """Return function -> bytes of its frame from what -fstack-usage has written, if it has."""
+    frames: dict[str, int] = {}
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        where, size, kind = line.split("\t")
+        if not kind.startswith("static"):
+            raise CheckError(f"{where}: a frame of {kind} size. No bound of the stack is known.")
+        name = where.rsplit(":", 1)[-1]
+        frames[name] = max(int(size), frames.get(name, 0))
+    return frames
+
+
+def _read(path: Path, told: dict[str, int]) -> _Object:
+    """Read an object; `told` are frames that are known already."""
     with path.open("rb") as file:
         elf = ELFFile(file)
         table: Any = elf.get_section_by_name(".symtab")
@@ -132,7 +153,13 @@ def _read(path: Path) -> _Object:
         functions = {  # by their section: each has one of its own
             s["st_shndx"]: s.name for s in symbols if s["st_info"]["type"] == "STT_FUNC"
         }
-        frames: dict[str, int] = {}
+        # a clone of a function, name.constprop.0, is told without its number
+        frames = {
+            name: told[known]
+            for name in functions.values()
+            for known in (name, name.rpartition(".")[0])
+            if known in told
+        }
         calls: dict[str, set[str]] = {name: set() for name in functions.values()}
         for section in elf.iter_sections():
             if not isinstance(section, RelocationSection):

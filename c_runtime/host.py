@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, WARNINGS, Compiler, find_compiler
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.files import write_all
 from zerodrift.operations.arithmetic import CodeArray
 
 SAVED_EXTRA_BYTES = 16
@@ -70,25 +71,53 @@ class HostModel:
         library = directory / f"{code.prefix}_{digest}.so"
         library.unlink(missing_ok=True)
         compiler.run([*arguments, "-o", str(library)])
+        self._attach(model, code.prefix, library, observe=observe)
+
+    @classmethod
+    def attach(
+        cls, model: IntegerModel, prefix: str, library: Path, symbols: str, *, observe: bool
+    ) -> "HostModel":
+        """Return the model whose symbols begin with `symbols` in a library of several models.
+
+        Args:
+            model: the integer model, for its shapes.
+            prefix: of its C names.
+            library: the shared library, already built.
+            symbols: what precedes every name of the model and of its harness there.
+            observe: whether its harness records every node's value.
+        """
+        host = cls.__new__(cls)
+        host._attach(model, prefix, library, symbols, observe=observe)
+        return host
+
+    def _attach(
+        self, model: IntegerModel, prefix: str, library: Path, symbols: str = "", *, observe: bool
+    ) -> None:
+        """Load the library and find the harness in it."""
         self.model = model
-        self._prefix = code.prefix
+        self._prefix = f"{symbols}{prefix}"
         self.library = library
         self.observes = observe
         self._values = sum(max(node.width, 1) for node in model.nodes) if observe else 0
         self._lib = ctypes.CDLL(str(library))
-        self._lib.zd_state_size.restype = ctypes.c_uint32
-        self._lib.zd_selftest.restype = ctypes.c_uint32
-        self._lib.zd_pack.restype = ctypes.c_uint32
-        self._state = ctypes.create_string_buffer(self._lib.zd_state_size() + 16)
+        self._start, self._elapse, self._run = (
+            self._lib[f"{symbols}{name}"] for name in ("zd_start", "zd_elapse", "zd_run")
+        )
+        self._size, self._selftest, self._pack = (
+            self._lib[f"{symbols}{name}"] for name in ("zd_state_size", "zd_selftest", "zd_pack")
+        )
+        for function in (self._size, self._selftest, self._pack):
+            function.restype = ctypes.c_uint32
+        self._state = ctypes.create_string_buffer(self._size() + 16)
 
     @property
     def state_bytes(self) -> int:
         """Size of the state struct on this host."""
-        return int(self._lib.zd_state_size())
+        return int(self._size())
 
     def selftest(self) -> int:
         """Return what the model's own self-test returns; 0 = passed."""
-        return int(self._lib.zd_selftest())
+        return int(self._selftest())
 
     def save(self) -> bytes:
         """Return the copy of the state that the model's own save makes."""
@@ -107,7 +136,7 @@ class HostModel:
     def pack(self, length: int) -> NDArray[np.int64]:
         """Return the state as `length` numbers, in the order of `ModelState.pack`."""
         packed = np.empty(length, dtype=np.int64)
-        count = int(self._lib.zd_pack(self._state, _pointer(packed)))
+        count = int(self._pack(self._state, _pointer(packed)))
         if count != length:
             raise AssertionError(f"the C packs {count} numbers, the reference {length}")
         return packed
@@ -134,10 +163,10 @@ class HostModel:
         flags = np.empty(steps, dtype=np.uint32)
         nodes = np.empty((steps, self._values), dtype=np.int32)
         if restart:
-            self._lib.zd_start(self._state, _pointer(codes), ctypes.c_int(int(settled)))
+            self._start(self._state, _pointer(codes), ctypes.c_int(int(settled)))
             if elapsed:
-                self._lib.zd_elapse(self._state, ctypes.c_int32(min(elapsed, 2**31 - 1)))
-        self._lib.zd_run(
+                self._elapse(self._state, ctypes.c_int32(min(elapsed, 2**31 - 1)))
+        self._run(
             self._state,
             _pointer(codes),
             ctypes.c_uint32(steps),
@@ -149,17 +178,16 @@ class HostModel:
 
 
 def write_sources(code: GeneratedCode, directory: Path) -> list[Path]:
-    """Write model and runtime into `directory`, each file atomically; return their paths."""
-    texts = {code.header_name: code.header, code.source_name: code.source}
-    texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
-    written = []
-    for name, text in texts.items():
-        path = directory / name
-        temporary = directory / f".{name}.part"
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
-        written.append(path)
-    return written
+    """Write model and runtime into `directory`, all or none; return their paths."""
+    contents = {directory / name: text.encode() for name, text in render_sources(code).items()}
+    write_all(contents)
+    return list(contents)
+
+
+def render_sources(code: GeneratedCode) -> dict[str, str]:
+    """Return model and runtime by the name of the file."""
+    runtime = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    return {code.header_name: code.header, code.source_name: code.source, **runtime}
 
 
 def _pointer(array: NDArray[np.generic]) -> ctypes.c_void_p:

@@ -45,10 +45,10 @@ def render_runtime_source() -> str:
     half, slopes = compute_half().tolist(), [*slope.tolist(), 0]
     return template.render(
         half=half,
-        half_crc=crc_of_words(half),
+        half_crc=crc_of_words([*half, *OCTAVE_Q29]),
         offsets=offset.tolist(),
         slopes=slopes,
-        lines_crc=crc_of_words([*offset.tolist(), *slopes]),
+        lines_crc=crc_of_words([*offset.tolist(), *slopes, *OCTAVE_Q29]),
         octave=OCTAVE_Q29,
     )
 

@@ -24,9 +24,12 @@ from zerodrift.codegen.layouts import (
     lay_out_rows,
 )
 from zerodrift.codegen.selftest import SELFTEST_SEED, SELFTEST_STEPS, compute_selftest, limits_of
+from zerodrift.codegen.tables import crc_of_tables, list_tables
 from zerodrift.export.integer_model import FORMAT, IntegerModel
 from zerodrift.operations.gru import IntegerGru
+from zerodrift.operations.layers import IntegerGruStack
 from zerodrift.operations.load import START_PASSES
+from zerodrift.operations.network import IntegerGruLayer
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.total import IntegerSum
 
@@ -66,7 +69,9 @@ def generate(model: IntegerModel) -> GeneratedCode:
     layer = model.recurrent
     fed_at_rest = [n for n in stateful if n is not layer or layer.window]  # a cold GRU is 0
     needed_at_rest = _ancestors(model, fed_at_rest)
+    settle_nodes = [n for n in model.nodes if layer and n.name in _ancestors(model, [layer])]
     selftest_low, selftest_high = limits_of(model)
+    tables = list_tables(model)
     prefix = sanitize_prefix(model.name)
     context = {
         "model": model,
@@ -89,6 +94,9 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "selftest_crc": compute_selftest(model),
         "selftest_low": selftest_low,
         "selftest_high": selftest_high,
+        "tables": tables,
+        "tables_crc": crc_of_tables(tables),
+        "recurrent_layers": _name_layers(layer),
         "bounds": bounds,
         "claims": claims,
         "counts": any(n.kind == "counter" for n in model.nodes),
@@ -98,7 +106,8 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "stateful": stateful,
         "rest_needed": needed_at_rest,
         "rest_nodes": [n for n in model.nodes if n in stateful or n.name in needed_at_rest],
-        "settle_nodes": [n for n in model.nodes if layer and n.name in _ancestors(model, [layer])],
+        "settle_nodes": settle_nodes,
+        "relax_reads_inputs": any(n.kind in ("input", "load") for n in settle_nodes),
     }
     environment = make_environment()
     return GeneratedCode(
@@ -107,6 +116,13 @@ def generate(model: IntegerModel) -> GeneratedCode:
         source=environment.get_template("model.c.j2").render(context),
         harness=environment.get_template("harness.c.j2").render(context),
     )
+
+
+def _name_layers(layer: IntegerGruLayer | None) -> list[str]:
+    """Return the C names of the recurrent layers, of which a stack has several."""
+    if isinstance(layer, IntegerGruStack):
+        return [f"{layer.name}_{level}" for level in range(len(layer.layers))]
+    return [layer.name] if layer else []
 
 
 def _ancestors(model: IntegerModel, of: list[IntegerNode]) -> set[str]:

@@ -22,12 +22,15 @@ def locate_row(source: Source, position: int) -> Place:
     """Return the place of the row at `position` (from 0) among the rows that the filter keeps.
 
     Raises:
-        InputError: the row cannot be read as text either, as it is not UTF-8.
+        InputError: the row cannot be read as text either: it is not UTF-8, or its fields are
+            quoted so that the lines cannot be told apart.
     """
     try:
         found = source.scan().slice(position, 1).select(pl.all().cast(pl.String)).collect()
     except pl.exceptions.PolarsError as error:
         raise InputError(explain_unreadable(source, error)) from error
+    if found.is_empty():
+        raise InputError(_explain_quotes(source))
     values: dict[str, str | None] = found.row(0, named=True)
     record = int(values.pop("_row") or 0)
     if not source.is_csv:
@@ -45,6 +48,24 @@ def find_blank_rows(source: Source) -> list[int]:
     with source.path.open("rb") as file:
         next(file)
         return [row for row, line in enumerate(file) if not line.strip()]
+
+
+def _explain_quotes(source: Source) -> str:
+    """Return the message for a file whose rows depend on how its quotation marks are read."""
+    opened, is_open = 1, False
+    with source.path.open("rb") as file:
+        for number, line in enumerate(file, start=1):
+            if line.count(b'"') % 2 == 1:
+                opened, is_open = (number, True) if not is_open else (opened, False)
+    if not is_open:
+        return (
+            f"{source.label}: its quotation marks leave open where rows end; expected none but "
+            "around whole fields. Write the log anew without them."
+        )
+    return (
+        f"{source.label}:{opened}: a quotation mark opens a field that is not closed; expected "
+        "them in pairs around a field. Close or remove it."
+    )
 
 
 def _find_line(source: Source, record: int) -> int:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from zerodrift.config import Config
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.feedback import predict_fed_back
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.formats import RANGE_SPANS
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat, code_type
 from zerodrift.export.lowering import RANGE_MARGIN
@@ -18,6 +19,7 @@ from zerodrift.export.onnx_reader import read_network_bytes
 from zerodrift.export.quantize import Calibration, FloatModel, quantize
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import GraphOperations, Node, evaluate, list_nodes
 from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S, graph_inputs, read_signals
 
@@ -72,6 +74,11 @@ def describe_compensator(
     offset = np.zeros(len(config.outputs))
     front_end = compensator.front_end
     taps: tuple[Node, ...] = ()
+    bank = compensator.bank
+    if bank is not None:
+        features = (*features, *bank.graph(ops))
+        names = (*names, *bank.names)
+        coefficients = np.concatenate([coefficients + bank.correction, bank.coefficients])
     if front_end is not None:
         taps = front_end.graph(ops)
         offset = compensator.tap_offset
@@ -99,11 +106,17 @@ def describe_compensator(
         taps=taps,
         tap_mean=front_end.mean if front_end is not None else None,
         whitening=front_end.matrix if front_end is not None else None,
-        network=read_network_bytes(compensator.network, "the trained network")
-        if compensator.network is not None
-        else None,
+        network=_read_network(compensator),
         window=0 if compensator.memory == "stream" else int(compensator.memory),
     )
+
+
+def _read_network(compensator: "Compensator") -> FloatNetwork | FloatFeedForward | None:
+    if compensator.network is None:
+        return None
+    if compensator.is_recurrent:
+        return read_network_bytes(compensator.network, "the trained network")
+    return compensator.feed_forward
 
 
 def list_channels(
@@ -190,7 +203,8 @@ def predict_on_chip(compensator: "Compensator | ImportedCompensator", run: Run) 
     if compensator.physics is None:
         return compensator.predict(run)
     nodes = list_nodes(compensator.physics.graph().features)
-    if any(node.source.startswith(LOAD) for node in nodes):
+    bank = getattr(compensator, "bank", None)
+    if (bank is not None and bank.loads) or any(node.source.startswith(LOAD) for node in nodes):
         return predict_fed_back(compensator.predict, run)
     return compensator.predict(run)
 

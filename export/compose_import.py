@@ -24,6 +24,7 @@ from zerodrift.export.lowering import RANGE_MARGIN
 from zerodrift.export.onnx_reader import ImportedNetwork
 from zerodrift.export.quantize import Calibration, FloatModel, quantize
 from zerodrift.operations.graph import GraphOperations
+from zerodrift.operations.gru import FloatGru
 
 Array = NDArray[np.float64]
 
@@ -163,15 +164,27 @@ def _choose_window(imported: ImportedNetwork, memory: str | int | None) -> tuple
 
 
 def compose_imported_model(
-    compensator: ImportedCompensator, config: Config, dataset: Dataset
+    compensator: ImportedCompensator,
+    config: Config,
+    dataset: Dataset,
+    layers: Sequence[FloatGru] | None = None,
 ) -> IntegerModel:
     """Return the quantized network, with its warm-up time measured on the calibration logs.
+
+    Args:
+        compensator: the network as it came; sets the ranges.
+        config: the project.
+        dataset: its logs.
+        layers: fine-tuned recurrent layers, on the features of `describe_imported`; None for its
+            own.
 
     Raises:
         CheckError: no safe format exists.
     """
     model = describe_imported(compensator, config, dataset.train)
     calibration = calibrate_imported(compensator, model, dataset.train)
+    if layers is not None and isinstance(model.network, FloatNetwork):
+        model = replace(model, network=model.network.with_layers(layers))
     cold = quantize(model, calibration, config.weights)
     steps = measure_warm_up(cold, dataset.train)
     return replace(cold, guards=replace(cold.guards, warm_up_steps=steps))

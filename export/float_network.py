@@ -1,31 +1,17 @@
 """A recurrent network in float64, whoever trained it: GRUs, dense layers, a linear head."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru import FloatGru
 
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class FloatDense:
-    """activation(weight x + bias)."""
-
-    weight: Array  # [M, N]
-    bias: Array  # [M]
-    activation: str
-    """"tanh", or "clip" to low .. high."""
-    low: float = -np.inf
-    high: float = np.inf
-
-    def step(self, x: Array) -> Array:
-        """Return the layer's output [..., M] for x [..., N]."""
-        total = x @ self.weight.T + self.bias
-        return np.tanh(total) if self.activation == "tanh" else np.clip(total, self.low, self.high)
+STEPS_AT_ONCE = 10_000
 
 
 @dataclass(frozen=True)
@@ -47,6 +33,10 @@ class FloatNetwork:
     def layers(self) -> tuple[FloatGru, ...]:
         """All recurrent layers from the bottom up."""
         return (self.gru, *self.upper)
+
+    def with_layers(self, layers: Sequence[FloatGru]) -> "FloatNetwork":
+        """Return the network with other recurrent layers."""
+        return replace(self, gru=layers[0], upper=tuple(layers[1:]))
 
     def start(self, batch: int) -> list[Array]:
         """Return states of zero, [B, H] each."""
@@ -77,11 +67,14 @@ class FloatNetwork:
     def run(self, features: Array, states: Sequence[Array] | None = None) -> Array:
         """Return the outputs [B, T, K] for features [B, T, I], from states or else from zero."""
         now = list(states) if states is not None else self.start(features.shape[0])
-        tops = []
-        for t in range(features.shape[1]):
-            now = self.step(features[:, t], now)
-            tops.append(now[-1])
-        return self.read_out(np.stack(tops, axis=1))
+        parts = []
+        for first in range(0, features.shape[1], STEPS_AT_ONCE):  # bounds the memory
+            x = features[:, first : first + STEPS_AT_ONCE]
+            for i, layer in enumerate(self.layers):
+                x = layer.run(x, now[i])
+                now[i] = x[:, -1]
+            parts.append(self.read_out(x))
+        return np.concatenate(parts, axis=1)
 
     def run_windows(self, features: Array, length: int) -> Array:
         """Return the outputs [n, K] for features [n, I], each from zero over the last `length`.

@@ -1,5 +1,6 @@
 """Golden vectors: raw inputs and what the reference makes of them, in one .npz file."""
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from zerodrift.errors import InputError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
+from zerodrift.files import write_whole
 from zerodrift.operations.arithmetic import CodeArray
 
 FIELDS = ("codes", "drift", "flags", "hidden", "hash")
@@ -27,17 +29,16 @@ class GoldenVectors:
 
     def save(self, path: Path) -> None:
         """Write the vectors atomically; the same vectors give the same bytes."""
-        temporary = path.with_name(f".{path.name}.part")
-        with temporary.open("wb") as file:
-            np.savez_compressed(
-                file,
-                codes=self.codes,
-                drift=self.drift,
-                flags=self.flags,
-                hidden=self.hidden,
-                hash=np.frombuffer(self.model_hash.encode(), dtype=np.uint8),
-            )
-        temporary.replace(path)
+        buffer = io.BytesIO()
+        np.savez_compressed(
+            buffer,
+            codes=self.codes,
+            drift=self.drift,
+            flags=self.flags,
+            hidden=self.hidden,
+            hash=np.frombuffer(self.model_hash.encode(), dtype=np.uint8),
+        )
+        write_whole(path, buffer.getvalue())
 
 
 def compute_golden(model: IntegerModel, codes: CodeArray) -> GoldenVectors:

@@ -12,12 +12,13 @@ import numpy as np
 
 from zerodrift.errors import InputError
 from zerodrift.export.model_checks import check_model
+from zerodrift.files import write_whole
 from zerodrift.operations.clip import IntegerClip
 from zerodrift.operations.clock import IntegerCounter
 from zerodrift.operations.exp2 import IntegerExp2
 from zerodrift.operations.gru import IntegerGru
 from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.layers import IntegerDense, IntegerGruStack
+from zerodrift.operations.layers import IntegerDense, IntegerFeatureDense, IntegerGruStack
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.network import (
     IntegerDrift,
@@ -61,6 +62,7 @@ NODE_CLASSES: dict[str, type[IntegerNode]] = {
         IntegerGruLayer,
         IntegerGruStack,
         IntegerDense,
+        IntegerFeatureDense,
         IntegerHead,
         IntegerDrift,
     )
@@ -191,13 +193,13 @@ class IntegerModel:
             "notes": dict(sorted(self.notes.items())),
         }
 
+    def to_text(self) -> str:
+        """Return the model's file: canonical JSON with its hash."""
+        return canonical_json({**self.to_json(), "hash": self.hash}) + "\n"
+
     def save(self, path: Path) -> None:
-        """Write the model with its hash, atomically."""
-        body = self.to_json()
-        body["hash"] = self.hash
-        temporary = path.with_suffix(path.suffix + ".part")
-        temporary.write_text(canonical_json(body) + "\n", encoding="utf-8")
-        temporary.replace(path)
+        """Write the model with its hash, whole or not at all."""
+        write_whole(path, self.to_text().encode())
 
 
 def canonical_json(body: Any) -> str:
@@ -294,7 +296,7 @@ def load_model(path: Path) -> IntegerModel:
     """
     try:
         body = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(
             f"{path}: cannot be read as a model ({error}). Run `zerodrift export`."
         ) from error

@@ -28,6 +28,7 @@ from zerodrift.export.integer_onnx_nodes import (
 )
 from zerodrift.export.onnx_writer import IR_VERSION, OPSET, OnnxWriter, Shape
 from zerodrift.export.reference import Reference
+from zerodrift.files import write_whole
 from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import CODES, PREVIOUS_DRIFT
 
@@ -138,10 +139,7 @@ def build_integer_onnx(model: IntegerModel, *, observe: bool = False) -> bytes:
 
 def save_integer_onnx(model: IntegerModel, path: Path) -> None:
     """Write the ONNX file of an integer model, whole or not at all."""
-    content = build_integer_onnx(model)
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_bytes(content)
-    temporary.replace(path)
+    write_whole(path, build_integer_onnx(model))
 
 
 def _write_step(

@@ -15,7 +15,12 @@ from zerodrift.operations.clip import IntegerClip
 from zerodrift.operations.clock import IntegerCounter
 from zerodrift.operations.exp2 import EXPONENT_BITS, MANTISSA_SHIFT, OCTAVE_Q29, IntegerExp2
 from zerodrift.operations.gru import RELAX_STEPS, U_RELAX_Q31, IntegerGru
-from zerodrift.operations.layers import COPY_BITS, IntegerDense, IntegerGruStack
+from zerodrift.operations.layers import (
+    COPY_BITS,
+    IntegerDense,
+    IntegerFeatureDense,
+    IntegerGruStack,
+)
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.network import (
     IntegerDrift,
@@ -370,7 +375,9 @@ def settle_gru_stack(w: OnnxWriter, node: IntegerGruStack, values: Names) -> dic
 
 def step_dense(w: OnnxWriter, node: IntegerDense, values: Names, _: Names) -> Any:
     """Write activation((bias + weights . x) >> shift), 15 fractional bits added."""
-    x = w.round_shift(values[node.inputs[0]], COPY_BITS)
+    x = values[node.inputs[0]]
+    if not isinstance(node, IntegerFeatureDense):
+        x = w.round_shift(x, COPY_BITS)
     total = w.op("MatMul", x, w.constant(table(node.weights.T)))
     scaled = w.floor_shift(w.add(total, w.constant(table(node.bias))), node.shift)
     if node.activation == "tanh":
@@ -421,6 +428,7 @@ STEPS: dict[str, Step] = {
     "gru": step_gru,
     "gru_stack": step_gru_stack,
     "dense": step_dense,
+    "feature_dense": step_dense,
     "head": step_head,
     "drift": step_drift,
 }

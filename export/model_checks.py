@@ -12,7 +12,9 @@ import numpy as np
 
 from zerodrift.errors import CheckError, InputError
 from zerodrift.operations.gru import IntegerGru
-from zerodrift.operations.network import IntegerGruLayer
+from zerodrift.operations.load import IntegerLoad
+from zerodrift.operations.network import IntegerFeatures, IntegerGruLayer, IntegerHead
+from zerodrift.operations.signal import IntegerInput
 
 if TYPE_CHECKING:
     from zerodrift.export.integer_model import IntegerModel
@@ -28,13 +30,19 @@ def check_model(where: str, model: "IntegerModel") -> None:
         CheckError: a bound of the arithmetic does not hold.
     """
     try:
+        for channel in model.channels:
+            if channel.bits not in (16, 32):
+                raise ValueError(f"channel '{channel.name}' has {channel.bits!r} bits")
         for node in model.nodes:
             check_types(f"node '{node.name}'", node)
             _check_references(node, model)
         for part in (*model.channels, *model.outputs, model.guards):
             check_types(type(part).__name__.lower(), part)
         _check_whole(model)
+        for node in model.nodes:
+            _check_shapes(node)
         model.prove()
+        _try_one_step(model)
     except CheckError:
         raise
     except (TypeError, ValueError, IndexError, KeyError, AttributeError, OverflowError) as error:
@@ -84,6 +92,14 @@ def _check_references(node: Any, model: "IntegerModel") -> None:
         index = getattr(node, name, 0)
         if not 0 <= index < count:
             raise IndexError(f"node '{node.name}' reads {name} {index} of {count}")
+    if isinstance(node, IntegerInput | IntegerLoad):
+        reach = 1 << (model.channels[node.channel].bits - 1)
+        if not -reach <= node.low <= node.high < reach:
+            raise ValueError(f"node '{node.name}' is limited to {node.low} .. {node.high}")
+    if isinstance(node, IntegerFeatures):
+        shapes = [node.matrix.shape, node.bias.shape, (len(node.shift),)]
+        if shapes != [(node.width, len(node.inputs)), (node.width,), (node.width,)]:
+            raise ValueError(f"node '{node.name}': arrays {shapes} do not fit together")
     if isinstance(node, IntegerGruLayer):
         if node.window < 0:
             raise ValueError(f"node '{node.name}' has a window of {node.window}")
@@ -106,6 +122,12 @@ def _check_layer(name: str, layer: IntegerGru) -> None:
 
 def _check_whole(model: "IntegerModel") -> None:
     """Raise where the parts of a model do not fit together."""
+    if type(model.name) is not str or not fits_type(model.sample_period_s, float):
+        raise TypeError(f"name {model.name!r:.40}, sample period {model.sample_period_s!r:.40}")
+    if not fits_type(tuple(model.notes.items()), tuple[tuple[str, str], ...]):
+        raise TypeError(f"notes {model.notes!r:.60}")
+    if any(channel.bits not in (16, 32) for channel in model.channels):
+        raise ValueError("a channel is not 16 or 32 bits wide")
     drift, guards = model.drift, model.guards
     count = len(model.outputs)
     lengths = {drift.width, len(drift.shift), len(drift.low), len(drift.high), drift.bias.size}
@@ -114,7 +136,30 @@ def _check_whole(model: "IntegerModel") -> None:
         raise ValueError(f"the drift has rows for {sorted(lengths)} outputs; there are {count}")
     if not 0 <= guards.temperature_channel < len(model.channels):
         raise IndexError(f"guards: channel {guards.temperature_channel} of {len(model.channels)}")
+    if model.channels[guards.temperature_channel].bits != 16:
+        raise ValueError(f"guards: channel {guards.temperature_channel} is no 16-bit thermometer")
     if not (0 <= guards.warm_up_steps < 2**31 and 0 <= guards.rate_max < 2**31):
         raise ValueError(f"guards: {guards.warm_up_steps} steps, {guards.rate_max} codes a step")
     if any(output.lsb_per_unit < 1 for output in model.outputs) or model.sample_period_s <= 0:
         raise ValueError("an output's lsb_per_unit or the sample period is not above 0")
+
+
+def _check_shapes(node: Any) -> None:
+    """Raise where the arrays of features or head do not fit together, or their inputs."""
+    shapes: list[tuple[int, ...]] = []
+    wanted: list[tuple[int, ...]] = []
+    if isinstance(node, IntegerFeatures):
+        shapes = [node.matrix.shape, node.bias.shape, (len(node.shift),)]
+        rows = node.bias.size
+        wanted = [(rows, len(node.inputs)), (rows,), (rows,)]
+    elif isinstance(node, IntegerHead):
+        shapes, wanted = [node.weights.shape[1:]], [node.weights.shape[-1:]]
+    if shapes != wanted or any(0 in shape for shape in shapes):
+        raise ValueError(f"node '{node.name}': arrays {shapes} do not fit its inputs")
+
+
+def _try_one_step(model: "IntegerModel") -> None:
+    """Run the reference once: a vector where a number is read raises here."""
+    from zerodrift.export.reference import Reference
+
+    Reference(model).run(np.zeros((1, 1, len(model.channels)), dtype=np.int64), settled=False)

@@ -13,7 +13,6 @@ import onnx
 from numpy.typing import NDArray
 from onnx import numpy_helper
 
-from zerodrift.export.float_network import FloatDense
 from zerodrift.export.onnx_values import (
     Axes,
     Axis,
@@ -29,6 +28,7 @@ from zerodrift.export.onnx_values import (
     Value,
     bind,
 )
+from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru_onnx import from_onnx_gates
 
 Array = NDArray[np.float64]

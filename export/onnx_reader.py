@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from onnx import numpy_helper
 
 from zerodrift.errors import InputError, nearest
-from zerodrift.export.float_network import FloatDense, FloatNetwork
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.onnx_fold import fold_constants
 from zerodrift.export.onnx_operators import OPERATORS, RESHAPING, SUPPORTED
 from zerodrift.export.onnx_values import (
@@ -29,6 +29,7 @@ from zerodrift.export.onnx_values import (
     Unsupported,
     Value,
 )
+from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru import FloatGru
 
 __all__ = ["FloatNetwork", "ImportedNetwork", "read_imported", "read_network", "read_network_bytes"]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.export.float_network import FloatDense
+from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru import FloatGru
 
 Array = NDArray[np.float64]

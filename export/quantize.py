@@ -13,6 +13,7 @@ from zerodrift.export.integer_model import Channel, Guards, IntegerModel, Output
 from zerodrift.export.lowering import Lowering
 from zerodrift.export.quantize_layers import append_network
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN, choose_exponent
+from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import Node
 from zerodrift.operations.network import (
     IntegerDrift,
@@ -47,7 +48,7 @@ class FloatModel:
     """[I]."""
     whitening: Array | None = None
     """[I', I]: the network's input is whitening @ (taps - mean)."""
-    network: FloatNetwork | None = None
+    network: FloatNetwork | FloatFeedForward | None = None
     window: int = 0
     """0: the network's state is carried from sample to sample."""
     feature_names: tuple[str, ...] = ()
@@ -164,7 +165,7 @@ def _read_first_input(lowering: Lowering, model: FloatModel) -> Signal:
 def _lower_network(
     lowering: Lowering,
     model: FloatModel,
-    network: FloatNetwork,
+    network: FloatNetwork | FloatFeedForward,
     calibration: Calibration,
     weights: str,
 ) -> NDArray[np.int64]:

@@ -1,15 +1,25 @@
 """Formats for everything from the features to the head: recurrent layers, dense layers, head."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.errors import CheckError
-from zerodrift.export.float_network import FloatDense, FloatNetwork
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.lowering import Lowering
 from zerodrift.export.quantize_gru import quantize_gru, quantize_head
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, INT32_MAX, choose_exponent
+from zerodrift.operations.dense import FloatDense, FloatFeedForward
+from zerodrift.operations.gru import H_LIMIT_Q30, FloatGru, IntegerGru
 from zerodrift.operations.intervals import Interval
-from zerodrift.operations.layers import COPY_BITS, IntegerDense, IntegerGruStack
+from zerodrift.operations.layers import (
+    COPY_BITS,
+    IntegerDense,
+    IntegerFeatureDense,
+    IntegerGruStack,
+)
 from zerodrift.operations.network import IntegerGruLayer, IntegerHead
 
 TABLE_BITS = 16
@@ -20,12 +30,12 @@ Exponents = NDArray[np.int64]
 
 def append_network(
     lowering: Lowering,
-    network: FloatNetwork,
+    network: FloatNetwork | FloatFeedForward,
     feature_exponents: Exponents,
     weights: str,
     window: int,
 ) -> Exponents:
-    """Add recurrent layers, dense layers and head after the node "features".
+    """Add recurrent layers if there are any, dense layers and head after the node "features".
 
     Args:
         lowering: takes the nodes.
@@ -40,31 +50,102 @@ def append_network(
     Raises:
         CheckError: a layer has no safe format; names it and its row.
     """
-    bottom = quantize_gru(network.gru, feature_exponents, weights)
-    upper = [
-        quantize_gru(gru, np.full(gru.w_x.shape[2], COPY_BITS), weights) for gru in network.upper
-    ]
-    if upper:
-        *lower, top = (bottom, *upper)
-        lowering.append(
-            IntegerGruStack("gru", ("features",), gru=top, window=window, lower=tuple(lower))
+    if isinstance(network, FloatFeedForward):
+        read_out = quantize_read_out(
+            network, "features", feature_exponents, lowering.intervals["features"]
         )
     else:
-        lowering.append(IntegerGruLayer("gru", ("features",), gru=bottom, window=window))
-    last = "gru"
-    exponents = np.full(network.layers[-1].w_h.shape[1], COPY_BITS)
+        *lower, top = quantize_layers(network.layers, feature_exponents, weights)
+        if lower:
+            lowering.append(
+                IntegerGruStack("gru", ("features",), gru=top, window=window, lower=tuple(lower))
+            )
+        else:
+            lowering.append(IntegerGruLayer("gru", ("features",), gru=top, window=window))
+        read_out = quantize_state_read_out(network)
+    for node in (*read_out.dense, read_out.head):
+        lowering.append(node)
+    return read_out.head_exponents
+
+
+def quantize_layers(
+    layers: Sequence[FloatGru], feature_exponents: Exponents, weights: str
+) -> list[IntegerGru]:
+    """Return the recurrent layers from the bottom up; each reads the state of the one below.
+
+    Raises:
+        CheckError: a gate has no safe scale.
+    """
+    bottom, *upper = layers
+    above = [quantize_gru(gru, np.full(gru.w_x.shape[2], COPY_BITS), weights) for gru in upper]
+    return [quantize_gru(bottom, feature_exponents, weights), *above]
+
+
+@dataclass(frozen=True)
+class ReadOut:
+    """The nodes between state or features and the answer, with their scales."""
+
+    dense: tuple[IntegerDense, ...]
+    dense_exponents: tuple[Exponents, ...]
+    """Of each dense layer, [M]: its int16 copies stand for copy * 2**-e, its results, which have
+    `COPY_BITS` more bits, for result * 2**-(e + COPY_BITS)."""
+    head: IntegerHead
+    head_exponents: Exponents
+    """[K]: a sum stands for sum * 2**-e."""
+
+
+def quantize_state_read_out(network: FloatNetwork) -> ReadOut:
+    """Return everything after the recurrent layers, whatever their weights are.
+
+    Raises:
+        CheckError: a layer has no safe format; names it and its row.
+    """
+    hidden = network.layers[-1].w_h.shape[1]
+    reach = [Interval(-H_LIMIT_Q30, H_LIMIT_Q30)] * hidden
+    return quantize_read_out(network, "gru", np.full(hidden, COPY_BITS), reach)
+
+
+def quantize_read_out(
+    network: FloatNetwork | FloatFeedForward,
+    last: str,
+    exponents: Exponents,
+    reach: Sequence[Interval],
+) -> ReadOut:
+    """Return dense layers and head after the node `last`.
+
+    Args:
+        network: whose layers they are.
+        last: "gru" or "features".
+        exponents: its int16 copies, or the features, stand for value * 2**-e.
+        reach: what its values, or the features, can be.
+
+    Raises:
+        CheckError: a layer has no safe format; names it and its row.
+    """
+    nodes, scales = [], []
+    known = list(reach)
     for index, layer in enumerate(network.dense):
-        name = f"dense_{index}"
-        copies = [x.round_shift(COPY_BITS) for x in lowering.intervals[last]]
-        node, exponents = quantize_dense(layer, name, last, exponents, copies)
-        last = lowering.append(node)
-    head, head_exponents = quantize_head(network.head * 2.0 ** (COPY_BITS - exponents))
-    lowering.append(IntegerHead(name="head", inputs=(last,), weights=head))
-    return head_exponents
+        of_features = last == "features"
+        copies = known if of_features else [x.round_shift(COPY_BITS) for x in known]
+        node, exponents = quantize_dense(
+            layer, f"dense_{index}", last, exponents, copies, of_features
+        )
+        known, _ = node.prove([known])
+        last = node.name
+        nodes.append(node)
+        scales.append(exponents)
+    rows, head_exponents = quantize_head(network.head * 2.0 ** (COPY_BITS - exponents))
+    head = IntegerHead(name="head", inputs=(last,), weights=rows)
+    return ReadOut(tuple(nodes), tuple(scales), head, head_exponents)
 
 
 def quantize_dense(
-    layer: FloatDense, name: str, source: str, exponents: Exponents, inputs: list[Interval]
+    layer: FloatDense,
+    name: str,
+    source: str,
+    exponents: Exponents,
+    inputs: Sequence[Interval],
+    of_features: bool = False,
 ) -> tuple[IntegerDense, Exponents]:
     """Return a dense layer with the finest formats that are provably safe.
 
@@ -77,6 +158,7 @@ def quantize_dense(
         source: name of the node that it reads.
         exponents: [N] f with input = int16 copy * 2**-f.
         inputs: [N] range of the int16 copies.
+        of_features: whether the layer reads the features themselves.
 
     Returns:
         The node, and [M] the exponents of its own int16 copies.
@@ -121,7 +203,7 @@ def quantize_dense(
             unit = 2.0 ** float(own[i])
             lows.append(int(np.clip(np.round(layer.low * unit), INT16_MIN, INT16_MAX)))
             highs.append(int(np.clip(np.round(layer.high * unit), INT16_MIN, INT16_MAX)))
-    node = IntegerDense(
+    node = (IntegerFeatureDense if of_features else IntegerDense)(
         name=name,
         inputs=(source,),
         weights=rows,

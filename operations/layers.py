@@ -142,9 +142,17 @@ class IntegerDense(IntegerNode):
     def _weights_t(self) -> NDArray[np.float64]:
         return np.ascontiguousarray(self.weights.T, dtype=np.float64)
 
+    def _copy(self, values: Values) -> IntArray:
+        """Return the int16 copies [B, N] of the layer below."""
+        return np.asarray(round_shift(values[self.inputs[0]], COPY_BITS))
+
+    def _bound_copies(self, below: list[Interval]) -> list[Interval]:
+        """Return the ranges of the int16 copies."""
+        return [x.round_shift(COPY_BITS) for x in below]
+
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
         """Return activation((bias + weights . x) >> shift), 15 fractional bits added."""
-        x = round_shift(values[self.inputs[0]], COPY_BITS)
+        x = self._copy(values)
         scaled = (matmul_exact(x, self._weights_t) + self.bias) >> np.array(self.shift)
         if self.activation == "tanh":
             return {}, tanh_q30(scaled).astype(np.int64)
@@ -153,7 +161,7 @@ class IntegerDense(IntegerNode):
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
         """Bound the 32-bit sums, whatever their order; the outputs are limited."""
-        copies = [x.round_shift(COPY_BITS) for x in inputs[0]]
+        copies = self._bound_copies(inputs[0])
         limits = [self.low, self.high] if self.activation == "clip" else [(), ()]
         rows = [self.width] * 2 if self.activation == "clip" else [0, 0]
         if (
@@ -186,3 +194,18 @@ class IntegerDense(IntegerNode):
             shifted = Interval(total.low >> self.shift[i], total.high >> self.shift[i])
             out.append(shifted.saturate(limit.low, limit.high).scale(1 << COPY_BITS))
         return out, bounds
+
+
+@dataclass(frozen=True)
+class IntegerFeatureDense(IntegerDense):
+    """A dense layer that reads the int16 features: the first of a network without a GRU."""
+
+    kind: ClassVar[str] = "feature_dense"
+
+    def _copy(self, values: Values) -> IntArray:
+        """Return the features [B, N]."""
+        return np.asarray(values[self.inputs[0]])
+
+    def _bound_copies(self, below: list[Interval]) -> list[Interval]:
+        """Return the features' ranges."""
+        return list(below)

@@ -16,7 +16,13 @@ from zerodrift.operations.arithmetic import (
     saturate,
 )
 from zerodrift.operations.gru import H_LIMIT_Q30, IntegerGru
-from zerodrift.operations.intervals import Bound, Interval, bound_row, check_shift
+from zerodrift.operations.intervals import (
+    Bound,
+    Interval,
+    bound_row,
+    check_limits,
+    check_shift,
+)
 from zerodrift.operations.node import IntegerNode, State, Values
 
 
@@ -213,6 +219,7 @@ class IntegerDrift(IntegerNode):
         out, bounds = [], []
         for k in range(self.width):
             check_shift(f"{self.name}[{k}]", self.shift[k], 63)
+            check_limits(f"{self.name}[{k}]", self.low[k], self.high[k])
             row = self.coefficients[k]
             terms = list(scalars)
             if self.head:

@@ -125,7 +125,7 @@ def load_history(path: Path) -> tuple[Entry, ...]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
         raise _explain_damage(f"{path}:{error.lineno}", f"is not JSON ({error.msg})") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise _explain_damage(str(path), f"cannot be read ({error})") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format") if isinstance(content, dict) else type(content).__name__

@@ -32,6 +32,7 @@ __all__ = [
     "draw_candidates",
     "draw_comparison",
     "draw_fingerprint",
+    "draw_revision",
     "draw_staircase",
     "render_page",
 ]
@@ -39,6 +40,8 @@ __all__ = [
 Array = NDArray[np.float64]
 
 LAGS = 60
+LEAST_RATIO = 1e-6
+"""Of an error to its floor, on a logarithmic axis."""
 
 
 def draw_staircase(steps: Sequence[Step]) -> go.Figure:
@@ -77,7 +80,7 @@ def draw_staircase(steps: Sequence[Step]) -> go.Figure:
     )
     # On a logarithmic axis an annotation stands at the logarithm.
     figure.add_annotation(
-        text="noise floor", x=1, xref="paper", y=0.0, yanchor="top", showarrow=False
+        text="noise floor", x=0, xref="paper", xanchor="left", y=0.0, yanchor="top", showarrow=False
     )
     apply_style(figure, 380)
     figure.update_yaxes(title="held-out RMSE / noise floor", **_log_axis(figure))
@@ -181,6 +184,63 @@ def draw_candidates(diagnosed: Mapping[str, Any], most: int = 12) -> go.Figure:
         range=[0.0, 1.15 * max([1.0, *ratios])],
     )
     figure.update_yaxes(showgrid=False, ticks="")
+    return figure
+
+
+def draw_revision(
+    before: Mapping[str, float], after: Mapping[str, float], floor: Mapping[str, float]
+) -> go.Figure:
+    """Return each output's held-out error before and after a change, in noise floors.
+
+    Args:
+        before: output -> RMSE, in its unit.
+        after: the same with the change.
+        floor: the same of the noise.
+    """
+    outputs = [name for name in after if floor[name] > 0.0]
+    series = (
+        ("before", before, MEASURED, "circle-open", 13),
+        ("after", after, ACCENT, "circle", 10),
+    )
+    figure = go.Figure()
+    for name, values, colour, symbol, size in series:
+        figure.add_trace(
+            go.Scatter(
+                x=[values[n] / floor[n] for n in outputs],
+                y=outputs,
+                name=name,
+                mode="markers",
+                marker={
+                    "symbol": symbol,
+                    "size": size,
+                    "color": colour,
+                    "line": {"width": 2, "color": colour},
+                },
+                hovertemplate=f"{name}: %{{x:.3g}} × floor<extra>%{{y}}</extra>",
+            )
+        )
+    figure.add_vline(x=1.0, line={"dash": "dot", "color": FLOOR, "width": 1.5})
+    for name in outputs:
+        figure.add_annotation(
+            x=np.log10(max(after[name] / floor[name], LEAST_RATIO)),
+            ax=np.log10(max(before[name] / floor[name], LEAST_RATIO)),
+            y=name,
+            ay=name,
+            xref="x",
+            axref="x",
+            yref="y",
+            ayref="y",
+            showarrow=True,
+            arrowhead=2,
+            arrowwidth=1.5,
+            arrowcolor=LEFT,
+            standoff=7,
+            startstandoff=8,
+            text="",
+        )
+    apply_style(figure, 130 + 30 * len(outputs))
+    figure.update_xaxes(title="held-out RMSE / noise floor", type="log", tickformat="~g")
+    figure.update_yaxes(autorange="reversed", ticks="")
     return figure
 
 

@@ -46,6 +46,26 @@ class Window:
     to_s: float | None = None
 
 
+@dataclass(frozen=True)
+class Clock:
+    """The unit of a time axis."""
+
+    unit: str
+    seconds: float
+    """One unit."""
+
+
+HOURS = Clock("h", 3600.0)
+CLOCKS = (Clock("s", 1.0), Clock("min", 60.0), HOURS)
+LONGEST_IN_UNITS = 300.0
+
+
+def choose_clock(trace: Trace) -> Clock:
+    """Return the unit in which a run's time reads best."""
+    length_s = float(trace.time_s[-1] - trace.time_s[0])
+    return next((c for c in CLOCKS if length_s <= LONGEST_IN_UNITS * c.seconds), HOURS)
+
+
 def draw_output(
     traces: Sequence[Trace],
     compared: Mapping[str, Any],
@@ -120,13 +140,14 @@ def draw_run(
     k, told = names.index(output), compared["outputs"][output]
     unit = told["unit"]
     figure = _open_rows(output, unit)
+    clock = choose_clock(trace)
     start, stop = find_rows(trace, window)
-    drawn = _draw_lines(trace, k, unit, 0.0, most, first=True, rows=(start, stop))
+    drawn = _draw_lines(trace, k, unit, 0.0, most, first=True, rows=(start, stop), clock=clock)
     if ghost is not None:
         rows = pick_rows(ghost, start, stop, most)
         drawn.append(
             go.Scatter(
-                x=trace.time_s[rows] / 3600.0,
+                x=trace.time_s[rows] / clock.seconds,
                 y=ghost[rows].astype(np.float32),
                 name=f"{ghost_name}: this is what it would look like",
                 line={"color": HEATING, "width": 2.5, "dash": "dash"},
@@ -135,18 +156,18 @@ def draw_run(
                 yaxis="y2",
             )
         )
-    marks, shapes = _mark_worst(compared, trace.run, output, 0.0)
+    marks, shapes = _mark_worst(compared, trace.run, output, 0.0, clock)
     figure.add_traces([*drawn, *marks])
     figure.update_layout(shapes=[*shapes, *_mark_floor(float(told["noise_floor"]))])
-    figure.update_xaxes(title="time on the log's clock, h", row=2, col=1)
+    figure.update_xaxes(title=f"time on the log's clock, {clock.unit}", row=2, col=1)
     # One axis for both rows, so that the cursor is shared.
     figure.update_traces(xaxis="x2")
     figure.update_layout(hovermode="x unified", hoversubplots="axis", xaxis={"visible": False})
     figure.update_yaxes(anchor="x2", row=1, col=1)
-    figure.update_layout(height=520, xaxis2={"matches": None})
+    figure.update_layout(height=520, xaxis2={"matches": None, "hoverformat": ".5~g"})
     figure.update_xaxes(showspikes=True, spikemode="across", spikethickness=1, spikecolor=FLOOR)
     if window.from_s is not None and window.to_s is not None:
-        figure.update_xaxes(range=[window.from_s / 3600.0, window.to_s / 3600.0])
+        figure.update_xaxes(range=[window.from_s / clock.seconds, window.to_s / clock.seconds])
     return figure
 
 
@@ -177,6 +198,7 @@ def _draw_lines(
     *,
     first: bool,
     rows: tuple[int, int] | None = None,
+    clock: Clock = HOURS,
 ) -> list[go.Scatter]:
     """Return one run's lines: measured, model, and what is left."""
     start, stop = rows or (0, trace.time_s.size)
@@ -193,7 +215,7 @@ def _draw_lines(
         kept = pick_rows(values, 0, values.size, most)
         drawn.append(
             go.Scatter(
-                x=(time_s[kept] / 3600.0 + offset_h).astype(np.float32),
+                x=(time_s[kept] / clock.seconds + offset_h).astype(np.float32),
                 y=values[kept].astype(np.float32),
                 name=label,
                 legendgroup=label,
@@ -209,14 +231,14 @@ def _draw_lines(
 
 
 def _mark_worst(
-    compared: Mapping[str, Any], run: str, output: str, offset_h: float
+    compared: Mapping[str, Any], run: str, output: str, offset: float, clock: Clock = HOURS
 ) -> tuple[list[go.Scatter], list[dict[str, Any]]]:
     """Return marks and shades of the worst segments of one run and output, numbered as tabled."""
     marks, shapes = [], []
     for number, segment in enumerate(compared["worst"], 1):
         if segment["run"] != run or segment["output"] != output:
             continue
-        x0, x1 = (segment[end] / 3600.0 + offset_h for end in ("from_s", "to_s"))
+        x0, x1 = (segment[end] / clock.seconds + offset for end in ("from_s", "to_s"))
         shapes.append(shade(x0, x1, "x2", "y2"))
         # A point to hover over, since a shape tells nothing.
         marks.append(
@@ -294,6 +316,20 @@ def draw_residual(traces: Sequence[Trace], compared: Mapping[str, Any], output: 
     figure.add_traces(drawn)
     figure.update_layout(shapes=shapes)
     return figure
+
+
+def list_means(figure: go.Figure) -> list[tuple[str, str, float, float]]:
+    """Return what `draw_residual` draws: against what, branch, bin's centre, mean."""
+    rows = []
+    for trace in figure.data:
+        if trace.mode != "lines+markers":
+            continue
+        axis = figure.layout[f"xaxis{trace.xaxis.removeprefix('x')}"]
+        rows += [
+            (str(axis.title.text), str(trace.name), float(x), float(y))
+            for x, y in zip(trace.x, trace.y, strict=True)
+        ]
+    return rows
 
 
 def _draw_branches(

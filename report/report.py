@@ -13,7 +13,7 @@ from zerodrift.report.figures import (
     draw_candidates,
     draw_staircase,
 )
-from zerodrift.report.figures_runs import draw_output, draw_residual
+from zerodrift.report.figures_runs import draw_output, draw_residual, list_means
 from zerodrift.report.findings import Findings, find_threshold
 from zerodrift.report.page import render_template
 from zerodrift.report.verdict import write_headline
@@ -55,6 +55,7 @@ def render_report(findings: Findings, datasheet: Sequence[Mapping[str, Any]] | N
         "title": f"{findings.sensor}: drift and its compensation",
         "headline": write_headline(diagnosed, told["titles"]),
         "details": list_details(told["diagnose_sentences"]),
+        "notes": list(dict.fromkeys((*told["notes"], *(diagnosed or {}).get("notes", ())))),
         "tiles": list_tiles(findings),
         "staircase": draw_staircase(steps) if steps else None,
         "steps": tables.tabulate_steps(told["history"]),
@@ -85,16 +86,24 @@ def list_sections(findings: Findings) -> list[dict[str, Any]]:
     lines = len(findings.traces) * len(findings.outputs) * 3
     most = min(max(POINTS_OF_ALL_LINES // max(lines, 1), FEWEST_POINTS), MOST_POINTS)
     compared = findings.told["compare"]
-    return [
-        {
-            "name": name,
-            "unit": findings.units[k],
-            "runs": draw_output(findings.traces, compared, name, most=most),
-            "residual": draw_residual(findings.traces, compared, name),
-            "correlation": draw_autocorrelation(findings.traces, compared, name),
-        }
-        for k, name in enumerate(findings.outputs)
-    ]
+    sections = []
+    for k, name in enumerate(findings.outputs):
+        unit = findings.units[k]
+        residual = draw_residual(findings.traces, compared, name)
+        correlation = draw_autocorrelation(findings.traces, compared, name)
+        (bars,) = correlation.data
+        sections.append(
+            {
+                "name": name,
+                "unit": unit,
+                "runs": draw_output(findings.traces, compared, name, most=most),
+                "residual": residual,
+                "means": tables.tabulate_means(list_means(residual), unit),
+                "correlation": correlation,
+                "shares": tables.tabulate_autocorrelation(bars.x, bars.y),
+            }
+        )
+    return sections
 
 
 def list_figures(findings: Findings) -> dict[str, go.Figure]:

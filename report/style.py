@@ -35,6 +35,7 @@ def apply_style(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
         plot_bgcolor="rgba(0,0,0,0)",
         margin={"l": 64, "r": 16, "t": 40, "b": 44},
         legend={"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom", "xanchor": "left"},
+        modebar={"bgcolor": "rgba(0,0,0,0)", "color": STILL, "activecolor": ACCENT},
         hoverlabel={"font": {"family": FONT, "size": 12}},
         **layout,
     )

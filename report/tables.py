@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from zerodrift.report.verdict import explain_standing
+
 Told = Mapping[str, Any]
 
 
@@ -115,22 +117,28 @@ def tabulate_candidates(diagnosed: Told, titles: Mapping[str, str]) -> Table:
     return Table("Effects that are not in the model", headings, tuple(rows), texts=4)
 
 
-def explain_standing(diagnosed: Told, candidate: Told) -> str:
-    """Return what the diagnosis makes of a candidate, in a few words."""
-    name = candidate["effect"]
-    if name == diagnosed["effect"]:
-        return "this one is missing"
-    if name in diagnosed["lookalikes"]:
-        return "cannot be told from it"
-    if name in diagnosed["also"]:
-        return "missing beside it"
-    if name == diagnosed["nearest"]:
-        return "nearest, and not it"
-    if candidate["heldout_rmse_ratio"] >= 0.985:
-        return "does not lower the held-out error"
-    if candidate["p_value"] > 0.05:
-        return "helps too few runs to rule out chance"
-    return "helps, but less"
+def tabulate_means(means: Sequence[tuple[str, str, float, float]], unit: str) -> Table:
+    """Return the means of bins of what is left, as drawn against what may drive it.
+
+    Args:
+        means: against what, branch, bin's centre, mean.
+        unit: of the mean.
+    """
+    rows = tuple(
+        (against, branch, write_number(centre, 3), write_number(mean, 3))
+        for against, branch, centre, mean in means
+    )
+    headings = ("against", "branch", "bin's centre", f"mean of what is left, {unit}")
+    return Table("What is left, as a table", headings, rows, texts=2)
+
+
+def tabulate_autocorrelation(lags_s: Sequence[float], shares: Sequence[float]) -> Table:
+    """Return the autocorrelation of what is left, lag by lag."""
+    rows = tuple(
+        (f"{lag:g}", f"{share:.3f}".replace("-", "−"))
+        for lag, share in zip(lags_s, shares, strict=True)
+    )
+    return Table("Autocorrelation, as a table", ("lag, s", "share"), rows, texts=0)
 
 
 def tabulate_steps(history: Told) -> Table:
@@ -168,7 +176,7 @@ def tabulate_parameters(model: Told) -> Table:
         if not term["parameters"]:
             rows.append((term["name"], "none", "", "", "–", "–", "–"))
     headings = ("effect", "parameter", "unit", "", "value", "standard error", "95 % interval")
-    return Table("Effects in the model", headings, tuple(rows), texts=4)
+    return Table("Parameters", headings, tuple(rows), texts=4)
 
 
 def tabulate_coefficients(model: Told) -> Table:
@@ -246,8 +254,9 @@ def tabulate_certificate(certificate: Told) -> Table:
     )
     headings = ("where", "lowest", "highest", "bits", "headroom, bits")
     note = (
-        f"{certificate['bounds']} bounds hold for every int16 input, whatever the logs; "
-        "these come closest."
+        f"{certificate['bounds']} bounds hold for every input, whatever the logs; "
+        "these come closest. Read from certificate.json, which `zerodrift verify --certificate` "
+        "derives again from the C."
     )
     return Table("Certificate: no overflow", headings, rows, texts=1, note=note)
 

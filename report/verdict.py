@@ -4,6 +4,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+LABELS = {
+    "missing": "An effect is missing",
+    "lookalikes": "An effect is missing; look-alikes",
+    "complete": "Nothing is missing",
+    "unknown": "An effect that the catalogue does not know",
+    "not testable": "Not testable with these logs",
+    "none": "No verdict",
+}
+NO_GAIN = 0.985
+"""Held-out RMSE with a candidate over that without: above it, the candidate does not help."""
+CHANCE = 0.05
+
 
 @dataclass(frozen=True)
 class Headline:
@@ -12,6 +24,11 @@ class Headline:
     kind: str
     """missing | lookalikes | complete | unknown | not testable | none."""
     sentence: str
+
+    @property
+    def label(self) -> str:
+        """The kind of verdict in words, so that no colour is needed to tell it."""
+        return LABELS[self.kind]
 
 
 def write_headline(diagnosed: Mapping[str, Any] | None, titles: Mapping[str, str]) -> Headline:
@@ -56,6 +73,50 @@ def write_headline(diagnosed: Mapping[str, Any] | None, titles: Mapping[str, str
         "unknown",
         f"Something is missing that no effect of the catalogue explains; {at_floor}.{nearest}",
     )
+
+
+def explain_standing(diagnosed: Mapping[str, Any], candidate: Mapping[str, Any]) -> str:
+    """Return what the diagnosis makes of a candidate, in a few words."""
+    name = candidate["effect"]
+    if name == diagnosed["effect"]:
+        return "this one is missing"
+    if name in diagnosed["lookalikes"]:
+        return "cannot be told from it"
+    if name in diagnosed["also"]:
+        return "missing beside it"
+    if name == diagnosed["nearest"]:
+        return "nearest, and not it"
+    if candidate["heldout_rmse_ratio"] >= NO_GAIN:
+        return "does not lower the held-out error"
+    if candidate["p_value"] > CHANCE:
+        return "helps too few runs to rule out chance"
+    return "helps, but less"
+
+
+def explain_candidate(diagnosed: Mapping[str, Any], candidate: Mapping[str, Any]) -> str:
+    """Return why a candidate is what is missing, or why not, with the figures it rests on."""
+    name, ratio = candidate["effect"], candidate["heldout_rmse_ratio"]
+    left = f"with it {100.0 * ratio:.1f} % of the held-out RMSE is left"
+    chance = f"p = {candidate['p_value']:.2g}"
+    named = next((c for c in diagnosed["candidates"] if c["effect"] == diagnosed["effect"]), None)
+    beside = ""
+    if named is not None and named is not candidate:
+        beside = f", with {named['effect']} {100.0 * named['heldout_rmse_ratio']:.1f} %"
+    standing = explain_standing(diagnosed, candidate)
+    if name == diagnosed["effect"]:
+        return f"It is what is missing: {left}, {chance}."
+    if name in diagnosed["lookalikes"]:
+        return f"It may be this one as well: {left}{beside}, {chance}; these logs cannot tell."
+    if name in diagnosed["also"]:
+        return f"It is missing too, beside the first: {left}, {chance}."
+    if name == diagnosed["nearest"]:
+        floor = f"{diagnosed['floor_ratio_before']:.2f} times the noise floor now"
+        return f"It comes nearest and is not it: {left}, {chance}, of {floor}."
+    if ratio >= NO_GAIN:
+        return f"Not it: it {standing}; {left}{beside}."
+    if candidate["p_value"] > CHANCE:
+        return f"Not it: it {standing} ({chance}); {left}{beside}."
+    return f"Not it: it helps, but less; {left}{beside}, {chance}."
 
 
 def _list_names(names: list[str], word: str) -> str:

@@ -16,6 +16,29 @@ class Result:
     err: str
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say how many tests ran on QEMU's boards, and why the others did not."""
+    found = {
+        outcome: [
+            report
+            for report in terminalreporter.stats.get(outcome, [])
+            if "board" in getattr(report, "keywords", ())
+        ]
+        for outcome in ("passed", "failed", "error", "skipped")
+    }
+    count = {outcome: len(reports) for outcome, reports in found.items()}
+    if not any(count.values()):
+        return
+    ran = count["passed"] + count["failed"] + count["error"]
+    reasons = sorted(
+        {str(report.longrepr[2]).removeprefix("Skipped: ") for report in found["skipped"]}
+    )
+    told = f"boards: {ran} tests ran on QEMU, {ran - count['passed']} of them failed"
+    if reasons:
+        told += f"; {count['skipped']} did not run: {'; '.join(reasons)}"
+    terminalreporter.write_line(told)
+
+
 @pytest.fixture
 def zerodrift(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

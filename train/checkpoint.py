@@ -2,8 +2,6 @@
 
 import io
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.errors import InputError
+from zerodrift.files import make_directory, write_all
 
 VALUES = "values"
 """Entry of the npz that holds everything but arrays, as JSON."""
@@ -31,25 +30,10 @@ def write_whole(path: Path, content: bytes) -> None:
     """Write a file so that it is there entirely or not at all, whenever the process ends.
 
     Raises:
-        InputError: the folder cannot be written.
+        InputError: the folder cannot be made or written.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
-        raise InputError(
-            f"{path.parent}: cannot be written ({error.strerror}). Make the folder writable."
-        ) from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(name).chmod(0o644)
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    make_directory(path.parent)
+    write_all({path: content})
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:

@@ -16,22 +16,27 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
 from zerodrift.errors import InputError
+from zerodrift.operations.dense import FloatFeedForward
+from zerodrift.operations.graph import list_nodes
 from zerodrift.operations.gru import FloatGru
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.checkpoint import write_whole
 from zerodrift.train.front_end import FrontEnd
-from zerodrift.train.onnx_export import read_onnx_gru
+from zerodrift.train.lag_bank.model import LagBank
+from zerodrift.train.onnx_export import read_onnx_gru, read_onnx_layers, read_onnx_weights
 
 if TYPE_CHECKING:
     import onnxruntime
 
 Array = NDArray[np.float64]
 
-FORMAT = 1
+FORMAT = 2
 """Version of compensator.json; another one is refused."""
 DESCRIPTION, NETWORK = "compensator.json", "network.onnx"
 WINDOWS_AT_ONCE = 4096
+BIASES = (".B", ".bias")
+"""Ends of the names of weights that are added, not multiplied by."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,8 @@ class Compensator:
     """The ONNX file of `zerodrift.train.onnx_export`, or None without a network."""
     memory: str | int = "stream"
     """"stream": the state goes from sample to sample; else the length of the window."""
+    bank: LagBank | None = None
+    """Powers of thermometers and their lags, for `[network] kind = "lag_bank"`."""
     tared: bool = False
     """Whether each log had an offset of its own, that of its tare, which is not predicted."""
     trained_from: str = ""
@@ -82,8 +89,11 @@ class Compensator:
         The run is taken to be at rest before its first sample.
         """
         drift = self.physics.predict(run)
+        if self.bank is not None:
+            drift = drift + self.physics.features(run) @ self.bank.correction
+            drift = drift + self.bank.compute(run, self.outputs) @ self.bank.coefficients
         if self.front_end is None:
-            return drift
+            return np.asarray(drift)
         features = self.front_end.compute(run)
         drift = drift + features @ self.linear + self.constant
         if self.network is not None:
@@ -101,6 +111,54 @@ class Compensator:
         """[K] what is added at taps of zero, so that linear part = taps coefficients + offset."""
         assert self.front_end is not None
         return np.asarray(self.constant - self.front_end.mean @ self.tap_coefficients)
+
+    @property
+    def parameters(self) -> int:
+        """Numbers that were learnt: physics, linear part, network."""
+        free = sum(len(fitted.term.free) for fitted in self.physics.terms)
+        count = int(np.count_nonzero(self.physics.coefficients)) + free
+        count += int(np.count_nonzero(self.linear)) + int(np.count_nonzero(self.constant))
+        if self.network is not None:
+            count += sum(x.size for x in self._network_weights.values())
+        if self.bank is not None:
+            count += self.bank.parameters
+        return count
+
+    @property
+    def macs_per_step(self) -> int:
+        """Multiplications of a step on the chip: the sums, the features, the network."""
+        operations = list_nodes(self.physics.graph().features)
+        inner = sum(node.op not in ("input", "constant") for node in operations)
+        count = int(np.count_nonzero(self.physics.coefficients)) + 2 * inner
+        count += int(np.count_nonzero(self.linear))
+        if self.front_end is not None:
+            count += self.front_end.width * (self.front_end.width + 1) // 2
+            count += 2 * sum(tap.tau_s > 0.0 for tap in self.front_end.taps)
+        if self.network is not None:
+            steps = 1 if self.memory == "stream" else int(self.memory)
+            for name, weights in self._network_weights.items():
+                if not name.endswith(BIASES):
+                    count += (1 if name.startswith("head") else steps) * weights.size
+        if self.bank is not None:
+            count += self.bank.macs
+        return count
+
+    @cached_property
+    def _network_weights(self) -> Mapping[str, Array]:
+        """The numbers of the network's file, by name."""
+        assert self.network is not None
+        return read_onnx_weights(self.network, NETWORK)
+
+    @property
+    def is_recurrent(self) -> bool:
+        """Whether the network carries a state, or walks through a window."""
+        return self.network is not None and "gru.W" in self._network_weights
+
+    @cached_property
+    def feed_forward(self) -> FloatFeedForward:
+        """The network's layers in float64, where it has no recurrence."""
+        assert self.network is not None
+        return read_onnx_layers(self.network, NETWORK)
 
     @cached_property
     def gru(self) -> FloatGru:
@@ -121,6 +179,8 @@ class Compensator:
 
     def _run_network(self, features: Array) -> Array:
         """Return the network's drift [n, K] for features [n, I] of a run that starts at rest."""
+        if not self.is_recurrent:
+            return self.feed_forward.run(features)
         if self.memory == "stream":
             rest = self.gru.settle(features[:1])
             return self._ask(features[:, None, :], rest)[:, 0]
@@ -154,6 +214,7 @@ class Compensator:
             "linear": self.linear.tolist(),
             "constant": self.constant.tolist(),
             "memory": self.memory,
+            "bank": self.bank.to_dict() if self.bank else None,
             "tared": self.tared,
             "network_sha256": hashlib.sha256(self.network).hexdigest() if self.network else None,
             "calibration": {
@@ -233,6 +294,7 @@ class Compensator:
             constant=np.array(values["constant"], dtype=np.float64),
             network=network,
             memory=values["memory"],
+            bank=LagBank.from_dict(values["bank"], len(outputs)) if values["bank"] else None,
             tared=values["tared"],
             trained_from=values["trained_from"],
             notes=tuple(values["notes"]),

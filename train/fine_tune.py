@@ -1,4 +1,4 @@
-"""A short training of a trained GRU in the chip's own arithmetic, for coarse weights.
+"""A short training of trained GRUs in the chip's own arithmetic, for coarse weights.
 
 The integer network learns to answer as the float one does, over the training runs' features as the
 chip computes them. What the float network has learnt from the measurements is not learnt again, so
@@ -48,8 +48,9 @@ class Settings:
 class Tuned:
     """What a fine-tuning gave."""
 
-    gru: FloatGru
-    """Weights whose quantized form answers best; the first ones if no other did better."""
+    layers: tuple[FloatGru, ...]
+    """Weights whose quantized form answers best, from the bottom up; the first ones if no other did
+    better."""
     before: float
     """RMS difference from the float network before, in shares of the float network's answer."""
     after: float

@@ -26,7 +26,9 @@ Array = NDArray[np.float64]
 S = TypeVar("S")
 
 MAX_TAPS = 8
-"""The firmware's features: more of them cost instructions and have not been seen to help."""
+"""Taps of one sample: more of them cost instructions and have not been seen to help."""
+MAX_FEATURES = 64
+"""Taps of a whole window."""
 TEMPERATURE = "temperature_degC"
 NOISE_FLOOR = 10.0
 """A feature is given unit variance only down to this multiple of the thermometer's noise variance:
@@ -44,27 +46,31 @@ class Tap:
     tau_s: float = 0.0
     """Time constant of a lag, seconds."""
     steps: int = 0
-    """How far back a step looks, samples."""
+    """How far back a step looks, samples; of a level or a lag, how long ago it is taken."""
+    hops: int = 1
+    """Delays in a row that make up `steps`; taps of one window share them."""
 
     def build(self, ops: Operations[S], signal: S) -> S:
         """Return the tap of `signal`, computed or recorded; every tap is at rest at the start."""
-        match self.kind:
-            case "lag":
-                return ops.difference(signal, ops.lowpass(signal, self.tau_s))
-            case "step":
-                return ops.difference(signal, ops.delay(signal, self.steps * ops.sample_period_s))
-            case _:
-                return signal
+        if self.kind == "step":
+            return ops.difference(signal, ops.delay(signal, self.steps * ops.sample_period_s))
+        view = signal
+        if self.kind == "lag":
+            view = ops.difference(signal, ops.lowpass(signal, self.tau_s))
+        for _ in range(self.hops if self.steps else 0):
+            view = ops.delay(view, self.steps / self.hops * ops.sample_period_s)
+        return view
 
     def __str__(self) -> str:
         """Return how reports name the tap."""
+        ago = f", {self.steps} samples ago" if self.steps else ""
         match self.kind:
             case "lag":
-                return f"{self.source} - lowpass({self.tau_s:g} s)"
+                return f"{self.source} - lowpass({self.tau_s:g} s){ago}"
             case "step":
                 return f"{self.source} - {self.steps} samples ago"
             case _:
-                return self.source
+                return f"{self.source}{ago}"
 
 
 @dataclass(frozen=True)
@@ -99,7 +105,13 @@ class FrontEnd:
         """Return the front end as JSON values."""
         return {
             "taps": [
-                {"kind": t.kind, "source": t.source, "tau_s": t.tau_s, "steps": t.steps}
+                {
+                    "kind": t.kind,
+                    "source": t.source,
+                    "tau_s": t.tau_s,
+                    "steps": t.steps,
+                    "hops": t.hops,
+                }
                 for t in self.taps
             ],
             "mean": self.mean.tolist(),
@@ -140,20 +152,26 @@ def compute_taps(taps: Sequence[Tap], run: Run) -> Array:
     return np.stack([tap.build(ops, read_source(run, tap.source)) for tap in taps], axis=1)
 
 
-def fit_front_end(taps: Sequence[Tap], runs: Sequence[Run]) -> FrontEnd:
+def fit_front_end(
+    taps: Sequence[Tap], runs: Sequence[Run], *, decorrelate: bool = True
+) -> FrontEnd:
     """Return the front end whose features are uncorrelated over `runs`, of variance 1 or less.
 
     Args:
-        taps: at most MAX_TAPS; the order is that in which each takes what the earlier left.
+        taps: of one sample at most MAX_TAPS; the order is that in which each takes what the earlier
+            left.
         runs: the training runs.
+        decorrelate: False only scales, for a network that treats the samples of a window alike.
 
     Raises:
         InputError: too many taps, or a tap does not move over the runs.
     """
-    if len(taps) > MAX_TAPS:
+    present = sum(not (tap.steps and tap.kind != "step") for tap in taps)
+    if present > MAX_TAPS or len(taps) > MAX_FEATURES:
         raise InputError(
-            f"the network would see {len(taps)} signals; at most {MAX_TAPS} fit. Name fewer lags"
-            " under [network] lags_s."
+            f"the network would see {len(taps)} signals, {present} of them of the present sample;"
+            f" at most {MAX_FEATURES} and {MAX_TAPS} fit. Name fewer lags under [network] lags_s,"
+            " or a shorter memory."
         )
     raw = np.concatenate([compute_taps(taps, run) for run in runs])
     mean = raw.mean(axis=0)
@@ -165,6 +183,8 @@ def fit_front_end(taps: Sequence[Tap], runs: Sequence[Run]) -> FrontEnd:
                 " Train on logs in which it moves, or leave it out."
             )
     noise = np.array([_noise_variance(tap.source, runs) for tap in taps])
+    if not decorrelate:
+        covariance = np.diag(np.diag(covariance))
     factor = np.linalg.cholesky(covariance + np.diag(NOISE_FLOOR * noise))
     matrix = solve_triangular(factor, np.eye(len(taps)), lower=True)
     return FrontEnd(tuple(taps), mean, matrix, runs[0].sample_period_s)

@@ -1,4 +1,4 @@
-"""A GRU whose forward pass is the chip's, bit for bit, and whose gradients are those of its floats.
+"""GRUs whose forward pass is the chip's, bit for bit, and whose gradients are those of floats.
 
 Rounding has no useful gradient. Forwards the integers of `zerodrift.operations.gru` run, from the
 quantized weights; backwards every rounding counts as the identity (straight-through), so that the
@@ -10,7 +10,7 @@ States are float64 tensors that hold h_q30 / 2^30 exactly; features are float32 
 counts. Arrays run [time, channel, sequence].
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,14 +20,16 @@ from torch import Tensor
 
 from zerodrift.operations.arithmetic import IntArray, round_shift
 from zerodrift.operations.gru import FloatGru, IntegerGru
+from zerodrift.operations.layers import COPY_BITS, IntegerDense
 from zerodrift.train.networks import Network
 from zerodrift.train.recurrence import Trace, propagate_back, sum_outer
 
 Array = NDArray[np.float64]
 
-Quantizer = Callable[[FloatGru], IntegerGru]
-"""What turns the weights in training into those of the chip."""
+Quantizer = Callable[[Sequence[FloatGru]], Sequence[IntegerGru]]
+"""What turns the weights in training into those of the chip, layer by layer from the bottom."""
 STATE_ONE = 2.0**30
+COPY_ONE = 2.0**15
 
 
 class IntegerHead:
@@ -39,42 +41,58 @@ class IntegerHead:
 
 
 class IntegerGruNetwork(Network):
-    """A GRU in training as the chip will run it; the head is held."""
+    """GRUs in training as the chip will run them; dense layers and head are held.
+
+    The state [H, B] is that of all layers one after the other, the one that reads the features
+    first.
+    """
 
     def __init__(
         self,
-        gru: FloatGru,
+        layers: Sequence[FloatGru],
         quantize: Quantizer,
         count: Array,
         head: IntegerHead,
         scale: Array,
+        dense: Sequence[IntegerDense] = (),
     ) -> None:
         """Start from trained weights.
 
         Args:
-            gru: the float weights; features in their own units.
+            layers: the float weights from the bottom up; features in their own units.
             quantize: gives the chip's weights; what it raises ends the training.
             count: [I] a feature's value per count.
             head: the output layer.
             scale: [K] size of each output, by which the answers are divided.
+            dense: layers between the topmost state and the head.
         """
         super().__init__()
-        self.reset = gru.reset
+        self.resets = [layer.reset for layer in layers]
+        self.hidden = [layer.w_h.shape[1] for layer in layers]
         self.w_x, self.w_h, self.bias = (
-            torch.nn.Parameter(torch.from_numpy(w.astype(np.float32)))
-            for w in (gru.w_x, gru.w_h, gru.bias)
+            torch.nn.ParameterList(
+                torch.nn.Parameter(torch.from_numpy(getattr(layer, name).astype(np.float32)))
+                for layer in layers
+            )
+            for name in ("w_x", "w_h", "bias")
         )
         self._quantize, self.head, self._scale = quantize, head, scale
-        self._count = torch.from_numpy(count.astype(np.float32))
+        self._dense = tuple(dense)
+        self._counts = [torch.from_numpy(count.astype(np.float32))]
+        self._counts += [torch.full((n,), 1.0 / COPY_ONE) for n in self.hidden[:-1]]
 
-    def to_float(self) -> FloatGru:
+    def to_float(self) -> tuple[FloatGru, ...]:
         """Return the weights in training, as the float network's file will hold them."""
-        w_x, w_h, bias = (
-            w.detach().numpy().astype(np.float64) for w in (self.w_x, self.w_h, self.bias)
+        parts = [
+            [w.detach().numpy().astype(np.float64) for w in weights]
+            for weights in (self.w_x, self.w_h, self.bias)
+        ]
+        return tuple(
+            FloatGru(w_x, w_h, bias, reset)
+            for w_x, w_h, bias, reset in zip(*parts, self.resets, strict=True)
         )
-        return FloatGru(w_x=w_x, w_h=w_h, bias=bias, reset=self.reset)
 
-    def to_integer(self) -> IntegerGru:
+    def to_integer(self) -> Sequence[IntegerGru]:
         """Return the chip's weights."""
         return self._quantize(self.to_float())
 
@@ -85,22 +103,41 @@ class IntegerGruNetwork(Network):
             x: [T, I, B] counts of the features.
             state: [H, B] before the first sample.
         """
-        integer = self.to_integer()
-        states: Tensor = _IntegerSequence.apply(  # type: ignore[no-untyped-call]  # torch leaves apply untyped
-            integer, self._count, x, state, self.w_x, self.w_h, self.bias
-        )
-        sums: Tensor = _IntegerHead.apply(self.head, states)  # type: ignore[no-untyped-call]  # as above
+        integers = self.to_integer()
+        states: list[Tensor] = []
+        for i, before in enumerate(torch.split(state, self.hidden)):
+            if states:
+                x = _StateCopy.apply(states[-1])  # type: ignore[no-untyped-call]  # torch leaves apply untyped
+            states.append(
+                _IntegerSequence.apply(  # type: ignore[no-untyped-call]  # as above
+                    integers[i],
+                    self._counts[i],
+                    x,
+                    before.contiguous(),
+                    self.w_x[i],
+                    self.w_h[i],
+                    self.bias[i],
+                )
+            )
+        results: Tensor = states[-1] * STATE_ONE
+        for layer in self._dense:
+            results = _IntegerDense.apply(layer, results)  # type: ignore[no-untyped-call]  # as above
+        sums: Tensor = _IntegerHead.apply(self.head, results)  # type: ignore[no-untyped-call]  # as above
         weight = torch.from_numpy(self.head.scale / self._scale)
-        return sums * weight[:, None], states
+        return sums * weight[:, None], torch.cat(states, dim=1)
 
     def rest(self, x: Tensor) -> Tensor:
         """Return the state [H, B] that the chip's `settle` reaches under features x [I, B]."""
-        counts = x.numpy().T.astype(np.int64)
-        return _to_state(self.to_integer().settle(counts))
+        counts, states = x.numpy().T.astype(np.int64), []
+        for layer in self.to_integer():
+            h_q30 = layer.settle(counts)
+            states.append(_to_state(h_q30))
+            counts = round_shift(h_q30, COPY_BITS)
+        return torch.cat(states)
 
     def cold(self, batch: int) -> Tensor:
         """Return zeros [H, B]."""
-        return torch.zeros(self.w_h.shape[1], batch, dtype=torch.float64)
+        return torch.zeros(sum(self.hidden), batch, dtype=torch.float64)
 
 
 def _to_state(h_q30: IntArray) -> Tensor:
@@ -140,20 +177,20 @@ class _IntegerSequence(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, gru: IntegerGru, count: Tensor, x: Tensor, state: Tensor, *_: Tensor
+        ctx: Any, gru: IntegerGru, count: Tensor, x: Tensor, state: Tensor, *weights: Tensor
     ) -> Tensor:
         """Run the recurrence; see `run_integers`. The float weights only take their gradients."""
         counts = np.ascontiguousarray(x.numpy().transpose(0, 2, 1)).astype(np.int64)
         h_q30 = np.ascontiguousarray((state.numpy() * STATE_ONE).T).astype(np.int64)
         trace, exact = run_integers(gru, counts, h_q30)
         ctx.trace, ctx.gru = trace, gru
-        ctx.save_for_backward(x, count)
+        ctx.save_for_backward(x, count, weights[0])
         return torch.from_numpy(exact)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        """Return the gradients of w_x, w_h and bias."""
-        x, count = ctx.saved_tensors
+        """Return the gradients of w_x, w_h and bias, and of x where a layer is below."""
+        x, count, w_x = ctx.saved_tensors
         gru: IntegerGru = ctx.gru
         d_states = grads[0].float().contiguous().numpy()
         acting = torch.from_numpy(gru.dequantize_recurrent().astype(np.float32))
@@ -175,21 +212,66 @@ class _IntegerSequence(torch.autograd.Function):
                 )
             )
         shape = (3, hidden, hidden)
+        d_x = None
+        if ctx.needs_input_grad[2]:
+            d_x = torch.matmul(w_x.reshape(3 * hidden, -1).T, outside) * count[:, None]
         d_w_x = d_w_x.reshape(3, hidden, -1)
-        return None, None, None, None, d_w_x, d_w_h.reshape(shape), d_bias
+        return None, None, d_x, None, d_w_x, d_w_h.reshape(shape), d_bias
+
+
+class _StateCopy(torch.autograd.Function):
+    """The int16 copy of a layer's states that the layer above reads, as float32 counts."""
+
+    @staticmethod
+    def forward(ctx: Any, states: Tensor) -> Tensor:
+        """Return the counts [T, H, B] of states [T, H, B]."""
+        h_q30 = (states.numpy() * STATE_ONE).astype(np.int64)
+        return torch.from_numpy(round_shift(h_q30, COPY_BITS).astype(np.float32))
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Tensor:
+        """Return the gradient of the states."""
+        return grads[0].double() * COPY_ONE
+
+
+class _IntegerDense(torch.autograd.Function):
+    """A dense layer of the chip, with the gradient of the unrounded one."""
+
+    @staticmethod
+    def forward(ctx: Any, layer: IntegerDense, below: Tensor) -> Tensor:
+        """Return the layer's results [T, M, B] for results [T, N, B] of the one below."""
+        steps, width, batch = below.shape
+        flat = below.numpy().transpose(0, 2, 1).reshape(-1, width).astype(np.int64)
+        _, found = layer.step({}, {layer.inputs[0]: flat})
+        results = found.reshape(steps, batch, -1).transpose(0, 2, 1).astype(np.float64)
+        ctx.layer, ctx.results = layer, results
+        return torch.from_numpy(np.ascontiguousarray(results))
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[None, Tensor]:
+        """Return the gradient of the results below."""
+        layer, results = ctx.layer, ctx.results
+        gain = 2.0 ** -np.array(layer.shift, dtype=np.float64)  # of the results per sum's count
+        if layer.activation == "tanh":  # results in Q1.30 of a table's argument in Q3.16
+            slope = (1.0 - (results / STATE_ONE) ** 2) * (STATE_ONE / COPY_ONE / 2.0**16)
+        else:
+            low, high = (np.array(x)[:, None] * COPY_ONE for x in (layer.low, layer.high))
+            slope = ((results > low) & (results < high)).astype(np.float64)
+        d_sums = grads[0].numpy() * slope * gain[:, None]
+        return None, torch.from_numpy(layer.weights.astype(np.float64).T) @ torch.from_numpy(d_sums)
 
 
 class _IntegerHead(torch.autograd.Function):
     """The chip's output sums, with the gradient of the unrounded ones."""
 
     @staticmethod
-    def forward(ctx: Any, head: IntegerHead, states: Tensor) -> Tensor:
-        """Return the sums [T, K, B] of states [T, H, B]."""
-        h_q30 = (states.numpy() * STATE_ONE).astype(np.int64)
+    def forward(ctx: Any, head: IntegerHead, results: Tensor) -> Tensor:
+        """Return the sums [T, K, B] of results [T, H, B], which hold integers."""
         ctx.head = head
-        return torch.from_numpy(head.rows @ round_shift(h_q30, 15).astype(np.float64))
+        copies = round_shift(results.numpy().astype(np.int64), COPY_BITS)
+        return torch.from_numpy(head.rows @ copies.astype(np.float64))
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[None, Tensor]:
-        """Return the gradient of the states."""
-        return None, torch.from_numpy(2.0**15 * ctx.head.rows.T) @ grads[0]
+        """Return the gradient of the results."""
+        return None, torch.from_numpy(ctx.head.rows.T / COPY_ONE) @ grads[0]

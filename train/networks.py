@@ -5,6 +5,7 @@ that is the business of whoever calls it (`zerodrift.train.sequences`). Arrays r
 [time, channel, sequence].
 """
 
+import itertools
 import math
 from abc import ABC, abstractmethod
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from zerodrift.config import NetworkConfig
-from zerodrift.errors import InputError
+from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru import FloatGru
 from zerodrift.train.recurrence import GruWeights, run_gru
 
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 
 FORMS = {"reset_after": "after", "reset_before": "before"}
 """`[network] form` -> where the reset gate acts, in the words of `zerodrift.operations.gru`."""
+MLP_LAYERS = 3
 LONGEST_START_STEPS = 10.0
 """Units start with time constants from one step to this many; slower ones come from the lags."""
 
@@ -102,20 +104,159 @@ class GruNetwork(Network):
         return FloatGru(w_x=w_x, w_h=w_h, bias=bias, reset=self.reset)
 
 
+class FeedForwardNetwork(Network):
+    """A network without a state: its memory is in what it sees, windows or lags."""
+
+    @abstractmethod
+    def answer(self, x: Tensor) -> Tensor:
+        """Return the outputs [N, K] for features x [N, I]."""
+
+    @abstractmethod
+    def to_dense(self) -> tuple[FloatDense, ...]:
+        """Return the layers before the head, all of them dense, as simulation and chip run them."""
+
+    def forward(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the drift [T, K, B], and states of no width; see `Network`."""
+        steps, features, batch = x.shape
+        drift = self.answer(x.transpose(1, 2).reshape(steps * batch, features))
+        return drift.reshape(steps, batch, -1).transpose(1, 2), x.new_zeros(steps, 0, batch)
+
+    def rest(self, x: Tensor) -> Tensor:
+        """Return a state of no width, [0, B]."""
+        return torch.zeros(0, x.shape[1])
+
+    def cold(self, batch: int) -> Tensor:
+        """Return a state of no width, [0, B]."""
+        return torch.zeros(0, batch)
+
+
+class MlpNetwork(FeedForwardNetwork):
+    """Layers of tanh units, and a linear head."""
+
+    def __init__(self, features: int, hidden: int, outputs: int, layers: int = MLP_LAYERS) -> None:
+        super().__init__()
+        widths = [features, *[hidden] * layers]
+        self.weights = torch.nn.ParameterList(
+            torch.zeros(b, a) for a, b in itertools.pairwise(widths)
+        )
+        self.biases = torch.nn.ParameterList(torch.zeros(b) for b in widths[1:])
+        self.head = torch.nn.Parameter(torch.zeros(outputs, hidden))
+        self.head_bias = torch.nn.Parameter(torch.zeros(outputs))
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """Draw the first weights (Glorot and Bengio, 2010); the head is zero."""
+        with torch.no_grad():
+            for weight, bias in zip(self.weights, self.biases, strict=True):
+                reach = math.sqrt(6.0 / sum(weight.shape))
+                weight.uniform_(-reach, reach, generator=generator)
+                bias.uniform_(-0.5, 0.5, generator=generator)
+
+    def answer(self, x: Tensor) -> Tensor:
+        """Return the outputs [N, K]; see `FeedForwardNetwork`."""
+        for weight, bias in zip(self.weights, self.biases, strict=True):
+            x = torch.tanh(torch.nn.functional.linear(x, weight, bias))
+        return torch.nn.functional.linear(x, self.head, self.head_bias)
+
+    def to_dense(self) -> tuple[FloatDense, ...]:
+        """Return the hidden layers; see `FeedForwardNetwork`."""
+        return tuple(
+            FloatDense(read_array(weight), read_array(bias), "tanh")
+            for weight, bias in zip(self.weights, self.biases, strict=True)
+        )
+
+
+class TcnNetwork(FeedForwardNetwork):
+    """Causal convolutions of two taps, dilated 1, 2, 4, ..., over a window, and a linear head.
+
+    The last dilation is shortened so that the answer sees the window exactly. Features are laid out
+    newest sample first: feature `age * channels + channel`.
+
+    Source: Bai, Kolter and Koltun, "An empirical evaluation of generic convolutional and recurrent
+    networks for sequence modeling", 2018; here without residual branches.
+    """
+
+    def __init__(self, features: int, hidden: int, outputs: int, window: int) -> None:
+        super().__init__()
+        self.window = window
+        self.channels = features // window
+        self.dilations = list_dilations(window)
+        widths = [self.channels, *[hidden] * len(self.dilations)]
+        self.weights = torch.nn.ParameterList(
+            torch.zeros(b, a, 2) for a, b in itertools.pairwise(widths)
+        )
+        self.biases = torch.nn.ParameterList(torch.zeros(b) for b in widths[1:])
+        self.head = torch.nn.Parameter(torch.zeros(outputs, hidden))
+        self.head_bias = torch.nn.Parameter(torch.zeros(outputs))
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """Draw the first weights (He et al., 2015); the head is zero."""
+        with torch.no_grad():
+            for weight, bias in zip(self.weights, self.biases, strict=True):
+                reach = math.sqrt(6.0 / (weight.shape[1] * weight.shape[2]))
+                weight.uniform_(-reach, reach, generator=generator)
+                bias.uniform_(-0.5, 0.5, generator=generator)
+
+    def answer(self, x: Tensor) -> Tensor:
+        """Return the outputs [N, K]; see `FeedForwardNetwork`."""
+        x = x.reshape(-1, self.window, self.channels).flip(1).transpose(1, 2)  # oldest first
+        for weight, bias, dilation in zip(self.weights, self.biases, self.dilations, strict=True):
+            x = torch.relu(torch.nn.functional.conv1d(x, weight, bias, dilation=dilation))
+        return torch.nn.functional.linear(x[:, :, -1], self.head, self.head_bias)
+
+    def to_dense(self) -> tuple[FloatDense, ...]:
+        """Return the convolutions at those ages that the answer needs, as dense layers."""
+        ages = [0]
+        layers: list[FloatDense] = []
+        pairs = list(zip(self.weights, self.biases, self.dilations, strict=True))
+        for depth, (weight, bias, dilation) in reversed(list(enumerate(pairs))):
+            below = sorted({age + shift for age in ages for shift in (0, dilation)})
+            if depth == 0:
+                below = list(range(self.window))
+            w, b = read_array(weight), read_array(bias)
+            outputs, inputs = w.shape[:2]
+            dense = np.zeros((len(ages) * outputs, len(below) * inputs))
+            for row, age in enumerate(ages):
+                rows = slice(row * outputs, (row + 1) * outputs)
+                for tap, shift in enumerate((dilation, 0)):  # conv1d's taps, the older one first
+                    at = below.index(age + shift) * inputs
+                    dense[rows, at : at + inputs] = w[:, :, tap]
+            layers.append(FloatDense(dense, np.tile(b, len(ages)), "clip", low=0.0))
+            ages = below
+        return tuple(reversed(layers))
+
+
+def read_array(x: Tensor) -> Array:
+    """Return a tensor's values in float64."""
+    return np.asarray(x.detach().numpy().astype(np.float64))
+
+
+def list_dilations(window: int) -> tuple[int, ...]:
+    """Return 1, 2, 4, ... for two-tap convolutions that together see `window` samples.
+
+    Example:
+        >>> list_dilations(10)
+        (1, 2, 4, 2)
+    """
+    dilations: list[int] = []
+    left = window - 1
+    while left > 0:
+        dilations.append(min(2 ** len(dilations), left))
+        left -= dilations[-1]
+    return tuple(dilations)
+
+
 def build_network(
     config: NetworkConfig, features: int, outputs: int, generator: torch.Generator
-) -> GruNetwork:
-    """Return the untrained network of a project, its weights drawn from `generator`.
-
-    Raises:
-        InputError: the kind cannot be trained by this version.
-    """
-    if config.kind != "gru":
-        raise InputError(
-            f"[network] kind '{config.kind}' cannot be trained by this version; use 'gru', or"
-            " 'none' for physics alone."
-        )
-    form = str(config.options.get("form", "reset_after"))
-    network = GruNetwork(features, config.hidden, outputs, form)
+) -> GruNetwork | MlpNetwork | TcnNetwork:
+    """Return the untrained network of a project, its weights drawn from `generator`."""
+    network: GruNetwork | MlpNetwork | TcnNetwork
+    match config.kind:
+        case "gru":
+            form = str(config.options.get("form", "reset_after"))
+            network = GruNetwork(features, config.hidden, outputs, form)
+        case "tcn":
+            network = TcnNetwork(features, config.hidden, outputs, int(config.memory))
+        case _:
+            network = MlpNetwork(features, config.hidden, outputs)
     network.initialise(generator)
     return network

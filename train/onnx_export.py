@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from zerodrift.errors import InputError
+from zerodrift.operations.dense import FloatDense, FloatFeedForward
 from zerodrift.operations.gru import FloatGru
 from zerodrift.operations.gru_onnx import from_onnx_gates, to_onnx_gates
 
@@ -59,11 +60,68 @@ def build_onnx(gru: FloatGru, head: Array, head_bias: Array, outputs: Sequence[s
         helper.make_node("MatMul", ["hidden", "head.weight"], ["unbiased"], name="head"),
         helper.make_node("Add", ["unbiased", "head.bias"], ["drift"], name="bias"),
     ]
+    return _write_file(
+        nodes,
+        [_describe("features", ("T", "B", features)), _describe("initial_h", (1, "B", hidden))],
+        [_describe("drift", ("T", "B", count)), _describe("hidden", ("T", "B", hidden))],
+        initializers,
+        outputs,
+    )
+
+
+def build_layers_onnx(network: FloatFeedForward, outputs: Sequence[str]) -> bytes:
+    """Return the ONNX file of dense layers and a head: `features` [N, I] to `drift` [N, K].
+
+    Args:
+        network: tanh layers, or rectifiers.
+        outputs: the outputs' names, for readers of the file.
+    """
+    constants: dict[str, Array] = {}
+    nodes = []
+    last = "features"
+    for i, layer in enumerate(network.dense):
+        name = f"dense_{i}"
+        constants |= {f"{name}.weight": layer.weight.T, f"{name}.bias": layer.bias}
+        activation = "Tanh" if layer.activation == "tanh" else "Relu"
+        nodes += [
+            helper.make_node("MatMul", [last, f"{name}.weight"], [f"{name}.product"], name=name),
+            helper.make_node(
+                "Add", [f"{name}.product", f"{name}.bias"], [f"{name}.sum"], name=f"{name}.add"
+            ),
+            helper.make_node(activation, [f"{name}.sum"], [f"{name}.out"], name=f"{name}.bend"),
+        ]
+        last = f"{name}.out"
+    constants |= {"head.weight": network.head.T, "head.bias": network.head_bias}
+    nodes += [
+        helper.make_node("MatMul", [last, "head.weight"], ["unbiased"], name="head"),
+        helper.make_node("Add", ["unbiased", "head.bias"], ["drift"], name="bias"),
+    ]
+    initializers = [
+        numpy_helper.from_array(np.ascontiguousarray(value, dtype=np.float32), name)
+        for name, value in constants.items()
+    ]
+    features, count = network.dense[0].weight.shape[1], network.head.shape[0]
+    return _write_file(
+        nodes,
+        [_describe("features", ("N", features))],
+        [_describe("drift", ("N", count))],
+        initializers,
+        outputs,
+    )
+
+
+def _write_file(
+    nodes: Sequence[onnx.NodeProto],
+    inputs: Sequence[onnx.ValueInfoProto],
+    results: Sequence[onnx.ValueInfoProto],
+    initializers: Sequence[onnx.TensorProto],
+    outputs: Sequence[str],
+) -> bytes:
     graph = helper.make_graph(
         nodes,
         "drift",
-        [_describe("features", ("T", "B", features)), _describe("initial_h", (1, "B", hidden))],
-        [_describe("drift", ("T", "B", count)), _describe("hidden", ("T", "B", hidden))],
+        inputs,
+        results,
         initializers,
         doc_string="outputs: " + ", ".join(outputs),
     )
@@ -75,6 +133,47 @@ def build_onnx(gru: FloatGru, head: Array, head_bias: Array, outputs: Sequence[s
     )
     onnx.checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString(deterministic=True))
+
+
+def read_onnx_weights(content: bytes, where: str) -> dict[str, Array]:
+    """Return the weights of a file that this module wrote, by name, in the file's order.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    try:
+        model = onnx.load_model_from_string(content)
+        found = {t.name: numpy_helper.to_array(t) for t in model.graph.initializer}
+    except Exception as error:  # protobuf raises its own kinds, without a common base
+        raise InputError(
+            f"{where}: this is no network of zerodrift ({error}). Run `zerodrift train` again."
+        ) from error
+    return {k: v.astype(np.float64) for k, v in found.items() if v.dtype.kind == "f"}
+
+
+def read_onnx_layers(content: bytes, where: str) -> FloatFeedForward:
+    """Return the layers of a file that `build_layers_onnx` wrote.
+
+    Raises:
+        InputError: the file is damaged or another program's.
+    """
+    try:
+        weights = read_onnx_weights(content, where)
+        model = onnx.load_model_from_string(content)
+        bends = [n.op_type for n in model.graph.node if n.op_type in ("Tanh", "Relu")]
+        dense = tuple(
+            FloatDense(weights[f"dense_{i}.weight"].T, weights[f"dense_{i}.bias"], "tanh")
+            if bend == "Tanh"
+            else FloatDense(
+                weights[f"dense_{i}.weight"].T, weights[f"dense_{i}.bias"], "clip", low=0.0
+            )
+            for i, bend in enumerate(bends)
+        )
+        return FloatFeedForward(dense, weights["head.weight"].T, weights["head.bias"])
+    except KeyError as error:
+        raise InputError(
+            f"{where}: this is no network of zerodrift ({error}). Run `zerodrift train` again."
+        ) from error
 
 
 def read_onnx_gru(content: bytes, where: str) -> FloatGru:

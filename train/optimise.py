@@ -176,7 +176,7 @@ class Trainer:
 
     def _begin(self, start: int) -> _Attempt:
         s = self._settings
-        generator = torch.Generator().manual_seed(_draw_seed(s.seed, start))
+        generator = torch.Generator().manual_seed(draw_seed(s.seed, start))
         network = self._build(generator)
         biases = [p for name, p in network.named_parameters() if "bias" in name]
         weights = [p for name, p in network.named_parameters() if "bias" not in name]
@@ -233,10 +233,7 @@ class Trainer:
             attempt.offsets -= attempt.offsets.mean(axis=0)
         rmse = math.sqrt(squares / weight)
         if not math.isfinite(rmse):
-            raise InputError(
-                f"the training of the network diverged in epoch {attempt.epoch}; lower"
-                f" [network] learning_rate (now {s.learning_rate:g}) or look at the logs' range."
-            )
+            raise explain_divergence(attempt.epoch, s.learning_rate)
         return rmse
 
     def _judge(self, attempt: _Attempt, train_rmse: float) -> None:
@@ -322,10 +319,18 @@ def one_cycle(place: float, warm_up: float) -> float:
     return CYCLE_END + (1.0 - CYCLE_END) * fall
 
 
-def _draw_seed(seed: int, start: int) -> int:
+def draw_seed(seed: int, start: int) -> int:
     """Return the seed of one start, unrelated to those of its neighbours."""
     return int(
         np.random.SeedSequence((seed, start)).generate_state(1, np.uint64)[0] >> np.uint64(1)
+    )
+
+
+def explain_divergence(epoch: int, learning_rate: float) -> InputError:
+    """Return the error of a training whose loss is no number any more."""
+    return InputError(
+        f"the training of the network diverged in epoch {epoch}; lower"
+        f" [network] learning_rate (now {learning_rate:g}) or look at the logs' range."
     )
 
 

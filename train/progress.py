@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from zerodrift.train.training import Stage
+from zerodrift.train.scores import Stage
 
 LINES = "ZERODRIFT_PROGRESS_LINES"
 """Environment variable: progress is told in lines that begin with `progress: `."""

@@ -39,6 +39,23 @@ class Scores:
     """What "held out" means here, and whether runs' own offsets are taken off."""
 
 
+@dataclass(frozen=True)
+class Stage:
+    """Progress of the whole training, for a bar."""
+
+    done: float
+    """Share of the work, 0 .. 1."""
+    text: str
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained compensator and what it achieves."""
+
+    compensator: Compensator
+    scores: Scores
+
+
 def score(
     compensator: Compensator,
     dataset: Dataset,

@@ -113,7 +113,7 @@ class StreamCourse:
         chunk = self._chunk
         with torch.no_grad():
             rest = network.rest(self._x[0])
-            if self._states.numel() == 0:
+            if self._states.ndim == 1:
                 # The first epoch starts from a pass through the whole runs.
                 _, states = network(self._x[chunk:], rest)
                 self._states = torch.cat((rest.expand(chunk + 1, -1, -1), states))

@@ -1,12 +1,12 @@
 """What comes before the network: physics, its lag, the linear part, and what is left to learn."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.config import Config
+from zerodrift.config import WINDOWED_KINDS, Config
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import TARE_RATIO, fit
@@ -17,6 +17,9 @@ from zerodrift.train.linear import fit_linear
 from zerodrift.train.sequences import Sequence32
 
 Array = NDArray[np.float64]
+
+SPACING_S = 10.0
+"""Between the samples of a window: at 0.1 s the thermometer's noise hides the slope."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,10 @@ def fit_stages(config: Config, physics: PhysicalModel, runs: Sequence[Run]) -> S
     lags_s = config.network.lags_s or choose_lags(
         runs, [physics.features(run) for run in runs], [run.drift / unit for run in runs]
     )
-    front_end = fit_front_end(list_taps(config, runs, lags_s), runs)
+    taps = list_taps(config, runs, lags_s)
+    if config.network.kind in WINDOWED_KINDS:
+        taps = list_window(taps, config)
+    front_end = fit_front_end(taps, runs, decorrelate=config.network.kind != "tcn")
     features = [front_end.compute(run) for run in runs]
     linear = fit_linear(runs, features, [residual / unit for residual in residuals]) * unit
     left = [r - x @ linear for r, x in zip(residuals, features, strict=True)]
@@ -142,6 +148,18 @@ def list_taps(config: Config, runs: Sequence[Run], lags_s: Sequence[float]) -> t
         Tap("level"),
         *(Tap("level", source=name) for name in others),
         *(Tap("lag", tau_s=tau_s) for tau_s in lags_s),
+    )
+
+
+def list_window(taps: Sequence[Tap], config: Config) -> tuple[Tap, ...]:
+    """Return taps of the present sample and of those before it, newest sample first."""
+    network = config.network
+    spacing_s = float(network.options.get("spacing_s", SPACING_S))
+    steps = max(1, round(spacing_s / config.sample_period_s))
+    return tuple(
+        replace(tap, steps=age * steps, hops=max(age, 1))
+        for age in range(int(network.memory))
+        for tap in taps
     )
 
 

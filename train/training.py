@@ -16,38 +16,26 @@ import torch
 
 from zerodrift.config import Config, NetworkConfig
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.physics.model import PhysicalModel
+from zerodrift.train.bank_training import train_bank
 from zerodrift.train.compensator import Compensator, calibrate
-from zerodrift.train.networks import build_network
-from zerodrift.train.onnx_export import build_onnx
+from zerodrift.train.networks import GruNetwork, build_network
+from zerodrift.train.onnx_export import build_layers_onnx, build_onnx
 from zerodrift.train.optimise import Progress, Result, Settings, Trainer
-from zerodrift.train.scores import Scores, score
+from zerodrift.train.scores import Stage, Trained, score
 from zerodrift.train.sequences import Sequence32
 from zerodrift.train.split import Split, split_runs
 from zerodrift.train.stages import Stages, fit_physics, fit_stages
 
 WORTH_ITS_FLASH = 0.97
 """The network is kept if it brings the error on held-out runs below this multiple."""
+RATE = 5e-3
+"""Peak learning rate of networks without a recurrence."""
 WINDOW_EPOCHS = 24
 """Default for windows: there are as many of them as samples, and each is a sequence of its own."""
 REHEARSAL, PERFORMANCE = "rehearsal.npz", "performance.npz"
-
-
-@dataclass(frozen=True)
-class Stage:
-    """Progress of the whole training, for a bar."""
-
-    done: float
-    """Share of the epochs, 0 .. 1."""
-    text: str
-
-
-@dataclass(frozen=True)
-class Trained:
-    """A trained compensator and what it achieves."""
-
-    compensator: Compensator
-    scores: Scores
 
 
 def read_settings(
@@ -63,15 +51,26 @@ def read_settings(
     default = Settings()
     options = network.options
     count = starts or int(options.get("starts", len(default.starts)))
-    usual = default.epochs if network.memory == "stream" else WINDOW_EPOCHS
+    memory = walk_of(network)
+    usual = default.epochs if memory == "stream" else WINDOW_EPOCHS
     return replace(
         default,
-        memory=network.memory,
+        memory=memory,
         seed=network.seed,
         starts=tuple(range(count)),
         epochs=epochs or int(options.get("epochs", usual)),
-        learning_rate=float(options.get("learning_rate", default.learning_rate)),
+        learning_rate=float(
+            options.get("learning_rate", default.learning_rate if network.kind == "gru" else RATE)
+        ),
     )
+
+
+def walk_of(network: NetworkConfig) -> str | int:
+    """Return how a network walks through time: "stream", or a window that a GRU runs over.
+
+    Windows of the other kinds are in what they see, so that they answer sample by sample.
+    """
+    return network.memory if network.kind == "gru" else "stream"
 
 
 def train(
@@ -101,7 +100,42 @@ def train(
     catalogue = catalogue or load_catalogue(config.plugin_files)
     settings = read_settings(config.network, epochs, starts)
     physics = fit_physics(config, dataset, dataset.train, catalogue)
-    alone = Compensator(
+    alone = stand_alone(config, dataset, physics, settings)
+    if config.network.kind == "none":
+        return Trained(alone, score(alone, dataset))
+    if config.network.kind == "lag_bank":
+        return train_bank(alone, config, dataset, catalogue, report)
+    split = split_runs(dataset.train)
+    course = _Course(config, settings, resume, report)
+    rehearsed = fit_stages(config, fit_physics(config, dataset, split.fit, catalogue), split.fit)
+    rehearsal = course.rehearse(rehearsed, split)
+    stages = fit_stages(config, physics, dataset.train)
+    result = None
+    if is_worth_its_flash(rehearsal):
+        result = course.perform(stages, dataset.train, rehearsal)
+    course.forget()
+    prepared = Prepared(alone, split, rehearsed, stages)
+    return conclude(config, dataset, prepared, rehearsal, result)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What is fitted before a network is trained."""
+
+    alone: Compensator
+    """Physics alone."""
+    split: Split
+    rehearsed: Stages
+    """Fitted to the runs that are not held out."""
+    stages: Stages
+    """Fitted to all training runs."""
+
+
+def stand_alone(
+    config: Config, dataset: Dataset, physics: PhysicalModel, settings: Settings
+) -> Compensator:
+    """Return the compensator of the physical model alone."""
+    return Compensator(
         physics=physics,
         outputs=dataset.outputs,
         units=dataset.units,
@@ -111,26 +145,48 @@ def train(
         trained_from=mark_inputs(config, dataset, settings),
         notes=physics.notes,
     )
-    if config.network.kind == "none":
-        return Trained(alone, score(alone, dataset))
-    build_network(config.network, 1, 1, torch.Generator())  # refuses what cannot be trained
-    split = split_runs(dataset.train)
-    course = _Course(config, settings, resume, report)
-    rehearsed = fit_stages(config, fit_physics(config, dataset, split.fit, catalogue), split.fit)
-    rehearsal = course.rehearse(rehearsed, split)
-    stages = fit_stages(config, physics, dataset.train)
-    if rehearsal.rmse < WORTH_ITS_FLASH * rehearsal.rmse_without:
-        result = course.perform(stages, dataset.train, rehearsal)
-        compensator = assemble(alone, stages, dataset.train, config, result)
-    else:
+
+
+def is_worth_its_flash(rehearsal: Result) -> bool:
+    """Return whether the network helped on the runs held out."""
+    return rehearsal.rmse < WORTH_ITS_FLASH * rehearsal.rmse_without
+
+
+def choose_length(rehearsal: Result, epochs: int) -> int:
+    """Return the epochs of the performance.
+
+    A cycle that is cut short ends while its steps are long, so the cycle is walked to its end;
+    unless the rehearsal had lost by then what it had gained, which calls for a shorter one.
+    """
+    whole = rehearsal.last_rmse < WORTH_ITS_FLASH * rehearsal.rmse_without
+    return epochs if whole else rehearsal.epoch
+
+
+def conclude(
+    config: Config,
+    dataset: Dataset,
+    prepared: Prepared,
+    rehearsal: Result,
+    result: Result | None,
+) -> Trained:
+    """Return the compensator and its errors once the network is trained.
+
+    Args:
+        config: the project.
+        dataset: its runs.
+        prepared: what was fitted before the network.
+        rehearsal: the network trained with runs held out.
+        result: the network trained on all runs; None leaves it out.
+    """
+    alone, rehearsed, split = prepared.alone, prepared.rehearsed, prepared.split
+    compensator = assemble(alone, prepared.stages, dataset.train, config, result)
+    if result is None:
         note = (
             "the network found nothing that carries over to the runs held out "
             f"(error {rehearsal.rmse / rehearsal.rmse_without:.3f} of that without it), and was "
             "left out"
         )
-        compensator = assemble(alone, stages, dataset.train, config, None)
         compensator = replace(compensator, notes=(*compensator.notes, note))
-    course.forget()
     if dataset.test:
         return Trained(compensator, score(compensator, dataset))
     kept = rehearsal if compensator.network is not None else None
@@ -169,13 +225,8 @@ class _Course:
         return self._train(stages, self._settings, REHEARSAL, tell, sequences, held_out)
 
     def perform(self, stages: Stages, runs: Sequence[Run], rehearsal: Result) -> Result:
-        """Train with all runs, from the start that did best in the rehearsal.
-
-        A cycle that is cut short ends while its steps are long, so the cycle is walked to its end;
-        unless the rehearsal had lost by then what it had gained, which calls for a shorter one.
-        """
-        whole = rehearsal.last_rmse < WORTH_ITS_FLASH * rehearsal.rmse_without
-        length = self._settings.epochs if whole else rehearsal.epoch
+        """Train with all runs, from the start that did best in the rehearsal."""
+        length = choose_length(rehearsal, self._settings.epochs)
         settings = replace(self._settings, starts=(rehearsal.start,), epochs=length)
 
         def tell(progress: Progress) -> None:
@@ -242,7 +293,7 @@ def assemble(
         constant=stages.constant,
         tared=stages.tared,
         network=network,
-        memory=config.network.memory,
+        memory=walk_of(config.network),
     )
     features = [stages.front_end.compute(run) for run in runs]
     predictions = [whole.predict(run) for run in runs]
@@ -258,6 +309,8 @@ def _to_onnx(config: Config, stages: Stages, result: Result) -> bytes:
     head = network.head.detach().numpy() * stages.scale[:, None]
     bias = network.head_bias.detach().numpy() * stages.scale
     names = [output.name for output in config.outputs]
+    if not isinstance(network, GruNetwork):
+        return build_layers_onnx(FloatFeedForward(network.to_dense(), head, bias), names)
     return build_onnx(network.to_float(), head, bias, names)
 
 
@@ -271,7 +324,14 @@ def mark_inputs(config: Config, dataset: Dataset, settings: Settings | None = No
     """
     settings = settings or read_settings(config.network)
     effects = [[e.kind, dict(e.held), dict(e.options)] for e in config.effects]
-    network = [config.network.kind, config.network.hidden, list(config.network.lags_s)]
+    network = [
+        config.network.kind,
+        config.network.hidden,
+        list(config.network.lags_s),
+        config.network.memory,
+        config.network.options.get("spacing_s"),
+        list(config.inputs),
+    ]
     form = config.network.options.get("form", "reset_after")
     values = [
         effects,

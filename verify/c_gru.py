@@ -5,6 +5,7 @@ needs the standard library only.
 """
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 from zerodrift.verify.c_intervals import Machine
@@ -30,12 +31,17 @@ def run_portable(machine: Machine, after: bool, layer: Array, *given: Any) -> No
         [v.low for v in constants[t].flat()] if isinstance(t, str) else [] for t in layer.cells[:5]
     ]
     w_x, w_16, w_8, multiplier, bias = tables
+    for scratch in given[4:-1]:
+        scratch.hold(given[1].low)
     _gru(machine, after, layer, (w_x, w_16 or w_8, bias), multiplier, *given)
 
 
-def run_packed(machine: Machine, unpack: Any, layer: Array, *given: Any) -> None:
-    """Step a layer whose weights lie in another order, which `unpack` knows."""
+def run_packed(machine: Machine, packing: "Packing", layer: Array, *given: Any) -> None:
+    """Step a layer whose weights lie in another order."""
+    unpack, sizes = packing
     inputs, hidden = given[0].low, given[1].low
+    for scratch, size in zip(given[4:-1], sizes(inputs, hidden), strict=True):
+        scratch.hold(size)
     constants = machine.code.constants
     tables = [[v.low for v in constants[t].flat()] for t in layer.cells if isinstance(t, str)]
     _gru(machine, True, layer, unpack(*tables, inputs, hidden), [], *given)
@@ -98,6 +104,13 @@ def unpack_rows(numbers: list[int], biases: list[int], inputs: int, hidden: int)
     return rows
 
 
+Packing = tuple[Callable[..., Rows], Callable[[int, int], list[int]]]
+"""How to read the tables of a kernel, and what its scratch arrays have to hold, in order."""
+PAIRS: Packing = unpack_pairs, lambda i, h: [-(-i // 2) - (-h // 2)]
+ROWS: Packing = unpack_rows, lambda i, h: [8 * (-(-i // 8) - (-h // 8))]
+COLUMNS: Packing = unpack_columns, lambda i, h: [8 * -(-h // 8), -(-i // 2) + 4 * -(-h // 8)]
+
+
 def _trim(row: list[int], count: int) -> list[int]:
     """Return a row without what fills it up, which must be zeros."""
     if len(row) < count or any(row[count:]):
@@ -119,6 +132,7 @@ def _gru(
 ) -> None:
     """Every accumulator by the sum of its terms' sizes, hence in whatever order they are added."""
     (w_x, w_h, bias), limit, x = rows, machine.h_limit, features.flat()
+    h.hold(hidden.low)
     name = re.sub(r"_(\d+)$", r".\1", layer.place)  # a layer of a stack
     if any(abs(v.low) > limit or abs(v.high) > limit for v in h.flat()):
         machine.fail(f"{name}: the state is not known to be within {limit} before the step")

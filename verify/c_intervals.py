@@ -68,13 +68,19 @@ class Machine(Expressions):
                 low, high = TYPES[kind]
                 cell = rf"s -> {name} (?:\[ k \] )?"
                 own = re.findall(
-                    rf"\( s -> {name} \[ \d+ \] < (-?\d+) \) \|\| \( .*? > (-?\d+) \)", test
+                    rf"\( s -> {name} \[ (\d+) \] < (-?\d+) \)"
+                    rf" \|\| \( s -> {name} \[ (\d+) \] > (-?\d+) \)",
+                    test,
                 )
                 if struct == f"{prefix}_state_t" and own:  # each element has its own range
-                    cells = [Value(int(low), int(high), kind) for low, high in own]
+                    places = [(int(i), int(j)) for i, _, j, _ in own]
+                    if places != [(i, i) for i in range(*sizes)]:
+                        raise NotUnderstoodError(f"{prefix}_state_is_sound: {name} {places}")
+                    cells = [Value(int(low), int(high), kind) for _, low, _, high in own]
                     fields[name] = Array(cells, len(cells), place=name)
                     continue
                 if struct == f"{prefix}_state_t":
+                    _require_all(name, sizes, test)
                     stem, _, last = name.rpartition("_")
                     if m := re.search(rf"\( {cell}< (-?\d+) \) \|\| \( {cell}> (-?\d+) \)", test):
                         low, high = int(m[1]), int(m[2])
@@ -359,6 +365,15 @@ def read_lines(tables: Mapping[str, list[int]]) -> list[tuple[int, int]]:
     if len(lines) != 512:
         raise NotUnderstoodError(f"tanh has {len(lines)} lines; 512 are read")
     return lines
+
+
+def _require_all(name: str, sizes: list[int], test: str) -> None:
+    """Raise where a state check does not look at every element of a field, and at no other."""
+    counts = re.findall(rf"zd_gru_state_is_sound \( s -> {name} , (\d+)u \)", test)
+    for count, body in re.findall(r"k < (\d+)u ; k \+\+ \) \{ (.*?) \{", test):
+        counts += [count] * (f"s -> {name} [" in body)
+    if any([int(count)] != sizes for count in counts):
+        raise NotUnderstoodError(f"the state check looks at {counts} of {name} {sizes}")
 
 
 def _join(a: dict[str, Any], b: dict[str, Any]) -> dict[str, Any]:

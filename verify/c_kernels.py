@@ -7,14 +7,7 @@ needs the standard library only.
 from collections.abc import Callable
 from typing import Any
 
-from zerodrift.verify.c_gru import (
-    run_packed,
-    run_portable,
-    shift_right,
-    unpack_columns,
-    unpack_pairs,
-    unpack_rows,
-)
+from zerodrift.verify.c_gru import COLUMNS, PAIRS, ROWS, run_packed, run_portable, shift_right
 from zerodrift.verify.c_intervals import Machine
 from zerodrift.verify.c_reader import TYPES, Array, Value
 
@@ -124,6 +117,8 @@ def _power(machine: Machine, power: Array, x: Value) -> Value:
 
 
 def _dot(machine: Machine, weights: Array, x: Array, count: Value) -> Value:
+    weights.hold(count.low)
+    x.hold(count.low)
     machine.row_of = weights.place.removesuffix("_weights")
     terms = list(zip(weights.cells[: count.low], x.flat()[: count.low], strict=True))
     ends = [sorted((w.low * v.low, w.low * v.high)) for w, v in terms]
@@ -158,14 +153,14 @@ def _lowpass(machine: Machine, v: Value, x: Value, c: Value, m: Value, shift: Va
 
 
 def _copy_state(machine: Machine, h: Array, copy: Array, count: Value) -> None:
+    h.hold(count.low)
+    copy.hold(count.low)
     cells = [((v.low + (1 << 14)) >> 15, (v.high + (1 << 14)) >> 15) for v in h.flat()]
     copy.cells = [machine.convert(Value(*ends), "int16_t") for ends in cells[: count.low]]
 
 
-def _scratch(machine: Machine, *sizes: Value) -> Value:
-    """The length of a kernel's scratch array, which only the kernel reads."""
-    del machine, sizes
-    return Value(1, 1)
+def _plain(n: int) -> Value:
+    return Value(n, n, "uint32_t")
 
 
 RULES: dict[str, Callable[..., Any]] = {
@@ -186,11 +181,12 @@ RULES: dict[str, Callable[..., Any]] = {
     "zd_gru_copy_state": _copy_state,
     "zd_gru_step_after": lambda machine, *given: run_portable(machine, True, *given),
     "zd_gru_step_before": lambda machine, *given: run_portable(machine, False, *given),
-    "zd_gru_step_pairs": lambda machine, *given: run_packed(machine, unpack_pairs, *given),
-    "zd_gru_step_columns": lambda machine, *given: run_packed(machine, unpack_columns, *given),
-    "zd_gru_step_rows": lambda machine, *given: run_packed(machine, unpack_rows, *given),
-    "ZD_PAIR_SCRATCH": _scratch,
-    "ZD_ROW_VECTORS": _scratch,
-    "ZD_COLUMN_UNITS": _scratch,
-    "ZD_COLUMN_PAIRS": _scratch,
+    "zd_gru_step_pairs": lambda machine, *given: run_packed(machine, PAIRS, *given),
+    "zd_gru_step_columns": lambda machine, *given: run_packed(machine, COLUMNS, *given),
+    "zd_gru_step_rows": lambda machine, *given: run_packed(machine, ROWS, *given),
+    # what scratch arrays are declared by; the pairs kernel may take as many numbers twice as wide
+    "ZD_PAIR_SCRATCH": lambda machine, i, h: _plain((i.low + 1) // 2 + (h.low + 1) // 2),
+    "ZD_ROW_VECTORS": lambda machine, n: _plain((n.low + 7) // 8),
+    "ZD_COLUMN_UNITS": lambda machine, h: _plain((h.low + 7) // 8 * 8),
+    "ZD_COLUMN_PAIRS": lambda machine, i, h: _plain((i.low + 1) // 2 + (h.low + 7) // 8 * 4),
 }

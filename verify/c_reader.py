@@ -23,7 +23,7 @@ CONDITION = re.compile(
     r"#(if ZD_RUNTIME_FORMAT != \d+|ifndef (?:ZD_OBSERVE|\w+_H)"
     r"|(?:el)?if ZD_KERNEL == (ZD_KERNEL_[A-Z]+)"
     r"|if \(ZD_KERNEL == ZD_KERNEL_PAIRS\) && defined\(ZD_GRU_ASSEMBLY\)"
-    r"|if defined\(ZD_GRU_ASSEMBLY\)|else|endif)"
+    r"|if ZD_GRU_ASSEMBLY == 6|if defined\((?:ZD_GRU_ASSEMBLY|ZD_SMALL)\)|else|endif)"
 )
 
 
@@ -71,12 +71,18 @@ class Array:
 
     def fill(self, value: Value, count: int) -> None:
         """Let the first `count` cells be anything that `value` is."""
+        self.hold(count)
         if self.shared:
             self.cells = [value]
             return
         self.cells = [value] * count + self.cells[count:]
         if self.whole is not None:
             self.whole.cells[self.first : self.first + count] = [value] * count
+
+    def hold(self, count: int) -> None:
+        """Raise IndexError where the array has less than `count` elements."""
+        if count > self.size:
+            raise IndexError(f"{count} elements of an array of {self.size}")
 
     def at(self, index: Value) -> list[int]:
         """Return the positions in `cells` that an index can mean."""

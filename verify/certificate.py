@@ -1,7 +1,7 @@
 """The overflow certificate: every bound that the arithmetic of a model relies on, and of what C.
 
-What is claimed here holds for any int16 input codes. It is written by the prover that the quantizer
-uses; `certificate_check` derives it again from the C alone.
+What is claimed here holds for any codes that the types of the inputs can hold. It is written by the
+prover that the quantizer uses; `certificate_check` derives it again from the C alone.
 """
 
 import hashlib
@@ -40,14 +40,19 @@ def certify(model: IntegerModel, code: GeneratedCode) -> str:
     unused = {f"{n.name}.rise" for n in model.nodes if getattr(n, "newer_q31", 1) == 0}
     body: dict[str, Any] = {
         "certificate": FORMAT,
-        "about": "Nothing overflows, for any int16 input. Derived from the weights by intervals;"
+        "about": "Nothing overflows, for any input code. Derived from the weights by intervals;"
         " `zerodrift verify --certificate` derives it again from the C alone.",
         "generator": f"zerodrift {__version__}",
         "model": model.hash,
         "prefix": code.prefix,
         "files": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()},
         "inputs": [
-            {"channel": channel.name, "low": -32768, "high": 32767} for channel in model.channels
+            {
+                "channel": channel.name,
+                "low": -(1 << (channel.bits - 1)),
+                "high": (1 << (channel.bits - 1)) - 1,
+            }
+            for channel in model.channels
         ],
         "invariants": [_describe_invariant(name) for name, _ in list_layers(layer)],
         "tables": [_describe_table()] if layer else [],
@@ -99,7 +104,7 @@ def list_shifts(node: IntegerNode) -> list[tuple[str, int, int]]:
     if node.kind == "sum" and shift == 0:  # is left out of the C
         return []
     if isinstance(shift, tuple):
-        most = 31 if node.kind == "dense" else 63
+        most = 31 if node.kind in ("dense", "feature_dense") else 63
         return [(f"{node.name}[{i}].shift", int(s), most) for i, s in enumerate(shift)]
     return [(f"{node.name}.shift", int(np.int64(shift)), 62)]
 

@@ -17,14 +17,21 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
 from zerodrift.export.compose_import import ImportedCompensator
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.lowering import Lowering
 from zerodrift.export.quantize import FEATURE_HEADROOM, Calibration, FloatModel
-from zerodrift.export.quantize_gru import quantize_head
+from zerodrift.export.quantize_layers import (
+    ReadOut,
+    quantize_read_out,
+    quantize_state_read_out,
+)
 from zerodrift.operations.arithmetic import INT16_MAX, choose_exponent
 from zerodrift.operations.backend import NumpyOperations
+from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import Node, list_nodes
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.intervals import Interval
+from zerodrift.operations.layers import COPY_BITS
 from zerodrift.physics.signals import graph_inputs, read_signals
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.mismatch import label_columns
@@ -75,7 +82,7 @@ class ErrorBudget:
 def measure_budget(
     described: FloatModel,
     calibration: Calibration,
-    compensator: Compensator,
+    compensator: Compensator | ImportedCompensator,
     host: HostModel,
     runs: Sequence[Run],
     steps: int = DECADES[-1],
@@ -107,26 +114,6 @@ def measure_budget(
         ),
         over_time=follow_over_time(compensator, host, max(runs, key=len), steps),
     )
-
-
-def measure_whole(
-    compensator: ImportedCompensator,
-    host: HostModel,
-    runs: Sequence[Run],
-    steps: int = LONGEST_RUN_STEPS,
-) -> ErrorBudget:
-    """Return the error budget of a network from elsewhere, which is one piece.
-
-    Args:
-        compensator: the float network.
-        host: its integer form's C, built to be observed.
-        runs: measurements, preferably held out.
-        steps: length of the run that is followed over time.
-    """
-    runs = [_cut(run, LONGEST_RUN_STEPS) for run in runs]
-    errors = [_subtract(compensator, host, run) for run in runs]
-    over_time = follow_over_time(compensator, host, max(runs, key=len), steps)
-    return ErrorBudget(_rms(np.concatenate(errors)), (), over_time)
 
 
 def follow_over_time(
@@ -199,7 +186,17 @@ class _Levels:
                 for x in calibration.feature_max
             ]
         )
+        self._read_out = self._quantize_read_out()
         self.order = [node.name for node in model.nodes]
+
+    def _quantize_read_out(self) -> ReadOut | None:
+        network = self._float.network
+        if network is None:
+            return None
+        if not isinstance(network, FloatFeedForward):
+            return quantize_state_read_out(network)
+        exponents = np.round(-np.log2(self._feature_scale)).astype(np.int64)
+        return quantize_read_out(network, "features", exponents, _prove_features(self._model))
 
     def answer_all(
         self, inputs: Sequence[Mapping[str, Array]], traces: Sequence[Mapping[str, Array]]
@@ -213,9 +210,11 @@ class _Levels:
         network = self._float.network
         if network is None:
             states: Iterator[Array] = iter(())
+        elif isinstance(network, FloatFeedForward):
+            states = (x for run in parts for _, x in run if x is not None)
         else:
             features = [x for run in parts for _, x in run if x is not None]
-            states = iter(run_float_gru(network.gru, features, self._float.window))
+            states = iter(run_float_states(network, features, self._float.window))
         return [
             [
                 self._finish(level, physical, next(states) if x is not None else None, trace)
@@ -249,7 +248,7 @@ class _Levels:
             else:
                 value = values[node]
             physical += value[:, None] * row
-        if self._float.network is None or "gru" in level:
+        if self._float.network is None or level & {"gru", "dense_0"}:
             return physical, None
         if "features" in level:
             return physical, trace["features"] * self._feature_scale
@@ -267,55 +266,69 @@ class _Levels:
         network = self._float.network
         if network is None:
             return physical
+        assert self._read_out is not None
         if "head" in level:
-            _, exponents = quantize_head(network.head)
-            return np.asarray(physical + trace["head"] * 2.0**-exponents + network.head_bias)
-        if "gru" in level:
-            states = trace["gru"] / 2.0**30
-        assert states is not None
-        return np.asarray(physical + states @ network.head.T + network.head_bias)
+            sums = trace["head"] * 2.0**-self._read_out.head_exponents
+            return np.asarray(physical + sums + network.head_bias)
+        on_chip = [node.name in level for node in self._read_out.dense].count(True)
+        if on_chip:
+            exponents = self._read_out.dense_exponents[on_chip - 1] + COPY_BITS
+            top = trace[self._read_out.dense[on_chip - 1].name] * 2.0**-exponents
+        elif "gru" in level:
+            top = trace["gru"] / 2.0**30
+        else:
+            assert states is not None
+            top = states
+        rest = replace(network, dense=network.dense[on_chip:])
+        of_rest = rest.run(top) if isinstance(rest, FloatFeedForward) else rest.read_out(top)
+        return np.asarray(physical + of_rest)
 
 
-def run_float_gru(gru: FloatGru, features: Sequence[Array], window: int) -> list[Array]:
-    """Return the states [n, H] of a GRU for each of several feature sequences [n, I], from rest.
+def _prove_features(model: IntegerModel) -> list[Interval]:
+    """Return what the features of a proven model can be."""
+    known: dict[str, list[Interval]] = {}
+    for node in model.nodes:
+        known[node.name], _ = node.prove([known[name] for name in node.inputs])
+    return known["features"]
+
+
+def run_float_states(network: FloatNetwork, features: Sequence[Array], window: int) -> list[Array]:
+    """Return the topmost states [n, H] for each of several feature sequences [n, I], from rest.
 
     Args:
-        gru: the float cell.
+        network: the float network.
         features: sequences of any lengths; equal ones are computed once.
         window: samples per window; 0 carries the state.
     """
     keys = [x.tobytes() for x in features]
     distinct = list(dict(zip(keys, features, strict=True)).values())
     if window:
-        found = [_run_windows(gru, x, window) for x in distinct]
+        found = [_run_windows(network, x, window) for x in distinct]
     else:
         longest = max(len(x) for x in distinct)
         padded = np.stack([np.pad(x, ((0, longest - len(x)), (0, 0)), "edge") for x in distinct])
-        h = gru.settle(padded[:, 0])
-        states = np.empty((longest, *h.shape))
+        now = network.settle(padded[:, 0])
+        states = np.empty((longest, *now[-1].shape))
         for t in range(longest):
-            h = states[t] = gru.step(padded[:, t], h)
+            now = network.step(padded[:, t], now)
+            states[t] = now[-1]
         found = [states[: len(x), i] for i, x in enumerate(distinct)]
     by_key = dict(zip(dict.fromkeys(keys), found, strict=True))
     return [by_key[key] for key in keys]
 
 
-def _run_windows(gru: FloatGru, x: Array, window: int) -> Array:
+def _run_windows(network: FloatNetwork, x: Array, window: int) -> Array:
     padded = np.concatenate([np.repeat(x[:1], window - 1, axis=0), x])
-    h = np.zeros((len(x), gru.w_h.shape[1]))
+    now = network.start(len(x))
     for k in range(window):
-        h = gru.step(padded[k : k + len(x)], h)
-    return h
+        now = network.step(padded[k : k + len(x)], now)
+    return now[-1]
 
 
-def _subtract(compensator: ImportedCompensator, host: HostModel, run: Run) -> Array:
-    """Return integer minus float model [n, K], in the outputs' units."""
-    scale = np.array([output.lsb_per_unit for output in host.model.outputs])
-    return np.asarray(_observe(host, run)["drift"] / scale - predict_on_chip(compensator, run))
-
-
-def _read_inputs(compensator: Compensator, run: Run) -> dict[str, Array]:
+def _read_inputs(compensator: Compensator | ImportedCompensator, run: Run) -> dict[str, Array]:
     """Return the float model's signals, the loads as the compensator leaves them."""
+    if compensator.physics is None:  # nothing but what was logged
+        return {**run.inputs, "temperature_degC": run.temperature_degC}
     drift = predict_on_chip(compensator, run)
     before = np.concatenate([drift[:1], drift[:-1]])
     fed_back = replace(run, reference=run.measured - before)

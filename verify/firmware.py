@@ -1,13 +1,12 @@
 """The main job's second half: quantize, generate, check bit for bit, tell the errors, write."""
 
-import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.c_runtime.footprint import Footprint, measure_footprint
-from zerodrift.c_runtime.host import HostModel, write_sources
+from zerodrift.c_runtime.host import HostModel, render_sources, write_sources
 from zerodrift.codegen.application import render_dbc
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
@@ -19,19 +18,24 @@ from zerodrift.export.compose import (
     describe_compensator,
     encode_inputs,
 )
-from zerodrift.export.compose_import import ImportedCompensator, compose_imported_model
-from zerodrift.export.fine_tune import load_or_tune
+from zerodrift.export.compose_import import (
+    ImportedCompensator,
+    calibrate_imported,
+    compose_imported_model,
+    describe_imported,
+)
+from zerodrift.export.fine_tune import load_or_tune, load_or_tune_imported
 from zerodrift.export.golden import compute_golden
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.export.integer_onnx import save_integer_onnx
+from zerodrift.export.integer_onnx import build_integer_onnx
+from zerodrift.files import make_directory, write_all
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.train.checkpoint import write_whole
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import Outcome, check_certificate
 from zerodrift.verify.chip_check import ChipCheck, check_chip
-from zerodrift.verify.error_budget import ErrorBudget, measure_budget, measure_whole
+from zerodrift.verify.error_budget import ErrorBudget, measure_budget
 from zerodrift.verify.errors_told import OutputError, tell_errors
 from zerodrift.verify.firmware_check import FirmwareCheck, check_firmware
 from zerodrift.verify.vectors import draw_sequences
@@ -90,12 +94,7 @@ def build_firmware(
             hold; nothing is written then.
     """
     progress("quantizing")
-    tuned = compensator
-    if isinstance(compensator, ImportedCompensator):
-        model = compose_imported_model(compensator, config, dataset)
-    else:
-        tuned = load_or_tune(compensator, config, dataset.train, progress)
-        model = compose_integer_model(tuned, config, dataset)
+    model, rounded = _compose(config, dataset, compensator, progress)
     code = generate(model)
     sequences = list_sequences(model, dataset)
     build = config.build_directory
@@ -108,16 +107,16 @@ def build_firmware(
         runs = dataset.test or dataset.train
         errors = tell_errors(compensator, check.host, runs)
         untuned: tuple[OutputError, ...] = ()
-        if tuned is not compensator and not isinstance(compensator, ImportedCompensator):
-            rounded = compose_integer_model(compensator, config, dataset)
+        if rounded is not None:
             host = HostModel(rounded, generate(rounded), Path(scratch) / "rounded")
             untuned = tell_errors(compensator, host, runs)
         if isinstance(compensator, ImportedCompensator):
-            budget = measure_whole(compensator, check.observed, runs)
+            described = describe_imported(compensator, config, dataset.train)
+            calibration = calibrate_imported(compensator, described, dataset.train)
         else:
             described = describe_compensator(compensator, config, dataset.train)
             calibration = calibrate(compensator, described, dataset.train)
-            budget = measure_budget(described, calibration, compensator, check.observed, runs)
+        budget = measure_budget(described, calibration, compensator, check.observed, runs)
         footprint = measure_footprint(code, CORE)
         progress("checking the certificate")
         certificate = certify(model, code)
@@ -143,6 +142,26 @@ def build_firmware(
     )
 
 
+def _compose(
+    config: Config,
+    dataset: Dataset,
+    compensator: Compensator | ImportedCompensator,
+    progress: Progress,
+) -> tuple[IntegerModel, IntegerModel | None]:
+    """Return the integer model and, where it was fine-tuned, what only rounding would give."""
+    if isinstance(compensator, ImportedCompensator):
+        layers = load_or_tune_imported(compensator, config, dataset.train, progress)
+        model = compose_imported_model(compensator, config, dataset, layers)
+        if layers is None:
+            return model, None
+        return model, compose_imported_model(compensator, config, dataset)
+    tuned = load_or_tune(compensator, config, dataset.train, progress)
+    model = compose_integer_model(tuned, config, dataset)
+    if tuned is compensator:
+        return model, None
+    return model, compose_integer_model(compensator, config, dataset)
+
+
 def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> Outcome:
     """Return what the independent check says of a certificate and the C it is about.
 
@@ -161,34 +180,47 @@ def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> Outcome:
     return outcome
 
 
-def list_sequences(model: IntegerModel, dataset: Dataset) -> dict[str, CodeArray]:
-    """Return the check's inputs: every log's codes, then random ones up to LEAST_VECTORS steps."""
+def list_sequences(
+    model: IntegerModel, dataset: Dataset, random_steps: int | None = None
+) -> dict[str, CodeArray]:
+    """Return the check's inputs: every log's codes, then random ones.
+
+    Args:
+        model: says how codes look.
+        dataset: the logs.
+        random_steps: by default as many as make LEAST_VECTORS steps in all.
+    """
     runs: tuple[Run, ...] = (*dataset.test, *dataset.train, *dataset.dwell)
     sequences = {f"log {r.name}": encode_inputs(model, r)[:LONGEST_LOG_STEPS] for r in runs}
     covered = sum(len(codes) for codes in sequences.values())
-    return sequences | draw_sequences(model, max(LEAST_VECTORS - covered, 5000))
+    steps = max(LEAST_VECTORS - covered, 5000) if random_steps is None else random_steps
+    return sequences | draw_sequences(model, steps)
 
 
 def write_artefacts(
     config: Config, model: IntegerModel, code: GeneratedCode, certificate: str
 ) -> tuple[Path, ...]:
-    """Write model, C and certificate, each file atomically; return the files beside the C.
+    """Write model, C and certificate, all or none of them; return the files beside the C.
 
-    Files are written beside their place first, so that a full disk leaves the old ones.
+    Files are complete beside their places before the first is put there, so that a full disk leaves
+    the old ones.
+
+    Raises:
+        InputError: a directory cannot be made or written, or has no room.
     """
-    out = config.firmware_out
-    out.mkdir(parents=True, exist_ok=True)
-    staging = Path(tempfile.mkdtemp(prefix=".staging-", dir=out))
-    try:
-        staged = [*write_sources(code, staging), staging / CERTIFICATE]
-        staged[-1].write_text(certificate, encoding="utf-8")
-        frames = staging / f"{code.prefix}.dbc"
-        frames.write_text(render_dbc(model), encoding="ascii")
-        staged.append(frames)
-        files = tuple(path.replace(out / path.name) for path in staged)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-    model.save(config.build_directory / "model.json")
-    write_whole(config.build_directory / CERTIFICATE, certificate.encode())
-    save_integer_onnx(model, config.build_directory / "integer.onnx")
-    return files
+    out, build = config.firmware_out, config.build_directory
+    texts = {
+        **render_sources(code),
+        CERTIFICATE: certificate,
+        f"{code.prefix}.dbc": render_dbc(model),
+    }
+    files = {out / name: text.encode() for name, text in texts.items()}
+    artefacts = {
+        build / "model.json": model.to_text().encode(),
+        build / CERTIFICATE: certificate.encode(),
+        build / "integer.onnx": build_integer_onnx(model),
+    }
+    for directory in (out, build):
+        make_directory(directory)
+    write_all(files | artefacts)
+    return tuple(files)

@@ -1,6 +1,6 @@
 """What the page asks of processes of its own: the survey of a project, and its diagnosis.
 
-python -m zerodrift.workbench.child survey|diagnose PROJECT RESULT
+python -m zerodrift.workbench.child survey|diagnose PROJECT RESULT [--skip-invalid]
 
 Both write into the directory RESULT and say by an event when something there is complete.
 """
@@ -19,24 +19,27 @@ from zerodrift.workbench.jobs import EVENT_MARK
 
 SURVEYED, DIAGNOSED, PREVIEWED = "surveyed", "diagnosed", "previewed"
 DIAGNOSIS = "diagnosis.json"
+SKIP_INVALID = "--skip-invalid"
 PREVIEWS = 4
 
 
-def survey(directory: Path, result: Path) -> None:
+def survey(directory: Path, result: Path, skip_invalid: bool) -> None:
     """Write the findings, with the diagnosis where one of these logs is kept."""
-    findings = survey_project(directory, wants_diagnosis=False, say=print_progress)
+    findings = survey_project(
+        directory, skip_invalid=skip_invalid, wants_diagnosis=False, say=print_progress
+    )
     print_progress("writing")
     save_findings(findings, result)
     _tell(SURVEYED)
 
 
-def diagnose(directory: Path, result: Path) -> None:
+def diagnose(directory: Path, result: Path, skip_invalid: bool) -> None:
     """Write the diagnosis, and then what the effects that it names would look like."""
     from zerodrift.commands.project import open_project
     from zerodrift.commands.survey import trace_provenance
     from zerodrift.physics.catalogue import load_catalogue
 
-    config, dataset = open_project(directory)
+    config, dataset = open_project(directory, skip_invalid)
     catalogue = load_catalogue(config.plugin_files)
     mark = trace_provenance(config, dataset)["mark"]
     found = diagnose_once(config, dataset, catalogue, mark, True, print_progress)
@@ -66,8 +69,9 @@ def _tell(event: str) -> None:
 def main() -> None:
     """Do what the arguments say; a user's error is one message on stderr."""
     what, directory, result = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
+    skip_invalid = SKIP_INVALID in sys.argv[4:]
     try:
-        {"survey": survey, "diagnose": diagnose}[what](directory, result)
+        {"survey": survey, "diagnose": diagnose}[what](directory, result, skip_invalid)
     except ZerodriftError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

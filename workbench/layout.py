@@ -16,6 +16,14 @@ CONTENTS = (
     ("model-section", "Effects"),
     ("firmware-section", "Firmware"),
 )
+MOVES = (
+    ("earlier", "← Earlier"),
+    ("later", "Later →"),
+    ("closer", "Closer"),
+    ("wider", "Wider"),
+    ("whole", "Whole run"),
+)
+STORES = ("guess", "pressed", "begun", "drawn", "goto", "below")
 PAGE = """<!doctype html>
 <html lang="en">
 <head>
@@ -35,15 +43,16 @@ PAGE = """<!doctype html>
 
 def lay_out() -> Any:
     """Return the whole page."""
-    stores = [dcc.Store(id=name) for name in ("guess", "pressed", "begun", "drawn")]
+    stores = [dcc.Store(id=name) for name in STORES]
     return html.Div(
         [
             dcc.Interval(id="tick", interval=POLL_MS),
             dcc.Store(id="version", data=-1),
             *stores,
-            html.Div(id="job", className="job", role="status"),
             html.Div(
-                html.Button("Cancel", id="cancel", className="cancel"), id="cancel-box", hidden=True
+                [html.Div(id="job", role="status"), html.Button("Cancel", id="cancel")],
+                id="job-box",
+                hidden=True,
             ),
             html.Div(
                 [html.P("", id="message", role="alert"), html.Button("Dismiss", id="dismiss")],
@@ -92,8 +101,14 @@ def _lay_out_top() -> list[Any]:
         html.P(id="guess-told", className="note"),
         html.Div(
             [
-                html.Button(id="add", className="primary"),
-                _choose("or another effect", "effect", placeholder="choose"),
+                html.Div(id="adds", className="adds"),
+                html.Div(
+                    [
+                        _choose("another effect", "effect", placeholder="choose"),
+                        html.Button("Add it", id="add-chosen"),
+                    ],
+                    className="pair",
+                ),
                 html.Label(force),
                 html.Button("Undo", id="undo"),
                 html.Button("Look again", id="look"),
@@ -101,6 +116,7 @@ def _lay_out_top() -> list[Any]:
             id="actions",
             className="actions",
         ),
+        html.Div(id="effect-told", className="card", hidden=True),
         html.Section(id="revision", className="card", hidden=True),
         html.Div(id="tiles", className="tiles"),
     ]
@@ -126,14 +142,19 @@ def _lay_out_sections() -> list[Any]:
             "Measured, model, and what is left",
             html.Div(choices, className="choices"),
             html.Figure(chart),
-            html.P(id="cause", className="note"),
+            html.Div(
+                [html.Button(words, id=name) for name, words in MOVES],
+                className="actions moves",
+                role="group",
+                **{"aria-label": "Part of the run that is shown"},
+            ),
+            html.Div(id="cause"),
             html.Details(table, id="main-details"),
         ),
         _section(
             "candidates-section",
             "What is missing, and why not the others",
             html.Div(id="candidates"),
-            html.Div(id="effect-told", className="card"),
         ),
         _section("staircase-section", "The staircase of errors", html.Div(id="staircase")),
         _section("errors-section", "Errors", html.Div(id="errors")),

@@ -1,41 +1,34 @@
 """The parts of the page, built from what the commands found; nothing is computed here."""
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dash import dcc, html
 
 from zerodrift.report import tables
-from zerodrift.report.figures import draw_budget, draw_candidates, draw_staircase
+from zerodrift.report.figures import draw_budget, draw_revision, draw_staircase
 from zerodrift.report.findings import Findings
-from zerodrift.report.report import list_details, list_tiles, read_steps
+from zerodrift.report.report import list_tiles, read_steps
 from zerodrift.report.tables import Table
-from zerodrift.report.verdict import write_headline
 
-GRAPH = {"displaylogo": False, "responsive": True}
+GRAPH = {
+    "displaylogo": False,
+    "responsive": True,
+    "showSendToCloud": False,
+    "modeBarButtons": [["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"]],
+}
 
 
 def show_table(table: Table, *, folded: bool = False) -> Any:
-    """Return a table; `folded` behind its title."""
+    """Return a table; `folded` behind its title.
 
-    def cell(make: Any, text: str, number: int) -> Any:
-        return make(text, className="" if number < table.texts else "number")
-
-    grid = html.Div(
-        html.Table(
-            [
-                html.Thead(html.Tr([cell(html.Th, h, i) for i, h in enumerate(table.headings)])),
-                html.Tbody(
-                    [
-                        html.Tr([cell(html.Td, text, i) for i, text in enumerate(row)])
-                        for row in table.rows
-                    ]
-                ),
-            ]
-        ),
-        className="scroll",
-        tabIndex="0",
-    )
+    Its cells are one attribute, from which the page's script makes the rows: as components of their
+    own they would take the page longer than all of its charts.
+    """
+    cells = {"head": table.headings, "rows": table.rows, "texts": table.texts}
+    told = json.dumps(cells, ensure_ascii=False)
+    grid = html.Div(className="scroll", tabIndex="0", **{"data-table": told})
     inner = [grid, html.P(table.note, className="note")] if table.note else [grid]
     if folded:
         return html.Details([html.Summary(table.title), *inner])
@@ -52,35 +45,6 @@ def show_figure(figure: Any, label: str) -> Any:
     )
 
 
-def show_verdict(findings: Findings, *, diagnosing: bool, hides: bool) -> tuple[str, list[Any]]:
-    """Return the verdict card's class and content.
-
-    Args:
-        findings: what was found.
-        diagnosing: whether the verdict is still being found.
-        hides: whether a guess is asked for first.
-    """
-    diagnosed = findings.told["diagnose"]
-    if hides:
-        text = "Something may be hidden in these simulated logs. Guess first, then let it tell you."
-        return "verdict none", [html.P(text, className="sentence")]
-    if diagnosed is None and diagnosing:
-        return "verdict none", [html.P("Diagnosing …", className="sentence")]
-    headline = write_headline(diagnosed, findings.told["titles"])
-    parts: list[Any] = [html.P(headline.sentence, className="sentence", id="verdict-sentence")]
-    details = list_details(findings.told["diagnose_sentences"])
-    parts += [html.P(s, className="note") for s in details if not s.startswith("To add it")]
-    return f"verdict {headline.kind.replace(' ', '-')}", parts
-
-
-def list_addable(findings: Findings) -> list[str]:
-    """Return the effects that the verdict names, the likeliest first."""
-    diagnosed = findings.told["diagnose"]
-    if diagnosed is None or diagnosed["effect"] is None:
-        return []
-    return [diagnosed["effect"], *diagnosed["lookalikes"]]
-
-
 def show_tiles(findings: Findings) -> list[Any]:
     """Return the few figures that come first."""
     return [
@@ -89,46 +53,39 @@ def show_tiles(findings: Findings) -> list[Any]:
     ]
 
 
-def show_candidates(findings: Findings) -> list[Any]:
-    """Return the ranking of what could be missing."""
-    diagnosed = findings.told["diagnose"]
-    if diagnosed is None:
-        return [html.P("Not diagnosed yet.", className="note")]
-    parts: list[Any] = []
-    if diagnosed["candidates"]:
-        words = "Held-out error with each candidate; shorter is better. Hatched: not named."
-        parts.append(show_figure(draw_candidates(diagnosed), words))
-    table = tables.tabulate_candidates(diagnosed, findings.told["titles"])
-    return [*parts, show_table(table, folded=True)]
+def show_segments(findings: Findings, run: str, output: str) -> list[Any]:
+    """Return the worst segments as a list, each of which can be gone to.
 
-
-def show_effect(findings: Findings, kind: str) -> list[Any]:
-    """Return what the catalogue says about an effect, and its standing in the diagnosis."""
-    effect: Mapping[str, Any] | None = findings.told["catalogue"].get(kind)
-    if effect is None:
-        return []
-    diagnosed = findings.told["diagnose"]
-    parts: list[Any] = [
-        html.P([html.B(effect["title"]), ". ", effect["physics"]]),
-        html.P(html.Code(effect["equation"])),
-        html.P(["Looks like: ", effect["fingerprint"]], className="note"),
-        html.P(["To provoke it: ", effect["provoke"]], className="note"),
-        html.P(["Cure in hardware: ", effect["cure"]], className="note"),
-    ]
-    for candidate in diagnosed["candidates"] if diagnosed else ():
-        if candidate["effect"] == kind:
-            standing = tables.explain_standing(diagnosed, candidate)
-            ratio, p = candidate["heldout_rmse_ratio"], candidate["p_value"]
-            words = (
-                f"Here: {standing}; with it the held-out RMSE is {ratio:.3f} of what it is now, "
-                f"p = {p:.2g}, excitation {100.0 * candidate['excitation']:.0f} %."
+    Args:
+        findings: what was found.
+        run: which one is shown.
+        output: which one is shown.
+    """
+    compared = findings.told["compare"]
+    legend = "Dotted lines: ± noise floor. Drag to zoom, double-click to go back."
+    if not compared["worst"]:
+        return [html.P(f"No segment stands out of the noise. {legend}", className="note")]
+    items = []
+    for number, segment in enumerate(compared["worst"], 1):
+        is_here = (segment["run"], segment["output"]) == (run, output)
+        unit = compared["outputs"][segment["output"]]["unit"]
+        words = (
+            f"{number}. {segment['run']}, {segment['output']}, {segment['from_s']:.6g} to "
+            f"{segment['to_s']:.6g} s"
+        )
+        items.append(
+            html.Li(
+                [
+                    html.Button(words, id={"type": "segment", "number": number}),
+                    f" {segment['pattern']}, RMSE {segment['rmse']:.3g} {unit}"
+                    + (" (shaded above)" if is_here else ""),
+                ]
             )
-            parts.insert(0, html.P(words, className="standing"))
-    for untested in diagnosed["not_testable"] if diagnosed else ():
-        if untested["effect"] == kind:
-            why = f"Here: not testable with these logs: {untested['why']}."
-            parts.insert(0, html.P(why, className="standing"))
-    return parts
+        )
+    return [
+        html.P(f"The worst segments, with what was going on. {legend}", className="note"),
+        html.Ul(items, className="segments"),
+    ]
 
 
 def show_revision(revision: Mapping[str, Any]) -> list[Any]:
@@ -160,6 +117,9 @@ def show_revision(revision: Mapping[str, Any]) -> list[Any]:
     parts: list[Any] = [html.H2(title), html.P(f"{reason[0].upper()}{reason[1:]}.")]
     if values:
         parts.append(html.P(f"Fitted: {values}.", className="note"))
+    if any(level > 0.0 for level in floor.values()):
+        words = "Held-out error of each output before and after, in noise floors."
+        parts.append(show_figure(draw_revision(before, after, floor), words))
     table = Table(f"Held-out RMSE ({revision['held_out']})", headings, rows, texts=2)
     return [*parts, show_table(table)]
 
@@ -210,7 +170,9 @@ def show_firmware(findings: Findings) -> list[Any]:
         show_figure(draw_budget(firmware, compared), "Error budget in percent of full scale."),
         show_table(tables.tabulate_budget(firmware, compared), folded=True),
         show_table(tables.tabulate_firmware(firmware)),
-        show_table(tables.tabulate_certificate(certificate), folded=True),
+        show_table(tables.tabulate_certificate(certificate), folded=True)
+        if certificate
+        else html.P(findings.told["firmware_note"], className="note"),
     ]
 
 
@@ -239,9 +201,31 @@ def show_outcome(outcome: Mapping[str, Any]) -> list[Any]:
         return [html.P(f"Trained {kept}; held-out RMSE: {rmse}.")]
     return [
         html.P(
-            ["Report written: ", html.A("open report.html", href="/report.html", target="_blank")]
+            [
+                "Report written: ",
+                html.A("open report.html", href="/report.html", target="_blank"),
+                " or ",
+                html.A("download it", href="/report.html", download="report.html"),
+                ".",
+            ]
         )
     ]
+
+
+def show_waiting(name: str, *, is_busy: bool) -> list[Any]:
+    """Return the page of a project of which nothing is known yet.
+
+    Args:
+        name: of its directory.
+        is_busy: whether it is being looked at.
+    """
+    words = (
+        "Reading the logs and fitting; the page fills as soon as the errors are known."
+        if is_busy
+        else "Nothing could be found out yet; the message above says why. The page looks again as "
+        "soon as zerodrift.toml or a log changes."
+    )
+    return [html.H2(name, className="first"), html.P(words)]
 
 
 def show_start(logs: Sequence[str], directory: str) -> list[Any]:

@@ -10,10 +10,10 @@ from werkzeug.serving import WSGIRequestHandler, make_server
 from zerodrift.errors import InputError
 from zerodrift.workbench.app import make_app
 from zerodrift.workbench.security import guard, make_token
+from zerodrift.workbench.uploads import place_upload, receive
 from zerodrift.workbench.workplace import Workplace
 
 HOST = "127.0.0.1"
-CHUNK = 1 << 20
 
 
 class _Quiet(WSGIRequestHandler):  # type: ignore[misc,unused-ignore]
@@ -26,17 +26,18 @@ class _Quiet(WSGIRequestHandler):  # type: ignore[misc,unused-ignore]
 class Workbench:
     """A page being served."""
 
-    def __init__(self, directory: Path, port: int = 0) -> None:
+    def __init__(self, directory: Path, port: int = 0, *, skip_invalid: bool = False) -> None:
         """Open a directory and a port, and look at the project.
 
         Args:
             directory: of the project.
             port: to listen on; 0 for any that is free.
+            skip_invalid: drop invalid rows of the logs.
 
         Raises:
             InputError: another workbench is open there, or the port is taken.
         """
-        self.place = Workplace(directory)
+        self.place = Workplace(directory, skip_invalid=skip_invalid)
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -97,8 +98,8 @@ def add_routes(server: Flask, place: Workplace) -> None:
                     "there is a project here already; copy further logs into it and name them in "
                     "zerodrift.toml."
                 )
-            target = place.place_upload(name, request.content_length)
-            receive(target, request.content_length or 0)
+            target = place_upload(place.directory, name, request.content_length)
+            receive(request.stream, target, request.content_length or 0)
         except InputError as error:
             place.tell(str(error))
             return jsonify({"error": str(error)}), 400
@@ -107,7 +108,9 @@ def add_routes(server: Flask, place: Workplace) -> None:
 
     def refuse() -> tuple[Response, int]:
         try:
-            place.place_upload(request.args.get("name", ""), int(request.args.get("size", "-1")))
+            place_upload(
+                place.directory, request.args.get("name", ""), int(request.args.get("size", "-1"))
+            )
         except InputError as error:
             place.tell(str(error))
         return jsonify({}), 400
@@ -121,29 +124,3 @@ def add_routes(server: Flask, place: Workplace) -> None:
     server.add_url_rule("/upload", view_func=upload, methods=["POST"])
     server.add_url_rule("/upload/refused", view_func=refuse, methods=["POST"])
     server.add_url_rule("/report.html", view_func=report)
-
-
-def receive(target: Path, size: int) -> None:
-    """Write the body of the request, whole or not at all.
-
-    Raises:
-        InputError: it ended early, or the disk does not take it.
-    """
-    part = target.with_name(f".{target.name}.part")
-    try:
-        target.parent.mkdir(exist_ok=True)
-        got = 0
-        with part.open("wb") as file:
-            while chunk := request.stream.read(CHUNK):
-                file.write(chunk)
-                got += len(chunk)
-        if got != size:
-            raise InputError(f"{target.name}: {got} of {size} bytes arrived; drop the file again.")
-        part.replace(target)
-    except OSError as error:
-        raise InputError(
-            f"{target}: cannot be written ({error.strerror}); nothing of it was kept. Make "
-            "room, or make the directory writable."
-        ) from error
-    finally:
-        part.unlink(missing_ok=True)

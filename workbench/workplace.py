@@ -6,78 +6,62 @@ they print. All state is here, behind one lock, for the page may be open in seve
 
 import json
 import os
+import shutil
 import tempfile
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.commands.common import write_text
 from zerodrift.config import FILE_NAME
 from zerodrift.errors import InputError
-from zerodrift.physics.history import FILE_NAME as HISTORY
 from zerodrift.report.findings import Findings, load_findings
 from zerodrift.workbench.child import (
     DIAGNOSED,
     DIAGNOSIS,
     PREVIEWED,
+    SKIP_INVALID,
     SURVEYED,
     name_preview,
 )
+from zerodrift.workbench.hold import hold_directory
 from zerodrift.workbench.jobs import Job
+from zerodrift.workbench.marks import Marks, mark_files
+from zerodrift.workbench.messages import Message, explain_guess
+from zerodrift.workbench.undo import Snapshot, Undo, take_back, take_snapshot
 
 Array = NDArray[np.float64]
 
 CHILD = "zerodrift.workbench.child"
-LOGS = "logs"
-BUILT = (HISTORY, "firmware.json", "compensator.json")
-"""Files of build/ that other commands write and the page shows."""
-LARGEST_UPLOAD = 1 << 30
-"""Bytes; larger logs are put into the project's folder by other means."""
-SUFFIXES = (".csv", ".parquet")
-
-
-@dataclass(frozen=True)
-class Message:
-    """Something to tell the user."""
-
-    text: str
-    is_error: bool = True
-
-
-@dataclass(frozen=True)
-class Undo:
-    """The files as they were before a change, and zerodrift.toml as the change left it."""
-
-    title: str
-    text: bytes
-    history: bytes | None
-    text_after: bytes
+READS_LOGS = ("add", "remove", "train", "firmware", "report")
+"""Commands that the page runs and that can drop invalid rows."""
 
 
 class Workplace:
     """A project directory, its findings, and the job that runs."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, *, skip_invalid: bool = False) -> None:
         """Open a directory.
 
         Args:
             directory: of zerodrift.toml, or where a new project is to be.
+            skip_invalid: drop invalid rows of the logs, in every command that reads them.
 
         Raises:
             InputError: another workbench is open on it.
         """
         self.directory = directory.resolve()
+        self._skip_invalid = [SKIP_INVALID] if skip_invalid else []
         self._lock = threading.RLock()
-        self._hold = _hold_directory(self.directory)
+        self._hold = hold_directory(self.directory)
         self._scratch = tempfile.TemporaryDirectory(prefix="zerodrift-workbench-")
         self._looks = 0
         self._result: Path | None = None
-        self._marks: dict[str, tuple[int, int]] = {}
+        self._marks: Marks = {}
         self.findings: Findings | None = None
         self.previews: tuple[str, ...] = ()
         self.job: Job | None = None
@@ -137,9 +121,17 @@ class Workplace:
                 return
             self._looks += 1
             result = Path(self._scratch.name) / str(self._looks)
-            result.mkdir()
-            self._marks = self._mark_files()
-            arguments = [str(self.directory), str(result)]
+            try:
+                result.mkdir()
+            except OSError as error:
+                self.message = Message(
+                    f"{result}: cannot be made ({error.strerror}); make room in the system's "
+                    "temporary directory, then Look again."
+                )
+                self._touch()
+                return
+            self._marks = mark_files(self.directory, self.findings)
+            arguments = [str(self.directory), str(result), *self._skip_invalid]
             self.job = Job(
                 "look",
                 "Looking at the project",
@@ -152,9 +144,12 @@ class Workplace:
     def poll(self) -> None:
         """Look again if a file of the project was changed from outside."""
         with self._lock:
-            if self.busy or not self.has_project:
+            if self.busy:
                 return
-            marks = self._mark_files()
+            if not self.has_project:
+                self._tell_loss()
+                return
+            marks = mark_files(self.directory, self.findings)
             if marks != self._marks:
                 changed = sorted(
                     name
@@ -168,46 +163,49 @@ class Workplace:
                     )
                 self.look()
 
-    def _mark_files(self) -> dict[str, tuple[int, int]]:
-        """Return size and time of zerodrift.toml, the logs, the user's effects, and what was built.
-
-        Whatever went into the findings counts, and new files where logs usually lie.
-        """
-        marks = {}
-        places = {self.toml, *self.directory.glob("*.py"), *self.directory.glob("*.csv")}
-        places |= set(self.directory.glob(f"{LOGS}/*"))
-        places |= {self.directory / "build" / name for name in BUILT}
-        if self.findings is not None:
-            files = self.findings.told["provenance"]["files"]
-            places |= {self.directory / told["file"] for told in files}
-        for path in sorted(places):
-            try:
-                told = path.stat()
-            except OSError:
-                continue
-            marks[path.relative_to(self.directory).as_posix()] = (told.st_size, told.st_mtime_ns)
-        return marks
+    def _tell_loss(self) -> None:
+        """Say once that zerodrift.toml is gone; what was found is still shown."""
+        if self.findings is None or not self._marks:
+            return
+        self._marks = {}
+        self.message = Message(
+            f"{self.toml}: is gone; what is shown was found before. Put it back, and the page "
+            "looks again."
+        )
+        self._touch()
 
     def _take(self, event: str, result: Path) -> None:
         """Take over what a child made ready."""
         with self._lock:
-            if event == SURVEYED:
-                kept = self.findings.told if self._result == result and self.findings else None
-                self.findings = load_findings(result)
-                # The findings name logs elsewhere in the project; what was known stays as it was.
-                self._marks = {**self._mark_files(), **self._marks}
-                if kept is not None:
-                    self._set_diagnosis(kept["diagnose"], kept["diagnose_sentences"])
-                if self._result != result:
-                    self._result, self.previews = result, ()
-                self._read_diagnosis(result)
-            elif event == DIAGNOSED and self._result == result:
-                self._read_diagnosis(result)
-            elif event == PREVIEWED:
-                names = {p.name.split(".")[1] for p in result.glob("preview.*.npy")}
-                self.previews = tuple(bytes.fromhex(name).decode() for name in sorted(names))
-            self.shown += event == SURVEYED
+            try:
+                self._take_over(event, result)
+            except (OSError, ValueError, KeyError) as error:
+                self.message = Message(f"What was found cannot be read: {error}. Look again.")
             self._touch()
+
+    def _take_over(self, event: str, result: Path) -> None:
+        if event == SURVEYED:
+            kept = self.findings.told if self._result == result and self.findings else None
+            self.findings = load_findings(result)
+            # The findings name logs elsewhere in the project; what was known stays as it was.
+            self._marks = {**mark_files(self.directory, self.findings), **self._marks}
+            if kept is not None:
+                self._set_diagnosis(kept["diagnose"], kept["diagnose_sentences"])
+            if self._result != result:
+                self._forget(self._result)
+                self._result, self.previews = result, ()
+            self._read_diagnosis(result)
+            self.shown += 1
+        elif event == DIAGNOSED and self._result == result:
+            self._read_diagnosis(result)
+        elif event == PREVIEWED:
+            names = {p.name.split(".")[1] for p in result.glob("preview.*.npy")}
+            self.previews = tuple(bytes.fromhex(name).decode() for name in sorted(names))
+
+    def _forget(self, result: Path | None) -> None:
+        """Take earlier findings off the disk; arrays that are still being drawn stay readable."""
+        if result is not None:
+            shutil.rmtree(result, ignore_errors=True)
 
     def _read_diagnosis(self, result: Path) -> None:
         path = result / DIAGNOSIS
@@ -236,12 +234,18 @@ class Workplace:
                 self.message = Message("Something is being done already; wait, or cancel it.")
                 self._touch()
                 return False
-            before = self._read_files() if name in ("add", "remove") else None
+            try:
+                before = take_snapshot(self.directory) if name in ("add", "remove") else None
+            except InputError as error:
+                self.message = Message(str(error))
+                self._touch()
+                return False
             self.message = None
+            options = self._skip_invalid if name in READS_LOGS else []
             self.job = Job(
                 name,
                 title,
-                [["zerodrift", *arguments, "-C", str(self.directory)]],
+                [["zerodrift", *arguments, *options, "-C", str(self.directory)]],
                 on_end=lambda job: self._end(job, before),
             )
             self._touch()
@@ -260,7 +264,7 @@ class Workplace:
         if job is not None and job.running:
             job.cancel()
 
-    def _end(self, job: Job, before: tuple[bytes, bytes | None] | None = None) -> None:
+    def _end(self, job: Job, before: Snapshot | None = None) -> None:
         """Take over what a command printed, or tell why it failed."""
         with self._lock:
             told = self._read_result(job)
@@ -277,8 +281,7 @@ class Workplace:
                 self.revision = {**told, "command": job.name}
                 done = told.get("added", told.get("removed", False))
                 if done and before is not None:
-                    after = self.toml.read_bytes()
-                    self.undo_stack.append(Undo(job.title, *before, after))
+                    self._keep_undo(job.title, before)
                 if not done:
                     self.message = Message(
                         f"{told['effect']} was not added: {told['reason']}.", is_error=False
@@ -291,6 +294,14 @@ class Workplace:
             is_done = not job.cancelled and not job.failures
             if is_done and job.name not in ("look", "verify", "report"):
                 self.look()
+
+    def _keep_undo(self, title: str, before: Snapshot) -> None:
+        """Remember how to take a change back."""
+        try:
+            after = take_snapshot(self.directory).text
+        except InputError:
+            return  # deleted since; there is nothing to go back from
+        self.undo_stack.append(Undo(title, before, after))
 
     def _read_result(self, job: Job) -> dict[str, Any] | None:
         """Return the JSON that a command printed; None where it printed none."""
@@ -319,65 +330,15 @@ class Workplace:
 
     def _undo_last(self) -> None:
         last = self.undo_stack[-1]
-        if not self.toml.exists() or self.toml.read_bytes() != last.text_after:
-            self.message = Message(
-                f"{self.toml.name} was edited since; undoing would lose that. Edit it by hand, or "
-                "use Remove."
-            )
-            return
-        history = self.directory / "build" / HISTORY
         try:
-            write_text(self.toml, last.text.decode("utf-8"))
-            if last.history is None:
-                history.unlink(missing_ok=True)
-            else:
-                write_text(history, last.history.decode("utf-8"))
-        except (OSError, InputError) as error:
-            self.message = Message(f"Undo failed: {error}")
+            take_back(self.directory, last)
+        except InputError as error:
+            self.message = Message(str(error))
             return
         self.undo_stack.pop()
         self.revision = None
         self.message = Message(f"Undone: {last.title}.", is_error=False)
         self.look()
-
-    def _read_files(self) -> tuple[bytes, bytes | None]:
-        history = self.directory / "build" / HISTORY
-        return self.toml.read_bytes(), history.read_bytes() if history.exists() else None
-
-    # --- a new project --------------------------------------------------------------------------
-
-    def place_upload(self, name: str, size: int | None) -> Path:
-        """Return where a dropped log goes: into logs/, under its own name.
-
-        Raises:
-            InputError: the name or the size is not one that can be taken.
-        """
-        if size is None or size > LARGEST_UPLOAD:
-            told = "of unknown size" if size is None else f"{size / 1e9:.1f} GB"
-            raise InputError(
-                f"{name}: is {told}; the page takes files up to {LARGEST_UPLOAD / 1e9:.1f} GB. "
-                f"Copy it into {self.directory / LOGS} and choose it there."
-            )
-        plain = Path(name.replace("\\", "/")).name
-        if plain != name or not plain or plain.startswith("."):
-            raise InputError(f"{name!r}: is no plain file name; expected one without folders.")
-        if Path(plain).suffix.lower() not in SUFFIXES:
-            raise InputError(f"{plain}: is no log; expected {' or '.join(SUFFIXES)}.")
-        target = self.directory / LOGS / plain
-        if target.exists():
-            raise InputError(f"{LOGS}/{plain}: exists already; rename the one that you drop.")
-        return target
-
-    def list_logs(self) -> list[str]:
-        """Return the logs in the directory and its logs/, relative to it."""
-        found = [
-            path
-            for place in (self.directory, self.directory / LOGS)
-            if place.is_dir()
-            for path in sorted(place.iterdir())
-            if path.suffix.lower() in SUFFIXES and path.is_file()
-        ]
-        return [path.relative_to(self.directory).as_posix() for path in found]
 
     def tell(self, text: str, *, is_error: bool = True) -> None:
         """Show a message."""
@@ -417,41 +378,3 @@ class Workplace:
 
     def _touch(self) -> None:
         self.version += 1
-
-
-def explain_guess(told: Mapping[str, Any]) -> str:
-    """Return what `init` guessed, and what of it to check."""
-    outputs = "; ".join(
-        f"{name} in {o['unit']}: {o['measured']} against {o['reference'] or 0}, full scale "
-        f"{o['full_scale']:g} {o['unit']}"
-        for name, o in told["outputs"].items()
-    )
-    lines = [
-        f"Guessed: time {told['time']}, a row every {told['sample_period_s']:g} s; temperature "
-        f"{told['temperature']}; {outputs}.",
-        *(f"Check: {check}" for check in told["check"]),
-        "All of it stands in zerodrift.toml and can be edited there; the page follows.",
-    ]
-    return "\n".join(lines)
-
-
-def _hold_directory(directory: Path) -> int | None:
-    """Hold a directory against another workbench, as long as this process lives.
-
-    Raises:
-        InputError: another one holds it.
-    """
-    try:
-        import fcntl
-    except ImportError:  # not on Windows
-        return None
-    handle = os.open(directory, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(handle)
-        raise InputError(
-            f"{directory}: another workbench is open on this directory; expected one at a time. "
-            "Use its page, or end it with Ctrl-C where it was started."
-        ) from error
-    return handle

@@ -3,7 +3,7 @@
 #include "zd_runtime.h"
 
 #if defined(ZD_SMALL)
-#define ZD_TABLE_CRC UINT32_C(2673638146)
+#define ZD_TABLE_CRC UINT32_C(1616465270)
 const int32_t zd_tanh_half_q19[ZD_TANH_HALF_NODES] = {
     0, 16381, 32729, 49014, 65205, 81269, 97179, 112906, 128423, 143703, 158725, 173464,
     187902, 202021, 215803, 229235, 242306, 255004, 267322, 279254, 290795, 301942, 312696, 323056,
@@ -22,7 +22,7 @@ const int32_t zd_tanh_half_q19[ZD_TANH_HALF_NODES] = {
     524259, 524261, 524263, 524264, 524266, 524267, 524268, 524269, 524270, 524272, 524272
 };
 #else
-#define ZD_TABLE_CRC UINT32_C(1229941711)
+#define ZD_TABLE_CRC UINT32_C(4272920928)
 const int32_t zd_tanh_offset_q30[ZD_TANH_LINES] = {
     -1073709056, -1073709056, -1073709056, -1073709056, -1073709056, -1073709056, -1073709056, -1073709056,
     -1073709056, -1073709056, -1073709056, -1073709056, -1073709056, -1073709056, -1073709056, -1073709056,
@@ -161,28 +161,31 @@ uint32_t zd_crc32_word(uint32_t crc, uint32_t x) {
 }
 
 uint32_t zd_crc32_i16(uint32_t crc, const int16_t *values, uint32_t n) {
+    const volatile int16_t *memory = values; /* what is in the flash, not what the compiler knows */
     uint32_t next = crc;
     for (uint32_t i = 0; i < n; i++) {
-        next = zd_crc32_word(next, (uint32_t)values[i]);
+        next = zd_crc32_word(next, (uint32_t)memory[i]);
     }
     return next;
 }
 
 uint32_t zd_crc32_i32(uint32_t crc, const int32_t *values, uint32_t n) {
+    const volatile int32_t *memory = values; /* what is in the flash, not what the compiler knows */
     uint32_t next = crc;
     for (uint32_t i = 0; i < n; i++) {
-        next = zd_crc32_word(next, (uint32_t)values[i]);
+        next = zd_crc32_word(next, (uint32_t)memory[i]);
     }
     return next;
 }
 
 uint32_t zd_tables_are_sound(void) {
 #if defined(ZD_SMALL)
-    const uint32_t crc = zd_crc32_i32(0, zd_tanh_half_q19, ZD_TANH_HALF_NODES);
+    uint32_t crc = zd_crc32_i32(0, zd_tanh_half_q19, ZD_TANH_HALF_NODES);
 #else
-    const uint32_t crc = zd_crc32_i16(zd_crc32_i32(0, zd_tanh_offset_q30, ZD_TANH_LINES),
-                                      zd_tanh_slope_q19, ZD_TANH_LINES + 1u);
+    uint32_t crc = zd_crc32_i32(0, zd_tanh_offset_q30, ZD_TANH_LINES);
+    crc = zd_crc32_i16(crc, zd_tanh_slope_q19, ZD_TANH_LINES + 1u);
 #endif
+    crc = zd_crc32_i32(crc, zd_exp2_octave_q29, ZD_EXP2_TERMS);
     return (crc == ZD_TABLE_CRC) ? 1u : 0u;
 }
 

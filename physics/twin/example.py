@@ -26,6 +26,11 @@ def read_recipe(path: Path) -> Recipe:
             f"{path}:{error.lineno}: not JSON ({error.msg}). Restore the file, or remove it if the "
             "logs are your own."
         ) from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path}: cannot be read ({error}). Restore the file, or remove it if the logs are"
+            " your own."
+        ) from error
     if not isinstance(plain, dict):
         raise InputError(f"{path}: holds {type(plain).__name__}; expected a JSON object.")
     return recipe_from_dict({k: v for k, v in plain.items() if k != "note"}, str(path))

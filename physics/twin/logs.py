@@ -104,7 +104,13 @@ def write_logs(
         InputError: files would be overwritten without `overwrite`, or other logs lie where the
             config's globs would take them for this simulation's.
     """
-    files = render_project(simulation)
+    return write_project(render_project(simulation), directory, overwrite=overwrite)
+
+
+def write_project(
+    files: Mapping[str, bytes], directory: Path, *, overwrite: bool = False
+) -> tuple[Path, ...]:
+    """Write files by their names relative to a directory; see `write_logs`."""
     there = [name for name in files if (directory / name).exists()]
     if there and not overwrite:
         raise InputError(

@@ -148,7 +148,12 @@ def _expect_known(what: str, found: Iterable[str], known: Iterable[str]) -> None
             )
 
 
-def _check_choice(choice: EffectChoice, role: str) -> None:
+def check_choice(choice: EffectChoice, role: str) -> None:
+    """Refuse an effect whose parameters or size are out of range.
+
+    Raises:
+        InputError: what was found and what was expected.
+    """
     known = PARAMETERS.get(choice.name, {})
     for name, value in choice.parameters.items():
         if name not in known:
@@ -192,7 +197,7 @@ def check_recipe(recipe: Recipe) -> None:
     _expect_known("kind of network", (recipe.network,), NETWORKS)
     for role, choices in (("told", recipe.told), ("hidden", recipe.hidden)):
         for choice in choices:
-            _check_choice(choice, role)
+            check_choice(choice, role)
     names = [choice.name for choice in (*recipe.told, *recipe.hidden)]
     for name in names:
         if names.count(name) > 1:

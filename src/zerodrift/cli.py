@@ -1,7 +1,9 @@
 """The command line: names the commands and loads each one's module only when it is called."""
 
 import importlib
+import os
 import sys
+import tempfile
 
 import click
 
@@ -24,7 +26,9 @@ COMMANDS: dict[str, str] = {
     "package": "Write the model as a CMake, Zephyr, Arduino or PlatformIO package.",
     "report": "One self-contained file: verdict, errors, effects, firmware, provenance.",
     "workbench": "The same loop in a browser, on 127.0.0.1.",
+    "fleet": "Many sensors of one design: all of the above for each, and the yield.",
     "twin": "Write simulated logs of the six-axis sensor.",
+    "calibrate": "The calibration matrix from converter codes and test weights.",
 }
 
 
@@ -73,6 +77,18 @@ def main() -> None:
     except ZerodriftError as error:
         click.echo(f"error: {error}", err=True)
         sys.exit(error.exit_code)
+    except BrokenPipeError:
+        # who reads our output has gone; nothing more can be said to them
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except OSError as error:
+        from zerodrift.files import explain_write, is_refused_write
+
+        if not is_refused_write(error):
+            raise
+        place = error.filename or tempfile.gettempdir()
+        click.echo(f"error: {explain_write(place, error)}", err=True)
+        sys.exit(2)
     except click.ClickException as error:
         error.show()
         sys.exit(2)

@@ -7,19 +7,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from zerodrift.errors import InputError
+from zerodrift.fleet_config import FleetConfig, read_fleet
 from zerodrift.toml_lines import find_line, index_lines
 from zerodrift.toml_table import LARGEST, TomlTable
 
 FILE_NAME = "zerodrift.toml"
+USES = ("train", "test", "dwell")
+"""What `[logs]` selects runs for."""
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
-MODEL_TABLES = ("effect", "network", "quantization", "firmware", "plugins")
-NETWORK_KINDS = ("gru", "mlp", "mlp_seq", "tcn", "none")
+MODEL_TABLES = ("effect", "network", "quantization", "firmware", "plugins", "fleet")
+NETWORK_KINDS = ("lag_bank", "gru", "mlp", "mlp_seq", "tcn", "none")
+WINDOWED_KINDS = ("mlp_seq", "tcn")
+"""These see a window of samples; the GRU may."""
+HIDDEN = {"lag_bank": 12, "mlp": 36, "mlp_seq": 36}
+"""Units of the kinds whose default is not the GRU's."""
+WINDOW = 10
 WEIGHT_FORMATS = ("int16", "int8")
 MAX_OUTPUTS = 16
 MAX_HIDDEN = 256
 GRU_FORMS = ("reset_after", "reset_before")
 NETWORK_KEYS = ("kind", "hidden", "memory", "seed", "lags_s")
-NETWORK_OPTIONS = ("starts", "epochs", "form", "learning_rate")
+NETWORK_OPTIONS = ("starts", "epochs", "form", "learning_rate", "spacing_s")
 
 
 @dataclass(frozen=True)
@@ -53,7 +61,7 @@ class NetworkConfig:
     """`[network]`: what learns the part that physics leaves."""
 
     kind: str = "none"
-    """gru | mlp | mlp_seq | tcn | none."""
+    """lag_bank | gru | mlp | mlp_seq | tcn | none."""
     hidden: int = 16
     memory: str | int = "stream"
     """"stream", or the window's length in samples."""
@@ -89,6 +97,8 @@ class Config:
     plugin_files: tuple[Path, ...]
     where: Mapping[str, str] = field(default_factory=dict)
     """`[logs] where`: column -> the value that a row must have there to be read."""
+    fleet: FleetConfig = field(default_factory=FleetConfig)
+    """`[fleet]`: for `zerodrift fleet` alone."""
 
     @property
     def directory(self) -> Path:
@@ -141,6 +151,11 @@ def parse_config(text: str, path: Path) -> Config:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(_describe_syntax_error(path, str(error))) from error
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, deep nesting
+        raise InputError(
+            f"{path}: cannot be read ({str(error).split(';')[0]}); expected a {FILE_NAME} of plain "
+            "tables, numbers and text. Correct the value."
+        ) from error
     root = TomlTable(path, index_lines(text), (), values)
     root.refuse_unknown(DATA_TABLES + MODEL_TABLES)
     sensor = root.table("sensor", ("name", "time", "temperature", "sample_period_s"))
@@ -166,6 +181,9 @@ def parse_config(text: str, path: Path) -> Config:
         firmware_out=path.parent / (firmware.text("out") if firmware.values else "firmware"),
         plugin_files=_read_plugins(root),
         where=_read_where(logs),
+        fleet=read_fleet(
+            root.table("fleet", None, optional=True), tuple(output.name for output in outputs)
+        ),
     )
     _refuse_shared_columns(config, root)
     return config
@@ -253,11 +271,20 @@ def _read_network(table: TomlTable) -> NetworkConfig:
             options[key] = table.integer(key, 1)
     if "form" in table.values:
         options["form"] = table.choice("form", GRU_FORMS, "")
-    if "learning_rate" in table.values:
-        options["learning_rate"] = table.positive("learning_rate")
+    for key in ("learning_rate", "spacing_s"):
+        if key in table.values:
+            options[key] = table.positive(key)
+    kind = table.choice("kind", NETWORK_KINDS, default.kind)
+    if kind in WINDOWED_KINDS and memory == "stream":
+        memory = WINDOW
+    if memory != "stream" and kind not in (*WINDOWED_KINDS, "gru"):
+        raise table.error(
+            "memory", f"a window is nothing to '{kind}', which sees no past samples; leave it out."
+        )
+    usual = HIDDEN.get(kind, default.hidden)
     return NetworkConfig(
-        kind=table.choice("kind", NETWORK_KINDS, default.kind),
-        hidden=table.integer("hidden", 1, MAX_HIDDEN) if "hidden" in table.values else 16,
+        kind=kind,
+        hidden=table.integer("hidden", 1, MAX_HIDDEN) if "hidden" in table.values else usual,
         memory=memory,
         seed=table.integer("seed", 0) if "seed" in table.values else default.seed,
         options=options,

@@ -18,7 +18,7 @@ from tests.golden.model_factory import Shape, draw_model
 from tests.golden.models import CASES
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compilers
 from zerodrift.c_runtime.host import write_sources
-from zerodrift.codegen.generate import generate
+from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.errors import CheckError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.verify.c_intervals import Machine
@@ -41,9 +41,13 @@ def build(shape: Shape, seed: int = 3) -> tuple[str, dict[str, str]]:
 
 def build_files(model: IntegerModel) -> tuple[str, dict[str, str]]:
     code = generate(model)
+    return certify(model, code), list_texts(code)
+
+
+def list_texts(code: GeneratedCode) -> dict[str, str]:
+    """Return the files that a certificate is about."""
     texts = {code.header_name: code.header, code.source_name: code.source}
-    texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
-    return certify(model, code), texts
+    return texts | {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
 
 
 def count_claims(claims: dict[str, Any]) -> int:
@@ -195,6 +199,15 @@ FAULTS = {
     "gate shift": (C, r"    \{\d+, \d+, \d+\},\n", "    {40, 12, 11},\n"),
     "more units than weights": (C, r"(zd_gru_step_after\(&gru, 3u, )4u", r"\g<1>5u"),
     "head reads too many": (C, r"gru_q15, 4u\);\n    \}", "gru_q15, 400u);\n    }"),
+    "copy shorter than the state": (C, r"gru_q15\[4\]", "gru_q15[3]"),
+    "scratch shorter than the state": (C, r"h_q15\[4\];", "h_q15[3];"),
+    "state check of too few units": (C, r"(gru_h_q30, )4u\)", r"\g<1>3u)"),
+    "state check of too many units": (C, r"(gru_h_q30, )4u\)", r"\g<1>9u)"),
+    "state check beyond a ring": (
+        C,
+        r"k < (\d)u; k\+\+\) \{\n        if \(\(s->delay",
+        r"k < 9\g<1>u; k++) {\n        if ((s->delay",
+    ),
     "division": (C, r" - lowpass_(\d+);", r" / lowpass_\1;"),
     "macro over a variable": (C, r'#include "zd_runtime.h"', "#define in_0 7\n"),
     "macro over a kernel": (C, r'#include "zd_runtime.h"', "#define zd_asr64 3\n"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.fixed_point.test_emulated_chips import draw_codes
 from tests.fixed_point.test_million_steps import walk_slowly
-from tests.golden.model_factory import Shape, draw_model
+from tests.golden.model_factory import LINEAR, Shape, draw_model
 
 from zerodrift.c_runtime.cores import CORES, find_cross_compilers
 from zerodrift.c_runtime.host import HostModel
@@ -39,6 +39,38 @@ def test_core_equals_reference_at_every_level(
         folder = tmp_path / compiler.name
         folder.mkdir()
         chip = EmulatedModel(model, generate(model), core, folder, flags, compiler)
+        drift, told = chip.run(codes, settled=True)
+        np.testing.assert_array_equal(drift, expected.drift[0])
+        np.testing.assert_array_equal(told, expected.flags[0])
+        assert chip.selftest() == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("core", CORES)
+def test_core_equals_reference_for_random_models(core: str, seed: int, tmp_path: Path) -> None:
+    """Shapes, sizes of weights, front ends and levels from the seed; by every compiler there is."""
+    draw = np.random.default_rng(900 + seed)
+    count = int(draw.integers(0, 4))
+    shape = Shape(
+        hidden=int(draw.integers(1, 24)),
+        inputs=int(draw.integers(1, 9)),
+        outputs=int(draw.integers(1, 4)),
+        gain=float(2.0 ** draw.uniform(-4, 4)),
+        reset=str(draw.choice(["after", "before"])),
+        weights=str(draw.choice(["int16", "int8"])),
+        front_end=tuple(str(kind) for kind in draw.choice(LINEAR, count, replace=False)),
+        code_limit=15000,
+        drift_limit=80.0,
+    )
+    model = draw_model(shape, 900 + seed)
+    codes = draw_codes(len(model.channels))
+    expected = Reference(model).run(codes[None])
+    for compiler in find_cross_compilers(core):
+        folder = tmp_path / compiler.name
+        folder.mkdir()
+        level = FLAGS[int(draw.integers(0, len(FLAGS)))]
+        chip = EmulatedModel(model, generate(model), core, folder, level, compiler)
         drift, told = chip.run(codes, settled=True)
         np.testing.assert_array_equal(drift, expected.drift[0])
         np.testing.assert_array_equal(told, expected.flags[0])

@@ -118,6 +118,20 @@ def test_zephyr_metadata_keeps_to_the_schema(tmp_path: Path) -> None:
     assert (source / "Kconfig").is_file()
 
 
+def test_zephyr_kconfig_is_read_by_kconfiglib(tmp_path: Path) -> None:
+    kconfiglib = pytest.importorskip(
+        "kconfiglib", reason="needs kconfiglib: pip install kconfiglib"
+    )
+    source = write("zephyr", tmp_path)
+    found = kconfiglib.Kconfig(str(source / "Kconfig"), warn_to_stderr=False)
+    assert found.warnings == []
+    assert {"FRONT_END", "FRONT_END_SMALL"} <= set(found.syms)
+    found.syms["FRONT_END_SMALL"].set_value("y")
+    assert found.syms["FRONT_END_SMALL"].str_value == "n", "not without the module itself"
+    found.syms["FRONT_END"].set_value("y")
+    assert found.syms["FRONT_END_SMALL"].str_value == "y"
+
+
 def test_arduino_metadata_keeps_to_the_specification(tmp_path: Path) -> None:
     """Arduino library specification 1.5: required fields, names, semantic version, category."""
     source = write("arduino", tmp_path)

@@ -12,15 +12,24 @@ from zerodrift.c_runtime.qemu import MACHINES, QemuModel, is_available
 from zerodrift.codegen.generate import generate
 from zerodrift.export.reference import Reference
 
+pytestmark = pytest.mark.board
+
 LEVELS = ("-O0", "-O1", "-O2", "-O3", "-Os")
-QUICK = {("cortex-m4", "-O2"), ("cortex-m55", "-O2"), ("rv32imc", "-Os")}
+QUICK = {
+    ("cortex-m3", "-Os"),
+    ("cortex-m4", "-O2"),
+    ("cortex-m7", "-O3"),
+    ("cortex-m33", "-O2"),
+    ("cortex-m55", "-O2"),
+    ("rv32imc", "-Os"),
+}
 STREAM = Shape(hidden=11, inputs=3, outputs=2, gain=3.0)
 """Odd in everything: the last pair, vector and block of each kernel are partly filled."""
 
 
 def require(core: str) -> None:
     if not is_available(core):
-        pytest.skip(f"QEMU and a GNU cross-compiler for {core} are not installed: make setup-qemu")
+        pytest.skip(f"QEMU or the cross-compiler ({core[:6]}) is not there: make setup-qemu")
 
 
 def compare(core: str, shape: Shape, seed: int, flags: tuple[str, ...], folder: Path) -> None:
@@ -57,8 +66,10 @@ def test_board_equals_reference_for_every_shape(core: str, shape: str, tmp_path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
-@pytest.mark.parametrize("core", ["cortex-m4", "cortex-m55"])
+@pytest.mark.parametrize(
+    ("core", "seed"),
+    [(c, k) for c in MACHINES for k in range(8 if c in ("cortex-m4", "cortex-m55") else 2)],
+)
 def test_board_equals_reference_for_random_models(core: str, seed: int, tmp_path: Path) -> None:
     require(core)
     shape = Shape(

@@ -188,7 +188,7 @@ def test_init_says_when_it_may_not_write(tmp_path, invoke, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     write_log(tmp_path / "log.csv")
-    monkeypatch.setattr("zerodrift.commands.common.tempfile.mkstemp", refuse)
+    monkeypatch.setattr("zerodrift.files.tempfile.mkstemp", refuse)
     result = invoke("log.csv")
     assert isinstance(result.exception, InputError)
     assert "zerodrift.toml: cannot be written (Permission denied)" in str(result.exception)

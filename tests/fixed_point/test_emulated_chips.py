@@ -91,9 +91,13 @@ def test_told_stack_is_enough_for_what_runs(core: str, tmp_path: Path) -> None:
     ("core", "flags"),
     [
         ("cortex-m0plus", ("-O2",)),
+        ("cortex-m0plus", ("-Os",)),
+        ("cortex-m0plus", ("-O2", "-DZD_NO_ASSEMBLY")),
         ("cortex-m4", ("-O2",)),
+        ("cortex-m4", ("-Os",)),
         ("cortex-m4", ("-O2", "-DZD_NO_ASSEMBLY")),
         ("rv32imc", ("-O2",)),
+        ("rv32imc", ("-Os",)),
     ],
 )
 def test_instruction_count_does_not_depend_on_the_data(

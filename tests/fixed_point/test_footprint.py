@@ -3,12 +3,13 @@
 import importlib.util
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from tests.golden.model_factory import Shape, draw_model
 from tests.golden.vectors import load
 
-from zerodrift.c_runtime.cores import CORES
+from zerodrift.c_runtime.cores import CORES, find_cross_compilers
 from zerodrift.c_runtime.footprint import HELPER_STACK_BYTES, measure_footprint
 from zerodrift.codegen.generate import generate
 from zerodrift.errors import CheckError, InputError
@@ -73,3 +74,25 @@ def test_code_that_does_not_compile_is_told() -> None:
     code = generate(draw_model(Shape(hidden=1), 1))
     with pytest.raises(CheckError, match="no_such_type"):
         measure_footprint(replace(code, source=code.source + "no_such_type x;\n"))
+
+
+@pytest.mark.parametrize("core", ["cortex-m0plus", "cortex-m4", "rv32imc"])
+@pytest.mark.parametrize("name", ["front_end", "effects"])
+def test_stack_told_by_both_compilers_covers_what_a_run_touches(
+    core: str, name: str, tmp_path: Path
+) -> None:
+    """-fstack-size-section of clang, -fstack-usage of gcc; the emulator sees the bytes written."""
+    if importlib.util.find_spec("unicorn") is None:
+        pytest.skip("emulation needs the unicorn wheel")
+    from zerodrift.c_runtime.emulator import EmulatedModel
+
+    golden = load(name)
+    code = generate(golden.model)
+    for compiler in find_cross_compilers(core):
+        folder = tmp_path / compiler.name
+        folder.mkdir()
+        told = measure_footprint(code, core, compiler=compiler.name).stack_bytes
+        chip = EmulatedModel(golden.model, code, core, folder, ("-Os",), compiler)
+        touched = chip.measure_stack(golden.codes[:20])
+        # the wrapper that the emulator calls has a frame of its own
+        assert 40 < touched <= told + 16, compiler.name

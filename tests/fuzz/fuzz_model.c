@@ -27,7 +27,7 @@ static void take(const uint8_t **data, size_t *size, void *to, size_t wanted) {
 static void run_steps(MODEL_STATE *state, const uint8_t *data, size_t size) {
     static const int32_t low[OUTPUTS] = LOWEST;
     static const int32_t high[OUTPUTS] = HIGHEST;
-    int16_t codes[CHANNELS] = {0};
+    CODE codes[CHANNELS] = {0};
     int32_t drift[OUTPUTS];
     uint32_t flags;
     uint32_t before = 0;
@@ -46,7 +46,7 @@ static void run_steps(MODEL_STATE *state, const uint8_t *data, size_t size) {
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     MODEL_STATE state;
     uint8_t saved[sizeof(MODEL_STATE) + 16u];
-    int16_t codes[CHANNELS] = {0};
+    CODE codes[CHANNELS] = {0};
     uint8_t settled = 0;
     if (size == 0u) {
         return 0;

@@ -1,65 +1,103 @@
-"""Replays the fuzzers' corpora and random bytes under the sanitizers, with gcc or clang."""
+"""Replays what the fuzzers kept, and random bytes: the C under sanitizers, the readers as is."""
 
-import importlib.util
 import subprocess
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
+from tests.fuzz import build, loaders
 
 from zerodrift.c_runtime.compilers import find_compilers
-from zerodrift.export.integer_model import load_model
+from zerodrift.codegen.generate import GeneratedCode
+from zerodrift.export.integer_model import IntegerModel, load_model
 
-HERE = Path(__file__).parent
+CORPUS = Path(__file__).parent / "corpus"
 SANITIZED = [c for c in find_compilers() if c.name in ("gcc", "clang", "cc")]
+needs_sanitizers = pytest.mark.skipif(
+    not SANITIZED, reason="needs gcc or clang with the address sanitizer"
+)
 
 
-def load_builder() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("fuzz_build", HERE / "build.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-BUILDER = load_builder()
-
-
-@pytest.mark.skipif(not SANITIZED, reason="needs gcc or clang with the address sanitizer")
-@pytest.mark.parametrize("target", BUILDER.TARGETS)
-@pytest.mark.parametrize("name", ["front_end", pytest.param("windowed", marks=pytest.mark.slow)])
+@needs_sanitizers
+@pytest.mark.parametrize("target", build.TARGETS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow if n == "windowed" else ()) for n in build.MODELS],
+)
 def test_corpus_and_random_bytes_find_nothing(name: str, target: str, tmp_path: Path) -> None:
-    model = load_model(BUILDER.GOLDEN / f"{name}.model.json")
-    flags = (f"-fsanitize={BUILDER.SANITIZERS}", "-DREPLAY")
-    program = BUILDER.build(model, target, SANITIZED[0], tmp_path, flags)
-    files = sorted((HERE / "corpus" / f"{target}_{name}").glob("*"))
+    model = load_model(build.GOLDEN / f"{name}.model.json")
+    flags = (f"-fsanitize={build.SANITIZERS}", "-DREPLAY")
+    program = build.build(model, target, SANITIZED[0], tmp_path, flags)
+    files = sorted((CORPUS / f"{target}_{name}").glob("*"))
+    assert files
     rng = np.random.default_rng(81)
-    for i in range(300):
+    for i in range(100):
         files.append(tmp_path / f"random_{i}")
         files[-1].write_bytes(rng.bytes(int(rng.integers(1, 500))))
     done = subprocess.run([program, *files], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.skipif(not SANITIZED, reason="needs gcc or clang with the address sanitizer")
-def test_target_would_find_a_state_that_is_not_checked(tmp_path: Path) -> None:
+@needs_sanitizers
+def test_target_would_find_a_state_that_is_not_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Guards the test above: without the check of the delay's position, it reads out of bounds."""
-    model = load_model(BUILDER.GOLDEN / "front_end.model.json")
-    generate = BUILDER.generate
+    generate = build.generate
 
-    def generate_unchecked(model: object) -> object:
+    def generate_unchecked(model: IntegerModel) -> GeneratedCode:
         code = generate(model)
         unsound = code.source.replace("        sound = 0u;", "        sound = sound;")
         assert unsound != code.source
-        return type(code)(code.prefix, code.header, unsound, code.harness)
+        return GeneratedCode(code.prefix, code.header, unsound, code.harness)
 
-    BUILDER.generate = generate_unchecked
-    try:
-        flags = (f"-fsanitize={BUILDER.SANITIZERS}", "-DREPLAY")
-        program = BUILDER.build(model, "state", SANITIZED[0], tmp_path, flags)
-    finally:
-        BUILDER.generate = generate
+    monkeypatch.setattr(build, "generate", generate_unchecked)
+    flags = (f"-fsanitize={build.SANITIZERS}", "-DREPLAY")
+    model = load_model(build.GOLDEN / "front_end.model.json")
+    program = build.build(model, "state", SANITIZED[0], tmp_path, flags)
     bad = tmp_path / "bad"
     bad.write_bytes(b"\x03" + b"\xff" * 300)
     assert subprocess.run([program, bad], capture_output=True, check=False).returncode != 0
+
+
+@pytest.mark.parametrize("target", loaders.TARGETS)
+def test_readers_read_or_refuse_whatever_was_found(target: str) -> None:
+    """Nothing but a message gets out, and the corpus holds files of both kinds."""
+    kept = sorted((CORPUS / f"loader_{target}").glob("*"))
+    read = [loaders.run_one(target, path.read_bytes()) for path in kept]
+    assert True in read and False in read
+
+
+@pytest.mark.parametrize("target", loaders.TARGETS)
+def test_readers_read_or_refuse_damaged_files(target: str) -> None:
+    seeds = loaders.list_seeds(target)
+    assert loaders.run_one(target, seeds[0])
+    rng = np.random.default_rng(82)
+    for k in range(60):
+        data = bytearray(seeds[k % len(seeds)])
+        for at in rng.integers(0, len(data), 3):
+            data[at] = rng.integers(0, 256)
+        cut = int(rng.integers(0, len(data)))
+        del data[cut : cut + int(rng.integers(0, 8))]
+        loaders.run_one(target, bytes(data))
+
+
+@pytest.mark.parametrize(
+    ("target", "data"),
+    [
+        # found by the fuzzer: a quotation mark that is never closed
+        ("csv", b'\0t,T,y,r,v\n0,20,0,0,3.3\n1,"0.10,0,3.3\n2,20,0,0,..3\n3,20,0,0,3\n'),
+        # a field of a model that no quantizer writes, with the hash that belongs to it
+        *(("model", bytes.fromhex(text)) for text in (
+            "ffc4bb86c3d1c427103c344c41eb2f1e", "ffebabcf0812c9305ec2",
+            "ff71a65112c963c68e4b869c97", "ff8aa29531c201f53981e6",
+            "ff5f6435c0f37c9952f28000c014b527fb",
+        )),
+        ("model", b"\0" + b"[" * 15000),
+        ("model", b'\0{"format": ' + b"1" * 5000 + b"}"),
+        ("config", b"[sensor]\nname = " + b"[" * 5000),
+        ("config", b"[sensor]\nname = " + b"1" * 5000),
+    ],
+)  # fmt: skip
+def test_files_that_once_got_through_are_refused(target: str, data: bytes) -> None:
+    assert loaders.run_one(target, data) is False

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.export.float_network import FloatDense, FloatNetwork
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import Calibration, FloatModel, quantize
+from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.operations.gru import FloatGru
 
@@ -107,7 +108,7 @@ def draw_float_model(shape: Shape, seed: int) -> tuple[FloatModel, Calibration]:
         features=tuple(node for node, _ in physical),
         coefficients=coefficients,
         offset=draw.uniform(-50.0, 50.0, shape.outputs),
-        **(_draw_network(taps, shape, draw) if shape.hidden else {}),
+        **(draw_network(taps, shape, draw) if shape.hidden else {}),
     )
     calibration = Calibration(
         code_limits=((max(-shape.code_limit, -32768), min(shape.code_limit, 32767)),) * shape.inputs
@@ -187,7 +188,7 @@ def _draw_front_end(
     return nodes
 
 
-def _draw_network(taps: list[tuple[Node, float]], shape: Shape, draw: Draw) -> dict[str, Any]:
+def draw_network(taps: list[tuple[Node, float]], shape: Shape, draw: Draw) -> dict[str, Any]:
     """Return the fields of `FloatModel` that belong to the network."""
     inputs, hidden, gain = shape.inputs, shape.hidden, shape.gain
     mixing = draw.uniform(-0.3, 0.3, inputs, len(taps))

@@ -62,7 +62,9 @@ class Project:
         return {str(p.relative_to(self.directory)): p.read_bytes() for p in files}
 
 
-def write_log(path: Path, seed: int, *, seconds: int = 900, dwell: bool = False) -> None:
+def write_log(
+    path: Path, seed: int, *, seconds: int = 900, dwell: bool = False, tau_s: float = TAU_S
+) -> None:
     """Write a log of two ramps of the temperature with loads hung on now and then."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(seconds, dtype=np.float64)
@@ -72,7 +74,7 @@ def write_log(path: Path, seed: int, *, seconds: int = 900, dwell: bool = False)
     load = np.repeat(20.0 * rng.integers(0, 4, size=-(-seconds // 100)), 100)[:seconds]
     if dwell:
         temperature, load = np.full(seconds, 25.0), np.zeros(seconds)
-    late = lowpass(temperature, 1.0, TAU_S)
+    late = lowpass(temperature, 1.0, tau_s)
     fz = 0.2 * (late - 25.0) + 3.0 + 0.05 * rng.standard_normal(seconds)
     mx = -0.01 * (late - 25.0) + 0.004 * rng.standard_normal(seconds)
     columns = [time_s, temperature, load + fz, mx, load]
@@ -87,10 +89,12 @@ def write_log(path: Path, seed: int, *, seconds: int = 900, dwell: bool = False)
     )
 
 
-def write_project(directory: Path, *, runs: int = 5, dwell: bool = True) -> Project:
+def write_project(
+    directory: Path, *, runs: int = 5, dwell: bool = True, tau_s: float = TAU_S
+) -> Project:
     """Write a project of so many training runs; without test logs, runs are left out in turn."""
     for number in range(runs):
-        write_log(directory / "logs" / f"run_{number}.csv", 50 + number)
+        write_log(directory / "logs" / f"run_{number}.csv", 50 + number, tau_s=tau_s)
     more = ""
     if dwell:
         write_log(directory / "logs" / "dwell.csv", 99, dwell=True)

@@ -190,6 +190,14 @@ def test_failure_between_the_two_files_restores_the_first(project, zerodrift, mo
     result = zerodrift("add", "thermal_lag", "-C", project.directory)
     assert result.code == 2
     assert project.read_all() == before
+    monkeypatch.setattr(revise, "write_text", write)
+    assert zerodrift("add", "thermal_lag", "-C", project.directory).code == 0
+    before = project.read_all()
+    monkeypatch.setattr(revise, "write_text", fail_on_toml)
+    result = zerodrift("remove", "thermal_lag", "-C", project.directory)
+    assert result.code == 2
+    assert "the disk is full" in result.err
+    assert project.read_all() == before
 
 
 PLUGIN = """

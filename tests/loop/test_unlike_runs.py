@@ -4,6 +4,9 @@ import json
 
 import numpy as np
 
+from zerodrift.commands.survey import survey_project
+from zerodrift.report.report import render_report
+
 
 def edit_log(path, change):
     table = np.genfromtxt(path, delimiter=",", names=True)
@@ -41,6 +44,9 @@ def test_one_bad_run_is_named_where_no_effect_explains_it(make_project, zerodrif
     assert (told["verdict"], told["effect"]) == ("unknown", None)
     (note,) = [note for note in told["notes"] if "squared error beyond the noise" in note]
     assert "in run run_3" in note
+    found = survey_project(project.directory)
+    assert found.told["diagnose"] == told
+    assert note in render_report(found)
 
 
 def test_no_run_is_blamed_for_what_all_of_them_have(make_project, zerodrift):

@@ -184,6 +184,10 @@ def test_command_writes_checked_firmware(project: Path) -> None:
         "zd_gru_pairs.h",
         "zd_gru_rows.h",
         "zd_gru_columns.h",
+        "zd_gru_columns_sse2.h",
+        "zd_gru_columns_avx2.h",
+        "zd_gru_portable.h",
+        "zd_signals.h",
         "certificate.json",
         "cell.dbc",
     }

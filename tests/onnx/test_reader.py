@@ -56,6 +56,11 @@ def test_torch_network_is_read(layers: int, batch_first: bool, last: str, state:
     assert imported.window == 0, "the file holds for sequences of any length"
 
 
+@pytest.mark.parametrize("opset", [9, 11, 13, 16, 18, 20])
+def test_every_opset_of_the_older_exporter_is_read(opset: int) -> None:
+    check(export(Form(layers=2, last="state", activation="relu"), opset=opset))
+
+
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 def test_torch_head_is_read(activation: str) -> None:
     imported = check(export(Form(activation=activation, last="state"), dynamic=False))

@@ -73,7 +73,9 @@ class Network(nn.Module):
         return (y, after) if self.form.state else y
 
 
-def export(form: Form, steps: int = 10, *, dynamic: bool = True, seed: int = 0) -> bytes:
+def export(
+    form: Form, steps: int = 10, *, dynamic: bool = True, seed: int = 0, opset: int | None = None
+) -> bytes:
     """Return the ONNX file of a network of this form."""
     network = Network(form, seed).eval()
     shape = (1, steps, form.features) if form.batch_first else (steps, 1, form.features)
@@ -90,6 +92,7 @@ def export(form: Form, steps: int = 10, *, dynamic: bool = True, seed: int = 0) 
             arguments,
             file,
             dynamo=False,
+            opset_version=opset,
             input_names=names,
             output_names=results,
             dynamic_axes={"x": {1 if form.batch_first else 0: "T"}} if dynamic else None,

@@ -7,8 +7,15 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from zerodrift.commands.survey import survey_project
-from zerodrift.report.findings import ARRAYS, load_findings, measure_rate, save_findings
+from zerodrift.commands.survey import read_certificate, survey_project
+from zerodrift.report.figures_runs import bin_means, draw_residual, list_means
+from zerodrift.report.findings import (
+    ARRAYS,
+    find_threshold,
+    load_findings,
+    measure_rate,
+    save_findings,
+)
 from zerodrift.report.report import list_figures, render_report
 
 
@@ -59,7 +66,6 @@ def test_report_shows_the_numbers_of_the_commands(surveyed, zerodrift):
     compared = json.loads(zerodrift("compare", "-C", project.directory, "--json").out)
     assert findings.told["compare"] == compared
     diagnosed = json.loads(zerodrift("diagnose", "-C", project.directory, "--json").out)
-    assert diagnosed.pop("thermometers") == []
     diagnosed["command"] = diagnosed["command"].partition(" -C ")[0]
     assert findings.told["diagnose"] == diagnosed
     assert f"The model lacks {diagnosed['effect']}" in text
@@ -80,6 +86,25 @@ def test_report_has_a_table_beside_every_figure_and_a_word_for_it(surveyed):
     figures = re.findall(r'role="img" aria-label="([^"]*)"', page)
     assert len(figures) == len(read(page).data)
     assert all(figures)
+    for label, behind in re.findall(
+        r'aria-label="([^"]*)".*?</figure>(.*?)(?=<figure|</main>)', page, re.DOTALL
+    ):
+        assert "<table" in behind or "errors per run are in the table" in label, label
+
+
+def test_means_in_the_table_are_those_of_the_samples(surveyed):
+    findings = surveyed[1]
+    figure = draw_residual(findings.traces, findings.told["compare"], "Fz")
+    means = [row for row in list_means(figure) if row[:2] == ("temperature, degC", "heating")]
+    shown = [trace for trace in findings.traces if trace.held_out]
+    moving = find_threshold(shown)
+    rate = np.concatenate([trace.rate_K_per_min for trace in shown])
+    heating = rate > moving
+    temperature = np.concatenate([trace.temperature_degC for trace in shown])[heating]
+    error = np.concatenate([trace.error[0] for trace in shown])[heating]
+    centres, values = bin_means(temperature, error)
+    assert [row[2] for row in means] == list(centres)
+    assert [row[3] for row in means] == list(values)
 
 
 def test_lines_of_a_figure_differ_in_more_than_colour(surveyed):
@@ -112,7 +137,7 @@ def test_simulated_logs_are_said_to_be(project, zerodrift):
 
 def test_diagnosis_is_kept_until_the_logs_change(surveyed, monkeypatch):
     project, findings = surveyed
-    monkeypatch.setattr("zerodrift.physics.diagnose.diagnose", None)
+    monkeypatch.setattr("zerodrift.commands.survey.find_verdict", None)
     again = survey_project(project.directory)
     assert again.told["diagnose"] == findings.told["diagnose"]
 
@@ -203,3 +228,22 @@ def test_full_disk_is_a_message_and_leaves_the_old_report(project, zerodrift, mo
         "report.html",
         "zerodrift.toml",
     ]
+
+
+def test_bounds_are_those_of_the_model_s_own_certificate(tmp_path):
+    path = tmp_path / "certificate.json"
+    assert "missing in build/" in read_certificate(path, "abc")[1]
+    bounds = [
+        {"where": "a", "low": -5, "high": 100, "bits": 8},
+        {"where": "b", "low": 0, "high": 2**31 - 1, "bits": 32},
+    ]
+    path.write_text(json.dumps({"model": "abc", "bounds": bounds}))
+    told, note = read_certificate(path, "abc")
+    assert told["bounds"] == 2 and note == ""
+    assert [b["where"] for b in told["tightest"]] == ["b", "a"]
+    assert told["tightest"][0]["headroom_bits"] == 0.0
+    assert "of another model" in read_certificate(path, "abd")[1]
+    for damage in ('{"model": "abc"}', '{"model": "abc", "bounds": [3]}', "[]", '{"model": '):
+        path.write_text(damage)
+        told, note = read_certificate(path, "abc")
+        assert told is None and "No bounds are shown" in note

@@ -9,11 +9,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.fixed_point.strategies import shapes
 from tests.golden.model_factory import Draw, Shape, draw_float_model
+from torch import Tensor
 
 from zerodrift.export.fine_tune import build_integer_network
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.onnx_reader import read_network_bytes
 from zerodrift.export.quantize import FEATURE_HEADROOM, quantize
 from zerodrift.export.quantize_gru import quantize_gru
+from zerodrift.export.quantize_layers import quantize_layers
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
 from zerodrift.operations.gru import FloatGru
@@ -47,10 +50,10 @@ def make_network(shape: Shape, seed: int, exponents: IntArray) -> IntegerGruNetw
 @given(shape=shapes(most_hidden=12, most_outputs=4), seed=st.integers(0, 2**31))
 def test_forward_pass_is_the_reference_bit_for_bit(shape: Shape, seed: int) -> None:
     """Every state and every output sum, from the state at rest (or of each window) on."""
-    shape = replace(shape, hidden=max(shape.hidden, 1), upper=(), dense=())  # what is trained here
+    shape = replace(shape, hidden=max(shape.hidden, 1))
     float_model, calibration = draw_float_model(shape, seed)
     assert float_model.network is not None
-    stored = replace(float_model.network, gru=as_stored(float_model.network.gru))
+    stored = float_model.network.with_layers(list(map(as_stored, float_model.network.layers)))
     model = quantize(replace(float_model, network=stored), calibration, "int8")
     exponents = np.array(
         [
@@ -74,7 +77,8 @@ def test_forward_pass_is_the_reference_bit_for_bit(shape: Shape, seed: int) -> N
         else:
             drift, states = network(features, network.rest(features[0]))
     h_q30 = (states.numpy() * 2.0**30).transpose(0, 2, 1)
-    assert np.array_equal(h_q30, np.stack([v["gru"] for v in seen]))
+    top = np.stack([v["gru"] for v in seen])
+    assert np.array_equal(h_q30[:, :, -top.shape[2] :], top)
     sums = drift.numpy().transpose(0, 2, 1) / network.head.scale
     assert np.array_equal(np.round(sums), np.stack([v["head"] for v in seen]))
     assert np.abs(sums - np.round(sums)).max() < 1e-3
@@ -85,22 +89,69 @@ def test_gradient_is_that_of_the_float_cell(reset: str) -> None:
     """With weights that lose little to rounding both gradients agree; both are checked by hand."""
     shape = Shape(inputs=4, hidden=5, outputs=2, reset=reset)
     network = make_network(shape, 5, EXPONENTS)
-    network._quantize = lambda gru: quantize_gru(gru, EXPONENTS, "int16")
+    network._quantize = lambda layers: quantize_layers(layers, EXPONENTS, "int16")
     counts = Draw(6).codes(-9000, 9000, 20, 4, 3).astype(np.float32)
     x = torch.from_numpy(counts)
     drift, _ = network(x, network.cold(3))
     drift.square().mean().backward()
     weights = GruWeights(
-        *(w.detach().clone().requires_grad_() for w in (network.w_x, network.w_h, network.bias))
+        *(
+            w.detach().clone().requires_grad_()
+            for w in (network.w_x[0], network.w_h[0], network.bias[0])
+        )
     )
     real = x * torch.from_numpy(2.0**-EXPONENTS).float()[:, None]
     states = run_gru(real, torch.zeros(5, 3), weights, reset)
     head = torch.from_numpy(network.head.rows * network.head.scale[:, None] * 2**15).float()
     torch.matmul(head, states).square().mean().backward()
-    for mine, floats in zip((network.w_x, network.w_h, network.bias), weights, strict=True):
+    for mine, floats in zip(
+        (network.w_x[0], network.w_h[0], network.bias[0]), weights, strict=True
+    ):
         assert mine.grad is not None and floats.grad is not None
         scale = floats.grad.abs().max()
         assert (mine.grad - floats.grad).abs().max() < 0.01 * scale
+
+
+def run_floats(network: FloatNetwork, layers: list[list[Tensor]], x: Tensor) -> Tensor:
+    """Return the answers [T, K, B] of stacked layers, reset after, from zero, by autograd."""
+    for w_x, w_h, bias in layers:
+        h = torch.zeros(w_h.shape[1], x.shape[2], dtype=torch.float64)
+        states = []
+        for now in x:
+            r, u = (torch.sigmoid(w_x[i] @ now + w_h[i] @ h + bias[i][:, None]) for i in range(2))
+            inside = w_h[2] @ h + bias[3][:, None]
+            n = torch.tanh(w_x[2] @ now + bias[2][:, None] + r * inside)
+            h = h + u * (n - h)
+            states.append(h)
+        x = torch.stack(states)
+    for layer in network.dense:
+        total = torch.from_numpy(layer.weight) @ x + torch.from_numpy(layer.bias)[:, None]
+        x = torch.tanh(total) if layer.activation == "tanh" else total.clamp(layer.low, layer.high)
+    return torch.from_numpy(network.head) @ x
+
+
+def test_gradient_goes_through_stacked_and_dense_layers() -> None:
+    """It is that of PyTorch on the float network, down to the weights of the lowest layer."""
+    shape = Shape(inputs=4, hidden=5, outputs=2, upper=(4,), dense=((6, "tanh"), (5, "relu6")))
+    model, _ = draw_float_model(shape, 5)
+    assert model.network is not None
+    network = build_integer_network(model.network, EXPONENTS, np.ones(2))
+    network._quantize = lambda layers: quantize_layers(layers, EXPONENTS, "int16")
+    x = torch.from_numpy(Draw(6).codes(-9000, 9000, 20, 4, 3).astype(np.float32))
+    drift, _ = network(x, network.cold(3))
+    drift.square().mean().backward()
+    mine = [list(layer) for layer in zip(network.w_x, network.w_h, network.bias, strict=True)]
+    floats = [[w.detach().double().requires_grad_() for w in layer] for layer in mine]
+    answers = run_floats(
+        model.network, floats, x.double() * torch.from_numpy(2.0**-EXPONENTS)[:, None]
+    )
+    answers.square().mean().backward()
+    assert (answers - drift).abs().max() < 2e-3 * answers.abs().max()
+    for layer, other in zip(mine, floats, strict=True):
+        for weight, wanted in zip(layer, other, strict=True):
+            assert weight.grad is not None and wanted.grad is not None
+            scale = wanted.grad.abs().max()
+            assert scale > 0 and (weight.grad - wanted.grad).abs().max() < 0.01 * scale
 
 
 def make_problem(reset: str, memory: str | int) -> tuple[IntegerGruNetwork, list[Sequence32]]:
@@ -143,16 +194,16 @@ def test_fine_tuning_brings_8_bit_weights_nearer_to_the_float_network(
     first, second = results
     assert first.epoch > 0 and first.after < 0.8 * first.before
     for name in ("w_x", "w_h", "bias"):  # and the same again to the bit
-        assert np.array_equal(getattr(first.gru, name), getattr(second.gru, name))
+        assert np.array_equal(getattr(first.layers[0], name), getattr(second.layers[0], name))
 
 
 def test_weights_kept_are_those_that_the_chip_gets() -> None:
     """Through the network's file and the quantizer: the answers measured in training come back."""
     network, sequences = make_problem("after", "stream")
     tuned = fine_tune(network, sequences, "stream", Settings(epochs=2, evaluations=1))
-    content = build_onnx(tuned.gru, np.ones((2, 6)), np.zeros(2), ["a", "b"])
+    content = build_onnx(tuned.layers[0], np.ones((2, 6)), np.zeros(2), ["a", "b"])
     again = quantize_gru(read_network_bytes(content, "test").gru, EXPONENTS, "int8")
-    expected = quantize_gru(tuned.gru, EXPONENTS, "int8")
+    expected = quantize_gru(tuned.layers[0], EXPONENTS, "int8")
     for name in ("w_x", "w_h", "bias", "multiplier"):
         assert np.array_equal(getattr(again, name), getattr(expected, name)), name
     assert (again.shift, again.multiplier_shift) == (expected.shift, expected.multiplier_shift)
@@ -165,7 +216,7 @@ def test_nothing_is_changed_where_nothing_can_be_gained() -> None:
         Sequence32(s.group, s.features, a.astype(np.float32))
         for s, a in zip(sequences, answers, strict=True)
     ]
-    first = network.to_float()
+    (first,) = network.to_float()
     tuned = fine_tune(network, own, "stream", Settings(epochs=2, evaluations=2))
     assert tuned.before < 1e-6 and tuned.epoch == 0
-    assert np.array_equal(tuned.gru.w_h, first.w_h)
+    assert np.array_equal(tuned.layers[0].w_h, first.w_h)

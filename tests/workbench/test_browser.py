@@ -6,8 +6,11 @@ import shutil
 from urllib.parse import urlsplit
 
 import pytest
+from tests.loop.conftest import write_project
 from tests.workbench.conftest import serve
-from tests.workbench.test_workplace import run_command, settle
+from tests.workbench.test_workplace import run_command, settle, use_effect
+
+from zerodrift.workbench.chart import MOVES
 
 DRAWN = "#main .js-plotly-plot .scatterlayer .trace"
 
@@ -27,6 +30,20 @@ def choose(page, dropdown, value):
     page.keyboard.press("Enter")
 
 
+def drop(page, name, text, size=None):
+    """Drop a file on the page; `size` is what it claims to have."""
+    page.evaluate(
+        """([name, text, size]) => {
+          const file = new File([text], name);
+          if (size !== null) { Object.defineProperty(file, 'size', { value: size }); }
+          const event = new Event('drop', { bubbles: true, cancelable: true });
+          event.dataTransfer = { files: [file] };
+          document.getElementById('drop').dispatchEvent(event);
+        }""",
+        [name, text, size],
+    )
+
+
 def wait_for_job(page):
     page.wait_for_function("document.getElementById('job').textContent === ''", timeout=120_000)
 
@@ -44,12 +61,12 @@ def test_loop_in_the_browser(page, bench, project, tmp_path, keep):
     shutil.copytree(project.directory, copy)
     open_page(page, bench)
     assert "The model lacks thermal_lag" in page.inner_text("#verdict-sentence")
-    assert page.inner_text("#add") == "Add thermal_lag"
+    assert page.inner_text("#adds") == "Add thermal_lag"
     keep(page, "1_named")
 
     page.wait_for_function("document.getElementById('job').textContent === ''")
     _, told = run_command(copy, "add", "thermal_lag", "--json")
-    page.locator("#add").focus()
+    page.locator("#adds button").focus()
     page.keyboard.press("Enter")
     page.wait_for_selector("#revision table")
     rows = {row[0]: row for row in read_numbers(page, "#revision")}
@@ -107,17 +124,84 @@ def test_zoom_shows_more_of_less(page, bench):
 def test_effect_is_drawn_over_what_is_left_and_explained(page, bench, keep):
     open_page(page, bench)
     settle(bench.place)
-    page.wait_for_timeout(1500)
+    page.wait_for_selector("#candidates button.draw")
     choose(page, "ghost", "thermal_lag")
     page.wait_for_function(
         "document.querySelector('#main .legend')?.textContent.includes('would look like')"
     )
-    text = page.inner_text("#effect-told")
-    assert "this one is missing" in text
-    assert "To provoke it" in text
+    choose(page, "effect", "thermal_gradient")
+    page.wait_for_function("document.getElementById('effect-told').textContent.includes('provoke')")
+    assert "Not it:" in page.inner_text("#effect-told")
     page.click("#main-details summary")
     page.wait_for_selector("#main-table table")
     keep(page, "3_ghost")
+
+
+@pytest.mark.slow
+def test_each_look_alike_can_be_added(page, tmp_path, keep):
+    directory = tmp_path / "alike"
+    directory.mkdir()
+    # A lag of a few seconds is a delay, is a share of the rate: nothing here tells them apart.
+    project = write_project(directory, runs=8, tau_s=3.0)
+    with serve(directory) as bench:
+        open_page(page, bench)
+        assert "these logs cannot tell which" in page.inner_text("#verdict-sentence")
+        buttons = page.locator("#adds button").all_inner_texts()
+        assert buttons[0] == "Add thermal_lag"
+        assert "Add look-alike clock_delay" in buttons
+        wait_for_job(page)
+        keep(page, "9_look_alikes")
+        page.click("text=Add look-alike clock_delay")
+        page.wait_for_selector("#revision table")
+        assert "Added clock_delay" in page.inner_text("#revision")
+        wait_for_job(page)
+    assert 'kind = "clock_delay"' in project.toml.read_text()
+    assert page.wrong == []
+
+
+@pytest.mark.slow
+def test_worst_segment_is_gone_to_and_walked_away_from_by_keyboard(page, bench):
+    open_page(page, bench)
+    wait_for_job(page)
+    segment = bench.place.findings.told["compare"]["worst"][-1]
+    read = (
+        "() => { const plot = document.querySelector('#main .js-plotly-plot');"
+        " const x = plot.calcdata[0]; return [60 * x[0].x, 60 * x[x.length - 1].x,"
+        " plot.layout.yaxis2.title.text]; }"
+    )
+    page.locator(".segments button").last.focus()
+    page.keyboard.press("Enter")
+    page.wait_for_function(
+        "() => document.querySelector('#main .js-plotly-plot').calcdata[0][0].x > 0"
+    )
+    low, high, title = page.evaluate(read)
+    assert low <= segment["from_s"] < segment["to_s"] <= high
+    assert bench.place.findings.told["compare"]["outputs"][segment["output"]]["unit"] in title
+    page.locator("#whole").focus()
+    page.keyboard.press("Enter")
+    page.wait_for_function(
+        "() => { const x = document.querySelector('#main .js-plotly-plot').calcdata[0];"
+        " return x[0].x === 0 && 60 * x[x.length - 1].x > 890; }"
+    )
+
+
+@pytest.mark.slow
+def test_what_hangs_is_cancelled_from_the_page_and_its_verdict_stays(page, bench, project):
+    open_page(page, bench)
+    wait_for_job(page)
+    before = project.toml.read_text()
+    use_effect(project, "return ()", extra="import time\ntime.sleep(600)")
+    page.wait_for_selector("#cancel", state="visible")
+    page.wait_for_function("document.getElementById('job').textContent.includes('Looking at')")
+    page.locator("#cancel").focus()
+    page.keyboard.press("Enter")
+    wait_for_job(page)
+    assert "lacks thermal_lag" in page.inner_text("#verdict-sentence")
+    project.toml.write_text(before)
+    page.wait_for_function("document.getElementById('job').textContent.includes('Looking at')")
+    wait_for_job(page)
+    assert "lacks thermal_lag" in page.inner_text("#verdict-sentence")
+    assert page.wrong == []
 
 
 @pytest.mark.slow
@@ -140,6 +224,14 @@ def test_errors_are_messages_and_the_page_lives_on(page, bench, project, keep):
     project.toml.write_text(project.toml.read_text().replace("[sensor]", "[senser]"))
     page.wait_for_selector("#message-box.error")
     assert "zerodrift.toml:" in page.inner_text("#message")
+    page.click("#dismiss")
+    page.wait_for_selector("#message-box", state="hidden")
+    project.toml.write_text(project.toml.read_text().replace("[senser]", "[sensor]"))
+    use_effect(project, "raise ZeroDivisionError('mine')")
+    wait_for_job(page)
+    page.wait_for_function("document.getElementById('message').textContent.includes('mine')")
+    assert "Traceback" not in page.inner_text("#message")
+    assert page.is_visible("#verdict")
     assert page.wrong == []
 
 
@@ -160,15 +252,27 @@ def test_new_project_from_a_chosen_log(page, project, tmp_path, keep):
             page.wait_for_function(
                 f"document.getElementById('logs-there').textContent.includes('run_{number}.csv')"
             )
+        drop(page, "run_3.csv", log.read_text())
+        page.wait_for_function(
+            "document.getElementById('logs-there').textContent.includes('run_3.csv')"
+        )
         keep(page, "5_new_project")
+        drop(page, "huge.csv", "", size=2 << 30)
+        page.wait_for_selector("#message-box.error")
+        assert "huge.csv: is 2.1 GB" in page.inner_text("#message")
+        page.click("#dismiss")
+        page.wait_for_selector("#message-box", state="hidden")
         page.click("#begin")
         page.wait_for_selector(DRAWN)
+        page.wait_for_selector("#errors table")
         assert "Fz" in page.inner_text("#errors")
         assert "temperature temperature_degC; Fz in N: Fz_N" in page.inner_text("#message")
         text = (directory / "zerodrift.toml").read_text()
         assert 'measured = "Fz_N"' in text
         wait_for_job(page)
-    assert page.wrong == []
+    # What is too large is refused by its size alone, which the console tells of as well.
+    assert len(page.wrong) == 1
+    assert "400 (BAD REQUEST)" in page.wrong[0]
 
 
 def test_bad_file_is_a_message(page, tmp_path):
@@ -265,6 +369,8 @@ def test_everything_that_can_be_used_has_a_name_and_takes_the_keyboard(page, ben
     for _ in range(150):
         page.keyboard.press("Tab")
         reached.add(page.evaluate("document.activeElement.id"))
+    assert any('"type":"add"' in name for name in reached)
+    assert any('"type":"segment"' in name for name in reached)
     named = ("theme", "effect", "look", "output", "run", "ghost", "main-summary", "present")
-    wanted = {*named, "add", "remove", "train", "firmware", "verify", "report"}
+    wanted = {*named, *MOVES, "add-chosen", "remove", "train", "firmware", "verify", "report"}
     assert wanted - reached == set()

@@ -156,6 +156,23 @@ def test_second_workbench_on_a_directory_is_refused(bench):
         Workbench(bench.place.directory)
 
 
+def test_second_workbench_is_refused_on_the_command_line_too(bench, zerodrift):
+    result = zerodrift("workbench", "--no-browser", "-C", bench.place.directory)
+    assert result.code == 2
+    assert "another workbench is open on this directory" in result.err
+
+
+def test_upload_into_a_read_only_directory_is_a_message(empty, monkeypatch):
+    def refuse(self, *_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    answer, text = upload(empty, "a.csv", b"time_s\n0\n")
+    assert answer.status == 400
+    assert "make the directory writable" in text.decode()
+    assert list(empty.place.directory.iterdir()) == []
+
+
 def test_directory_is_free_again_after_the_workbench(tmp_path):
     for _ in range(2):
         with serve(tmp_path):

@@ -5,6 +5,8 @@ import shutil
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -110,6 +112,15 @@ def test_log_deleted_under_it_is_told_and_the_findings_stay(place, project):
     assert "logs/run_*.csv" in place.message.text
     assert "Traceback" not in place.message.text
     assert place.findings.told["compare"]["effects"] == ["zero_tempco"]
+    project.toml.unlink()
+    place.poll()
+    assert "zerodrift.toml: is gone" in place.message.text
+    assert place.findings.told["compare"]["effects"] == ["zero_tempco"]
+    assert not place.run("add", "Adding creep", ["add", "creep", "--json"])
+    assert "cannot be read" in place.message.text
+    version = place.version
+    place.poll()
+    assert place.version == version
 
 
 EFFECT = """
@@ -167,6 +178,73 @@ def test_read_only_configuration_is_a_message(place, project):
     settle(place)
     assert "read-only" in place.message.text
     assert project.read_all() == before
+
+
+@contextmanager
+def let_no_file_grow():
+    """Let every write to a file fail in what is started here, as on a full disk."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.slow
+def test_full_disk_is_a_message_and_nothing_is_half_written(place, project):
+    before = project.read_all()
+    with let_no_file_grow():
+        place.run("add", "Adding thermal_lag", ["add", "thermal_lag", "--json"])
+    settle(place)
+    assert place.message.is_error
+    assert "cannot be written (File too large)" in place.message.text
+    assert "nobody foresaw" not in place.message.text
+    assert project.read_all() == before
+    assert place.undo_stack == []
+    with let_no_file_grow():
+        place.look()
+    settle(place)
+    assert place.message.is_error
+    assert "nobody foresaw" not in place.message.text
+    assert place.findings is None
+    assert project.read_all() == before
+    place.look()
+    settle(place)
+    assert place.findings.told["diagnose"]["effect"] == "thermal_lag"
+
+
+@pytest.mark.slow
+def test_invalid_rows_are_dropped_where_that_was_asked(project):
+    log = project.directory / "logs" / "run_0.csv"
+    lines = log.read_text().splitlines()
+    lines[40] = lines[40].replace(lines[40].split(",")[1], "-256", 1)
+    log.write_text("\n".join(lines) + "\n")
+    for skip_invalid in (False, True):
+        workplace = Workplace(project.directory, skip_invalid=skip_invalid)
+        try:
+            workplace.look()
+            settle(workplace)
+            assert (workplace.findings is not None) == skip_invalid
+            if not skip_invalid:
+                assert "run_0.csv:41: " in workplace.message.text
+                continue
+            assert any("run_0.csv" in note for note in workplace.findings.told["notes"])
+            workplace.run("add", "Adding thermal_lag", ["add", "thermal_lag", "--json"])
+            settle(workplace)
+            assert workplace.revision["added"]
+        finally:
+            workplace.close()
+
+
+@pytest.mark.slow
+def test_earlier_findings_are_taken_off_the_disk(place):
+    for _ in range(3):
+        place.look()
+        settle(place)
+    (kept,) = Path(place._scratch.name).iterdir()
+    assert kept == place._result
 
 
 @pytest.mark.slow

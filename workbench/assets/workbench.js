@@ -16,8 +16,44 @@
         if (clicks) { chosen = root.dataset.theme === "dark" ? "light" : "dark"; }
         return theme();
       },
+      waitForChart: async function (version) {
+        const begun = performance.now();
+        while (performance.now() - begun < 5000) {
+          if (document.querySelector("#main .scatterlayer .trace")) { break; }
+          await new Promise((resolve) => setTimeout(resolve, 30));
+        }
+        return version;
+      },
     },
   });
+  function write(row, tag, cells, texts) {
+    cells.forEach((text, number) => {
+      const cell = document.createElement(tag);
+      cell.textContent = text;
+      if (number >= texts) { cell.className = "number"; }
+      row.append(cell);
+    });
+  }
+  function fill(place) {
+    const told = JSON.parse(place.dataset.table);
+    const table = document.createElement("table");
+    write(table.createTHead().insertRow(), "th", told.head, told.texts);
+    const body = table.createTBody();
+    told.rows.forEach((row) => write(body.insertRow(), "td", row, told.texts));
+    place.replaceChildren(table);
+  }
+  new MutationObserver((changes) => {
+    const places = new Set();
+    changes.forEach((change) => {
+      if (change.type === "attributes") { places.add(change.target); }
+      change.addedNodes.forEach((node) => {
+        if (node.nodeType !== 1) { return; }
+        if (node.dataset.table) { places.add(node); }
+        node.querySelectorAll("[data-table]").forEach((inner) => places.add(inner));
+      });
+    });
+    places.forEach(fill);
+  }).observe(root, { childList: true, subtree: true, attributes: true, attributeFilter: ["data-table"] });
   async function send(files) {
     for (const file of files) {
       if (file.size > largest) {
@@ -43,6 +79,9 @@
     if (drop) { drop.classList.remove("over"); send(event.dataTransfer.files); }
   });
   document.addEventListener("click", (event) => {
+    if (event.target.closest("button.draw, .segments button")) {
+      document.getElementById("measured").scrollIntoView();
+    }
     if (event.target.id !== "choose") { return; }
     const input = document.createElement("input");
     input.type = "file";

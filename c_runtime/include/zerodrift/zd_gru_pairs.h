@@ -1,4 +1,4 @@
-/* zerodrift runtime: the GRU on a core with a dual 16-bit multiplier (Cortex-M4, M7, M33).
+/* zerodrift runtime: the GRU on Cortex-M: those with a dual 16-bit multiplier, and the smallest.
  *
  * Included by zd_runtime.h. Pairs of 16-bit numbers lie in one 32-bit word; the model's weights are
  * laid out so when it is generated. The generated assembly reads the same stream.
@@ -99,12 +99,12 @@ static inline void zd_gru_step_pairs(const zd_gru_pairs_t *layer, uint32_t input
                                      const int16_t *x, int32_t *h_q30, int32_t *v, int32_t u_keep) {
     const uint32_t x_pairs = (inputs + 1u) / 2u;
     const int32_t *w = layer->stream;
-    const int32_t *offset = &zd_tanh_offset_q30[256];
-    const int16_t *slope = &zd_tanh_slope_q19[256];
+    zd_table_t table;
+    zd_find_table(&table);
     zd_gru_pack_pairs(x, inputs, h_q30, hidden, v);
-    ZD_FORGET(offset);
-    ZD_FORGET(slope);
-    for (uint32_t j = 0; j < hidden; j++) {
+    int32_t *h = h_q30;
+    const int32_t *end = &h_q30[hidden];
+    while (h != end) {
         ZD_PER_UNIT(w);
         ZD_PER_UNIT(v);
         const int32_t bias_n = w[3];
@@ -115,20 +115,14 @@ static inline void zd_gru_step_pairs(const zd_gru_pairs_t *layer, uint32_t input
         acc[2] = bias_n;
         w = &w[zd_gru_mac3_pairs(w, &v[ZD_PER_PAIR * x_pairs], (hidden + 1u) / 2u, acc)];
         const int32_t half_q30 = (int32_t)1 << 30;
-        const int32_t r_q30 = zd_line_q30(zd_asr32(acc[0], layer->shift[0]), offset, slope);
-        const int32_t u_q30 = zd_line_q30(zd_asr32(acc[1], layer->shift[1]), offset, slope);
+        const int32_t r_q30 = zd_read_q30(zd_asr32(acc[0], layer->shift[0]), &table);
+        const int32_t u_q30 = zd_read_q30(zd_asr32(acc[1], layer->shift[1]), &table);
         const int32_t a_n = outside + zd_mul_high(acc[2], r_q30 + half_q30);
-        const int32_t n_q30 = zd_line_q30(zd_asr32(a_n, layer->shift[2]), offset, slope);
-        h_q30[j] = zd_gru_move(h_q30[j], n_q30, (u_q30 & u_keep) + half_q30);
+        const int32_t n_q30 = zd_read_q30(zd_asr32(a_n, layer->shift[2]), &table);
+        h[0] = zd_gru_move(h[0], n_q30, (u_q30 & u_keep) + half_q30);
+        h = &h[1];
+        ZD_PER_UNIT(h);
     }
 }
-
-/* Whether the model's assembly is used rather than the function above. */
-#if defined(__ARM_FEATURE_DSP) && defined(__thumb2__) && defined(__GNUC__) &&                      \
-    defined(__ARM_ARCH_PROFILE) && !defined(ZD_NO_ASSEMBLY)
-#if __ARM_ARCH_PROFILE == 'M'
-#define ZD_GRU_ASSEMBLY 1
-#endif
-#endif
 
 #endif /* ZD_GRU_PAIRS_H */

@@ -54,6 +54,13 @@ static inline int32_t zd_dot_rows(const int16_t *w, const int16_t *v, uint32_t v
     return acc;
 }
 
+/* Keeps a pointer in one of r0 - r7, from which gcc gathers 16-bit numbers without a copy of it. */
+#if defined(__GNUC__)
+#define ZD_NEAR(pointer) __asm volatile("" : "+l"(pointer))
+#else
+#define ZD_NEAR(pointer)
+#endif
+
 /* One step, reset gate after the recurrent product.
  *   x      [inputs] features
  *   h_q30  [hidden] state, updated
@@ -88,6 +95,7 @@ static inline void zd_gru_step_rows(const zd_gru_rows_t *layer, uint32_t inputs,
             acc[k][3] = zd_dot_rows(&w[(2u * row) + (8u * x_vectors)], v_h, h_vectors);
             w = &w[3u * row];
         }
+        ZD_NEAR(slope);
         const int32x4x4_t sums = vld4q_s32(&acc[0][0]);
         const int32x4_t a_r = vaddq_s32(sums.val[0], vld1q_s32(&bias[0]));
         const int32x4_t a_u = vaddq_s32(sums.val[1], vld1q_s32(&bias[4]));

@@ -1,15 +1,13 @@
 """Options that the commands share, and how each of them prints."""
 
 import json
-import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
 import click
 
-from zerodrift.errors import InputError
+from zerodrift.files import write_whole
 
 Command = TypeVar("Command", bound=Callable[..., object])
 
@@ -52,27 +50,9 @@ def print_notes(notes: tuple[str, ...]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all: a temporary file beside it takes its place.
+    """Write a file whole or not at all, in UTF-8 with line feeds.
 
     Raises:
-        InputError: the directory is missing or may not be written to.
+        InputError: the directory is missing, may not be written to, or has no room.
     """
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); expected a directory that this user "
-            "may write to. Check it, or name another by -C."
-        ) from error
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-        # mkstemp makes files for the owner alone; an ordinary file follows the user's umask.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    write_whole(path, text.encode())

@@ -22,8 +22,8 @@ def open_console() -> "Console":
     from rich.console import Console
 
     width = None if sys.stdout.isatty() else LEAST_WIDTH
-    # Square brackets are a user's own: [logs], [[effect]].
-    return Console(width=width, highlight=False, markup=False)
+    # Square brackets and colons are a user's own: [logs], log.csv:100:.
+    return Console(width=width, highlight=False, markup=False, emoji=False)
 
 
 def open_table(title: str, left: Sequence[str], right: Sequence[str]) -> "Table":

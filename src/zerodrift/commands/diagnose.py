@@ -1,7 +1,5 @@
 """`zerodrift diagnose`: names the physical effect that the model lacks."""
 
-import shlex
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +19,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from zerodrift.config import EffectConfig
     from zerodrift.physics.catalogue import Catalogue
     from zerodrift.physics.course import Course
     from zerodrift.physics.diagnosis import Diagnosis
@@ -50,96 +47,37 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
     nothing is missing; or that something is, which the catalogue does not know.
     """
     from zerodrift.commands.project import open_project
-    from zerodrift.physics.bad_runs import describe_bad_run
+    from zerodrift.commands.verdict import (
+        explain_others,
+        find_verdict,
+        list_commands,
+        name_directory,
+        tell_steps,
+    )
     from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.physics.course import diagnose_until_done
-    from zerodrift.physics.diagnose import diagnose
-    from zerodrift.physics.thermometers import OtherThermometer, try_thermometers
-    from zerodrift.physics.unseen import describe_unseen
 
     with show_progress("reading logs") as say:
         config, dataset = open_project(directory, skip_invalid)
         catalogue = load_catalogue(config.plugin_files)
-
-        def advance(kind: str) -> None:
-            say(f"tried {kind}")
-
-        if auto:
-            course = diagnose_until_done(config.effects, dataset, catalogue, advance)
-            diagnosis = course.steps[-1]
-        else:
-            course = None
-            diagnosis = diagnose(config.effects, dataset, catalogue, advance)
-        aside: str | None = None
-        others: list[OtherThermometer] = []
-        effects = config.effects if course is None else course.effects
-        if diagnosis.verdict == "unknown":
-            say("trying other thermometers")
-            others = try_thermometers(config, effects, dataset, catalogue)
-            aside = describe_bad_run(effects, dataset, catalogue)
-        if diagnosis.verdict == "complete":
-            say("looking at the test logs")
-            aside = describe_unseen(effects, dataset, catalogue)
-    if aside is not None:
-        diagnosis = replace(diagnosis, notes=(*diagnosis.notes, aside))
+        verdict = find_verdict(config, dataset, catalogue, auto=auto, say=say)
+    diagnosis, course = verdict.diagnosis, verdict.course
     print_notes((*dataset.notes, *diagnosis.notes))
-    steps = (diagnosis,) if course is None else (*course.steps[:-1], diagnosis)
-    commands = list_commands(config.effects, steps, catalogue, directory)
+    commands = list_commands(config.effects, verdict.steps, catalogue, directory)
+    told = tell_steps(verdict, commands, directory)
     if as_json:
-        told = [
-            {**step.to_dict(), "command": command}
-            for step, command in zip(steps, commands, strict=True)
-        ]
-        told[-1]["thermometers"] = [
-            {
-                "signal": other.signal,
-                "heldout_rmse_ratio": other.heldout_rmse_ratio,
-                "command": f"{other.command}{_name_directory(directory)}",
-            }
-            for other in others
-        ]
         print_json(told[-1] if course is None else {**told[-1], **_tell_course(course, told)})
         return
     console = open_console()
     if course is not None:
-        _print_steps(steps, commands, catalogue, console)
+        _print_steps(verdict.steps, commands, catalogue, console)
     print_diagnosis(diagnosis, commands[-1], catalogue, console)
-    for other in others:
-        console.print(
-            f"The drift follows another thermometer, {other.signal}: {other.reason}. "
-            f"To add it: {other.command}{_name_directory(directory)}"
-        )
+    for sentence in explain_others(told[-1]):
+        console.print(sentence)
     for kind in course.drop if course is not None else ():
         console.print(
             f"{kind} no longer earns its place: runs left out are predicted as well without it. "
-            f"To remove it: zerodrift remove {kind}{_name_directory(directory)}"
+            f"To remove it: zerodrift remove {kind}{name_directory(directory)}"
         )
-
-
-def list_commands(
-    effects: "Sequence[EffectConfig]",
-    steps: "Sequence[Diagnosis]",
-    catalogue: "Catalogue",
-    directory: Path,
-) -> list[str]:
-    """Return the command that adds what each step names; empty where it names nothing."""
-    from zerodrift.physics.changes import write_command
-    from zerodrift.physics.course import extend_model
-
-    commands = []
-    for step in steps:
-        if step.effect is None:
-            commands.append("")
-            continue
-        command = write_command(effects, catalogue[step.effect], step.parameters)
-        commands.append(f"{command}{_name_directory(directory)}")
-        effects = extend_model(effects, catalogue, step)
-    return commands
-
-
-def _name_directory(directory: Path) -> str:
-    """Return the option that names the project, as a shell takes it."""
-    return "" if directory == Path() else f" -C {shlex.quote(str(directory))}"
 
 
 def _tell_course(course: "Course", told: list[dict[str, Any]]) -> dict[str, Any]:

@@ -57,7 +57,7 @@ def write_revision(config: Config, text: str, revision: Revision) -> None:
             "[[effect]] tables with one key to a line. Edit the effects by hand."
         )
     path, entries = open_history(config)
-    before = path.read_bytes() if path.exists() else None
+    kept = path.with_name(f".{path.name}.kept")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -65,15 +65,21 @@ def write_revision(config: Config, text: str, revision: Revision) -> None:
             f"{path.parent}: cannot be made ({error.strerror}); expected a directory for what is "
             "built. Make the project's directory writable."
         ) from error
-    write_text(path, render_history([*entries, record(revision)]))
+    had_history = path.exists()
+    if had_history:
+        # A copy of its own, so that going back needs no room on a full disk.
+        write_text(kept, path.read_text(encoding="utf-8"))
     try:
+        write_text(path, render_history([*entries, record(revision)]))
         write_text(config.path, text)
     except BaseException:
-        if before is None:
-            path.unlink()
+        if had_history:
+            kept.replace(path)
         else:
-            path.write_bytes(before)
+            path.unlink(missing_ok=True)
         raise
+    finally:
+        kept.unlink(missing_ok=True)
 
 
 def print_revision(revision: Revision) -> None:

@@ -2,11 +2,12 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,13 @@ from numpy.typing import NDArray
 from zerodrift import __version__
 from zerodrift.commands.common import write_text
 from zerodrift.commands.compare import describe_patterns, explain_figures
-from zerodrift.commands.diagnose import explain_verdict, list_commands
+from zerodrift.commands.diagnose import explain_verdict
 from zerodrift.commands.effects import describe_effect
 from zerodrift.commands.history import describe_steps
 from zerodrift.commands.predictors import PHYSICS, open_predictor
 from zerodrift.commands.project import open_project
 from zerodrift.commands.revise import open_history
+from zerodrift.commands.verdict import explain_others, find_verdict, list_commands, tell_steps
 from zerodrift.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.units import read_unit
@@ -33,15 +35,13 @@ from zerodrift.physics.revision import describe_coefficients, describe_parameter
 from zerodrift.physics.run_errors import collect_errors
 from zerodrift.report.findings import Findings, trace_runs
 
-if TYPE_CHECKING:
-    from zerodrift.export.integer_model import IntegerModel
-
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 DIAGNOSIS = "diagnosis.json"
 """In build/: the last diagnosis, with the mark of what it was made from."""
-FIRMWARE = "firmware.json"
+DIAGNOSIS_FORMAT = 2
+FIRMWARE, CERTIFICATE = "firmware.json", "certificate.json"
 SIMULATED_FILES = ("truth.json", "twin.json")
 PACKAGES = ("numpy", "scipy", "polars", "torch", "onnx", "onnxruntime", "plotly")
 TIGHTEST = 8
@@ -211,20 +211,21 @@ def diagnose_once(
     """
     path = config.build_directory / DIAGNOSIS
     kept = _read_json(path)
-    if kept is not None and kept.get("mark") == mark:
+    if kept is not None and (kept.get("format"), kept.get("mark")) == (DIAGNOSIS_FORMAT, mark):
         return kept
     if not wanted:
         return None
-    from zerodrift.physics.diagnose import diagnose
-
-    diagnosis = diagnose(
-        config.effects, dataset, catalogue, lambda kind: say(f"diagnosing: tried {kind}")
+    verdict = find_verdict(
+        config, dataset, catalogue, say=lambda words: say(f"diagnosing: {words}")
     )
-    (command,) = list_commands(config.effects, (diagnosis,), catalogue, Path())
+    commands = list_commands(config.effects, verdict.steps, catalogue, Path())
+    (told,) = tell_steps(verdict, commands, Path())
+    sentences = explain_verdict(verdict.diagnosis, commands[-1], catalogue)
     found = {
+        "format": DIAGNOSIS_FORMAT,
         "mark": mark,
-        "diagnosis": {**diagnosis.to_dict(), "command": command},
-        "sentences": explain_verdict(diagnosis, command, catalogue),
+        "diagnosis": told,
+        "sentences": [*sentences, *explain_others(told)],
     }
     text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     try:
@@ -302,7 +303,8 @@ def read_firmware(
 ) -> tuple[dict[str, Any] | None, dict[str, Any] | None, str]:
     """Return the last `firmware --json`, the certificate's summary, and what is to be said of them.
 
-    Firmware of other logs, another configuration or another model is not shown.
+    Firmware of other logs, another configuration or another model is not shown, and no certificate
+    but its own.
     """
     firmware = _read_json(config.build_directory / FIRMWARE)
     if firmware is None:
@@ -321,25 +323,53 @@ def read_firmware(
     is_same = compensator.trained_from == mark_inputs(config, dataset)
     if not is_same or model.hash != firmware.get("model_hash"):
         return None, None, stale
-    return firmware, summarise_certificate(model), ""
+    certificate, note = read_certificate(config.build_directory / CERTIFICATE, model.hash)
+    return firmware, certificate, note
 
 
-def summarise_certificate(model: "IntegerModel") -> dict[str, Any]:
-    """Return how many bounds are proven, and those that come closest to their limits."""
+def read_certificate(path: Path, model_hash: str) -> tuple[dict[str, Any] | None, str]:
+    """Return the summary of a model's certificate.json, or None and why it is not shown."""
+    certificate = _read_json(path)
+    if certificate is None:
+        return None, (
+            f"No bounds are shown: {path.name} is missing in build/, or damaged."
+            " `zerodrift firmware` writes it again."
+        )
+    if certificate.get("model") != model_hash:
+        return None, (
+            f"No bounds are shown: {path.name} in build/ is of another model than model.json."
+            " `zerodrift firmware` writes both again."
+        )
+    try:
+        return summarise_certificate(certificate), ""
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        return None, (
+            f"No bounds are shown: {path.name} in build/ is not built like a certificate"
+            f" ({type(error).__name__}: {error}). `zerodrift firmware` writes it again."
+        )
+
+
+def summarise_certificate(certificate: Mapping[str, Any]) -> dict[str, Any]:
+    """Return how many bounds are claimed, and those that come closest to their limits."""
     bounds = []
-    for bound in model.prove():
-        reach = max(-int(bound.interval.low), int(bound.interval.high) + 1, 1)
+    for bound in certificate["bounds"]:
+        low, high, bits = (int(bound[key]) for key in ("low", "high", "bits"))
+        reach = max(-low, high + 1, 1)
         bounds.append(
             {
-                "where": bound.where,
-                "low": int(bound.interval.low),
-                "high": int(bound.interval.high),
-                "bits": bound.bits,
-                "headroom_bits": float(bound.bits - 1 - np.log2(reach)),
+                "where": str(bound["where"]),
+                "low": low,
+                "high": high,
+                "bits": bits,
+                "headroom_bits": float(bits - 1 - math.log2(reach)),
             }
         )
     bounds.sort(key=lambda b: (b["headroom_bits"], b["where"]))
-    return {"model_hash": model.hash, "bounds": len(bounds), "tightest": bounds[:TIGHTEST]}
+    return {
+        "model_hash": certificate["model"],
+        "bounds": len(bounds),
+        "tightest": bounds[:TIGHTEST],
+    }
 
 
 def describe_survey(findings: Findings) -> Mapping[str, Any]:

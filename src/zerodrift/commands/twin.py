@@ -5,8 +5,15 @@ from pathlib import Path
 import click
 
 from zerodrift.commands.common import json_option, print_json
+from zerodrift.commands.six_axis import (
+    describe_campaign,
+    record_campaign,
+    refuse_foreign_options,
+    summarise_campaign,
+)
 from zerodrift.errors import InputError
 from zerodrift.physics.twin import Recipe, parse_choice, simulate, write_logs
+from zerodrift.physics.twin.logs import write_project
 from zerodrift.physics.twin.recipe import (
     CHANNELS,
     LISTED_EFFECTS,
@@ -20,6 +27,8 @@ from zerodrift.physics.twin.recipe import (
 )
 from zerodrift.physics.twin.sensor import OUTPUTS, UNITS
 from zerodrift.physics.twin.simulate import Simulation
+from zerodrift.physics.twin.six_axis import list_protocols
+from zerodrift.physics.twin.six_axis.files import LEVELS, render_files
 from zerodrift.physics.twin.stimuli import EXERCISES, KINDS
 
 
@@ -40,6 +49,11 @@ def split_list(text: str) -> tuple[str, ...]:
     if text.strip() in ("", "none"):
         return ()
     return tuple(item.strip() for item in text.split(","))
+
+
+def _is_given(context: click.Context, name: str) -> bool:
+    """Return whether the user gave this option."""
+    return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
 
 
 def parse_choices(texts: tuple[str, ...]) -> tuple[EffectChoice, ...]:
@@ -113,7 +127,13 @@ def describe_written(simulation: Simulation, directory: Path, files: list[str]) 
     "--duration", type=float, default=3600.0, show_default=True, help="Seconds per chamber run."
 )
 @click.option("--noise", type=float, default=1.0, show_default=True, help="Factor on the noise.")
-@click.option("--tare", type=click.Choice(TARES), default="start", show_default=True)
+@click.option(
+    "--tare",
+    type=click.Choice(TARES),
+    default="start",
+    show_default=True,
+    help="Zero every log over its first ten seconds, or not (six-axis: none).",
+)
 @click.option(
     "--missing", default="", help=f"Channels that are not logged: {', '.join(CHANNELS[:-1])}."
 )
@@ -128,8 +148,35 @@ def describe_written(simulation: Simulation, directory: Path, files: list[str]) 
 )
 @click.option("--force", is_flag=True, help="Overwrite an earlier simulation.")
 @click.option("--list", "list_only", is_flag=True, help="List what can be hidden, and stop.")
+@click.option(
+    "--six-axis", is_flag=True, help="The deeper twin: photo-couplers, thirteen thermal nodes."
+)
+@click.option(
+    "--protocol",
+    "protocols",
+    multiple=True,
+    metavar="FILE|NAME",
+    help="Six-axis: protocol of the training runs, bundled or your own; repeat it.",
+)
+@click.option(
+    "--level",
+    type=click.Choice(LEVELS),
+    default="force",
+    show_default=True,
+    help="Six-axis: raw forces, converter codes, or forces and CAN frames.",
+)
+@click.option(
+    "--sensor",
+    "specimen",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Six-axis: which specimen.",
+)
 @json_option
+@click.pass_context
 def command(
+    context: click.Context,
     directory: Path,
     runs: int,
     kinds: str,
@@ -150,15 +197,49 @@ def command(
     network: str,
     force: bool,
     list_only: bool,
+    six_axis: bool,
+    protocols: tuple[str, ...],
+    level: str,
+    specimen: int,
     as_json: bool,
 ) -> None:
     """Write simulated logs of the six-axis sensor, and a zerodrift.toml that knows only a part.
 
     The truth lies beside them in truth.json, which no command reads.
     """
+    given = {name for name in context.params if _is_given(context, name)}
     if list_only:
         click.echo(list_effects())
+        click.echo("Protocols of --six-axis: " + ", ".join(list_protocols()))
         return
+    if six_axis:
+        refuse_foreign_options(given)
+        campaign = record_campaign(
+            specimen=specimen,
+            protocols=protocols,
+            runs=runs if "runs" in given else None,
+            test=split_list(test),
+            dwell=dwell,
+            hidden=parse_choices(hidden),
+            seed=seed,
+            period_s=period,
+            noise=noise,
+            tare=tare if "tare" in given else "none",
+            level=level,
+        )
+        left_out = expand_channels(split_list(missing))
+        logged = CHANNELS if body_thermometer else CHANNELS[:-1]
+        channels = tuple(name for name in logged if name not in left_out)
+        made = write_project(render_files(campaign, level, channels), directory, overwrite=force)
+        names = [path.relative_to(directory).as_posix() for path in made]
+        if as_json:
+            print_json(summarise_campaign(campaign, directory, names))
+        else:
+            click.echo(describe_campaign(campaign, directory, names, level))
+        return
+    if own := given & {"protocols", "level", "specimen"}:
+        option = {"protocols": "--protocol", "level": "--level", "specimen": "--sensor"}[min(own)]
+        raise InputError(f"twin: {option} belongs to the six-axis twin; add --six-axis.")
     cycle = split_list(kinds)
     if not cycle:
         raise InputError(f"twin: --kinds names no kind of run. Known: {', '.join(KINDS)}.")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from zerodrift.commands.common import directory_option
+from zerodrift.commands.common import directory_option, skip_invalid_option
 from zerodrift.errors import InputError
 
 
@@ -16,7 +16,8 @@ from zerodrift.errors import InputError
     "--port", type=click.IntRange(0, 65535), default=0, help="Port (default: any that is free)."
 )
 @click.option("--no-browser", is_flag=True, help="Print the address only; open no browser.")
-def command(directory: Path, port: int, no_browser: bool) -> None:
+@skip_invalid_option
+def command(directory: Path, port: int, no_browser: bool, skip_invalid: bool) -> None:
     """Open a page on DIR: measurement, model and residual, the verdict, Add, Undo, firmware.
 
     The page runs the commands of this command line and shows what they print. It is served on
@@ -29,7 +30,7 @@ def command(directory: Path, port: int, no_browser: bool) -> None:
         raise InputError(
             f"the workbench needs the package '{error.name}'; install it with: pip install dash"
         ) from error
-    bench = Workbench(directory, port)
+    bench = Workbench(directory, port, skip_invalid=skip_invalid)
     click.echo(f"Workbench on {bench.place.directory}: {bench.url}")
     click.echo("Ctrl-C ends it.")
     if not no_browser:

@@ -1,0 +1,180 @@
+"""A fleet of simulated sensors: time per sensor, and batched GRUs against one at a time.
+
+The sensors are those of `zerodrift twin`, one seed each: two chamber runs to train on and one to
+test, an hour at 1 Hz, six outputs, told zero_tempco, dark_current and thermal_lag, written in
+absolute force (not tared). That is about 1 MB of CSV per sensor. Simulating them is not timed.
+
+    python -m benchmarks.bench_fleet [--quick] [--sensors N] [--jobs N]
+
+Processor time is that of all processes, their start and imports included; its share per core is
+what the wall clock shows on a machine that does nothing else.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from zerodrift.config import load_config
+from zerodrift.dataset.load import load_dataset
+from zerodrift.fleet.sensors import configure_sensor, find_sensors
+from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.twin import EffectChoice, Recipe, simulate
+from zerodrift.physics.twin.logs import render_config, render_logs
+from zerodrift.train.batch import Problem, train_batch
+from zerodrift.train.optimise import Result, Trainer
+from zerodrift.train.together import pose_rehearsal, prepare
+
+TOLD = ("zero_tempco", "dark_current", "thermal_lag")
+SENSORS, QUICK_SENSORS = 1024, 24
+LIMIT_S, CORES, LEAST_RATIO = 120.0, 2, 5.0
+TABLE = '\n[fleet]\nfolder = "fleet/{sensor}"\n'
+GRUS, QUICK_GRUS, REPEATS = 64, 16, 3
+"""Sensors trained together, and how often both ways are timed in turn."""
+
+
+def main(quick: bool, sensors: int | None = None, jobs: int = CORES) -> None:
+    """Print time per sensor with and without C, of a rerun, and the ratio of batched training."""
+    count = sensors or (QUICK_SENSORS if quick else SENSORS)
+    with tempfile.TemporaryDirectory(prefix="bench-fleet-") as folder:
+        project = Path(folder)
+        size = write_fleet(project, count, jobs)
+        print(f"{count} simulated sensors, {size / 1e6:.0f} MB of CSV, physical model, {jobs} jobs")
+        for name, options in (
+            ("without C", ("--no-firmware",)),
+            ("with checked C", ()),
+            ("again, nothing changed", ()),
+        ):
+            report = time_fleet(project, jobs, *options)
+            print(describe(name, count, report, judge=not quick and sensors is None))
+        compare_training(project, QUICK_GRUS if quick else min(GRUS, count))
+
+
+def write_fleet(project: Path, count: int, jobs: int) -> int:
+    """Write the logs and zerodrift.toml of a fleet; return the logs' size in bytes."""
+    tasks = [(project, seed) for seed in range(count)]
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        sizes = pool.map(_write_sensor, tasks, chunksize=8)
+    text = render_config(simulate(make_recipe(0)))
+    (project / "zerodrift.toml").write_text(text.replace('"logs/', '"') + TABLE)
+    return sum(sizes)
+
+
+def make_recipe(seed: int) -> Recipe:
+    """Return what a sensor's logs are simulated from."""
+    return Recipe(
+        seed=seed,
+        train=("chamber",) * 2,
+        test=("chamber",),
+        dwell=False,
+        channels=(),
+        told=tuple(EffectChoice(name) for name in TOLD),
+        tare="none",
+    )
+
+
+def _write_sensor(task: tuple[Path, int]) -> int:
+    project, seed = task
+    folder = project / "fleet" / f"SN{seed:04d}"
+    folder.mkdir(parents=True)
+    logs = render_logs(simulate(make_recipe(seed)))
+    for name, content in logs.items():
+        (folder / Path(name).name).write_bytes(content)
+    return sum(map(len, logs.values()))
+
+
+def time_fleet(project: Path, jobs: int, *options: str) -> dict[str, float]:
+    """Return wall and processor time of `zerodrift fleet`, and what it reported."""
+    before, start = _children_s(), time.perf_counter()
+    command = [sys.executable, "-m", "zerodrift", "fleet", "-C", str(project), "--json"]
+    done = subprocess.run(
+        [*command, "--jobs", str(jobs), *options], capture_output=True, text=True, check=False
+    )
+    wall_s, cpu_s = time.perf_counter() - start, _children_s() - before
+    if done.returncode not in (0, 1):
+        raise SystemExit(done.stderr)
+    report = json.loads(done.stdout)
+    steps = sum(r.get("vectors", 0) for r in report["results"])
+    return {"wall_s": wall_s, "cpu_s": cpu_s, "passed": report["passed"], "steps": steps}
+
+
+def _children_s() -> float:
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def describe(name: str, count: int, report: dict[str, float], *, judge: bool) -> str:
+    """Return a line of the result."""
+    per_core_s = report["cpu_s"] / CORES
+    verdict = ""
+    if judge:
+        verdict = f" ({'within' if per_core_s <= LIMIT_S else 'BEYOND'} {LIMIT_S:.0f} s)"
+    steps = f", {report['steps'] / 1e6:.1f} million steps equal" if report["steps"] else ""
+    return (
+        f"{name:24s} processor {report['cpu_s']:7.1f} s, a core's share of {CORES}"
+        f" {per_core_s:6.1f} s{verdict}, wall {report['wall_s']:6.1f} s on this machine as loaded,"
+        f" {1e3 * report['cpu_s'] / count:.0f} ms per sensor; {report['passed']:.0f} pass{steps}"
+    )
+
+
+def compare_training(project: Path, count: int) -> None:
+    """Print the processor time of GRU(8) per sensor, one at a time and all at once."""
+    problems = pose_problems(project, count)
+    ratios, alone_s, together_s = [], [], []
+    for _ in range(REPEATS):
+        start = time.process_time()
+        alone = [
+            Trainer(p.build, p.sequences, p.held_out, p.settings, tared=p.tared).run()
+            for p in problems[: max(4, count // 8)]
+        ]
+        middle = time.process_time()
+        together = train_batch(problems)
+        alone_s.append((middle - start) / len(alone))
+        together_s.append((time.process_time() - middle) / count)
+        ratios.append(alone_s[-1] / together_s[-1])
+        differences = [
+            abs(a.rmse / b.rmse - 1.0)
+            for a, b in zip(alone, together, strict=False)
+            if isinstance(b, Result)
+        ]
+    ratio = statistics.median(ratios)
+    print(
+        f"GRU(8), 2 starts of 80 epochs, processor time per sensor: one at a time"
+        f" {statistics.median(alone_s):.2f} s, {count} at once {statistics.median(together_s):.3f}"
+        f" s: {ratio:.1f} x ({'reached' if ratio >= LEAST_RATIO else 'MISSED'} {LEAST_RATIO:.0f} x;"
+        f" runs {min(ratios):.1f} to {max(ratios):.1f}); best held-out error differs by at most"
+        f" {max(differences):.1e} of itself"
+    )
+
+
+def pose_problems(project: Path, count: int) -> list[Problem]:
+    """Return the rehearsals of GRU(8) on what zero_tempco alone leaves of the first sensors."""
+    config = load_config(project)
+    network = replace(config.network, kind="gru", hidden=8)
+    effects = tuple(e for e in config.effects if e.kind == "zero_tempco")
+    config = replace(config, network=network, effects=effects)
+    catalogue = load_catalogue()
+    problems = []
+    for sensor in find_sensors(config)[:count]:
+        own = configure_sensor(config, sensor)
+        prepared = prepare(own, load_dataset(own), catalogue)
+        problems.append(pose_rehearsal(own, prepared))
+    return problems
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.bench_fleet", description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--sensors", type=int, default=None)
+    parser.add_argument("--jobs", type=int, default=CORES)
+    arguments = parser.parse_args()
+    main(arguments.quick, arguments.sensors, arguments.jobs)

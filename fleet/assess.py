@@ -1,0 +1,113 @@
+"""One sensor's errors held out, beside its noise floor, and the values it is compared by."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Dataset
+from zerodrift.fleet.result import OutputResult, ParameterResult
+from zerodrift.physics.floor import measure_floor
+from zerodrift.physics.held_out import TEST_LOGS, HeldOut, hold_out
+from zerodrift.physics.run_errors import collect_errors, pool_rmse
+from zerodrift.train.compensator import Compensator
+from zerodrift.train.scores import Trained
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Errors of one sensor by output, and what they mean."""
+
+    outputs: dict[str, OutputResult]
+    held_out: str
+    floor: str
+
+
+def assess(
+    trained: Trained, dataset: Dataset, integer: Mapping[str, Array] | None = None
+) -> Figures:
+    """Return the held-out errors of a sensor.
+
+    Args:
+        trained: its compensator, and the errors that training measured.
+        dataset: its logs.
+        integer: test run's name -> [n, K] drift by the firmware; None without firmware.
+    """
+    compensator = trained.compensator
+    tared, usable = compensator.tared, compensator.physics.find_usable
+    runs = [*dataset.train, *dataset.test]
+    left = [run.drift - compensator.predict(run) for run in dataset.train]
+    floor = measure_floor(dataset, left, compensator.predict)
+    scores = trained.scores
+    held_out = _hold_out(compensator, dataset)
+    if held_out is None:
+        rmse, none = scores.held_out.compensated, scores.held_out.uncompensated
+        method = scores.explanation
+    else:
+        predictions = held_out.predictions
+        zeros = {name: np.zeros_like(p) for name, p in predictions.items()}
+        rmse, none = (
+            pool_rmse(list(collect_errors(runs, p, tared, usable).values()))
+            for p in (predictions, zeros)
+        )
+        method = held_out.explain()
+    of_integer: list[float | None] = [None] * len(dataset.outputs)
+    if integer:
+        errors = collect_errors(dataset.test, integer, tared, usable)
+        of_integer = [float(x) for x in pool_rmse(list(errors.values()))]
+    return Figures(
+        {
+            name: OutputResult(
+                dataset.units[k], float(none[k]), float(rmse[k]), of_integer[k], float(floor.rms[k])
+            )
+            for k, name in enumerate(dataset.outputs)
+        },
+        method,
+        floor.source,
+    )
+
+
+def _hold_out(compensator: Compensator, dataset: Dataset) -> HeldOut | None:
+    """Return held-out predictions; None where only training itself could make them."""
+    if dataset.test:
+        predictions = {run.name: compensator.predict(run) for run in dataset.test}
+        return HeldOut(TEST_LOGS, predictions)
+    if compensator.front_end is not None:
+        return None
+    return hold_out(compensator.physics, dataset)
+
+
+def describe_parameters(compensator: Compensator) -> dict[str, ParameterResult]:
+    """Return the fitted values by which sensors of one design are compared.
+
+    A choice, such as an order, and a value held by the user are the design's and not among them.
+    """
+    physics = compensator.physics
+    found = {}
+    for fitted in physics.terms:
+        for parameter in fitted.term.free:
+            name = parameter.name
+            found[f"{fitted.term.name}.{name}"] = ParameterResult(
+                float(fitted.term.values[name]),
+                float(fitted.std_errors.get(name, 0.0)),
+                parameter.unit,
+                parameter.scale == "log",
+            )
+    for j, feature in enumerate(physics.feature_names):
+        for k, output in enumerate(physics.outputs):
+            found[f"{output} {feature}"] = ParameterResult(
+                float(physics.coefficients[j, k]),
+                float(physics.std_errors[j, k]),
+                _divide(physics.units[k], physics.feature_units[j]),
+            )
+    return found
+
+
+def _divide(unit: str, by: str) -> str:
+    """Return the unit of a coefficient."""
+    if by in ("", "1"):
+        return unit
+    return f"{unit}/{by}" if by.isalnum() else f"{unit}/({by})"

@@ -1,0 +1,93 @@
+"""What all sensors of a fleet share, and where each one's files lie."""
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+from zerodrift import __version__
+from zerodrift.config import USES, Config
+from zerodrift.dataset.selectors import expand_selectors
+from zerodrift.export.integer_model import FORMAT as MODEL_FORMAT
+from zerodrift.fleet.result import FORMAT
+
+FOLDER = "fleet"
+"""Below build/: one folder per sensor, and the report."""
+RUNTIME = "runtime"
+"""Below the firmware's folder: the C that all sensors share."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """One design and how its sensors are to be worked on; goes to other processes as it is."""
+
+    config: Config
+    """Of the fleet: selectors still hold `{sensor}`."""
+    firmware: bool = True
+    """Whether C is generated and checked."""
+    skip_invalid: bool = False
+    device: str = "cpu"
+    """What trains the networks."""
+
+    @property
+    def directory(self) -> Path:
+        """Where zerodrift.toml lies."""
+        return self.config.directory
+
+    @property
+    def build(self) -> Path:
+        """Folder of the fleet's results and report."""
+        return self.config.build_directory / FOLDER
+
+    def build_folder(self, sensor: str) -> Path:
+        """Return the folder of one sensor's model and result."""
+        return self.build / sensor
+
+    def firmware_folder(self, sensor: str) -> Path:
+        """Return the folder of one sensor's C."""
+        return self.config.firmware_out / sensor
+
+    def place(self, config: Config, sensor: str) -> Config:
+        """Return a sensor's project with its own build directory, for what keeps files there."""
+        path = self.build_folder(sensor) / config.path.name
+        return replace(config, path=path)
+
+    @cached_property
+    def mark(self) -> str:
+        """Mark of everything about the design that a sensor's result depends on."""
+        c = self.config
+        values = [
+            [FORMAT, MODEL_FORMAT, __version__, self.firmware, self.skip_invalid, self.device],
+            [c.sensor_name, c.time_column, c.temperature_column, c.sample_period_s],
+            [[o.name, o.measured, o.reference, o.unit, o.full_scale] for o in c.outputs],
+            [dict(c.inputs), dict(c.where), c.weights, self._name(c.firmware_out)],
+            [[getattr(c, f"{use}_logs") for use in USES], c.fleet.folder],
+            [[e.kind, dict(e.held), dict(e.options)] for e in c.effects],
+            [c.network.kind, c.network.hidden, c.network.memory, c.network.seed],
+            [dict(c.network.options), list(c.network.lags_s)],
+        ]
+        digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
+        for file in c.plugin_files:
+            digest.update(file.read_bytes())
+        return digest.hexdigest()
+
+    def mark_sensor(self, config: Config) -> str:
+        """Return the mark of the design and of one sensor's logs, their bytes included.
+
+        Raises:
+            InputError: the sensor lacks logs.
+        """
+        digest = hashlib.sha256(self.mark.encode())
+        for use in USES:
+            for selection in expand_selectors(config, use):
+                name = self._name(selection.path)
+                digest.update(f"{use} {name} {selection.run_pattern}".encode())
+                with selection.path.open("rb") as file:
+                    digest.update(hashlib.file_digest(file, "sha256").digest())
+        return digest.hexdigest()
+
+    def _name(self, path: Path) -> str:
+        """Return a path as the project sees it, so that the whole project may be moved."""
+        inside = path.is_relative_to(self.directory)
+        return path.relative_to(self.directory).as_posix() if inside else str(path)

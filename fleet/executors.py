@@ -1,0 +1,168 @@
+"""Where batches of sensors are worked on: here, in processes beside this one, or over Ray."""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Generator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, Protocol
+
+from zerodrift.errors import CheckError, InputError
+from zerodrift.fleet.design import Design
+from zerodrift.fleet.result import Outcome
+
+Batch = tuple[str, ...]
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS")
+"""Set to 1 in workers, so that as many processes as cores do not fight over them."""
+
+
+class Executor(Protocol):
+    """What works on batches of sensors."""
+
+    def run(self, design: Design, batches: Sequence[Batch]) -> Generator[list[Outcome], None, None]:
+        """Yield the outcomes of each batch as it is done, in any order."""
+        ...
+
+
+def _work_on(design: Design, sensors: Batch) -> list[Outcome]:
+    """Work on a batch; what that takes is loaded only where it is done."""
+    from zerodrift.fleet.work import work_on
+
+    return work_on(design, sensors)
+
+
+class Serial:
+    """In this process, one batch after the other."""
+
+    def run(self, design: Design, batches: Sequence[Batch]) -> Generator[list[Outcome], None, None]:
+        """Yield the outcomes batch by batch."""
+        for batch in batches:
+            yield _work_on(design, batch)
+
+
+class Processes:
+    """In processes of this machine."""
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+
+    def run(self, design: Design, batches: Sequence[Batch]) -> Generator[list[Outcome], None, None]:
+        """Yield the outcomes batch by batch; leaving the loop ends the processes.
+
+        Raises:
+            CheckError: a process died, as when memory runs out.
+        """
+        before = {name: os.environ.get(name) for name in ONE_THREAD}
+        os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+        # A fork would take along threads of Polars and PyTorch that no longer run.
+        context = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(self._jobs, context, initializer=_ignore_interrupts)
+        pending: set[Future[list[Outcome]]] = set()
+        try:
+            pending = {pool.submit(_work_on, design, batch) for batch in batches}
+            while pending:
+                done, pending = wait(pending, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield future.result()
+        except BrokenProcessPool as error:
+            raise CheckError(
+                "a worker process ended unexpectedly, most likely for want of memory. Sensors that"
+                " were done are kept: the same command goes on; try fewer --jobs or a smaller"
+                " --batch."
+            ) from error
+        finally:
+            for process in list((getattr(pool, "_processes", None) or {}).values()):
+                if pending:  # left early: what has begun need not be finished
+                    process.terminate()
+            pool.shutdown(wait=True, cancel_futures=True)
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the main process, which ends the workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+class OverRay:
+    """On a Ray cluster, or on this machine by Ray's local mode; needs a shared file system."""
+
+    def __init__(self, address: str | None, jobs: int) -> None:
+        """Take where to work.
+
+        Args:
+            address: of the cluster; None starts Ray on this machine for this run.
+            jobs: cores of this machine to use, where Ray is started here.
+        """
+        self._address, self._jobs = address, jobs
+
+    def run(self, design: Design, batches: Sequence[Batch]) -> Generator[list[Outcome], None, None]:
+        """Yield the outcomes batch by batch.
+
+        Raises:
+            InputError: Ray is not installed, or there is no cluster at the address.
+            CheckError: the cluster went away.
+        """
+        ray = import_ray()
+        self._connect(ray)
+        try:
+            task = ray.remote(num_cpus=1, max_retries=2)(_work_on)
+            shared = ray.put(design)
+            pending = [task.remote(shared, batch) for batch in batches]
+            while pending:
+                done, pending = ray.wait(pending, num_returns=1)
+                yield ray.get(done[0])
+        except _list_ray_errors(ray) as error:
+            raise CheckError(
+                "the Ray cluster went away or a worker died"
+                f" ({type(error).__name__}: {_first_line(error)}). Sensors that were done are"
+                " kept: the same command goes on with the others, with --ray or without."
+            ) from error
+        finally:
+            ray.shutdown()
+
+    def _connect(self, ray: Any) -> None:
+        options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+        if self._address is None:
+            options |= {"num_cpus": self._jobs, "include_dashboard": False}
+        else:
+            options["address"] = self._address
+        environment = dict.fromkeys(ONE_THREAD, "1")
+        os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+        try:
+            ray.init(**options, runtime_env={"env_vars": environment})
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            where = self._address or "this machine"
+            raise InputError(
+                f"Ray cannot be reached at {where}: {_first_line(error)}. Start a cluster with"
+                " `ray start --head`, correct --ray-address, or leave it out to run Ray here."
+            ) from error
+
+
+def import_ray() -> Any:
+    """Return the module.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        import ray
+    except ImportError as error:
+        raise InputError(
+            "--ray needs Ray, which is not installed. `pip install -r requirements-fleet.lock` in a"
+            " checkout, or `pip install zerodrift[fleet]`; without it, --jobs uses this machine's"
+            " cores."
+        ) from error
+    return ray
+
+
+def _list_ray_errors(ray: Any) -> tuple[type[BaseException], ...]:
+    return (ray.exceptions.RayError, ConnectionError, OSError)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or ["no reason given"])[0]

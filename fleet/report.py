@@ -1,0 +1,301 @@
+"""The yield report of a fleet: who passes, who does not and why, as JSON, CSV and Markdown."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zerodrift.fleet.design import Design
+from zerodrift.fleet.outliers import Outlier, find_outliers
+from zerodrift.fleet.result import Outcome, SensorResult
+from zerodrift.train.checkpoint import write_whole
+
+FORMAT = 1
+NAME = "report"
+"""Of the files below build/fleet/."""
+PASS, FAIL, ERROR = "pass", "fail", "error"
+REASONS_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One sensor, judged."""
+
+    sensor: str
+    status: str
+    """pass | fail (a limit is exceeded) | error (there is no result)."""
+    reasons: tuple[str, ...]
+    """Limits that are exceeded, or the error."""
+    outliers: tuple[Outlier, ...]
+    result: SensorResult | None
+    kept: bool
+
+
+@dataclass(frozen=True)
+class FleetReport:
+    """All sensors, judged, and how the fleet spreads."""
+
+    design: str
+    verdicts: tuple[Verdict, ...]
+    limits: dict[str, float]
+    ratio_limit: float | None
+    outlier_z: float
+    simulated: bool = False
+
+    def count(self, status: str) -> int:
+        """Return the number of sensors of a status."""
+        return sum(v.status == status for v in self.verdicts)
+
+    @property
+    def outliers(self) -> tuple[Verdict, ...]:
+        """Sensors that are unlike the others in something."""
+        return tuple(v for v in self.verdicts if v.outliers)
+
+    @property
+    def results(self) -> list[SensorResult]:
+        """Of the sensors that went through."""
+        return [v.result for v in self.verdicts if v.result is not None]
+
+    def spread(self) -> dict[str, dict[str, Any]]:
+        """Return per output the median and the quantiles of errors over the sensors."""
+        results = self.results
+        table: dict[str, dict[str, Any]] = {}
+        for name in results[0].outputs if results else ():
+            own = [r.outputs[name] for r in results]
+            judged = np.array([o.judged for o in own])
+            ratios = np.array([o.ratio for o in own])
+            table[name] = {
+                "unit": own[0].unit,
+                "rmse_uncompensated_median": float(np.median([o.rmse_uncompensated for o in own])),
+                "rmse_median": float(np.median(judged)),
+                "rmse_p95": float(np.quantile(judged, 0.95, method="higher")),
+                "rmse_worst": float(judged.max()),
+                "noise_floor_median": float(np.median([o.noise_floor for o in own])),
+                "ratio_median": float(np.median(ratios)),
+                "ratio_worst": float(ratios.max()),
+                "limit": self.limits.get(name),
+            }
+        return table
+
+
+def judge_fleet(design: Design, outcomes: Sequence[Outcome]) -> FleetReport:
+    """Return the report on these sensors, by the limits of `[fleet]`."""
+    fleet = design.config.fleet
+    results = [o.result for o in outcomes if o.result is not None]
+    outliers = find_outliers(results, fleet.outlier_z)
+    verdicts = []
+    reasons: tuple[str, ...]
+    for outcome in outcomes:
+        if outcome.result is None:
+            status, reasons = ERROR, (outcome.error,)
+        else:
+            reasons = list_exceeded(outcome.result, dict(fleet.limits), fleet.ratio_limit)
+            status = FAIL if reasons else PASS
+        verdicts.append(
+            Verdict(
+                outcome.sensor,
+                status,
+                reasons,
+                tuple(outliers.get(outcome.sensor, ())),
+                outcome.result,
+                outcome.kept,
+            )
+        )
+    return FleetReport(
+        design.config.sensor_name,
+        tuple(verdicts),
+        dict(fleet.limits),
+        fleet.ratio_limit,
+        fleet.outlier_z,
+    )
+
+
+def list_exceeded(
+    result: SensorResult, limits: dict[str, float], ratio_limit: float | None
+) -> tuple[str, ...]:
+    """Return a sentence for each limit that a sensor exceeds."""
+    reasons = []
+    for name, output in result.outputs.items():
+        if not math.isfinite(output.judged):
+            reasons.append(f"{name}: no error held out could be measured")
+        elif name in limits and output.judged > limits[name]:
+            reasons.append(
+                f"{name}: RMSE {output.judged:.4g} {output.unit} > {limits[name]:g} {output.unit}"
+            )
+        if ratio_limit is not None and output.ratio > ratio_limit:
+            reasons.append(
+                f"{name}: RMSE is {output.ratio:.3g} x the noise floor > {ratio_limit:g} x"
+            )
+    return tuple(reasons)
+
+
+def write_report(design: Design, report: FleetReport) -> tuple[Path, ...]:
+    """Write report.json, report.csv and report.md below build/fleet/; return their paths."""
+    contents = {
+        "json": json.dumps(describe_report(report), indent=1, ensure_ascii=False, allow_nan=False)
+        + "\n",
+        "csv": render_csv(report),
+        "md": render_markdown(report),
+    }
+    paths = []
+    for suffix, text in contents.items():
+        path = design.build / f"{NAME}.{suffix}"
+        write_whole(path, text.encode())
+        paths.append(path)
+    return tuple(paths)
+
+
+def describe_report(report: FleetReport) -> dict[str, Any]:
+    """Return the report as JSON values."""
+    return {
+        "format": FORMAT,
+        "design": report.design,
+        "sensors": len(report.verdicts),
+        "passed": report.count(PASS),
+        "failed": report.count(FAIL),
+        "errors": report.count(ERROR),
+        "outliers": len(report.outliers),
+        "limits": report.limits,
+        "ratio_limit": report.ratio_limit,
+        "outlier_z": report.outlier_z,
+        "outputs": _finite(report.spread()),
+        "results": [
+            {
+                "sensor": v.sensor,
+                "status": v.status,
+                "reasons": list(v.reasons),
+                "outliers": [
+                    {
+                        "quantity": o.quantity,
+                        "value": o.value,
+                        "median": o.median,
+                        "z": o.z,
+                        "unit": o.unit,
+                    }
+                    for o in v.outliers
+                ],
+                "kept": v.kept,
+                **(_describe_result(v.result) if v.result is not None else {}),
+            }
+            for v in report.verdicts
+        ],
+    }
+
+
+def _describe_result(result: SensorResult) -> dict[str, Any]:
+    values = result.to_dict()
+    names = ("outputs", "parameters", "held_out", "floor", "network", "vectors", "model_hash")
+    return {name: values[name] for name in (*names, "temperature_degC", "notes")}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def render_csv(report: FleetReport) -> str:
+    """Return one line per sensor: verdict, errors per output with units in the names, values."""
+    results = report.results
+    outputs = list(results[0].outputs.items()) if results else []
+    parameters = list(dict.fromkeys(name for r in results for name in r.parameters))
+    header = ["sensor", "status", "reasons", "outliers", "model_hash"]
+    for name, output in outputs:
+        header += [
+            f"{name} uncompensated [{output.unit}]",
+            f"{name} rmse [{output.unit}]",
+            f"{name} firmware rmse [{output.unit}]",
+            f"{name} floor [{output.unit}]",
+            f"{name} ratio",
+        ]
+    units = {n: p.unit for r in results for n, p in r.parameters.items()}
+    header += [f"{name} [{units[name]}]" for name in parameters]
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(header)
+    for v in report.verdicts:
+        row = [v.sensor, v.status, "; ".join(v.reasons), "; ".join(map(str, v.outliers))]
+        if v.result is not None:
+            row.append(v.result.model_hash)
+            for name, _ in outputs:
+                o = v.result.outputs[name]
+                numbers = (o.rmse_uncompensated, o.rmse, o.rmse_integer, o.noise_floor, o.ratio)
+                row += ["" if x is None or not math.isfinite(x) else f"{x:.6g}" for x in numbers]
+            row += [
+                f"{v.result.parameters[name].value:.8g}" if name in v.result.parameters else ""
+                for name in parameters
+            ]
+        writer.writerow(row)
+    return buffer.getvalue()
+
+
+def render_markdown(report: FleetReport) -> str:
+    """Return the report for people: yield, spread, then only the sensors that need a look."""
+    total, passed = len(report.verdicts), report.count(PASS)
+    lines = [
+        f"# Fleet of {report.design}",
+        "",
+        f"{passed} of {total} sensors pass ({_percent(passed, total)}), {report.count(FAIL)} fail,"
+        f" {report.count(ERROR)} could not be worked on, {len(report.outliers)} are outliers.",
+        "",
+        _explain_limits(report),
+        "",
+    ]
+    if report.results:
+        lines += [
+            f"Errors: {report.results[0].held_out}. Noise floor: {report.results[0].floor}.",
+            "",
+            "| output | unit | uncompensated, median | RMSE, median | 95 % | worst |"
+            " floor, median | ratio, median | worst | limit |",
+            "|---|---|---|---|---|---|---|---|---|---|",
+        ]
+        for name, row in report.spread().items():
+            limit = "" if row["limit"] is None else f"{row['limit']:g}"
+            lines.append(
+                f"| {_escape(name)} | {_escape(row['unit'])} |"
+                f" {row['rmse_uncompensated_median']:.4g} | {row['rmse_median']:.4g} |"
+                f" {row['rmse_p95']:.4g} | {row['rmse_worst']:.4g} |"
+                f" {row['noise_floor_median']:.4g} | {row['ratio_median']:.3g} |"
+                f" {row['ratio_worst']:.3g} | {limit} |"
+            )
+        lines.append("")
+    for title, chosen in (
+        ("Could not be worked on", [v for v in report.verdicts if v.status == ERROR]),
+        ("Fail", [v for v in report.verdicts if v.status == FAIL]),
+    ):
+        if chosen:
+            lines += [f"## {title}", ""]
+            lines += [f"- **{_escape(v.sensor)}**: {_escape('; '.join(v.reasons))}" for v in chosen]
+            lines.append("")
+    if report.outliers:
+        lines += ["## Outliers", ""]
+        for v in report.outliers:
+            more = len(v.outliers) - REASONS_SHOWN
+            shown = "; ".join(map(str, v.outliers[:REASONS_SHOWN]))
+            tail = f"; and {more} more" if more > 0 else ""
+            lines.append(f"- **{_escape(v.sensor)}** ({v.status}): {_escape(shown)}{tail}")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _explain_limits(report: FleetReport) -> str:
+    parts = [f"{name} {value:g}" for name, value in report.limits.items()]
+    if report.ratio_limit is not None:
+        parts.append(f"{report.ratio_limit:g} x the noise floor")
+    if not parts:
+        return "`[fleet]` names no limits, so whoever has a result passes."
+    return f"Limits of the held-out RMSE: {', '.join(parts)}. Outlier: |z| > {report.outlier_z:g}."
+
+
+def _percent(part: int, whole: int) -> str:
+    return f"{100.0 * part / max(whole, 1):.1f} %"
+
+
+def _escape(text: str) -> str:
+    return text.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ").replace("<", "&lt;")

@@ -1,0 +1,224 @@
+"""What is known about one sensor of a fleet, and the file that keeps it."""
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from zerodrift.errors import InputError
+
+FORMAT = 1
+"""Of result.json; another one is computed anew."""
+RESULT = "result.json"
+
+
+@dataclass(frozen=True)
+class OutputResult:
+    """Root mean square errors of one output, in its unit."""
+
+    unit: str
+    rmse_uncompensated: float
+    rmse: float
+    """Held out, of the float model."""
+    rmse_integer: float | None
+    """The same of the firmware's integer model; None without firmware or without test logs."""
+    noise_floor: float
+
+    @property
+    def judged(self) -> float:
+        """The error that limits are held against: the firmware's where there is one."""
+        return self.rmse if self.rmse_integer is None else self.rmse_integer
+
+    @property
+    def ratio(self) -> float:
+        """The judged error over the noise floor; infinite over a floor of zero."""
+        if self.noise_floor > 0.0:
+            return self.judged / self.noise_floor
+        return math.inf if self.judged > 0.0 else 1.0
+
+
+@dataclass(frozen=True)
+class ParameterResult:
+    """A fitted value of one sensor, which those of the other sensors are compared with."""
+
+    value: float
+    std_error: float
+    unit: str
+    is_log: bool = False
+    """Whether sensors are compared by its logarithm."""
+
+
+@dataclass(frozen=True)
+class SensorResult:
+    """One sensor that went through."""
+
+    sensor: str
+    mark: str
+    """Of the design and of this sensor's logs; the same mark need not be computed again."""
+    held_out: str
+    """What the errors were measured on, in a sentence."""
+    floor: str
+    """Where the noise floor comes from: dwell | estimated."""
+    outputs: Mapping[str, OutputResult]
+    parameters: Mapping[str, ParameterResult]
+    """Parameters of effects as `thermal_lag.tau_s`, coefficients as `Fz dark_current`."""
+    temperature_degC: tuple[float, float]
+    network: bool
+    """Whether a network stayed in the compensator."""
+    notes: tuple[str, ...]
+    vectors: int = 0
+    """Steps at which the C was equal to the reference; 0 without firmware."""
+    model_hash: str = ""
+    files: Mapping[str, str] | None = None
+    """Files written, relative to the project -> SHA-256."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as JSON values; infinity and NaN, which JSON lacks, are null."""
+        values = {"format": FORMAT, **asdict(self)}
+        for name, output in self.outputs.items():
+            values["outputs"][name]["ratio"] = output.ratio
+        return {key: _to_json(value) for key, value in values.items()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "SensorResult":
+        """Return what `to_dict` described.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is no such description.
+        """
+        if values["format"] != FORMAT:
+            raise ValueError(f"format {values['format']}")
+
+        def number(value: float | None) -> float:
+            return math.nan if value is None else float(value)
+
+        outputs = {}
+        for name, o in values["outputs"].items():
+            integer = o["rmse_integer"]
+            outputs[name] = OutputResult(
+                str(o["unit"]),
+                number(o["rmse_uncompensated"]),
+                number(o["rmse"]),
+                None if integer is None else float(integer),
+                number(o["noise_floor"]),
+            )
+        parameters = {
+            name: ParameterResult(
+                number(p["value"]), number(p["std_error"]), str(p["unit"]), bool(p["is_log"])
+            )
+            for name, p in values["parameters"].items()
+        }
+        low, high = values["temperature_degC"]
+        return cls(
+            sensor=str(values["sensor"]),
+            mark=str(values["mark"]),
+            held_out=str(values["held_out"]),
+            floor=str(values["floor"]),
+            outputs=outputs,
+            parameters=parameters,
+            temperature_degC=(float(low), float(high)),
+            network=bool(values["network"]),
+            notes=tuple(map(str, values["notes"])),
+            vectors=int(values["vectors"]),
+            model_hash=str(values["model_hash"]),
+            files={str(k): str(v) for k, v in values["files"].items()},
+        )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one sensor."""
+
+    sensor: str
+    result: SensorResult | None
+    error: str = ""
+    """Why there is no result."""
+    kept: bool = False
+    """Whether an earlier run had done it."""
+
+
+def _to_json(value: Any) -> Any:
+    """Return a value with every number that JSON lacks made null."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _to_json(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_to_json(inner) for inner in value]
+    return value
+
+
+def save_result(
+    folder: Path, project: Path, result: SensorResult, files: list[Path]
+) -> SensorResult:
+    """Write result.json, last of a sensor's files, and return the result with their hashes.
+
+    Args:
+        folder: the sensor's own folder below build/.
+        project: the folder of zerodrift.toml, which the names in the result are relative to.
+        result: what to write.
+        files: the sensor's files, already written.
+    """
+    hashes = {_name(path, project): hash_file(path) for path in files}
+    whole = replace(result, files=hashes)
+    text = json.dumps(whole.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    write_fast(folder / RESULT, text.encode())
+    return whole
+
+
+def load_result(folder: Path, project: Path, mark: str) -> SensorResult | None:
+    """Return the kept result if it is of this mark and its files are as they were written.
+
+    A file that is damaged or of another version is not an error: the sensor is computed anew.
+    """
+    try:
+        result = SensorResult.from_dict(json.loads((folder / RESULT).read_bytes()))
+        whole = all(hash_file(project / name) == h for name, h in (result.files or {}).items())
+    except (InputError, OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+    return result if whole and result.mark == mark else None
+
+
+def write_fast(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all, without waiting for the disk.
+
+    What a power failure leaves of it does not have the hash that result.json names, or is no
+    result.json, and the sensor is computed anew.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(content)
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}). Make room, or make the folder writable."
+        ) from error
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def hash_file(path: Path) -> str:
+    """Return the SHA-256 of a file.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+
+
+def _name(path: Path, project: Path) -> str:
+    return str(path.relative_to(project)) if path.is_relative_to(project) else str(path)

@@ -1,0 +1,99 @@
+"""A fleet from its directory to results: batches, where they go, and what is written at the end."""
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+
+from zerodrift.c_runtime.compilers import RUNTIME_FILES
+from zerodrift.errors import ZerodriftError
+from zerodrift.fleet.design import RUNTIME, Design
+from zerodrift.fleet.executors import Batch, Executor
+from zerodrift.fleet.result import RESULT, Outcome, SensorResult, load_result
+from zerodrift.fleet.sensors import configure_sensor, find_sensors
+from zerodrift.train.checkpoint import write_whole
+
+BATCH, NETWORK_BATCH = 16, 32
+"""Sensors in a batch: compiled together, and with a network trained together."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a fleet stands, for a bar."""
+
+    done: int
+    total: int
+    kept: int
+    failed: int
+
+
+def run_fleet(
+    design: Design,
+    executor: Executor,
+    *,
+    jobs: int = 1,
+    batch: int | None = None,
+    fresh: bool = False,
+    report: Callable[[Progress], None] = lambda _: None,
+) -> tuple[Outcome, ...]:
+    """Return what became of every sensor, sorted by name.
+
+    Args:
+        design: what they share.
+        executor: where the work is done.
+        jobs: processes that want work at the same time.
+        batch: sensors in a batch; by default as many as are worth it.
+        fresh: compute anew what is kept.
+        report: is told whenever a batch is done.
+
+    Raises:
+        InputError: nothing says where the sensors are.
+        CheckError: the executor went away; what was done is kept.
+    """
+    sensors = find_sensors(design.config)
+    if design.firmware:
+        write_runtime(design)
+    outcomes: dict[str, Outcome] = {}
+
+    def tell() -> None:
+        kept = sum(o.kept for o in outcomes.values())
+        failed = sum(o.result is None for o in outcomes.values())
+        report(Progress(len(outcomes), len(sensors), kept, failed))
+
+    tell()
+    for sensor in () if fresh else sensors:
+        kept = find_kept(design, sensor)
+        if kept is not None:
+            outcomes[sensor] = Outcome(sensor, kept, kept=True)
+            tell()
+    left = [sensor for sensor in sensors if sensor not in outcomes]
+    usual = BATCH if design.config.network.kind == "none" else NETWORK_BATCH
+    size = batch or max(1, min(usual, -(-len(left) // jobs)))
+    batches: list[Batch] = [tuple(left[i : i + size]) for i in range(0, len(left), size)]
+    if batches:
+        with closing(executor.run(design, batches)) as found:
+            for part in found:
+                outcomes |= {outcome.sensor: outcome for outcome in part}
+                tell()
+    return tuple(outcomes[sensor] for sensor in sensors)
+
+
+def find_kept(design: Design, sensor: str) -> SensorResult | None:
+    """Return a sensor's result if neither its logs, nor the design, nor its files have changed."""
+    folder = design.build_folder(sensor)
+    if not (folder / RESULT).is_file():
+        return None
+    try:
+        mark = design.mark_sensor(configure_sensor(design.config, sensor))
+    except ZerodriftError:
+        return None  # told when it is worked on
+    return load_result(folder, design.directory, mark)
+
+
+def write_runtime(design: Design) -> None:
+    """Write the C that all sensors share, where it differs from what is there."""
+    folder = design.config.firmware_out / RUNTIME
+    for path in RUNTIME_FILES:
+        content = path.read_bytes()
+        target = folder / path.name
+        if not target.is_file() or target.read_bytes() != content:
+            write_whole(target, content)

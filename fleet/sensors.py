@@ -1,0 +1,157 @@
+"""Which sensors there are: the names that stand where `{sensor}` stands, and each one's logs."""
+
+import glob
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from zerodrift.config import USES, Config, locate_key
+from zerodrift.errors import InputError
+from zerodrift.fleet_config import PLACEHOLDER
+
+LOG_SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
+_SUFFIX = re.compile(r"(#[^#/]+)?(@[^@#/]*:[^@#/]*)?$")
+_GLOB = re.compile(r"\[!?\]?[^\]]*\]|.", re.DOTALL)
+FOLDERS_SHOWN = 3
+
+
+def list_selectors(config: Config, use: str) -> tuple[str, ...]:
+    """Return the selectors of `[logs] use`, those of a fleet's folders put below the folder."""
+    selectors: tuple[str, ...] = getattr(config, f"{use}_logs")
+    folder = config.fleet.folder
+    if not folder:
+        return selectors
+    return tuple(s if PLACEHOLDER in s else f"{folder}/{s}" for s in selectors)
+
+
+def find_sensors(config: Config) -> tuple[str, ...]:
+    """Return the sensors' names, sorted: whatever stands in the place of `{sensor}`.
+
+    Raises:
+        InputError: nothing says where the sensors are, or nothing is there.
+    """
+    if config.fleet.folder:
+        names = match_names(config.directory, config.fleet.folder, folders=True)
+        where, pattern = locate_key(config.path, "fleet", "folder"), config.fleet.folder
+    else:
+        selectors = {use: list_selectors(config, use) for use in USES}
+        where = locate_key(config.path, "logs", "train")
+        if not any(PLACEHOLDER in text for text in selectors["train"]):
+            raise InputError(explain_no_placeholder(config, where))
+        named = [text for texts in selectors.values() for text in texts if PLACEHOLDER in text]
+        patterns = [_SUFFIX.sub("", text) for text in named]
+        names = {n for p in patterns for n in match_names(config.directory, p, folders=False)}
+        pattern = patterns[0]
+    if not names:
+        kind = "folder" if config.fleet.folder else "log"
+        raise InputError(
+            f"{where}: no {kind} matches '{pattern}'; expected one or more per sensor, its name in"
+            f" the place of {PLACEHOLDER}. Correct the path, which is relative to"
+            f" {config.directory}."
+        )
+    return tuple(sorted(names))
+
+
+def match_names(directory: Path, pattern: str, *, folders: bool) -> set[str]:
+    """Return what stands for `{sensor}` in the paths that a pattern matches.
+
+    Args:
+        directory: what the pattern is relative to.
+        pattern: a glob with the placeholder in one or more of its parts; the first one tells.
+        folders: whether it names folders rather than files.
+    """
+    found = glob.glob(  # noqa: PTH207 - Path.glob refuses `..` and absolute patterns
+        pattern.replace(PLACEHOLDER, "*"), root_dir=directory, recursive=True
+    )
+    expression = re.compile(_translate(pattern))
+    names = set()
+    for text in found:
+        match = expression.fullmatch(Path(text).as_posix())
+        if match and (directory / text).is_dir() == folders:
+            names.add(match["sensor"])
+    return names
+
+
+def _translate(pattern: str) -> str:
+    """Return a regular expression for a glob, `{sensor}` as a group that holds no separator."""
+    parts = []
+    seen = False
+    for part in pattern.split("/"):
+        pieces = part.split(PLACEHOLDER)
+        text = ""
+        for number, piece in enumerate(pieces):
+            if number:
+                text += "(?P=sensor)" if seen else "(?P<sensor>[^/]+?)"
+                seen = True
+            text += _translate_piece(piece)
+        parts.append("(?:.*/)?" if part == "**" else text + "/")
+    return "".join(parts).removesuffix("/")
+
+
+def _translate_piece(piece: str) -> str:
+    """Return a regular expression for a part of a glob that holds neither `/` nor `**`."""
+
+    def translate(match: re.Match[str]) -> str:
+        text = match[0]
+        if text[0] == "[" and len(text) > 1:
+            inside = text[1:-1].replace("\\", r"\\")
+            return f"[^{inside[1:]}]" if inside.startswith("!") else f"[{inside}]"
+        return {"*": "[^/]*", "?": "[^/]"}.get(text) or re.escape(text)
+
+    return _GLOB.sub(translate, piece)
+
+
+def configure_sensor(config: Config, sensor: str) -> Config:
+    """Return the project of one sensor of the fleet: the design, with this sensor's logs.
+
+    Raises:
+        InputError: the name means something else in a selector.
+    """
+    if re.search(r"[#@{}\x00-\x1f]", sensor):
+        raise InputError(
+            f"sensor {sensor!r}: a sensor's name has none of # @ {{ }}, which mean something else"
+            " in the selectors of [logs]. Rename its folder or logs."
+        )
+    literal = glob.escape(sensor)
+    logs = {
+        f"{use}_logs": tuple(s.replace(PLACEHOLDER, literal) for s in list_selectors(config, use))
+        for use in USES
+    }
+    return replace(config, **logs)  # type: ignore[arg-type]  # the three are tuples of text
+
+
+def explain_no_placeholder(config: Config, where: str) -> str:
+    """Return the message that shows how a fleet is described, from what lies in the directory."""
+    guess = guess_folder(config.directory)
+    found = ""
+    if guess is not None:
+        parent, names = guess
+        shown = ", ".join(names[:FOLDERS_SHOWN]) + (", ..." if len(names) > FOLDERS_SHOWN else "")
+        found = f" {parent}/ has {len(names)} folders with logs ({shown})."
+    folder = f"{guess[0] if guess else 'fleet'}/{PLACEHOLDER}"
+    return (
+        f"{where}: nothing says which logs are which sensor's; expected {PLACEHOLDER} in the place"
+        f" of the sensor's name.{found} Add to {config.path.name}\n\n"
+        f'    [fleet]\n    folder = "{folder}"\n\n'
+        "and name the logs relative to that folder in [logs], for example"
+        f' train = ["chamber_*.csv"]; or, where all logs lie together, write'
+        f' train = ["logs/{PLACEHOLDER}_*.csv"].'
+    )
+
+
+def guess_folder(directory: Path) -> tuple[str, tuple[str, ...]] | None:
+    """Return the folder with the most subfolders that hold logs, and these; None without any."""
+    best: tuple[str, tuple[str, ...]] | None = None
+    for parent in sorted(path for path in directory.iterdir() if path.is_dir()):
+        if parent.name.startswith(".") or parent.name in ("build", "firmware"):
+            continue
+        names = tuple(
+            sorted(
+                folder.name
+                for folder in parent.iterdir()
+                if folder.is_dir() and any(f.suffix in LOG_SUFFIXES for f in folder.iterdir())
+            )
+        )
+        if names and (best is None or len(names) > len(best[1])):
+            best = (parent.name, names)
+    return best

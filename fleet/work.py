@@ -1,0 +1,317 @@
+"""A few sensors from logs to checked C, in one process; what goes wrong with one stays with it."""
+
+import json
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from zerodrift.c_runtime.host import HostModel
+from zerodrift.c_runtime.host_batch import build_host_batch
+from zerodrift.codegen.generate import GeneratedCode, generate
+from zerodrift.config import Config
+from zerodrift.dataset.load import load_dataset
+from zerodrift.dataset.runs import Dataset
+from zerodrift.errors import CheckError, ZerodriftError
+from zerodrift.export.compose import compose_integer_model, count_elapsed, encode_inputs
+from zerodrift.export.fine_tune import load_or_tune
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.fleet.assess import assess, describe_parameters
+from zerodrift.fleet.design import Design
+from zerodrift.fleet.result import Outcome, SensorResult, save_result, write_fast
+from zerodrift.fleet.sensors import configure_sensor
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.train.compensator import DESCRIPTION, NETWORK
+from zerodrift.train.scores import Trained
+from zerodrift.train.together import train_together
+from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
+from zerodrift.verify.certificate import certify
+from zerodrift.verify.certificate_check import check_certificate
+from zerodrift.verify.firmware import list_sequences
+from zerodrift.verify.host_check import check_host
+
+UNFORESEEN = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
+"""What a sensor's logs might raise that nobody thought of: told in its name, others go on."""
+RANDOM_STEPS = 5000
+"""Drawn inputs beside the logs: noise, jumps, the rails, a walk, a dwell."""
+START_STEPS = 4
+"""Each sequence is begun on its own for these steps, from rest and from cold; then all of them run
+one after the other, which gives the state jumps to live through as well."""
+PARAMETERS = "parameters.json"
+T = TypeVar("T")
+
+
+@dataclass
+class _Job:
+    """One sensor on its way."""
+
+    sensor: str
+    config: Config
+    mark: str
+    dataset: Dataset
+    trained: Trained | None = None
+    model: IntegerModel | None = None
+    code: GeneratedCode | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+class _Batch:
+    """The sensors of a batch; one that fails leaves it with its message."""
+
+    def __init__(self, sensors: Sequence[str]) -> None:
+        self.sensors = sensors
+        self.outcomes: dict[str, Outcome] = {}
+
+    def attempt(self, sensor: str, work: Callable[[], T]) -> T | None:
+        """Return what `work` returns, or None once its failure is noted."""
+        try:
+            return work()
+        except ZerodriftError as error:
+            self.fail(sensor, str(error))
+        except UNFORESEEN as error:
+            self.fail(sensor, f"unforeseen {type(error).__name__}: {error}. Please report it.")
+        return None
+
+    def fail(self, sensor: str, message: str) -> None:
+        """Note why a sensor has no result."""
+        self.outcomes[sensor] = Outcome(sensor, None, message)
+
+    def list(self) -> list[Outcome]:
+        """Return the outcomes in the sensors' order."""
+        return [self.outcomes[sensor] for sensor in self.sensors]
+
+
+def work_on(design: Design, sensors: Sequence[str]) -> list[Outcome]:
+    """Return what became of these sensors; each one's files are written when it is complete.
+
+    Args:
+        design: what they share.
+        sensors: their names.
+    """
+    catalogue = load_catalogue(design.config.plugin_files)
+    batch = _Batch(sensors)
+    jobs = []
+    for sensor in sensors:
+        job = batch.attempt(sensor, lambda s=sensor: _open(design, s))  # type: ignore[misc]  # the default binds the loop's value
+        if job is not None:
+            jobs.append(job)
+    jobs = _train(design, jobs, batch, catalogue)
+    if design.firmware:
+        _build(design, jobs, batch)
+    else:
+        for job in jobs:
+            batch.attempt(job.sensor, lambda j=job: _finish(design, j, batch, None))  # type: ignore[misc]
+    return batch.list()
+
+
+def _open(design: Design, sensor: str) -> _Job:
+    """Read one sensor's logs."""
+    config = configure_sensor(design.config, sensor)
+    dataset = load_dataset(config, design.skip_invalid)
+    return _Job(sensor, config, design.mark_sensor(config), dataset, notes=list(dataset.notes))
+
+
+def _train(design: Design, jobs: Sequence[_Job], batch: _Batch, catalogue: Catalogue) -> list[_Job]:
+    """Fit and train all sensors; networks of the same kind together."""
+    problems = [(design.place(job.config, job.sensor), job.dataset) for job in jobs]
+    done = []
+    for job, trained in zip(
+        jobs, train_together(problems, catalogue, device=design.device), strict=True
+    ):
+        if isinstance(trained, Trained):
+            job.trained = trained
+            done.append(job)
+        else:
+            known = isinstance(trained, ZerodriftError)
+            kind = "" if known else f"unforeseen {type(trained).__name__}: "
+            batch.fail(job.sensor, f"{kind}{trained}")
+    return done
+
+
+def _build(design: Design, jobs: Sequence[_Job], batch: _Batch) -> None:
+    """Quantize, generate, compile all at once, check each, and write those that hold."""
+    ready = [j for j in jobs if batch.attempt(j.sensor, lambda j=j: _generate(design, j))]  # type: ignore[misc]
+    if not ready:
+        return
+    with tempfile.TemporaryDirectory(prefix="zerodrift-fleet-") as scratch:
+        hosts = _compile(ready, Path(scratch), batch)
+        for job, host in hosts:
+            batch.attempt(
+                job.sensor,
+                lambda j=job, h=host: _finish(design, j, batch, h, Path(scratch)),  # type: ignore[misc]
+            )
+
+
+def _generate(design: Design, job: _Job) -> bool:
+    assert job.trained is not None
+    place = design.place(job.config, job.sensor)
+    runs = job.dataset.train
+    tuned = load_or_tune(job.trained.compensator, place, runs)
+    job.model = compose_integer_model(tuned, place, job.dataset)
+    job.code = generate(job.model)
+    return True
+
+
+def _compile(jobs: Sequence[_Job], scratch: Path, batch: _Batch) -> list[tuple[_Job, HostModel]]:
+    """Return the jobs with their host builds; should they not compile together, then apart."""
+    models = [job.model for job in jobs if job.model is not None]
+    codes = [job.code for job in jobs if job.code is not None]
+    try:
+        hosts = build_host_batch(models, codes, scratch / "all")
+    except CheckError:
+        found = []
+        for number, (job, model, code) in enumerate(zip(jobs, models, codes, strict=True)):
+            folder = scratch / f"alone_{number}"
+            host = batch.attempt(
+                job.sensor,
+                lambda m=model, c=code, f=folder: HostModel(m, c, f, observe=False),  # type: ignore[misc]
+            )
+            if host is not None:
+                found.append((job, host))
+        return found
+    return list(zip(jobs, hosts, strict=True))
+
+
+def check_bits(host: HostModel, dataset: Dataset) -> int:
+    """Return the steps at which the C was equal to the reference: drift, flags and states.
+
+    Raises:
+        CheckError: they differ, or the model's own self-test fails.
+    """
+    sequences = list_sequences(host.model, dataset, random_steps=RANDOM_STEPS)
+    cases = [
+        (f"start of {name}", codes[:START_STEPS], settled)
+        for name, codes in sequences.items()
+        for settled in (True, False)
+    ]
+    cases.append(("everything", np.concatenate(list(sequences.values())), True))
+    vectors = 0
+    for name, codes, settled in cases:
+        outcome = check_host(host, codes, settled=settled)
+        if outcome.mismatch is not None:
+            raise CheckError(
+                f"the C differs from the reference: sequence '{name}', {outcome.mismatch}."
+                " Nothing written for this sensor."
+            )
+        vectors += len(codes)
+    if host.selftest() != 0:
+        raise CheckError("the generated self-test fails on this host. Nothing written.")
+    return vectors
+
+
+def _finish(
+    design: Design, job: _Job, batch: _Batch, host: HostModel | None, scratch: Path | None = None
+) -> None:
+    """Check one sensor's C, measure its errors, and write its files; the result comes last."""
+    assert job.trained is not None
+    compensator = job.trained.compensator
+    vectors = 0
+    integer = None
+    certificate = ""
+    if host is not None and scratch is not None:
+        assert job.model is not None and job.code is not None
+        vectors = check_bits(host, job.dataset)
+        certificate = certify(job.model, job.code)
+        _recheck(job.code, certificate, scratch)
+        scale = np.array([o.lsb_per_unit for o in job.model.outputs], dtype=np.float64)
+        integer = {
+            run.name: host.run(
+                encode_inputs(job.model, run), elapsed=count_elapsed(job.model, run)
+            ).drift
+            / scale
+            for run in job.dataset.test
+        }
+    figures = assess(job.trained, job.dataset, integer)
+    result = SensorResult(
+        sensor=job.sensor,
+        mark=job.mark,
+        held_out=figures.held_out,
+        floor=figures.floor,
+        outputs=figures.outputs,
+        parameters=describe_parameters(compensator),
+        temperature_degC=compensator.calibration.temperature_degC,
+        network=compensator.network is not None,
+        notes=(*job.notes, *compensator.notes),
+        vectors=vectors,
+        model_hash=job.model.hash if job.model is not None else "",
+    )
+    files = _write(design, job, result, certificate)
+    batch.outcomes[job.sensor] = Outcome(
+        job.sensor, save_result(design.build_folder(job.sensor), design.directory, result, files)
+    )
+
+
+def _recheck(code: GeneratedCode, certificate: str, scratch: Path) -> None:
+    """Derive the certificate's bounds again from the C.
+
+    Raises:
+        CheckError: a claim does not hold.
+    """
+    from zerodrift.c_runtime.host import write_sources
+
+    folder = scratch / "certified"
+    folder.mkdir(exist_ok=True)
+    write_sources(code, folder)
+    (folder / CERTIFICATE).write_text(certificate, encoding="utf-8")
+    outcome = check_certificate(folder)
+    if outcome.failures:
+        raise CheckError(
+            f"the certificate does not hold: {'; '.join(outcome.failures[:5])}. Nothing written"
+            " for this sensor."
+        )
+
+
+def _write(design: Design, job: _Job, result: SensorResult, certificate: str) -> list[Path]:
+    """Write a sensor's files, each atomically; return their paths."""
+    assert job.trained is not None
+    compensator = replace(job.trained.compensator, trained_from=job.mark)
+    build = design.build_folder(job.sensor)
+    compensator.save(build)
+    files = [build / DESCRIPTION]
+    if compensator.network is not None:
+        files.append(build / NETWORK)
+    text = json.dumps(describe_sensor(design, result, compensator.to_dict()), indent=1)
+    contents = {build / PARAMETERS: text + "\n"}
+    if job.code is not None and job.model is not None:
+        out = design.firmware_folder(job.sensor)
+        contents = {
+            out / PARAMETERS: text + "\n",
+            out / job.code.header_name: job.code.header,
+            out / job.code.source_name: job.code.source,
+            out / CERTIFICATE: certificate,
+        }
+        job.model.save(build / "model.json")
+        files.append(build / "model.json")
+    for path, content in contents.items():
+        write_fast(path, content.encode())
+    return [*files, *contents]
+
+
+def describe_sensor(
+    design: Design, result: SensorResult, compensator: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the sensor's configuration: what distinguishes it from the others, for records."""
+    values = result.to_dict()
+    physics = compensator["physics"]
+    return {
+        "sensor": result.sensor,
+        "design": design.config.sensor_name,
+        "model_hash": result.model_hash,
+        "sample_period_s": design.config.sample_period_s,
+        "effects": [
+            {"kind": t["kind"], "values": t["values"], "std_errors": t["std_errors"]}
+            for t in physics["terms"]
+        ],
+        "outputs": physics["outputs"],
+        "units": physics["units"],
+        "features": physics["feature_names"],
+        "coefficients": physics["coefficients"],
+        "network": result.network,
+        "calibrated_temperature_degC": values["temperature_degC"],
+        "errors": values["outputs"],
+        "held_out": result.held_out,
+        "notes": values["notes"],
+    }

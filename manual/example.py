@@ -1,0 +1,68 @@
+"""The pictures of the loop: a simulated sensor whose lag the model does not know, and then does."""
+
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import plotly.graph_objects as go
+from click.testing import CliRunner
+
+from zerodrift.cli import cli
+from zerodrift.commands.survey import preview_effects, survey_project
+from zerodrift.report.figures import draw_candidates, draw_staircase
+from zerodrift.report.figures_runs import Window, draw_run
+from zerodrift.report.report import read_steps
+
+TWIN = ("twin", "--runs", "6", "--told", "zero_tempco", "--hidden", "thermal_lag", "--seed", "3")
+SIMULATED = "Simulated: `zerodrift " + " ".join(TWIN) + "`."
+OUTPUT = "Fz"
+
+
+@cache
+def draw_example() -> dict[str, tuple[go.Figure, str]]:
+    """Return the pictures by name, each with its caption."""
+    from zerodrift.commands.project import open_project
+    from zerodrift.physics.catalogue import load_catalogue
+
+    with tempfile.TemporaryDirectory(prefix="zerodrift-manual-") as name:
+        directory = Path(name) / "sensor"
+        _run(*TWIN, "-C", str(directory))
+        before = survey_project(directory)
+        diagnosed = before.told["diagnose"]
+        config, dataset = open_project(directory)
+        previews = preview_effects(config, dataset, load_catalogue(), diagnosed, 1)
+        ((effect, curves),) = previews.items()
+        worst = next(s for s in before.told["compare"]["worst"] if s["output"] == OUTPUT)
+        _run("add", diagnosed["effect"], "--json", "-C", str(directory))
+        steps = read_steps(survey_project(directory, wants_diagnosis=False).told["history"])
+    k = before.outputs.index(OUTPUT)
+    run = draw_run(
+        before.find_trace(worst["run"]),
+        before.told["compare"],
+        OUTPUT,
+        Window(worst["run"]),
+        ghost=curves[worst["run"]][k],
+        ghost_name=effect,
+    )
+    return {
+        "run": (
+            run,
+            f"Measurement, model and what is left of one run, and what {effect} would explain of "
+            f"it. {SIMULATED}",
+        ),
+        "candidates": (
+            draw_candidates(diagnosed),
+            f"What each effect that the model lacks leaves of the held-out error. {SIMULATED}",
+        ),
+        "staircase": (
+            draw_staircase(steps),
+            f"The held-out error of each output before and after `add {effect}`. {SIMULATED}",
+        ),
+    }
+
+
+def _run(*arguments: str) -> None:
+    """Run a command; a failure stops the build."""
+    result = CliRunner().invoke(cli, list(arguments))
+    if result.exit_code != 0:
+        raise RuntimeError(f"zerodrift {' '.join(arguments)}: {result.output}{result.exception}")

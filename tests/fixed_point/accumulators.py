@@ -1,0 +1,262 @@
+"""What every accumulator of a model holds while it runs, by the names of its certificate.
+
+Written from the specification, in plain int64 arithmetic, apart from the code that it watches.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.reference import ModelState, Reference
+from zerodrift.operations.arithmetic import CodeArray, saturate
+from zerodrift.operations.clip import IntegerClip
+from zerodrift.operations.clock import IntegerCounter
+from zerodrift.operations.exp2 import OCTAVE_Q29, IntegerExp2
+from zerodrift.operations.gru import IntegerGru
+from zerodrift.operations.intervals import Interval
+from zerodrift.operations.layers import IntegerDense, IntegerGruStack
+from zerodrift.operations.load import IntegerLoad
+from zerodrift.operations.network import (
+    IntegerDrift,
+    IntegerFeatures,
+    IntegerGruLayer,
+    IntegerHead,
+)
+from zerodrift.operations.play import IntegerPlay
+from zerodrift.operations.power import IntegerPower
+from zerodrift.operations.signal import (
+    IntegerDelay,
+    IntegerInput,
+    IntegerLowpass,
+    IntegerProduct,
+)
+from zerodrift.operations.tables import sigmoid_q31
+from zerodrift.operations.total import IntegerSum
+from zerodrift.verify.vectors import draw_sequences
+
+Array = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
+Found = Iterator[tuple[str, Array]]
+"""Name in the certificate, and all that was found there."""
+
+CODES, DRIFT = "codes", "drift before"
+"""Names of the raw codes and of the drift of the step before in `Record.before`."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A run of the reference over B sequences of T steps; every array leads with T B rows."""
+
+    drift: Array  # [B, T, K]
+    flags: Array  # [B, T]
+    values: dict[str, Array]
+    """Every node's value."""
+    before: dict[str, Array]
+    """What each step found: NODE.FIELD of the state, the codes, the drift of the step before."""
+    end: ModelState
+
+
+def record(model: IntegerModel, codes: CodeArray, *, settled: bool) -> Record:
+    """Run the reference over codes [B, T, C] and keep everything."""
+    reference = Reference(model)
+    wide = np.ascontiguousarray(codes.swapaxes(0, 1), dtype=np.int64)
+    state = reference.start(wide[0], settled=settled)
+    drifts, flags, values, before = [], [], [], []
+    for now in wide:
+        found = {f"{n}.{k}": v for n, s in state.nodes.items() for k, v in s.items()}
+        before.append({**found, CODES: now, DRIFT: state.drift})
+        state, value, drift, flag = reference.step(state, now)
+        values.append({name: value[name] for name in state.nodes})
+        drifts.append(drift)
+        flags.append(flag)
+    return Record(
+        drift=np.stack(drifts, axis=1),
+        flags=np.stack(flags, axis=1),
+        values={k: np.concatenate([v[k] for v in values]) for k in values[0]},
+        before={k: np.concatenate([b[k] for b in before]) for k in before[0]},
+        end=state,
+    )
+
+
+def record_sequences(model: IntegerModel, steps: int) -> Record:
+    """Run the reference, from cold, over noise, rails, jumps, a walk and a dwell."""
+    sequences = draw_sequences(model, steps)
+    length = min(map(len, sequences.values()))
+    codes = np.stack([codes[:length] for codes in sequences.values()])
+    return record(model, codes, settled=False)
+
+
+def recompute_gru(gru: IntegerGru, name: str, x: Array, h_q30: Array) -> dict[str, Array]:
+    """Return every accumulator of a GRU step from features x [B, I] and state h_q30 [B, H]."""
+    out: dict[str, Array] = {}
+    h_q15 = (h_q30 + 2**14) >> 15
+    assert np.abs(h_q15).max() <= 32767
+    bias = gru.bias.astype(np.int64)
+
+    def recurrent(gate: int, letter: str, vector: Array) -> Array:
+        product = vector @ gru.w_h[gate].astype(np.int64).T
+        if gru.multiplier is None:
+            return np.asarray(product)
+        shift = gru.multiplier_shift[gate]
+        scaled = product * gru.multiplier[gate] + (1 << shift >> 1)
+        for j in range(gru.hidden):
+            out[f"{name}.{letter}[{j}].product"] = product[:, j]
+            out[f"{name}.{letter}[{j}].scaled"] = scaled[:, j]
+        return np.asarray(scaled >> shift)
+
+    def from_x(gate: int) -> Array:
+        return np.asarray(x @ gru.w_x[gate].astype(np.int64).T)
+
+    a_r = bias[0] + from_x(0) + recurrent(0, "r", h_q15)
+    a_u = bias[1] + from_x(1) + recurrent(1, "u", h_q15)
+    r_q31 = sigmoid_q31(a_r >> gru.shift[0]).astype(np.int64)
+    if gru.reset == "after":
+        inside = bias[3] + recurrent(2, "n", h_q15)
+        a_n = bias[2] + from_x(2) + ((inside * r_q31 + 2**31) >> 32)
+        for j in range(gru.hidden):
+            out[f"{name}.n[{j}].inside"] = inside[:, j]
+    else:
+        a_n = bias[2] + from_x(2) + recurrent(2, "n", (h_q30 * r_q31 + 2**45) >> 46)
+    for letter, accumulator in (("r", a_r), ("u", a_u), ("n", a_n)):
+        for j in range(gru.hidden):
+            out[f"{name}.{letter}[{j}]"] = accumulator[:, j]
+    return out
+
+
+def recompute_polynomial(
+    name: str, f_q31: Array, coefficients: tuple[int, ...]
+) -> dict[str, Array]:
+    """Return every partial result of Horner's rule by its certificate name."""
+    out: dict[str, Array] = {}
+    total = np.zeros_like(f_q31)
+    for degree in range(len(coefficients) - 1, -1, -1):
+        total = coefficients[degree] + ((total * f_q31 + 2**30) >> 31)
+        out[f"{name}.degree_{degree}"] = total
+    return out
+
+
+def recompute(model: IntegerModel, seen: Record) -> Found:
+    """Yield every accumulator of all steps by its name in the certificate; some more than once."""
+    for node in model.nodes:
+        inputs = [seen.values[name] for name in node.inputs]
+        if not node.width and not isinstance(node, IntegerDelay | IntegerPlay | IntegerCounter):
+            yield node.name, seen.values[node.name]
+        match node:
+            case IntegerInput():
+                code = saturate(seen.before[CODES][:, node.channel], node.low, node.high)
+                yield f"{node.name}.code", code - node.origin
+            case IntegerLoad():
+                found = seen.before[CODES][:, node.channel] - seen.before[DRIFT][:, node.output]
+                yield f"{node.name}.difference", found
+                yield f"{node.name}.limits", saturate(found, node.low, node.high)
+            case IntegerClip():
+                yield f"{node.name}.limits", seen.values[node.name]
+            case IntegerProduct():
+                yield f"{node.name}.product", inputs[0] * inputs[1] + (1 << node.shift >> 1)
+            case IntegerLowpass():
+                v = seen.before[f"{node.name}.v"]
+                y = v + inputs[0] * node.c_q24
+                gap = (inputs[0] * 2**24 - y + 2**21) >> 22
+                yield f"{node.name}.v", v
+                yield f"{node.name}.y", y
+                yield f"{node.name}.gap", gap
+                yield f"{node.name}.scaled", gap * node.m_q31 + (1 << node.shift >> 1)
+            case IntegerSum():
+                yield (
+                    f"{node.name}.sum",
+                    np.stack(inputs, 1) @ np.array(node.coefficients) + (node.bias),
+                )
+            case IntegerExp2():
+                total = inputs[0] * node.coefficient + node.bias
+                t = np.clip(total >> node.shift, node.low, node.high)
+                yield f"{node.name}.sum", total
+                yield f"{node.name}.exponent", t
+                yield from recompute_polynomial(node.name, (t % 2**24) * 2**7, OCTAVE_Q29).items()
+            case IntegerPower():
+                yield from _recompute_power(node, inputs[0])
+            case IntegerPlay():
+                yield f"{node.name}.slack", inputs[0] - node.half_width
+                yield f"{node.name}.slack", inputs[0] + node.half_width
+                yield f"{node.name}.y", seen.before[f"{node.name}.y"]
+            case IntegerDelay():
+                line = np.concatenate([seen.before[f"{node.name}.line"], inputs[0][:, None]], 1)
+                yield f"{node.name}.line", line
+                yield f"{node.name}.rise", (line[:, 1] - line[:, 0]) * node.newer_q31 + 2**30
+            case IntegerCounter():
+                yield f"{node.name}.count", seen.before[f"{node.name}.count"] + 1
+            case IntegerFeatures():
+                sums = np.stack(inputs, 1) @ node.matrix.astype(np.int64).T + node.bias
+                for i in range(node.width):
+                    yield f"{node.name}[{i}]", sums[:, i]
+            case IntegerGruLayer():
+                yield from _recompute_layers(node, inputs[0], seen)
+            case IntegerDense():
+                copies = (inputs[0] + 2**14) >> 15
+                sums = copies @ node.weights.astype(np.int64).T + node.bias
+                for i in range(node.width):
+                    yield f"{node.name}[{i}]", sums[:, i]
+                    if node.activation == "clip":
+                        yield f"{node.name}[{i}].limit", seen.values[node.name][:, i] >> 15
+            case IntegerHead():
+                for k in range(node.width):
+                    yield f"{node.name}[{k}]", seen.values[node.name][:, k]
+            case IntegerDrift():
+                sums = node.bias + np.zeros((len(seen.values[node.name]), 1), dtype=np.int64)
+                for j in range(len(node.signals)):
+                    sums = sums + inputs[j][:, None] * node.coefficients[:, j]
+                if node.head:
+                    sums = sums + inputs[-1] * node.head_coefficients
+                for k in range(node.width):
+                    yield f"{node.name}[{k}]", sums[:, k]
+            case _:
+                pass
+
+
+def _recompute_power(node: IntegerPower, given: Array) -> Found:
+    x = np.maximum(given, 1)
+    n = np.array([int(v).bit_length() - 1 for v in x])
+    terms = recompute_polynomial(node.name, (x << (31 - n)) - 2**31, node.octave)
+    m = np.clip(terms[f"{node.name}.degree_0"], node.low, node.high)
+    gain = np.array(node.gains)[n]
+    yield from terms.items()
+    yield f"{node.name}.octaves", n
+    yield f"{node.name}.mantissa", m
+    yield f"{node.name}.gain", gain
+    yield f"{node.name}.product", m * gain + (1 << node.shift >> 1)
+
+
+def _recompute_layers(node: IntegerGruLayer, x: Array, seen: Record) -> Found:
+    """Yield the accumulators of all layers, and of all steps of a window."""
+    layers: tuple[IntegerGru, ...] = (node.gru,)
+    names = [node.name]
+    if isinstance(node, IntegerGruStack):
+        layers = node.layers
+        names = [f"{node.name}.{level}" for level in range(len(layers))]
+    if node.window:
+        window = np.concatenate([seen.before[f"{node.name}.window"][:, 1:], x[:, None]], axis=1)
+        states = [np.zeros((len(x), layer.hidden), dtype=np.int64) for layer in layers]
+        steps = [window[:, k] for k in range(node.window)]
+    else:
+        states, steps = [seen.before[f"{node.name}.h_q30"]], [x]
+        if isinstance(node, IntegerGruStack):
+            ends = np.cumsum([layer.hidden for layer in node.lower])
+            states = [*np.split(seen.before[f"{node.name}.lower_q30"], ends[:-1], 1), *states]
+    for features in steps:
+        below = features
+        for level, (layer, name) in enumerate(zip(layers, names, strict=True)):
+            h_q30 = states[level]
+            yield from recompute_gru(layer, name, below, h_q30).items()
+            n_q30 = layer.gates(below, h_q30).n_q30.astype(np.int64)
+            yield f"{name}.state_step", n_q30 - h_q30
+            states[level] = layer.step(below, h_q30)
+            below = (states[level] + 2**14) >> 15
+    assert np.array_equal(states[-1], seen.values[node.name])
+
+
+def prove_values(model: IntegerModel) -> dict[str, list[Interval]]:
+    """Return each node's proven output intervals."""
+    known: dict[str, list[Interval]] = {}
+    for node in model.nodes:
+        known[node.name], _ = node.prove([known[name] for name in node.inputs])
+    return known

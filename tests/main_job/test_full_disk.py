@@ -1,0 +1,146 @@
+"""A disk that takes no more: one message, the old files still there, nothing half-written."""
+
+import errno
+import os
+import resource
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.golden.vectors import load
+
+from zerodrift.cli import main
+from zerodrift.codegen.generate import generate
+from zerodrift.commands.common import write_text
+from zerodrift.config import load_config
+from zerodrift.errors import InputError
+from zerodrift.files import write_all
+from zerodrift.verify.firmware import write_artefacts
+
+ROOT = Path(__file__).parents[2]
+ANSWERS = (errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EDQUOT, errno.EIO)
+
+
+def fail_at(call: int, code: int) -> Callable[..., None]:
+    """Return a function that raises from its `call`-th call on, as a disk does that is full."""
+    count = [0]
+
+    def fail(*arguments: object, **options: object) -> None:
+        count[0] += 1
+        if count[0] >= call:
+            raise OSError(code, os.strerror(code))
+
+    return fail
+
+
+def read_tree(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+@pytest.mark.parametrize("code", ANSWERS)
+@pytest.mark.parametrize("where", ["mkstemp", "fsync", "replace"])
+def test_every_answer_is_one_message_and_the_old_file_stays(
+    code: int, where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    owner = {"mkstemp": tempfile, "fsync": os, "replace": Path}[where]
+    monkeypatch.setattr(owner, where, fail_at(1, code))
+    with pytest.raises(InputError) as caught:
+        write_text(path, "new")
+    told = str(caught.value)
+    assert told.startswith(f"{path}: cannot be written ({os.strerror(code)})") and "-C" in told
+    assert read_tree(tmp_path) == {"a.txt": b"old"}
+
+
+def test_file_size_limit_of_the_system_leaves_the_old_file(tmp_path: Path) -> None:
+    """No stand-in: the kernel refuses the write."""
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    try:
+        with pytest.raises(InputError, match="cannot be written"):
+            write_all({path: b"x" * 10_000})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert read_tree(tmp_path) == {"a.txt": b"old"}
+
+
+def test_firmware_is_replaced_as_a_whole_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever of the files is the one that no longer fits."""
+    shutil.copy(ROOT / "examples" / "ft40" / "zerodrift.toml", tmp_path)
+    config = load_config(tmp_path)
+    old, new = load("front_end").model, load("odd_hidden").model
+    files = write_artefacts(config, old, generate(old), "{}")
+    before = read_tree(tmp_path)
+    assert len(before) == len(files) + 4
+    code = generate(new)
+    for call in range(1, len(before)):
+        with monkeypatch.context() as patch, pytest.raises(InputError, match="No space left"):
+            patch.setattr(os, "fsync", fail_at(call, errno.ENOSPC))
+            write_artefacts(config, new, code, "{}")
+        assert read_tree(tmp_path) == before, call
+    write_artefacts(config, new, code, "{}")
+    assert read_tree(tmp_path) != before
+
+
+def refuse_below_packages(where: str, call: int) -> Callable[..., object]:
+    """Return a method of Path that fails from its `call`-th call on; what was put aside returns."""
+    original = getattr(Path, where)
+    fail = fail_at(call, errno.ENOSPC)
+
+    def refuse(self: Path, *given: object, **named: object) -> object:
+        if "packages" in str(self) and self.name != "old":
+            fail()
+        return original(self, *given, **named)
+
+    return refuse
+
+
+def test_package_that_does_not_fit_leaves_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, zerodrift: Callable[..., object]
+) -> None:
+    shutil.copy(ROOT / "examples" / "ft40" / "zerodrift.toml", tmp_path)
+    (tmp_path / "build").mkdir()
+    load("front_end").model.save(tmp_path / "build" / "model.json")
+    assert zerodrift("package", "cmake", "-C", tmp_path).code == 0  # type: ignore[attr-defined]
+    before = read_tree(tmp_path)
+    for where, call in (("write_text", 1), ("write_text", 4), ("replace", 2)):
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, where, refuse_below_packages(where, call))
+            done = zerodrift("package", "cmake", "-C", tmp_path)
+        assert done.code == 2 and "No space left" in done.err  # type: ignore[attr-defined]
+        assert read_tree(tmp_path) == before
+
+
+@pytest.mark.parametrize("code", ANSWERS)
+def test_what_no_command_expects_is_still_one_message(
+    code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(code, os.strerror(code), "/somewhere/file")
+
+    monkeypatch.setattr("zerodrift.cli.cli.main", fail)
+    with pytest.raises(SystemExit) as end:
+        main()
+    told = capsys.readouterr().err
+    assert end.value.code == 2 and told.startswith("error: /somewhere/file: cannot be written")
+    assert "Traceback" not in told
+
+
+def test_an_error_that_is_no_disks_answer_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ConnectionResetError(errno.ECONNRESET, "reset")
+
+    monkeypatch.setattr("zerodrift.cli.cli.main", fail)
+    with pytest.raises(ConnectionResetError):
+        main()

@@ -1,0 +1,131 @@
+"""Every verdict has its words and its buttons; nobody needs colour to read it."""
+
+import json
+
+import pytest
+
+pytest.importorskip("dash", reason="dash is not installed; `make setup` installs it")
+
+import numpy as np
+from tests.report.conftest import make_trace
+from tests.report.test_verdict import TITLES, told
+
+from zerodrift.report.figures_runs import Window
+from zerodrift.report.findings import Findings
+from zerodrift.workbench.chart import MOVES, move_window, read_zoom
+from zerodrift.workbench.verdicts import show_adds, show_candidates, show_verdict
+
+
+def find(diagnosed, **changes):
+    """Return findings that hold this diagnosis and nothing else."""
+    content = {
+        "diagnose": diagnosed,
+        "diagnose_sentences": ["headline", "Evidence: 8 runs."],
+        "titles": TITLES,
+        "notes": ["rows were set aside"],
+        "catalogue": {},
+        **changes,
+    }
+    return Findings("cell", ("Fz",), ("N",), (200.0,), False, content, ())
+
+
+def read(parts):
+    """Return everything that components say, their ids included, as one text."""
+    from dash import html
+
+    return json.dumps(html.Div(parts).to_plotly_json(), default=lambda c: c.to_plotly_json())
+
+
+def rate(effect, ratio, p=0.004):
+    return {
+        "effect": effect,
+        "heldout_rmse_ratio": ratio,
+        "p_value": p,
+        "excitation": 0.4,
+        "parameters": {},
+    }
+
+
+@pytest.mark.parametrize(
+    ("diagnosed", "label"),
+    [
+        (told("missing", "creep"), "An effect is missing"),
+        (told("missing", "creep", lookalikes=["ageing"]), "look-alikes"),
+        (told("complete"), "Nothing is missing"),
+        (told("unknown", nearest="creep"), "the catalogue does not know"),
+        (told("complete", candidates=[]), "Not testable"),
+        (None, "No verdict"),
+    ],
+)
+def test_verdict_says_its_kind_in_words(diagnosed, label):
+    _, parts = show_verdict(find(diagnosed), diagnosing=False, hides=False)
+    assert label in read(parts[:1])
+
+
+def test_notes_of_logs_and_diagnosis_are_shown():
+    diagnosed = told("unknown", notes=["one run holds 80 % of the error"])
+    text = read(show_verdict(find(diagnosed), diagnosing=False, hides=False)[1])
+    assert "Note: rows were set aside" in text
+    assert "Note: one run holds 80 % of the error" in text
+
+
+def test_guess_comes_before_the_verdict():
+    _, parts = show_verdict(find(told("missing", "creep")), diagnosing=False, hides=True)
+    assert "creep" not in read(parts)
+
+
+def test_each_look_alike_has_a_button_of_its_own():
+    diagnosed = told("missing", "creep", lookalikes=["ageing", "warm_up"], thermometers=[])
+    buttons = show_adds(find(diagnosed))
+    assert [b.id["effect"] for b in buttons] == ["creep", "ageing", "warm_up"]
+    assert [b.children for b in buttons[1:]] == ["Add look-alike ageing", "Add look-alike warm_up"]
+
+
+def test_other_thermometer_can_be_added():
+    command = "zerodrift add zero_tempco --set signal=body_temperature"
+    other = {"signal": "body_temperature", "command": command, "reason": "it helps"}
+    (button,) = show_adds(find(told("unknown", thermometers=[other])))
+    assert button.children == "Add zero_tempco after body_temperature"
+
+
+@pytest.mark.parametrize("verdict", ["complete", "unknown"])
+def test_nothing_is_proposed_where_nothing_is_named(verdict):
+    assert show_adds(find(told(verdict, thermometers=[]))) == []
+
+
+def test_candidates_say_why_and_why_not():
+    candidates = [rate("creep", 0.1), rate("ageing", 0.5, 0.3), rate("warm_up", 1.01, 1.0)]
+    diagnosed = told("missing", "creep", candidates=candidates)
+    text = read(show_candidates(find(diagnosed), ("creep",)))
+    assert "It is what is missing: with it 10.0 % of the held-out RMSE is left" in text
+    assert "helps too few runs to rule out chance (p = 0.3); with it 50.0 %" in text
+    assert "does not lower the held-out error; with it 101.0 %" in text
+    assert text.count("Draw it over what is left") == 1
+
+
+@pytest.fixture
+def trace():
+    flat = np.zeros(1000)
+    return make_trace(flat, flat, temperature=flat, load=flat)
+
+
+def test_buttons_move_what_is_shown_and_stay_inside_the_run(trace):
+    window = Window("run")
+    for move in ("closer", "closer"):
+        window = move_window(trace, window, move)
+    assert (window.from_s, window.to_s) == pytest.approx((374.625, 624.375))
+    for _ in range(9):
+        window = move_window(trace, window, "later")
+    assert window.to_s == pytest.approx(999.0)
+    assert window.to_s - window.from_s == pytest.approx(249.75)
+    for _ in range(9):
+        window = move_window(trace, window, "wider")
+    assert window == Window("run")
+    assert set(MOVES) == {"earlier", "later", "closer", "wider", "whole"}
+
+
+def test_zoom_is_read_in_the_unit_of_the_axis(trace):
+    zoomed = read_zoom(trace, {"xaxis2.range[0]": 2.0, "xaxis2.range[1]": 1.0})
+    assert zoomed == Window("run", 60.0, 120.0)
+    assert read_zoom(trace, {"xaxis2.autorange": True}) == Window("run")
+    assert read_zoom(trace, {"autosize": True}) is None

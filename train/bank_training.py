@@ -1,0 +1,112 @@
+"""Training of `[network] kind = "lag_bank"`: seconds, so that nothing is taken up again."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from zerodrift.config import Config
+from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.operations.dense import FloatDense, FloatFeedForward
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.model import PhysicalModel
+from zerodrift.train.compensator import Compensator, calibrate
+from zerodrift.train.lag_bank.fit import MEMBERS, FittedBank, fit_lag_bank, list_thermometers
+from zerodrift.train.onnx_export import build_layers_onnx
+from zerodrift.train.scores import Stage, Trained, measure, score
+from zerodrift.train.split import split_runs
+from zerodrift.train.stages import fit_physics
+
+WORTH_ITS_FLASH = 0.97
+"""The bank is kept if it brings the error on held-out runs below this multiple."""
+REHEARSED = 0.45
+"""Share of the work that the rehearsal is."""
+
+
+def train_bank(
+    alone: Compensator,
+    config: Config,
+    dataset: Dataset,
+    catalogue: Catalogue,
+    report: Callable[[Stage], None] | None,
+) -> Trained:
+    """Return the compensator with a lag bank, or physics alone where that does as well.
+
+    Args:
+        alone: physics fitted to all training runs.
+        config: the project.
+        dataset: its runs.
+        catalogue: the known effects.
+        report: is told how far it is.
+    """
+    tell = report or (lambda _: None)
+    split = split_runs(dataset.train)
+    physics = fit_physics(config, dataset, split.fit, catalogue)
+
+    def rehearse(done: float, text: str) -> None:
+        tell(Stage(REHEARSED * done, f"runs held out: {text}"))
+
+    def perform(done: float, text: str) -> None:
+        tell(Stage(REHEARSED + (1.0 - REHEARSED) * done, f"all runs: {text}"))
+
+    understudy = assemble_bank(
+        replace(alone, physics=physics, tared=physics.tared),
+        _fit(config, physics_of=physics, runs=split.fit, report=rehearse),
+        split.fit,
+    )
+    errors = measure(understudy, split.held_out, understudy.tared, dict(split.skip))
+    ratio = float(np.mean(errors.compensated / np.maximum(errors.physics, 1e-300)))
+    if ratio < WORTH_ITS_FLASH:
+        fitted = _fit(config, physics_of=alone.physics, runs=dataset.train, report=perform)
+        compensator = assemble_bank(alone, fitted, dataset.train)
+    else:
+        note = (
+            "the lag bank found nothing that carries over to the runs held out (error"
+            f" {ratio:.3f} of that without it), and was left out"
+        )
+        compensator = replace(alone, notes=(*alone.notes, note))
+        understudy = replace(alone, physics=physics, tared=physics.tared)
+    if dataset.test:
+        return Trained(compensator, score(compensator, dataset))
+    return Trained(compensator, score(compensator, dataset, understudy, split))
+
+
+def _fit(
+    config: Config,
+    *,
+    physics_of: PhysicalModel,
+    runs: Sequence[Run],
+    report: Callable[[float, str], None],
+) -> FittedBank:
+    network = config.network
+    return fit_lag_bank(
+        physics_of,
+        runs,
+        list_thermometers(tuple(config.inputs), runs),
+        seed=network.seed,
+        lags_s=network.lags_s,
+        units=max(1, network.hidden // MEMBERS),
+        report=report,
+    )
+
+
+def assemble_bank(alone: Compensator, fitted: FittedBank, runs: Sequence[Run]) -> Compensator:
+    """Return the compensator of physics and a fitted bank, calibrated on its runs."""
+    whole = replace(
+        alone, bank=fitted.bank, tared=fitted.tared, notes=(*alone.notes, *fitted.notes)
+    )
+    if fitted.front_end is not None:
+        outputs = len(alone.outputs)
+        network = FloatFeedForward(
+            (FloatDense(fitted.weights, fitted.bias, "tanh"),), fitted.head.T, np.zeros(outputs)
+        )
+        whole = replace(
+            whole,
+            front_end=fitted.front_end,
+            linear=np.zeros((fitted.front_end.width, outputs)),
+            constant=np.zeros(outputs),
+            network=build_layers_onnx(network, alone.outputs),
+        )
+    features = [] if whole.front_end is None else [whole.front_end.compute(run) for run in runs]
+    predictions = [whole.predict(run) for run in runs]
+    return replace(whole, calibration=calibrate(runs, features, predictions))

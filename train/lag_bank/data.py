@@ -1,0 +1,156 @@
+"""Runs as the fit sees them: few rows of block means, columns for each thermometer and lag."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+from zerodrift.operations.lowpass import lowpass, lowpass_slope
+from zerodrift.train.front_end import read_source
+
+Array = NDArray[np.float64]
+Lag = tuple[int, float]
+"""Place of the thermometer, time constant in seconds."""
+
+MOST_ROWS = 5000
+"""Rows of a fit; more samples than that are averaged block by block."""
+DEGREE = 4
+"""Powers of each thermometer and of each lag."""
+BLOCKS = 5
+"""A single run is left out in this many blocks of time."""
+COVER = 0.05
+"""A row counts as covered by the others up to this far beyond their range, in half spans."""
+KEPT = 64
+"""Filtered thermometers that are kept for another look."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Brings a thermometer to about -1 .. 1: u = (T - centre) / half_span."""
+
+    centre: float
+    """degC."""
+    half_span: float
+    """K."""
+
+
+class BankData:
+    """Training runs laid end to end.
+
+    Args:
+        runs: training runs.
+        sources: thermometers, the chip's own first.
+        others: [n, J] per run: further columns of the linear part (physics, loads).
+        targets: [n, K] per run: what is to be explained.
+        loaded: [n] per run: whether a load is on the sensor.
+    """
+
+    def __init__(
+        self,
+        runs: Sequence[Run],
+        sources: Sequence[str],
+        others: Sequence[Array],
+        targets: Sequence[Array],
+        loaded: Sequence[NDArray[np.bool_]],
+    ) -> None:
+        self.dt_s = runs[0].sample_period_s
+        self.sources = tuple(sources)
+        self._ends = np.cumsum([0, *(len(run) for run in runs)])
+        samples = int(self._ends[-1])
+        block = max(1, -(-samples // MOST_ROWS))
+        stretches = list(zip(self._ends, self._ends[1:], strict=False))
+        starts = [np.arange(a, b, block) for a, b in stretches]
+        self._starts = np.concatenate(starts)
+        self.counts = np.diff(np.append(self._starts, samples)).astype(np.float64)
+        """[m] samples behind each row."""
+        names = list(dict.fromkeys(run.group for run in runs))
+        places = [np.full(len(s), names.index(r.group)) for r, s in zip(runs, starts, strict=True)]
+        self.run_group = np.concatenate(places)
+        """[m] run that a row belongs to; an offset of its own may belong to each."""
+        self.group = self.run_group
+        """[m] what is left out together: runs, or blocks of the only one."""
+        if len(names) == 1:
+            self.group = np.arange(len(self._starts)) * BLOCKS // len(self._starts)
+        self.longest_s = max(len(run) for run in runs) * self.dt_s
+        signals = [np.concatenate([read_source(run, s) for run in runs]) for s in sources]
+        self.scales = tuple(_choose_scale(x) for x in signals)
+        self._levels = [
+            (x - s.centre) / s.half_span for x, s in zip(signals, self.scales, strict=True)
+        ]
+        self._stretches = stretches
+        self._filtered: dict[Lag, Array] = {}
+        self.others = self.average(np.concatenate(others))
+        self.targets = self.average(np.concatenate(targets))
+        self.loaded = self.average(np.concatenate(loaded).astype(np.float64)) > 0.0
+
+    def see(self, others: Array) -> "BankData":
+        """Return the same runs with other further columns [n, J]."""
+        again = copy.copy(self)
+        again.others = self.average(others)
+        return again
+
+    @property
+    def groups(self) -> int:
+        """Number of groups that are left out in turn."""
+        return int(self.group.max()) + 1
+
+    @cached_property
+    def covered(self) -> NDArray[np.bool_]:
+        """[m] rows whose temperatures the other groups have seen too.
+
+        Only these judge: what lies beyond all other runs says how a model extrapolates, which one
+        run at the edge would decide by itself.
+        """
+        covered = np.ones(len(self.group), dtype=bool)
+        for x in self._levels:
+            level = self.average(x)
+            for g in range(self.groups):
+                own = self.group == g
+                low, high = level[~own].min() - COVER, level[~own].max() + COVER
+                covered[own] &= (level[own] >= low) & (level[own] <= high)
+        return covered
+
+    def average(self, x: Array) -> Array:
+        """Return the block means [m, ...] of samples [n, ...]."""
+        sums = np.add.reduceat(x, self._starts, axis=0)
+        return np.asarray(sums / self.counts.reshape(-1, *[1] * (x.ndim - 1)))
+
+    def _filter(self, lag: Lag) -> Array:
+        """Return the scaled thermometer after a lag, [n]; every stretch starts at rest."""
+        if lag not in self._filtered:
+            if len(self._filtered) >= KEPT:
+                self._filtered.pop(next(iter(self._filtered)))
+            x = self._levels[lag[0]]
+            self._filtered[lag] = np.concatenate(
+                [lowpass(x[a:b], self.dt_s, lag[1]) for a, b in self._stretches]
+            )
+        return self._filtered[lag]
+
+    def level(self, source: int) -> Array:
+        """Return the block means of u, u^2, ... of a thermometer, [m, DEGREE]."""
+        x = self._levels[source]
+        return self.average(np.stack([x**p for p in range(1, DEGREE + 1)], axis=1))
+
+    def lag(self, lag: Lag) -> Array:
+        """Return the block means of v - u, v^2 - u^2, ... of a lagged v, [m, DEGREE]."""
+        u, v = self._levels[lag[0]], self._filter(lag)
+        return self.average(np.stack([v**p - u**p for p in range(1, DEGREE + 1)], axis=1))
+
+    def slope(self, lag: Lag) -> Array:
+        """Return the derivatives of `lag` with respect to log tau, [m, DEGREE]."""
+        u, v = self._levels[lag[0]], self._filter(lag)
+        slope = lag[1] * np.concatenate(
+            [lowpass_slope(u[a:b], v[a:b], self.dt_s, lag[1]) for a, b in self._stretches]
+        )
+        return self.average(
+            np.stack([p * v ** (p - 1) * slope for p in range(1, DEGREE + 1)], axis=1)
+        )
+
+
+def _choose_scale(x: Array) -> Scale:
+    low, high = float(x.min()), float(x.max())
+    return Scale(0.5 * (low + high), max(0.5 * (high - low), 1e-3))

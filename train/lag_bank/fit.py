@@ -1,0 +1,365 @@
+"""From runs and a physical model to the lag bank: data, weights, lags, units, and what to note."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+from zerodrift.operations.backend import NumpyOperations, Operations
+from zerodrift.physics.fit import TARE_RATIO
+from zerodrift.physics.model import PhysicalModel
+from zerodrift.train.front_end import TEMPERATURE, FrontEnd, Tap, fit_front_end, read_source
+from zerodrift.train.lag_bank.data import DEGREE, BankData
+from zerodrift.train.lag_bank.model import (
+    LOAD,
+    LagBank,
+    LoadTerm,
+    build_loads,
+    list_load_terms,
+)
+from zerodrift.train.lag_bank.search import (
+    EARNS_ITS_PLACE,
+    Bank,
+    LeftOut,
+    Rows,
+    choose_bank,
+    pick,
+)
+from zerodrift.train.lag_bank.units import Member, fit_linear, fit_member, measure_left_out
+
+Array = NDArray[np.float64]
+
+UNITS = 4
+"""tanh units of a member."""
+MEMBERS = 3
+"""Fits from different starts that are averaged."""
+ORDERS = (0, 1, 2)
+"""Of the loads' powers; which one is right is told by runs left out."""
+TARE_LAGS_S = (10.0, 60.0, 300.0)
+"""Lags with which it is judged whether runs have offsets of their own."""
+LOAD_SHARE = 1e-3
+"""Share of the largest load from which a sample counts as loaded."""
+LOAD_SPAN = 0.05
+"""Share of its full scale that a load must span to be taken for a cause of drift."""
+FEWEST_JUMPS = 20
+"""From row to row, before they tell the noise of a class of rows."""
+STILL = 0.01
+"""Median jump from sample to sample of a load that is held, as a share of its span."""
+LEAST_WEIGHT = 1e-2
+"""Of the rows of a noisy class, as a share of the best class's."""
+
+
+@dataclass(frozen=True)
+class FittedBank:
+    """The lag bank and the network of tanh units beside it, fitted to runs."""
+
+    bank: LagBank
+    front_end: FrontEnd | None
+    """What the units see; None without units."""
+    weights: Array
+    """[U, I] of the units, over the front end's features."""
+    bias: Array
+    """[U]."""
+    head: Array
+    """[U, K] in output units."""
+    tared: bool
+    errors: tuple[float, ...]
+    """RMSE on runs left out with 0, 1, 2, ... lags, then with units if they were tried; in units
+    of the drift that the physical model leaves."""
+    notes: tuple[str, ...]
+
+    def correct(self, run: Run, physics: PhysicalModel) -> Array:
+        """Return what is added to the physical model's drift, [n, K]."""
+        basis = self.bank.compute(run, physics.outputs)
+        drift = physics.features(run) @ self.bank.correction + basis @ self.bank.coefficients
+        if self.front_end is not None:
+            hidden = np.tanh(self.front_end.compute(run) @ self.weights.T + self.bias)
+            drift = drift + hidden @ self.head
+        return np.asarray(drift)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    rows: Rows
+    others: int
+    """Columns of physics and loads in the fit."""
+    loads: tuple[LoadTerm, ...]
+    kept: NDArray[np.int64]
+    """Physical features that move."""
+
+
+def fit_lag_bank(
+    physics: PhysicalModel,
+    runs: Sequence[Run],
+    sources: Sequence[str] = (TEMPERATURE,),
+    *,
+    seed: int = 0,
+    lags_s: Sequence[float] = (),
+    units: int = UNITS,
+    members: int = MEMBERS,
+    report: Callable[[float, str], None] = lambda done, text: None,
+) -> FittedBank:
+    """Return the bank fitted to what a physical model leaves of the training runs.
+
+    Args:
+        physics: fitted to the same runs; its coefficients are solved again beside the bank's.
+        runs: training runs.
+        sources: thermometers, the chip's own first.
+        seed: of the units' starts.
+        lags_s: time constants of the chip's thermometer; empty: found by leaving runs out.
+        units: tanh units per member; 0: none.
+        members: how many starts are averaged.
+        report: is told the share that is done, and of what.
+    """
+    report(0.0, "lag bank")
+    orders = _prepare(physics, runs, sources)
+    usual = orders[min(1, len(orders) - 1)].rows
+    banks = [_hold(usual, lags_s)] if lags_s else choose_bank(usual)
+    bank = pick(banks)
+    judged = [LeftOut(one.rows).choose_ridge(bank.lags) for one in orders]
+    bank = pick(judged)
+    prepared = orders[judged.index(bank)]
+    rows = prepared.rows
+    report(0.4, f"{len(bank.lags)} lags")
+    columns = rows.columns(bank.lags)
+    alone = fit_linear(rows, columns, bank.ridge, rows.everything)
+    errors = [b.error for b in banks]
+    chosen: list[Member] = [alone]
+    front_end = None
+    if units:
+        taps = [Tap("level", source=s) for s in sources]
+        taps += [Tap("lag", source=sources[s], tau_s=tau_s) for s, tau_s in bank.lags]
+        seen = fit_front_end(taps, runs)
+        features = rows.data.average(np.concatenate([seen.compute(run) for run in runs]))
+
+        def try_linear(some: NDArray[np.bool_]) -> Callable[[], Array]:
+            member = fit_linear(rows, columns, bank.ridge, some)
+            return lambda: member.predict(columns, features[:, :0])
+
+        def try_units(some: NDArray[np.bool_]) -> Callable[[], Array]:
+            member = fit_member(rows, columns, features, bank.ridge, units, (seed, 0), some)
+            return lambda: member.predict(columns, features)
+
+        without, with_units = (measure_left_out(rows, t) for t in (try_linear, try_units))
+        errors.append(bank.error * with_units / max(without, 1e-300))
+        report(0.7, "tanh units")
+        if with_units < EARNS_ITS_PLACE * without:
+            front_end = seen
+            chosen = [
+                fit_member(rows, columns, features, bank.ridge, units, (seed, m), rows.everything)
+                for m in range(members)
+            ]
+    fitted = _finish(physics, prepared, bank, chosen, front_end, tuple(errors))
+    report(1.0, "lag bank")
+    return _settle_constant(fitted, physics, runs)
+
+
+def _prepare(
+    physics: PhysicalModel, runs: Sequence[Run], sources: Sequence[str]
+) -> list[_Prepared]:
+    """Return the rows of the fit for each order of load terms, weighted by their noise."""
+    features = [physics.features(run) for run in runs]
+    together = np.concatenate(features)
+    moves = np.ptp(together, axis=0) > 1e-12 * np.maximum(np.abs(together).max(axis=0), 1e-300)
+    kept = np.flatnonzero(moves)
+    loads = list_loads(physics, runs)
+    largest = np.max([np.abs(run.reference).max(axis=0) for run in runs], axis=0)
+    loaded = [
+        np.any(np.abs(run.reference) > LOAD_SHARE * np.maximum(largest, 1e-300), axis=1)
+        for run in runs
+    ]
+    low = min(float(run.temperature_degC.min()) for run in runs)
+    high = max(float(run.temperature_degC.max()) for run in runs)
+    centre, half_span = 0.5 * (low + high), max(0.5 * (high - low), 1e-3)
+    by_order = []
+    for order in ORDERS if loads else ORDERS[:1]:
+        terms = list_load_terms(loads, order)
+        parts = []
+        for run, x in zip(runs, features, strict=True):
+            columns = _see_loads(run, physics, (run.temperature_degC - centre) / half_span, terms)
+            parts.append(np.concatenate([x[:, kept], columns], axis=1))
+        by_order.append((terms, parts))
+    targets = [run.drift - physics.predict(run) for run in runs]
+    _, others = by_order[min(1, len(by_order) - 1)]
+    data = BankData(runs, sources, others, targets, loaded)
+    drift = np.concatenate([run.drift for run in runs])
+    unit = np.sqrt(np.mean((drift - drift.mean(axis=0)) ** 2, axis=0))
+    unit[unit == 0.0] = 1.0
+    rows = Rows(data, data.counts, False, unit)
+    rows = Rows(data, data.counts, _is_tared(rows), unit)
+    if any(run.reference.any() for run in runs):
+        rows = Rows(data, _weigh(rows), rows.tared, unit)
+    return [
+        _Prepared(
+            Rows(data.see(np.concatenate(parts)), rows.weight, rows.tared, unit),
+            parts[0].shape[1],
+            terms,
+            kept,
+        )
+        for terms, parts in by_order
+    ]
+
+
+def _see_loads(run: Run, physics: PhysicalModel, level: Array, terms: Sequence[LoadTerm]) -> Array:
+    """Return the load terms [n, T] of a run."""
+    ops: Operations[Array] = NumpyOperations(run.sample_period_s, (len(run),))
+
+    def read(source: str) -> Array:
+        return run.reference[:, physics.outputs.index(source.removeprefix(LOAD))]
+
+    columns = build_loads(ops, read, level, terms)
+    return np.stack(columns, axis=1) if columns else np.zeros((len(run), 0))
+
+
+def list_loads(physics: PhysicalModel, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Return the outputs whose load is held still in some run, as test weights hold it.
+
+    A load that jumps from sample to sample, as a gait's does, leaves its mean alone to tell the
+    gain from the drift, and a reference's noise and delay count as gain.
+    """
+    names = []
+    for name in physics.plan.loaded:
+        k = physics.outputs.index(name)
+        full_scale = physics.plan.full_scale[k]
+        for run in runs:
+            load = run.reference[:, k]
+            on = np.abs(load) > LOAD_SHARE * full_scale
+            still = float(np.median(np.abs(np.diff(load))[on[1:]])) if on[1:].any() else np.inf
+            if np.ptp(load) > LOAD_SPAN * full_scale and still < STILL * np.ptp(load):
+                names.append(name)
+                break
+    return tuple(names)
+
+
+def _residual(rows: Rows) -> Array:
+    """Return what a small bank leaves of the targets, [m, K], rows weighted and centred."""
+    span = range(len(rows.data.sources))
+    columns = rows.columns([(s, tau_s) for s in span for tau_s in TARE_LAGS_S])
+    member = fit_linear(rows, columns, 1e-6, rows.everything)
+    return rows.prepare(rows.targets - columns @ member.linear, rows.everything)
+
+
+def _is_tared(rows: Rows) -> bool:
+    """Return whether offsets of their own for the runs lower the squared error by enough."""
+    if len(np.unique(rows.data.run_group)) < 2:
+        return False
+    own = Rows(rows.data, rows.weight, True, rows.unit)
+    shared, apart = (np.sum(_residual(r) ** 2, axis=0) + 1e-12 for r in (rows, own))
+    return bool(np.mean(shared / apart) >= TARE_RATIO)
+
+
+def _weigh(rows: Rows) -> Array:
+    """Return the rows' weights [m]: less where a class of rows, by run and load, is noisier.
+
+    A reference that carries noise of its own, as a second sensor under a walking robot does, would
+    otherwise have the say in what drift is. Noise is what jumps from row to row; what a model does
+    not explain yet moves slowly, and is no reason to look away.
+    """
+    labels = 2 * rows.data.run_group + rows.data.loaded
+    jumps = np.diff(_residual(rows) / np.sqrt(rows.weight)[:, None], axis=0) ** 2
+    jumps *= rows.weight[1:, None]
+    same = labels[1:] == labels[:-1]
+    by_class = {}
+    for label in np.unique(labels):
+        own = same & (labels[1:] == label)
+        if own.sum() >= FEWEST_JUMPS:
+            by_class[label] = np.median(jumps[own], axis=0)
+    if not by_class:
+        return rows.weight
+    least = np.min(list(by_class.values()), axis=0) + 1e-12
+    scatter = {label: float(np.mean(found / least)) for label, found in by_class.items()}
+    best, worst = min(scatter.values()), max(scatter.values())
+    share = np.array([best / scatter.get(label, worst) for label in labels])
+    return np.asarray(rows.weight * np.maximum(share, LEAST_WEIGHT))
+
+
+def _hold(rows: Rows, lags_s: Sequence[float]) -> Bank:
+    return LeftOut(rows).choose_ridge([(0, float(tau_s)) for tau_s in lags_s])
+
+
+def _finish(
+    physics: PhysicalModel,
+    prepared: _Prepared,
+    bank: Bank,
+    members: Sequence[Member],
+    front_end: FrontEnd | None,
+    errors: tuple[float, ...],
+) -> FittedBank:
+    """Return the members' mean, its columns as the chip's basis has them."""
+    rows, data = prepared.rows, prepared.rows.data
+    unit, outputs = rows.unit, rows.unit.size
+    linear = np.mean([member.linear for member in members], axis=0) * unit
+    features = len(prepared.kept)
+    correction = np.zeros((physics.coefficients.shape[0], outputs))
+    correction[0] = linear[0]
+    correction[prepared.kept] += linear[1 : 1 + features]
+    loads = linear[1 + features : 1 + prepared.others]
+    at = 1 + prepared.others
+    levels = linear[at : at + DEGREE * len(data.sources)].reshape(-1, DEGREE, outputs).copy()
+    lags = linear[at + DEGREE * len(data.sources) :].reshape(-1, DEGREE, outputs)
+    for (source, _), own in zip(bank.lags, lags, strict=True):
+        levels[source] -= own  # the fit's columns are v^p - u^p
+    coefficients = np.concatenate([loads, levels.reshape(-1, outputs), lags.reshape(-1, outputs)])
+    whole = LagBank(
+        sources=data.sources,
+        scales=data.scales,
+        lags=bank.lags,
+        loads=prepared.loads,
+        correction=correction,
+        coefficients=coefficients,
+    )
+    weights = np.concatenate([member.weights for member in members])
+    head = np.concatenate([member.head for member in members]) / len(members) * unit
+    return FittedBank(
+        bank=whole,
+        front_end=front_end,
+        weights=weights[:, :-1],
+        bias=weights[:, -1],
+        head=head,
+        tared=rows.tared,
+        errors=errors,
+        notes=_tell(bank, front_end is not None, data),
+    )
+
+
+def _tell(bank: Bank, units: bool, data: BankData) -> tuple[str, ...]:
+    """Return what users should know about the choice."""
+    named = ", ".join(
+        f"{tau_s:.3g} s" + (f" of {data.sources[s]}" if len(data.sources) > 1 else "")
+        for s, tau_s in bank.lags
+    )
+    what = f"lags {named or 'none'}{' and tanh units' if units else ''}"
+    if len(bank.lags) > 1 or len(data.sources) > 1:
+        return (f"the lag bank holds {what}, chosen on runs left out",)
+    return (
+        f"the logs ask for no more than the plain physical model: {what}. Heat that reaches the "
+        "sensor another way than in these logs (through the sole, infrared from one side) is "
+        "unverified: record such runs and add them to [logs] train",
+    )
+
+
+def _settle_constant(fitted: FittedBank, physics: PhysicalModel, runs: Sequence[Run]) -> FittedBank:
+    """Return the bank with its constant at the mean of what is left, each run counting once."""
+    if not fitted.tared:
+        return fitted
+    left: dict[str, list[Array]] = {}
+    for run in runs:
+        error = run.drift - physics.predict(run) - fitted.correct(run, physics)
+        left.setdefault(run.group, []).append(error)
+    means = [np.concatenate(parts).mean(axis=0) for parts in left.values()]
+    fitted.bank.correction[0] += np.mean(means, axis=0)
+    return fitted
+
+
+def list_thermometers(inputs: Sequence[str], runs: Sequence[Run]) -> tuple[str, ...]:
+    """Return the chip's thermometer and all inputs that are others and move."""
+    others = [
+        name
+        for name in inputs
+        if "temperature" in name
+        and all(name in run.inputs for run in runs)
+        and any(float(np.ptp(read_source(run, name))) > 0.0 for run in runs)
+    ]
+    return (TEMPERATURE, *others)

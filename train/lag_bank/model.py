@@ -1,0 +1,164 @@
+"""The fitted lag bank: what it adds to the physical model, as arrays and as a graph."""
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+from zerodrift.operations.backend import NumpyOperations, Operations
+from zerodrift.operations.graph import GraphOperations, Node
+from zerodrift.train.front_end import read_source
+from zerodrift.train.lag_bank.data import DEGREE, Lag, Scale
+
+Array = NDArray[np.float64]
+S = TypeVar("S")
+
+LOAD = "load:"
+"""What names of loads begin with in graphs."""
+LoadTerm = tuple[tuple[str, ...], int]
+"""Product of one or two loads and a power of the chip's temperature u."""
+LOAD_POWERS, PAIR_POWERS = 3, 2
+"""A load is seen times u^0, u^1 and u^2; a product of two, or a square, times u^0 and u^1."""
+
+
+@dataclass(frozen=True)
+class LagBank:
+    """drift = correction of the physical features + powers of thermometers and their lags + loads.
+
+    Per output sum_j coefficients[j, k] basis_j; the tanh units beside it are an ordinary network.
+    """
+
+    sources: tuple[str, ...]
+    """Thermometers, the chip's own first."""
+    scales: tuple[Scale, ...]
+    """Of each thermometer."""
+    lags: tuple[Lag, ...]
+    loads: tuple[LoadTerm, ...]
+    """What the bank sees of the outputs' loads."""
+    correction: Array
+    """[J, K] added to the physical model's coefficients."""
+    coefficients: Array
+    """[B, K] of the basis, in output units."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the basis, for reports."""
+        loads = [f"{' '.join(names)} u^{p}" for names, p in self.loads]
+        levels = [f"({s})^{p}" for s in self.sources for p in range(1, DEGREE + 1)]
+        lags = [
+            f"lowpass({self.sources[s]}, {tau_s:g} s)^{p}"
+            for s, tau_s in self.lags
+            for p in range(1, DEGREE + 1)
+        ]
+        return (*loads, *levels, *lags)
+
+    def build(self, ops: Operations[S], read: Callable[[str], S]) -> tuple[S, ...]:
+        """Return the basis, computed or recorded; `read` gives a thermometer or "load:NAME"."""
+        levels = []
+        for source, scale in zip(self.sources, self.scales, strict=True):
+            gain = 1.0 / scale.half_span
+            levels.append(ops.affine(read(source), gain, -scale.centre * gain))
+        columns = build_loads(ops, read, levels[0], self.loads)
+        for level in levels:
+            columns += raise_up(ops, level, DEGREE)
+        for place, tau_s in self.lags:
+            scale = self.scales[place]
+            lagged = ops.lowpass(read(self.sources[place]), tau_s)
+            gain = 1.0 / scale.half_span
+            columns += raise_up(ops, ops.affine(lagged, gain, -scale.centre * gain), DEGREE)
+        return tuple(columns)
+
+    def compute(self, run: Run, outputs: tuple[str, ...]) -> Array:
+        """Return the basis [n, B] of a run.
+
+        Args:
+            run: its references are the loads.
+            outputs: names of the run's outputs.
+
+        Raises:
+            InputError: the run lacks a thermometer.
+        """
+
+        def read(source: str) -> Array:
+            if source.startswith(LOAD):
+                return run.reference[:, outputs.index(source.removeprefix(LOAD))]
+            return read_source(run, source)
+
+        ops: Operations[Array] = NumpyOperations(run.sample_period_s, (len(run),))
+        columns: tuple[Array, ...] = self.build(ops, read)
+        return np.stack(columns, axis=1)
+
+    def graph(self, ops: GraphOperations) -> tuple[Node, ...]:
+        """Return the basis as graph nodes."""
+        return self.build(ops, ops.input)
+
+    @property
+    def parameters(self) -> int:
+        """Numbers that were fitted: coefficients and time constants."""
+        return int(np.count_nonzero(self.coefficients)) + len(self.lags)
+
+    @property
+    def macs(self) -> int:
+        """Multiplications in a step: powers, products with loads, lags, and the sum."""
+        powers = (DEGREE - 1) * (len(self.sources) + len(self.lags))
+        loads = sum(len(names) - 1 + (p > 0) for names, p in self.loads)
+        return powers + loads + 2 * len(self.lags) + int(self.coefficients.size)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the bank as JSON values."""
+        return {
+            "sources": list(self.sources),
+            "scales": [[s.centre, s.half_span] for s in self.scales],
+            "lags": [[s, tau_s] for s, tau_s in self.lags],
+            "loads": [[list(names), p] for names, p in self.loads],
+            "correction": self.correction.tolist(),
+            "coefficients": self.coefficients.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any], outputs: int) -> "LagBank":
+        """Return the bank that `to_dict` described."""
+        return cls(
+            sources=tuple(values["sources"]),
+            scales=tuple(Scale(float(c), float(h)) for c, h in values["scales"]),
+            lags=tuple((int(s), float(tau_s)) for s, tau_s in values["lags"]),
+            loads=tuple((tuple(names), int(p)) for names, p in values["loads"]),
+            correction=np.array(values["correction"], dtype=np.float64).reshape(-1, outputs),
+            coefficients=np.array(values["coefficients"], dtype=np.float64).reshape(-1, outputs),
+        )
+
+
+def list_load_terms(loads: Sequence[str], order: int) -> tuple[LoadTerm, ...]:
+    """Return the terms of an order: 0 none; 1 the loads; 2 their squares and products too."""
+    terms: list[LoadTerm] = []
+    if order >= 1:
+        terms += [((name,), p) for name in loads for p in range(LOAD_POWERS)]
+    if order >= 2:
+        pairs = itertools.combinations_with_replacement(loads, 2)
+        terms += [(pair, p) for pair in pairs for p in range(PAIR_POWERS)]
+    return tuple(terms)
+
+
+def build_loads(
+    ops: Operations[S], read: Callable[[str], S], level: S, terms: Sequence[LoadTerm]
+) -> list[S]:
+    """Return the signals of load terms, for the chip's scaled temperature `level`."""
+    columns = []
+    for names, p in terms:
+        first, *others = (read(LOAD + name) for name in names)
+        term = first
+        for other in others:
+            term = ops.power(first, 2.0) if names[0] == names[1] else ops.product(first, other)
+        if p:
+            term = ops.product(term, level if p == 1 else ops.power(level, float(p)))
+        columns.append(term)
+    return columns
+
+
+def raise_up(ops: Operations[S], x: S, degree: int) -> list[S]:
+    """Return x, x^2, ..., x^degree."""
+    return [x, *(ops.power(x, float(p)) for p in range(2, degree + 1))]

@@ -1,0 +1,34 @@
+"""Whether a file of the project was changed from outside of the page."""
+
+from pathlib import Path
+
+from zerodrift.config import FILE_NAME
+from zerodrift.physics.history import FILE_NAME as HISTORY
+from zerodrift.report.findings import Findings
+from zerodrift.workbench.uploads import LOGS
+
+BUILT = (HISTORY, "firmware.json", "compensator.json")
+"""Files of build/ that other commands write and the page shows."""
+
+Marks = dict[str, tuple[int, int]]
+"""File, relative to the project -> its size in bytes and the time of its last change in ns."""
+
+
+def mark_files(directory: Path, findings: Findings | None) -> Marks:
+    """Return size and time of zerodrift.toml, the logs, the user's effects, and what was built.
+
+    Whatever went into the findings counts, and new files where logs usually lie.
+    """
+    places = {directory / FILE_NAME, *directory.glob("*.py"), *directory.glob("*.csv")}
+    places |= set(directory.glob(f"{LOGS}/*"))
+    places |= {directory / "build" / name for name in BUILT}
+    if findings is not None:
+        places |= {directory / told["file"] for told in findings.told["provenance"]["files"]}
+    marks = {}
+    for path in sorted(places):
+        try:
+            told = path.stat()
+        except OSError:
+            continue
+        marks[path.relative_to(directory).as_posix()] = (told.st_size, told.st_mtime_ns)
+    return marks
