@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -105,6 +105,9 @@ bench-hidden: $(READY) ## effects hidden in simulated logs and found again (BENC
 
 bench-foreign: $(READY) ## the diagnosis judged by a second simulator (BENCH=--quick)
 	$(RUN) -m benchmarks.foreign $(BENCH)
+
+bench-paper: $(READY) ## the default against the paper's methods on the six-axis twin (BENCH=--quick); resumable
+	$(RUN) -m benchmarks.bench_paper $(BENCH)
 
 tutorial: $(READY) ## run the tutorials' commands again and write their output into the pages
 	$(RUN) tests/loop/regenerate_tutorial.py

@@ -5,9 +5,12 @@ example's zerodrift.toml for their source and licence); without them this benchm
 """
 
 import json
+import re
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +38,7 @@ def main(quick: bool) -> None:
                 raise
             print(f"{name}: skipped, its measurements are not here ({error})")
             continue
-        command = [sys.executable, "-m", "zerodrift", "firmware", "-C", str(directory), "--json"]
-        done = subprocess.run(command, check=True, capture_output=True, text=True)
-        result = json.loads(done.stdout)
+        result = build_firmware(directory)
         runs = ", ".join(result["runs"])
         print(f"{name} ({mark}); held out: {runs}; bit-exact {result['bit_exact']}")
         for output, unit in result["units"].items():
@@ -51,6 +52,33 @@ def main(quick: bool) -> None:
             print(f"  {'float':>8}: RMSE {floats:.4g} {unit}")
             text = f"RMSE {integer:.4g} {unit}, mean bias removed {scatter:.4g} {unit}"
             print(f"  {'integer':>8}: {text}")
+        print_lag_bank(directory)
+
+
+def build_firmware(directory: Path) -> dict[str, Any]:
+    """Return what `zerodrift firmware --json` prints of a project."""
+    command = [sys.executable, "-m", "zerodrift", "firmware", "-C", str(directory), "--json"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def print_lag_bank(directory: Path) -> None:
+    """Print the errors of the same project with the network that `zerodrift init` writes."""
+    config = load_config(directory)
+    with tempfile.TemporaryDirectory() as folder:
+        text = config.path.read_text(encoding="utf-8")
+        for selector in (*config.train_logs, *config.test_logs):
+            text = text.replace(f'"{selector}"', f'"{(directory / selector).resolve()}"')
+        head, tail = re.split(r"^\[network\].*$", text, maxsplit=1, flags=re.MULTILINE)
+        tail = tail[tail.index("[") :]
+        place = Path(folder) / config.path.name
+        place.write_text(f'{head}[network]\nkind = "lag_bank"\n\n{tail}', encoding="utf-8")
+        result = build_firmware(Path(folder))
+    for output, unit in result["units"].items():
+        integer, bias = result["rmse"]["integer"][output], result["bias"][output]
+        scatter = float(np.sqrt(max(integer**2 - bias**2, 0.0)))
+        print(f"  lag bank, integer: RMSE {integer:.4g}, mean bias removed {scatter:.4g} {unit}")
 
 
 def fit_polynomial(

@@ -11,7 +11,13 @@ from zerodrift.operations.dense import FloatDense, FloatFeedForward
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.compensator import Compensator, calibrate
-from zerodrift.train.lag_bank.fit import MEMBERS, FittedBank, fit_lag_bank, list_thermometers
+from zerodrift.train.lag_bank.fit import (
+    FEWEST_RUNS,
+    MEMBERS,
+    FittedBank,
+    fit_lag_bank,
+    list_thermometers,
+)
 from zerodrift.train.onnx_export import build_layers_onnx
 from zerodrift.train.scores import Stage, Trained, measure, score
 from zerodrift.train.split import split_runs
@@ -66,6 +72,13 @@ def train_bank(
         )
         compensator = replace(alone, notes=(*alone.notes, note))
         understudy = replace(alone, physics=physics, tared=physics.tared)
+    others = [name for name in config.inputs if "temperature" in name]
+    if others and len({run.group for run in dataset.train}) < FEWEST_RUNS:
+        note = (
+            f"{', '.join(others)}: not used by the lag bank. It takes {FEWEST_RUNS} runs to tell "
+            "another thermometer's part from chance: record more"
+        )
+        compensator = replace(compensator, notes=(*compensator.notes, note))
     if dataset.test:
         return Trained(compensator, score(compensator, dataset))
     return Trained(compensator, score(compensator, dataset, understudy, split))

@@ -28,6 +28,7 @@ COMMANDS: dict[str, str] = {
     "workbench": "The same loop in a browser, on 127.0.0.1.",
     "fleet": "Many sensors of one design: all of the above for each, and the yield.",
     "twin": "Write simulated logs of the six-axis sensor.",
+    "paper": "The paper's tables and its fit figure, from the twin.",
     "calibrate": "The calibration matrix from converter codes and test weights.",
 }
 

@@ -66,6 +66,9 @@ def test_report_shows_the_numbers_of_the_commands(surveyed, zerodrift):
     compared = json.loads(zerodrift("compare", "-C", project.directory, "--json").out)
     assert findings.told["compare"] == compared
     diagnosed = json.loads(zerodrift("diagnose", "-C", project.directory, "--json").out)
+    assert diagnosed.pop("advice") == compared["advice"]
+    for sentence in compared["advice"]["sentences"]:
+        assert sentence in text
     diagnosed["command"] = diagnosed["command"].partition(" -C ")[0]
     assert findings.told["diagnose"] == diagnosed
     assert f"The model lacks {diagnosed['effect']}" in text

@@ -11,7 +11,8 @@ from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.fit import fit
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.train.lag_bank.fit import FittedBank, fit_lag_bank
+from zerodrift.train.front_end import TEMPERATURE
+from zerodrift.train.lag_bank.fit import FittedBank, fit_lag_bank, list_thermometers
 from zerodrift.train.lag_bank.projection import Columns, Problem, _evaluate
 
 Array = NDArray[np.float64]
@@ -86,6 +87,15 @@ def test_two_lags_are_found() -> None:
     judge = make_run(9, slow=0.3)
     assert measure(physics, bank, judge).max() < 0.3 * measure(physics, alone, judge).max()
     assert "unverified" not in bank.notes[0]
+
+
+def test_another_thermometer_is_used_from_three_runs_on() -> None:
+    runs = [
+        replace(make_run(seed, slow=0.0), inputs={"room_temperature": np.linspace(20, 21, 2000)})
+        for seed in range(3)
+    ]
+    assert list_thermometers(("room_temperature",), runs) == (TEMPERATURE, "room_temperature")
+    assert list_thermometers(("room_temperature",), runs[:2]) == (TEMPERATURE,)
 
 
 def test_tares_are_told_from_drift() -> None:

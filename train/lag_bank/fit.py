@@ -49,6 +49,8 @@ STILL = 0.01
 """Median jump from sample to sample of a load that is held, as a share of its span."""
 LEAST_WEIGHT = 1e-2
 """Of the rows of a noisy class, as a share of the best class's."""
+FEWEST_RUNS = 3
+"""Runs that it takes to tell another thermometer's part from chance."""
 
 
 @dataclass(frozen=True)
@@ -354,7 +356,13 @@ def _settle_constant(fitted: FittedBank, physics: PhysicalModel, runs: Sequence[
 
 
 def list_thermometers(inputs: Sequence[str], runs: Sequence[Run]) -> tuple[str, ...]:
-    """Return the chip's thermometer and all inputs that are others and move."""
+    """Return the chip's thermometer and all inputs that are others and move.
+
+    Others need `FEWEST_RUNS` runs: within one history anything that moves slowly, such as the air
+    of the room, seems to explain what is left, and says something else in the next run.
+    """
+    if len({run.group for run in runs}) < FEWEST_RUNS:
+        return (TEMPERATURE,)
     others = [
         name
         for name in inputs

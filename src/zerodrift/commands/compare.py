@@ -13,7 +13,7 @@ from zerodrift.commands.common import (
     print_notes,
     skip_invalid_option,
 )
-from zerodrift.commands.console import open_console, open_table, show_progress
+from zerodrift.commands.console import open_console, open_table, print_advice, show_progress
 from zerodrift.commands.predictors import KINDS
 from zerodrift.physics.segments import MOST_SEGMENTS
 
@@ -66,6 +66,7 @@ def command(
     from zerodrift.commands.predictors import open_predictor
     from zerodrift.commands.project import open_project
     from zerodrift.dataset.units import read_unit
+    from zerodrift.physics.advice import advise
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.physics.compare import compare
 
@@ -84,6 +85,8 @@ def command(
             channel_units={name: read_unit(column) for name, column in config.inputs.items()},
             most=worst,
         )
+        say("looking at what the logs can teach")
+        advice = advise(config, dataset)
     print_notes((*dataset.notes, *predictor.notes))
     if html is not None:
         from zerodrift.commands.common import write_text
@@ -92,12 +95,14 @@ def command(
         figures = draw_comparison(dataset, predictor.predict, comparison)
         write_text(html, render_page(f"{config.sensor_name}: model against measurements", figures))
     if as_json:
-        print_json({"model": predictor.kind, **comparison.to_dict()})
+        told = advice.to_dict() if advice is not None else None
+        print_json({"model": predictor.kind, **comparison.to_dict(), "advice": told})
         return
     console = open_console()
     effects = ", ".join(comparison.effects) or "a constant only"
     console.print(f"Model: {predictor.kind} ({effects})")
     print_comparison(comparison, console)
+    print_advice(advice, console)
     if html is not None:
         console.print(f"Wrote {html}")
 

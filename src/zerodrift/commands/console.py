@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from zerodrift.physics.advice import Advice
+
 PROGRESS_LINES = "ZERODRIFT_PROGRESS_LINES"
 """Environment variable: progress is told in lines that begin with PROGRESS_MARK."""
 PROGRESS_MARK = "progress: "
@@ -37,6 +39,15 @@ def open_table(title: str, left: Sequence[str], right: Sequence[str]) -> "Table"
     for heading in right:
         table.add_column(heading, justify="right")
     return table
+
+
+def print_advice(advice: "Advice | None", console: "Console") -> None:
+    """Print what the logs can and cannot teach, and what to record next."""
+    if advice is None:
+        return
+    console.print("\nWhat these logs can teach:")
+    for sentence in advice.explain():
+        console.print(f"  {sentence}")
 
 
 def print_progress(text: str) -> None:

@@ -12,7 +12,7 @@ from zerodrift.commands.common import (
     print_notes,
     skip_invalid_option,
 )
-from zerodrift.commands.console import open_console, open_table, show_progress
+from zerodrift.commands.console import open_console, open_table, print_advice, show_progress
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -54,17 +54,21 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
         name_directory,
         tell_steps,
     )
+    from zerodrift.physics.advice import advise
     from zerodrift.physics.catalogue import load_catalogue
 
     with show_progress("reading logs") as say:
         config, dataset = open_project(directory, skip_invalid)
         catalogue = load_catalogue(config.plugin_files)
         verdict = find_verdict(config, dataset, catalogue, auto=auto, say=say)
-    diagnosis, course = verdict.diagnosis, verdict.course
+        diagnosis, course = verdict.diagnosis, verdict.course
+        say("looking at what the logs can teach")
+        advice = advise(config, dataset, config.effects if course is None else course.effects)
     print_notes((*dataset.notes, *diagnosis.notes))
     commands = list_commands(config.effects, verdict.steps, catalogue, directory)
     told = tell_steps(verdict, commands, directory)
     if as_json:
+        told[-1]["advice"] = advice.to_dict() if advice is not None else None
         print_json(told[-1] if course is None else {**told[-1], **_tell_course(course, told)})
         return
     console = open_console()
@@ -78,6 +82,7 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
             f"{kind} no longer earns its place: runs left out are predicted as well without it. "
             f"To remove it: zerodrift remove {kind}{name_directory(directory)}"
         )
+    print_advice(advice, console)
 
 
 def _tell_course(course: "Course", told: list[dict[str, Any]]) -> dict[str, Any]:

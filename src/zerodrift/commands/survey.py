@@ -26,6 +26,7 @@ from zerodrift.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.units import read_unit
 from zerodrift.errors import InputError
+from zerodrift.physics.advice import advise
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.compare import compare
 from zerodrift.physics.fit import fit_config
@@ -94,9 +95,14 @@ def survey_project(
     firmware, certificate, note = read_firmware(config, dataset)
     _, entries = open_history(config)
     model = _find_model(predictor.kind, config, dataset, catalogue)
+    advice = advise(config, dataset)
     titles = {effect.kind: effect.title for effect in catalogue.listed()}
     told = {
-        "compare": {"model": predictor.kind, **comparison.to_dict()},
+        "compare": {
+            "model": predictor.kind,
+            **comparison.to_dict(),
+            "advice": advice.to_dict() if advice is not None else None,
+        },
         "compare_sentences": explain_figures(comparison),
         "patterns": describe_patterns(comparison),
         "diagnose": diagnosis["diagnosis"] if diagnosis else None,

@@ -46,7 +46,9 @@ def command(
     Writes build/compensator.json and build/network.onnx. An interrupted training is taken up again
     by the next call, with the same result to the bit.
     """
+    from zerodrift.commands.console import open_console, print_advice
     from zerodrift.commands.project import open_project
+    from zerodrift.physics.advice import advise
     from zerodrift.train.progress import show_progress
     from zerodrift.train.training import train
 
@@ -54,10 +56,13 @@ def command(
     with show_progress("training") as report:
         trained = train(config, dataset, epochs=epochs, starts=starts, resume=resume, report=report)
     trained.compensator.save(config.build_directory)
+    advice = advise(config, dataset)
     if as_json:
-        print_json(_describe(trained.compensator, trained.scores))
+        told = {"advice": advice.to_dict() if advice is not None else None}
+        print_json({**_describe(trained.compensator, trained.scores), **told})
     else:
         _print_table(trained.scores)
+        print_advice(advice, open_console())
         print_notes((*dataset.notes, *trained.compensator.notes))
 
 
