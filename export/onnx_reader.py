@@ -18,7 +18,8 @@ from onnx import numpy_helper
 from zerodrift.errors import InputError, nearest
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.onnx_fold import fold_constants
-from zerodrift.export.onnx_operators import OPERATORS, RESHAPING, SUPPORTED
+from zerodrift.export.onnx_operators import OPERATORS, SUPPORTED
+from zerodrift.export.onnx_shapes import RESHAPING
 from zerodrift.export.onnx_values import (
     Axis,
     Constant,
