@@ -127,19 +127,19 @@ def check_time(table: Table, column: str, start: int, stop: int) -> None:
     wrong = interval_s <= 0
     row = start + 1 + int(np.argmax(wrong))
     count = int(find_late_rows(time_s).sum())
-    rows = "the row" if count == 1 else f"the {count} rows"
+    rows = "the row that does" if count == 1 else f"the {count} rows that do"
     before, now = float(table.columns[column][row - 1]), float(table.columns[column][row])
     place = locate_row(table.source, table.position(row))
     if now == before:
         raise InputError(
             f"{place.text}: {column} repeats {now:.10g} s; expected rising times within a run. "
             "Write the time with more digits, select one unit of several by [logs] where, "
-            f"{_SKIP} {rows} that do not move on."
+            f"{_SKIP} {rows} not move on."
         )
     raise InputError(
         f"{place.text}: {column} goes back from {before:.10g} to {now:.10g} s; expected rising "
         "times within a run. If a new run begins here, split the file or add a `run` column; if "
-        f"a counter wrapped, unwrap it; {_SKIP} {rows} that do not move on."
+        f"a counter wrapped, unwrap it; {_SKIP} {rows} not move on."
     )
 
 
