@@ -1,5 +1,6 @@
 """The effects that are known: built-ins, entry points, a user's files; all registered alike."""
 
+import importlib.machinery
 import importlib.util
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -7,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import CodeType
 
 from zerodrift.errors import InputError, nearest
 from zerodrift.physics.effect import Effect
@@ -118,6 +120,15 @@ def _declare(where: str, known: dict[str, Effect]) -> Iterator[None]:
         _declaring.pop()
 
 
+class _SourceLoader(importlib.machinery.SourceFileLoader):
+    """Compiles a file as it is now; no bytecode is left in the user's project or taken from it."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        """Return the compiled text of the file."""
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
+
+
 def _load_file(path: Path, effects: dict[str, Effect]) -> None:
     """Run a user's file and add what it declares to `effects`."""
     where = str(path)
@@ -127,15 +138,17 @@ def _load_file(path: Path, effects: dict[str, Effect]) -> None:
             "correct the name, relative to zerodrift.toml."
         )
     name = f"zerodrift_plugin_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
+    if path.suffix != ".py":
         raise InputError(f"{path}: not a Python file; [plugins] files takes files ending in .py.")
+    loader = _SourceLoader(name, where)
+    spec = importlib.util.spec_from_loader(name, loader)
+    assert spec is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     before = set(effects)
     with _declare(where, effects):
         try:
-            spec.loader.exec_module(module)
+            loader.exec_module(module)
         except InputError:
             raise
         except Exception as error:
