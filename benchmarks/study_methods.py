@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.twin.six_axis import draw_sensor, load_protocol, record, to_dataset
+from zerodrift.physics.twin.six_axis.record import Recording
 from zerodrift.train.methods import METHODS, Fitted, Options
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ def make_logs(sensor_seed: int, varied: bool, loaded: bool) -> tuple[Dataset, di
     """Return a sensor's logs, and the noise floor [K] of each test run."""
     sensor = draw_sensor(sensor_seed)
 
-    def log(kind: str, use: str, count: int, seed: int) -> list[object]:
+    def log(kind: str, use: str, count: int, seed: int) -> list[Recording]:
         protocol = load_protocol(kind)
         names = [f"{use}_{kind}_{i}" for i in range(1, count + 1)]
         return [record(sensor, protocol, name=n, seed=seed, period_s=1.0) for n in names]
@@ -48,8 +49,8 @@ def make_logs(sensor_seed: int, varied: bool, loaded: bool) -> tuple[Dataset, di
         train += log("chamber_loaded", "train", LOADED, 1)
     kinds = (*JUDGED, *(("chamber_loaded",) if loaded else ()))
     test = [run for kind in kinds for run in log(kind, "test", 2, 3)]
-    dataset = to_dataset(train, test=test, dwell=[], channels=("body_temperature",))  # type: ignore[arg-type]
-    return dataset, {run.name: run.floor for run in test}  # type: ignore[attr-defined]
+    dataset = to_dataset(train, test=test, dwell=[], channels=("body_temperature",))
+    return dataset, {run.name: run.floor for run in test}
 
 
 def judge(fitted: Fitted, dataset: Dataset, floors: dict[str, Array]) -> dict[str, float]:

@@ -126,8 +126,6 @@ def _check_whole(model: "IntegerModel") -> None:
         raise TypeError(f"name {model.name!r:.40}, sample period {model.sample_period_s!r:.40}")
     if not fits_type(tuple(model.notes.items()), tuple[tuple[str, str], ...]):
         raise TypeError(f"notes {model.notes!r:.60}")
-    if any(channel.bits not in (16, 32) for channel in model.channels):
-        raise ValueError("a channel is not 16 or 32 bits wide")
     drift, guards = model.drift, model.guards
     count = len(model.outputs)
     lengths = {drift.width, len(drift.shift), len(drift.low), len(drift.high), drift.bias.size}

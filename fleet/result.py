@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from zerodrift.errors import InputError
+from zerodrift.files import telling_of_writes
 
 FORMAT = 1
 """Of result.json; another one is computed anew."""
@@ -194,14 +195,10 @@ def write_fast(path: Path, content: bytes) -> None:
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}). Make room, or make the folder writable."
-        ) from error
+        with telling_of_writes(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary.write_bytes(content)
+            temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise

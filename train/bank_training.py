@@ -10,21 +10,20 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.operations.dense import FloatDense, FloatFeedForward
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
+from zerodrift.physics.thermometers import list_thermometers
 from zerodrift.train.compensator import Compensator, calibrate
 from zerodrift.train.lag_bank.fit import (
     FEWEST_RUNS,
     MEMBERS,
     FittedBank,
+    choose_sources,
     fit_lag_bank,
-    list_thermometers,
 )
 from zerodrift.train.onnx_export import build_layers_onnx
-from zerodrift.train.scores import Stage, Trained, measure, score
+from zerodrift.train.scores import WORTH_ITS_FLASH, Stage, Trained, measure, score
 from zerodrift.train.split import split_runs
 from zerodrift.train.stages import fit_physics
 
-WORTH_ITS_FLASH = 0.97
-"""The bank is kept if it brings the error on held-out runs below this multiple."""
 REHEARSED = 0.45
 """Share of the work that the rehearsal is."""
 
@@ -72,7 +71,7 @@ def train_bank(
         )
         compensator = replace(alone, notes=(*alone.notes, note))
         understudy = replace(alone, physics=physics, tared=physics.tared)
-    others = [name for name in config.inputs if "temperature" in name]
+    others = list_thermometers(config)
     if others and len({run.group for run in dataset.train}) < FEWEST_RUNS:
         note = (
             f"{', '.join(others)}: not used by the lag bank. It takes {FEWEST_RUNS} runs to tell "
@@ -95,7 +94,7 @@ def _fit(
     return fit_lag_bank(
         physics_of,
         runs,
-        list_thermometers(tuple(config.inputs), runs),
+        choose_sources(list_thermometers(config), runs),
         seed=network.seed,
         lags_s=network.lags_s,
         units=max(1, network.hidden // MEMBERS),

@@ -13,6 +13,9 @@ from zerodrift.train.split import Split
 Array = NDArray[np.float64]
 Predict = Callable[[Run], Array]
 
+WORTH_ITS_FLASH = 0.97
+"""What learns the rest is kept if it brings the error on held-out runs below this multiple."""
+
 
 @dataclass(frozen=True)
 class Errors:

@@ -11,6 +11,7 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import TARE_RATIO, fit
 from zerodrift.physics.model import PhysicalModel
+from zerodrift.physics.thermometers import list_thermometers
 from zerodrift.train.front_end import FrontEnd, Tap, fit_front_end
 from zerodrift.train.lags import choose_lags
 from zerodrift.train.linear import fit_linear
@@ -140,9 +141,8 @@ def list_taps(config: Config, runs: Sequence[Run], lags_s: Sequence[float]) -> t
     """
     others = [
         name
-        for name in config.inputs
-        if "temperature" in name
-        and any(float(np.ptp(run.inputs[name])) > 0.0 for run in runs if name in run.inputs)
+        for name in list_thermometers(config)
+        if any(float(np.ptp(run.inputs[name])) > 0.0 for run in runs if name in run.inputs)
     ]
     return (
         Tap("level"),

@@ -24,13 +24,11 @@ from zerodrift.train.compensator import Compensator, calibrate
 from zerodrift.train.networks import GruNetwork, build_network
 from zerodrift.train.onnx_export import build_layers_onnx, build_onnx
 from zerodrift.train.optimise import Progress, Result, Settings, Trainer
-from zerodrift.train.scores import Stage, Trained, score
+from zerodrift.train.scores import WORTH_ITS_FLASH, Stage, Trained, score
 from zerodrift.train.sequences import Sequence32
 from zerodrift.train.split import Split, split_runs
 from zerodrift.train.stages import Stages, fit_physics, fit_stages
 
-WORTH_ITS_FLASH = 0.97
-"""The network is kept if it brings the error on held-out runs below this multiple."""
 RATE = 5e-3
 """Peak learning rate of networks without a recurrence."""
 WINDOW_EPOCHS = 24

@@ -42,8 +42,8 @@ unit = "{unit}"
 full_scale = {full_scale:g}
 """
 
-_TAIL = """
-[network]                        # learns what physics leaves: gru | mlp | mlp_seq | tcn | none
+TAIL = """
+[network]                        # learns the rest: lag_bank | gru | mlp | mlp_seq | tcn | none
 kind = "{network}"
 hidden = 16
 memory = "stream"
@@ -92,7 +92,7 @@ def render_config(simulation: Simulation) -> str:
         parts.append(f'\n[[effect]]\nkind = "{choice.name}"\n')
         if "order" in choice.parameters:
             parts.append(f"order = {choice.parameters['order']:.0f}\n")
-    parts.append(_TAIL.format(network=recipe.network))
+    parts.append(TAIL.format(network=recipe.network))
     return "".join(parts)
 
 

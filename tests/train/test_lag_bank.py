@@ -12,7 +12,7 @@ from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.fit import fit
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.front_end import TEMPERATURE
-from zerodrift.train.lag_bank.fit import FittedBank, fit_lag_bank, list_thermometers
+from zerodrift.train.lag_bank.fit import FittedBank, choose_sources, fit_lag_bank
 from zerodrift.train.lag_bank.projection import Columns, Problem, _evaluate
 
 Array = NDArray[np.float64]
@@ -94,8 +94,8 @@ def test_another_thermometer_is_used_from_three_runs_on() -> None:
         replace(make_run(seed, slow=0.0), inputs={"room_temperature": np.linspace(20, 21, 2000)})
         for seed in range(3)
     ]
-    assert list_thermometers(("room_temperature",), runs) == (TEMPERATURE, "room_temperature")
-    assert list_thermometers(("room_temperature",), runs[:2]) == (TEMPERATURE,)
+    assert choose_sources(("room_temperature",), runs) == (TEMPERATURE, "room_temperature")
+    assert choose_sources(("room_temperature",), runs[:2]) == (TEMPERATURE,)
 
 
 def test_tares_are_told_from_drift() -> None:

@@ -355,19 +355,18 @@ def _settle_constant(fitted: FittedBank, physics: PhysicalModel, runs: Sequence[
     return fitted
 
 
-def list_thermometers(inputs: Sequence[str], runs: Sequence[Run]) -> tuple[str, ...]:
-    """Return the chip's thermometer and all inputs that are others and move.
+def choose_sources(others: Sequence[str], runs: Sequence[Run]) -> tuple[str, ...]:
+    """Return the chip's thermometer and those of the others that every run has and that move.
 
     Others need `FEWEST_RUNS` runs: within one history anything that moves slowly, such as the air
     of the room, seems to explain what is left, and says something else in the next run.
     """
     if len({run.group for run in runs}) < FEWEST_RUNS:
         return (TEMPERATURE,)
-    others = [
+    moving = [
         name
-        for name in inputs
-        if "temperature" in name
-        and all(name in run.inputs for run in runs)
+        for name in others
+        if all(name in run.inputs for run in runs)
         and any(float(np.ptp(read_source(run, name))) > 0.0 for run in runs)
     ]
-    return (TEMPERATURE, *others)
+    return (TEMPERATURE, *moving)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from zerodrift.config import Config, parse_config
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.physics.twin.project import CHANNEL_COLUMNS, name_outputs
+from zerodrift.physics.twin.project import CHANNEL_COLUMNS, TAIL, name_outputs
 from zerodrift.physics.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
 from zerodrift.physics.twin.six_axis.record import Recording
 
@@ -37,19 +37,6 @@ kind = "zero_tempco"
 
 [[effect]]
 kind = "dark_current"
-"""
-
-_TAIL = """
-[network]                        # learns what physics leaves: gru | mlp | mlp_seq | tcn | none
-kind = "none"
-hidden = 16
-memory = "stream"
-
-[quantization]
-weights = "int16"                # int16 | int8
-
-[firmware]
-out = "firmware"
 """
 
 
@@ -86,7 +73,7 @@ def render_config(
         parts.append("# no test logs: one run after the other is left out\n")
     if dwell:
         parts.append(f"dwell = {_list_files(dwell)} # isothermal, unloaded: the noise floor\n")
-    return "".join([*parts, _EFFECTS, _TAIL])
+    return "".join([*parts, _EFFECTS, TAIL.format(network="none")])
 
 
 def to_config(

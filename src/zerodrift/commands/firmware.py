@@ -194,6 +194,7 @@ def _print_budget(firmware: Any, console: Any) -> None:
         table.add_row(f"of it {label}", *(f"{x:.2g}" for x in node.rms))
     table.add_section()
     for span in budget.over_time:
-        label = f"steps {span.first_step:.0e} to {span.last_step:.0e}".replace("e+0", "e")
+        first = f"{span.first_step:.0e}" if span.first_step else "0"
+        label = f"steps {first} to {span.last_step:.0e}".replace("e+0", "e")
         table.add_row(label, *(f"{x:.2g}" for x in span.rms))
     console.print(table)
