@@ -250,3 +250,21 @@ def test_bounds_are_those_of_the_model_s_own_certificate(tmp_path):
         path.write_text(damage)
         told, note = read_certificate(path, "abc")
         assert told is None and "No bounds are shown" in note
+
+
+def test_report_sets_samples_at_the_rails_aside_as_compare_does(project, zerodrift):
+    for path in (project.directory / "logs").glob("run_*.csv"):
+        header, *rows = path.read_text().splitlines()
+        fields = [row.split(",") for row in rows]
+        measured = sorted(float(row[2]) for row in fields)
+        rail = measured[int(0.9 * len(measured))]
+        for row in fields:
+            row[2] = f"{min(float(row[2]), rail):.5f}"
+        path.write_text("\n".join([header, *(",".join(row) for row in fields)]) + "\n")
+    text = project.toml.read_text().replace(
+        "[network]", '[[effect]]\nkind = "adc_saturation"\n\n[network]'
+    )
+    project.toml.write_text(text)
+    findings = survey_project(project.directory, wants_diagnosis=False)
+    compared = json.loads(zerodrift("compare", "-C", project.directory, "--json").out)
+    assert findings.told["compare"] == compared

@@ -63,28 +63,17 @@ def command(
     in turn. Then it says where the model fails: under which conditions the squared error is
     concentrated, found by a scan and checked on runs left out, and the worst segments of time.
     """
-    from zerodrift.commands.predictors import open_predictor
+    from zerodrift.commands.predictors import compare_predictor, open_predictor
     from zerodrift.commands.project import open_project
-    from zerodrift.dataset.units import read_unit
     from zerodrift.physics.advice import advise
     from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.physics.compare import compare
 
     with show_progress("reading logs") as say:
         config, dataset = open_project(directory, skip_invalid)
         say("fitting")
         predictor = open_predictor(kind, config, dataset, load_catalogue(config.plugin_files))
         say("comparing")
-        comparison = compare(
-            dataset,
-            predictor.predict,
-            held_out=predictor.held_out,
-            tared=predictor.tared,
-            find_usable=predictor.find_usable,
-            effects=predictor.effects,
-            channel_units={name: read_unit(column) for name, column in config.inputs.items()},
-            most=worst,
-        )
+        comparison = compare_predictor(predictor, config, dataset, worst)
         say("looking at what the logs can teach")
         advice = advise(config, dataset)
     print_notes((*dataset.notes, *predictor.notes))

@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from zerodrift.config import Config
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.dataset.units import read_unit
 from zerodrift.errors import InputError
 from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.compare import Comparison, compare
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.held_out import HeldOut, hold_out
 from zerodrift.physics.run_errors import FindUsable
+from zerodrift.physics.segments import MOST_SEGMENTS
 
 if TYPE_CHECKING:
     from zerodrift.train.compensator import Compensator
@@ -70,6 +73,29 @@ def open_predictor(
     if kind == NETWORK:
         return _open_network(compensator)
     return _open_integer(kind, compensator, config)
+
+
+def compare_predictor(
+    predictor: Predictor, config: Config, dataset: Dataset, most: int = MOST_SEGMENTS
+) -> Comparison:
+    """Return how a model stands against the measurements.
+
+    Args:
+        predictor: the model.
+        config: the project.
+        dataset: its runs.
+        most: how many of the worst segments to keep.
+    """
+    return compare(
+        dataset,
+        predictor.predict,
+        held_out=predictor.held_out,
+        tared=predictor.tared,
+        find_usable=predictor.find_usable,
+        effects=predictor.effects,
+        channel_units={name: read_unit(column) for name, column in config.inputs.items()},
+        most=most,
+    )
 
 
 def _open_physics(

@@ -18,17 +18,15 @@ from zerodrift.commands.compare import describe_patterns, explain_figures
 from zerodrift.commands.diagnose import explain_verdict
 from zerodrift.commands.effects import describe_effect
 from zerodrift.commands.history import describe_steps
-from zerodrift.commands.predictors import PHYSICS, open_predictor
+from zerodrift.commands.predictors import PHYSICS, compare_predictor, open_predictor
 from zerodrift.commands.project import open_project
 from zerodrift.commands.revise import open_history
 from zerodrift.commands.verdict import explain_others, find_verdict, list_commands, tell_steps
 from zerodrift.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
-from zerodrift.dataset.units import read_unit
 from zerodrift.errors import InputError
 from zerodrift.physics.advice import advise
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
-from zerodrift.physics.compare import compare
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.history import list_steps
 from zerodrift.physics.model import PhysicalModel
@@ -74,14 +72,7 @@ def survey_project(
     say("fitting")
     predictor = open_predictor(None, config, dataset, catalogue)
     say("comparing")
-    comparison = compare(
-        dataset,
-        predictor.predict,
-        held_out=predictor.held_out,
-        tared=predictor.tared,
-        effects=predictor.effects,
-        channel_units={name: read_unit(column) for name, column in config.inputs.items()},
-    )
+    comparison = compare_predictor(predictor, config, dataset)
     runs = [*dataset.train, *dataset.test]
     held_out = comparison.method.predictions
     predictions = {
