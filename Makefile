@@ -101,7 +101,7 @@ fuzz: $(READY) ## fuzz the generated C and the readers of files, 10 CPU minutes 
 	$(RUN) -m tests.fuzz $(FUZZ)
 
 bench-hidden: $(READY) ## effects hidden in simulated logs and found again (BENCH=--quick)
-	$(RUN) benchmarks/bench_hidden.py $(BENCH)
+	$(RUN) -m benchmarks.bench_hidden $(BENCH)
 
 bench-foreign: $(READY) ## the diagnosis judged by a second simulator (BENCH=--quick)
 	$(RUN) -m benchmarks.foreign $(BENCH)

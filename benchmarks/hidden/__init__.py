@@ -1,0 +1,1 @@
+"""Effects hidden in simulated logs, and what the diagnosis says of them."""
