@@ -6,28 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.projects import FORCE, render_toml
 
 from zerodrift.config import Config, load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
 from zerodrift.errors import InputError
 
-TOML = """\
-[sensor]
-name = "ft40"
-time = "time_s"
-temperature = "temperature_degC"
-sample_period_s = 1.0
-
-[outputs.Fz]
-measured = "Fz_N"
-reference = "ref_Fz_N"
-unit = "N"
-full_scale = 2000
-
+TOML = render_toml(
+    """\
 [logs]
 train = ["log.csv"]
-"""
+""",
+    outputs=(FORCE,),
+)
 COLUMNS = ("time_s", "temperature_degC", "Fz_N", "ref_Fz_N")
 SHARED_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.projects import render_toml
 
 from zerodrift.config import Config, EffectConfig, parse_config
 from zerodrift.dataset.runs import Dataset, Run
@@ -23,33 +24,12 @@ DRIFT_SHARE = 0.02
 SLACK_SHARE = 0.1
 """And the slack of a load hysteresis, which is never large, of this share of that: more would be a
 drift that takes most of each small change of the load."""
-TOML = """
-[sensor]
-name = "bench"
-time = "time_s"
-temperature = "temperature_degC"
-sample_period_s = {period}
-
-[outputs.Fz]
-measured = "Fz"
-reference = "ref_Fz"
-unit = "N"
-full_scale = 2000
-
-[outputs.Mx]
-measured = "Mx"
-reference = "ref_Mx"
-unit = "Nm"
-full_scale = 14
-
-[logs]
-train = ["*.csv"]
-"""
+LOGS = '[logs]\ntrain = ["*.csv"]\n'
 
 
 def make_config(period_s: float = 1.0) -> Config:
     """Return the project's configuration; its files do not exist."""
-    return parse_config(TOML.format(period=period_s), Path("/nowhere/zerodrift.toml"))
+    return parse_config(render_toml(LOGS, "bench", period_s), Path("/nowhere/zerodrift.toml"))
 
 
 def draw_run(name: str, seed: int, length: int = 3000, period_s: float = 1.0) -> Run:

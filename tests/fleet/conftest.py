@@ -5,31 +5,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tests.projects import render_toml
 
 from zerodrift.physics.twin import EffectChoice, Recipe, simulate
 from zerodrift.physics.twin.logs import render_logs
 
 SENSORS = ("SN01", "SN02", "SN03")
 
-TOML = """
-[sensor]
-name = "ft40"
-time = "time_s"
-temperature = "temperature_degC"
-sample_period_s = 1.0
-
-[outputs.Fz]
-measured = "Fz_N"
-reference = "ref_Fz_N"
-unit = "N"
-full_scale = 2000
-
-[outputs.Mx]
-measured = "Mx_Nm"
-reference = "ref_Mx_Nm"
-unit = "Nm"
-full_scale = 14
-
+TOML = render_toml("""\
 [logs]
 train = ["chamber_*.csv"]
 test = ["test_*.csv"]
@@ -42,7 +25,7 @@ kind = "dark_current"
 
 [fleet]
 folder = "fleet/{sensor}"
-"""
+""")
 NETWORK = '\n[network]\nkind = "gru"\nhidden = 8\nepochs = 40\n'
 TOLD = (EffectChoice("zero_tempco"), EffectChoice("dark_current"))
 

@@ -5,30 +5,13 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from tests.projects import render_toml
 
 from zerodrift.cli import cli
 from zerodrift.errors import ZerodriftError
 from zerodrift.physics.twin import Recipe, parse_choice, simulate, write_logs
 
-TOML = """
-[sensor]
-name = "ft40"
-time = "time_s"
-temperature = "temperature_degC"
-sample_period_s = 1.0
-
-[outputs.Fz]
-measured = "Fz_N"
-reference = "ref_Fz_N"
-unit = "N"
-full_scale = 2000
-
-[outputs.Mx]
-measured = "Mx_Nm"
-reference = "ref_Mx_Nm"
-unit = "Nm"
-full_scale = 14
-
+TOML = render_toml("""\
 [logs]
 train = ["logs/train_*.csv"]
 test = ["logs/test_*.csv"]
@@ -49,7 +32,7 @@ weights = "{weights}"
 
 [firmware]
 out = "firmware"
-"""
+""")
 
 
 def write_project(

@@ -4,30 +4,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from tests.physics.conftest import SLOPE, STEP_S, follow, make_dataset
+from tests.projects import render_toml
 
 from zerodrift.cli import cli
 from zerodrift.errors import InputError
 from zerodrift.physics.catalogue import READING_ORDER
 
-TOML = f"""
-[sensor]
-name = "small"
-time = "time_s"
-temperature = "temperature_degC"
-sample_period_s = {STEP_S}
-
-[outputs.Fz]
-measured = "Fz_N"
-reference = "ref_Fz_N"
-unit = "N"
-full_scale = 2000
-
-[outputs.Mx]
-measured = "Mx_Nm"
-reference = "ref_Mx_Nm"
-unit = "Nm"
-full_scale = 14
-
+TOML = render_toml(
+    """\
 [inputs]
 supply = "supply_V"
 
@@ -37,7 +21,10 @@ dwell = ["dwell.csv"]
 
 [[effect]]
 kind = "zero_tempco"
-"""
+""",
+    "small",
+    STEP_S,
+)
 
 
 @pytest.fixture(scope="module")
