@@ -12,7 +12,7 @@ from zerodrift.errors import CheckError, InputError
 from zerodrift.export.golden import GoldenVectors, load_golden
 from zerodrift.export.integer_model import IntegerModel, load_model
 from zerodrift.export.reference import Reference
-from zerodrift.verify.firmware_check import Failure, check_firmware
+from zerodrift.verify.firmware_check import Failure, Progress, check_firmware
 from zerodrift.verify.mismatch import find_mismatch
 from zerodrift.verify.vectors import draw_sequences
 
@@ -39,8 +39,12 @@ class Replay:
         return self
 
 
-def replay(config: Config) -> Replay:
+def replay(config: Config, progress: Progress = lambda _: None) -> Replay:
     """Replay build/golden.npz and random sequences on everything that the project has built.
+
+    Args:
+        config: the project.
+        progress: is told what is being done.
 
     Raises:
         InputError: nothing was built yet, or a file is damaged or belongs to another model.
@@ -58,7 +62,7 @@ def replay(config: Config) -> Replay:
     code = read_code(model, config.firmware_out)
     sequences = {"golden": golden.codes, **draw_sequences(model, RANDOM_STEPS)}
     with tempfile.TemporaryDirectory(prefix=".verify-", dir=config.build_directory) as scratch:
-        check = check_firmware(model, code, sequences, Path(scratch))
+        check = check_firmware(model, code, sequences, Path(scratch), progress)
     return Replay(check.vectors, check.backends, model.hash, check.failure)
 
 

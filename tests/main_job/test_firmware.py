@@ -46,7 +46,10 @@ def test_firmware_written_twice_gives_the_same_bytes(
     project: Path, logs: Path, tmp_path: Path
 ) -> None:
     again = write_project(tmp_path / "elsewhere" / "with spaces", logs, epochs=40)
-    assert invoke("firmware", "-C", str(again)).exit_code == 0
+    result = invoke("firmware", "-C", str(again))
+    assert result.exit_code == 0
+    assert "of it input temperature" in result.stdout
+    assert "wrote firmware/: ft40.h, ft40.c," in result.stdout
     for path in sorted((project / "firmware").iterdir()):
         assert (again / "firmware" / path.name).read_bytes() == path.read_bytes(), path.name
     for name in ("model.json", "golden.npz", "network.onnx", "compensator.json"):

@@ -14,7 +14,7 @@ from zerodrift.commands.common import (
     skip_invalid_option,
     write_text,
 )
-from zerodrift.commands.console import show_progress
+from zerodrift.commands.console import open_console, open_table, show_progress
 from zerodrift.commands.onnx_option import OnnxRequest, onnx_options, open_import
 
 FILE_NAME = "firmware.json"
@@ -51,7 +51,8 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, request: OnnxReq
         config, dataset, compensator, notes = open_import(request, directory, skip_invalid)
         print_notes((*dataset.notes, *notes))
     else:
-        config, dataset = open_project(directory, skip_invalid)
+        with show_progress("reading logs"):
+            config, dataset = open_project(directory, skip_invalid)
         print_notes(dataset.notes)
         compensator = train_project(config, dataset, console)
     with show_progress("quantizing") as say:
@@ -132,14 +133,13 @@ def show_path(path: Path, directory: Path) -> str:
 
 
 def _print(firmware: Any, directory: Path) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
+    console = open_console()
     kind = "held-out runs" if firmware.held_out else "TRAINING runs (no test logs are configured)"
-    table = Table(title=f"RMSE over the {kind}: {', '.join(firmware.error_runs)}")
-    for heading in ("output", "unit", "uncompensated", "float", "integer", "% FS", "int - float"):
-        table.add_column(heading, justify="left" if heading in ("output", "unit") else "right")
+    table = open_table(
+        f"RMSE over the {kind}: {', '.join(firmware.error_runs)}",
+        ("output", "unit"),
+        ("uncompensated", "float", "integer", "% FS", "int - float"),
+    )
     for e in firmware.errors:
         numbers = (e.uncompensated, e.float_model, e.integer_model, e.percent_of_full_scale)
         table.add_row(e.name, e.unit, *(f"{x:.4g}" for x in numbers), f"{e.integer_to_float:.2g}")
@@ -177,20 +177,30 @@ def _print(firmware: Any, directory: Path) -> None:
         f"no overflow for any input: {firmware.certificate.holds} claims of certificate.json, each"
         " derived again from the C"
     )
-    console.print("wrote " + ", ".join(show_path(path, directory) for path in firmware.files))
+    for folder in sorted({path.parent for path in firmware.files}):
+        names = ", ".join(path.name for path in firmware.files if path.parent == folder)
+        console.print(f"wrote {show_path(folder, directory)}/: {names}")
 
 
 def _print_budget(firmware: Any, console: Any) -> None:
     """Print what quantization costs, node by node, and over time."""
-    from rich.table import Table
+    from zerodrift.operations.signal import IntegerInput
 
-    table = Table(title="What quantization costs, RMS of integer minus float model")
-    for heading in ("", *(f"{e.name} {e.unit}" for e in firmware.errors)):
-        table.add_column(heading, justify="right" if heading else "left")
+    table = open_table(
+        "What quantization costs, RMS of integer minus float model",
+        ("",),
+        [f"{e.name} {e.unit}" for e in firmware.errors],
+    )
+    inputs = {
+        node.name: firmware.model.channels[node.channel].name
+        for node in firmware.model.nodes
+        if isinstance(node, IntegerInput)
+    }
     budget = firmware.budget
     table.add_row("whole model", *(f"{x:.2g}" for x in budget.total), end_section=True)
     for node in budget.largest[:BUDGET_ROWS]:
         label = node.node if node.kind in node.node else f"{node.node} ({node.kind})"
+        label = f"input {inputs[node.node]}" if node.node in inputs else label
         table.add_row(f"of it {label}", *(f"{x:.2g}" for x in node.rms))
     table.add_section()
     for span in budget.over_time:

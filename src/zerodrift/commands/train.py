@@ -100,14 +100,14 @@ def _describe(compensator: "Compensator", scores: "Scores") -> dict[str, Any]:
 
 def _print_table(scores: "Scores") -> None:
     """Print the errors, held-out ones last since they are the ones to trust."""
-    from rich.console import Console
-    from rich.table import Table
+    from zerodrift.commands.console import open_console, open_table
 
-    table = Table(title="RMSE, in the unit and in % of full scale", title_justify="left")
-    table.add_column("output")
-    for use in ("in-sample", "held out"):
-        for stage in ("raw", "physics", "network"):
-            table.add_column(f"{use}\n{stage}", justify="right")
+    stages = [
+        f"{use}\n{stage}"
+        for use in ("in-sample", "held out")
+        for stage in ("raw", "physics", "network")
+    ]
+    table = open_table("RMSE, in the unit and in % of full scale", ("output",), stages)
     for k, name in enumerate(scores.outputs):
         cells = [
             _format(values, k, scores.full_scale[k])
@@ -115,9 +115,9 @@ def _print_table(scores: "Scores") -> None:
             for values in (errors.uncompensated, errors.physics, errors.compensated)
         ]
         table.add_row(f"{name} [{scores.units[k]}]", *cells)
-    console = Console()
+    console = open_console()
     console.print(table)
-    console.print(scores.explanation, highlight=False)
+    console.print(scores.explanation)
 
 
 def _format(values: "NDArray[np.float64]", k: int, full_scale: float) -> str:

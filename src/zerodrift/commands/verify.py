@@ -23,13 +23,15 @@ def command(directory: Path, as_json: bool, certificate: bool) -> None:
     a file that was edited by hand is found out. Exit code 1 when a bit differs, or with
     --certificate when a claim does not hold.
     """
+    from zerodrift.commands.console import show_progress
     from zerodrift.config import load_config
     from zerodrift.verify.replay import replay
 
     if certificate:
         _check_certificate(load_config(directory).firmware_out, as_json)
         return
-    outcome = replay(load_config(directory))
+    with show_progress("replaying the golden vectors") as say:
+        outcome = replay(load_config(directory), say)
     if as_json:
         print_json(
             {
@@ -50,6 +52,7 @@ def command(directory: Path, as_json: bool, certificate: bool) -> None:
 
 def _check_certificate(folder: Path, as_json: bool) -> None:
     """Tell which claims hold; needs nothing but the firmware folder."""
+    from zerodrift.commands.console import show_progress
     from zerodrift.verify.certificate import FILE_NAME
     from zerodrift.verify.certificate_check import check_certificate
 
@@ -57,7 +60,8 @@ def _check_certificate(folder: Path, as_json: bool) -> None:
         raise InputError(
             f"{folder / FILE_NAME}: there is no certificate. Run `zerodrift firmware`."
         )
-    outcome = check_certificate(folder)
+    with show_progress("deriving every bound again from the C"):
+        outcome = check_certificate(folder)
     if as_json:
         print_json(
             {
