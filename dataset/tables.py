@@ -14,6 +14,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from zerodrift.dataset.columns import GrowingColumns
+from zerodrift.dataset.quotes import check_quotes
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.selectors import PARQUET_SUFFIXES
 from zerodrift.errors import InputError, nearest
@@ -163,6 +164,8 @@ def read_table(source: Source, needed: Mapping[str, str], run_column: bool = Tru
     for column, role in [*needed.items(), *((name, "[logs] where") for name in source.where)]:
         if column not in source.names:
             raise InputError(_explain_missing_column(source, column, role))
+    if source.separator is not None:
+        check_quotes(source.path, source.label, source.separator)
     has_runs = run_column and RUN_COLUMN in source.names and RUN_COLUMN not in needed
     frame = source.scan(tuple(needed))
     wanted = [pl.col(column).cast(pl.Float64) for column in needed]

@@ -58,11 +58,11 @@ class Project:
     def load(self, skip_invalid: bool = False, **changes: object) -> Dataset:
         return load_dataset(self.config(**changes), skip_invalid)
 
-    def refusal(self, **changes: object) -> str:
+    def refusal(self, skip_invalid: bool = False, **changes: object) -> str:
         """Return the message of the refusal, insisting that nothing was written."""
         before = self._list_files()
         with pytest.raises(InputError) as caught:
-            self.load(**changes)
+            self.load(skip_invalid, **changes)
         assert self._list_files() == before
         return str(caught.value)
 
