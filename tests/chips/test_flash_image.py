@@ -85,7 +85,7 @@ def test_frames_of_the_firmware_equal_the_reference(name: str, tmp_path: Path) -
     subprocess.run(
         ["qemu-system-arm", "-M", "mps2-an386", "-kernel", elf, "-nographic", "-monitor", "none",
          "-serial", f"file:{log}", "-semihosting-config", "enable=on,target=native"],
-        check=True, timeout=120,
+        check=True, timeout=600,
     )  # fmt: skip
     database = cantools.database.load_file(elf.with_suffix(".dbc"))
     frames = list(can.CanutilsLogReader(log))

@@ -11,7 +11,7 @@ from zerodrift.errors import InputError
 
 
 def ask(bench, path, *, method="GET", headers=None, body=None):
-    connection = http.client.HTTPConnection("127.0.0.1", bench.port, timeout=30)
+    connection = http.client.HTTPConnection("127.0.0.1", bench.port, timeout=300)
     connection.request(method, path, body=body, headers=headers or {})
     answer = connection.getresponse()
     text = answer.read()
