@@ -210,12 +210,7 @@ def draw_revision(
                 y=outputs,
                 name=name,
                 mode="markers",
-                marker={
-                    "symbol": symbol,
-                    "size": size,
-                    "color": colour,
-                    "line": {"width": 2, "color": colour},
-                },
+                marker=_mark(symbol, size, colour),
                 hovertemplate=f"{name}: %{{x:.3g}} × floor<extra>%{{y}}</extra>",
             )
         )
@@ -274,12 +269,7 @@ def draw_budget(firmware: Mapping[str, Any], compared: Mapping[str, Any]) -> go.
                 y=outputs,
                 name=name,
                 mode="markers",
-                marker={
-                    "symbol": symbol,
-                    "size": size,
-                    "color": colour,
-                    "line": {"width": 2, "color": colour},
-                },
+                marker=_mark(symbol, size, colour),
                 customdata=[f"{values[n]:.4g} {firmware['units'][n]}" for n in outputs],
                 hovertemplate=f"{name}: %{{customdata}} (%{{x:.3g}} %FS)<extra>%{{y}}</extra>",
             )
@@ -288,6 +278,10 @@ def draw_budget(firmware: Mapping[str, Any], compared: Mapping[str, Any]) -> go.
     figure.update_xaxes(title="RMSE, % of full scale", type="log", dtick=1, tickformat="~g")
     figure.update_yaxes(autorange="reversed", ticks="")
     return figure
+
+
+def _mark(symbol: str, size: int, colour: str) -> dict[str, Any]:
+    return {"symbol": symbol, "size": size, "color": colour, "line": {"width": 2, "color": colour}}
 
 
 def draw_fingerprint(title: str, picture: Fingerprint) -> go.Figure:

@@ -5,7 +5,9 @@ units and `hidden` [T, B, H]. The file is written with onnx.helper alone, so tha
 PyTorch's exporter, its version or the clock gets into it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import onnx
@@ -141,14 +143,9 @@ def read_onnx_weights(content: bytes, where: str) -> dict[str, Array]:
     Raises:
         InputError: the file is damaged.
     """
-    try:
-        model = onnx.load_model_from_string(content)
-        found = {t.name: numpy_helper.to_array(t) for t in model.graph.initializer}
-    except Exception as error:  # protobuf raises its own kinds, without a common base
-        raise InputError(
-            f"{where}: this is no network of zerodrift ({error}). Run `zerodrift train` again."
-        ) from error
-    return {k: v.astype(np.float64) for k, v in found.items() if v.dtype.kind == "f"}
+    with _refuse_damage(where):
+        found = _read_constants(onnx.load_model_from_string(content))
+        return {k: v.astype(np.float64) for k, v in found.items() if v.dtype.kind == "f"}
 
 
 def read_onnx_layers(content: bytes, where: str) -> FloatFeedForward:
@@ -157,8 +154,8 @@ def read_onnx_layers(content: bytes, where: str) -> FloatFeedForward:
     Raises:
         InputError: the file is damaged or another program's.
     """
-    try:
-        weights = read_onnx_weights(content, where)
+    weights = read_onnx_weights(content, where)
+    with _refuse_damage(where):
         model = onnx.load_model_from_string(content)
         bends = [n.op_type for n in model.graph.node if n.op_type in ("Tanh", "Relu")]
         dense = tuple(
@@ -170,10 +167,6 @@ def read_onnx_layers(content: bytes, where: str) -> FloatFeedForward:
             for i, bend in enumerate(bends)
         )
         return FloatFeedForward(dense, weights["head.weight"].T, weights["head.bias"])
-    except KeyError as error:
-        raise InputError(
-            f"{where}: this is no network of zerodrift ({error}). Run `zerodrift train` again."
-        ) from error
 
 
 def read_onnx_gru(content: bytes, where: str) -> FloatGru:
@@ -182,12 +175,22 @@ def read_onnx_gru(content: bytes, where: str) -> FloatGru:
     Raises:
         InputError: the file is damaged or another program's.
     """
-    try:
+    with _refuse_damage(where):
         model = onnx.load_model_from_string(content)
-        constants = {t.name: numpy_helper.to_array(t) for t in model.graph.initializer}
+        constants = _read_constants(model)
         node = next(node for node in model.graph.node if node.op_type == "GRU")
         attributes = {a.name: helper.get_attribute_value(a) for a in node.attribute}
         return from_onnx_gates(attributes, *(constants[f"gru.{name}"] for name in "WRB"))
+
+
+def _read_constants(model: onnx.ModelProto) -> dict[str, NDArray[Any]]:
+    return {t.name: numpy_helper.to_array(t) for t in model.graph.initializer}
+
+
+@contextmanager
+def _refuse_damage(where: str) -> Iterator[None]:
+    try:
+        yield
     except Exception as error:  # protobuf raises its own kinds, without a common base
         raise InputError(
             f"{where}: this is no network of zerodrift ({error}). Run `zerodrift train` again."

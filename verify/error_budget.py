@@ -34,6 +34,7 @@ from zerodrift.operations.intervals import Interval
 from zerodrift.operations.layers import COPY_BITS
 from zerodrift.physics.signals import graph_inputs, read_signals
 from zerodrift.train.compensator import Compensator
+from zerodrift.train.split import cut_run
 from zerodrift.verify.mismatch import label_columns
 
 Array = NDArray[np.float64]
@@ -97,7 +98,7 @@ def measure_budget(
         runs: measurements, preferably held out.
         steps: length of the run that is followed over time.
     """
-    runs = [_cut(run, LONGEST_RUN_STEPS) for run in runs]
+    runs = [cut_run(run, LONGEST_RUN_STEPS) for run in runs]
     levels = _Levels(described, calibration, host.model)
     traces = [_observe(host, run) for run in runs]
     inputs = [_read_inputs(compensator, run) for run in runs]
@@ -346,20 +347,6 @@ def _observe(host: HostModel, run: Run) -> dict[str, Array]:
         trace[node.name] = columns[:, first : first + max(node.width, 1)]
         first += max(node.width, 1)
     return trace
-
-
-def _cut(run: Run, steps: int) -> Run:
-    """Return the first `steps` samples of a run."""
-    if len(run) <= steps:
-        return run
-    return replace(
-        run,
-        time_s=run.time_s[:steps],
-        temperature_degC=run.temperature_degC[:steps],
-        measured=run.measured[:steps],
-        reference=run.reference[:steps],
-        inputs={name: values[:steps] for name, values in run.inputs.items()},
-    )
 
 
 def _rms(x: Array) -> Array:

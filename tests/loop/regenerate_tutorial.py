@@ -76,6 +76,10 @@ def run_step(command: str, directory: Path) -> str:
         "LC_ALL": "C.UTF-8",
     }
     environment.pop("COLUMNS", None)
+    if sources := os.environ.get("PYTHONPATH"):
+        # The commands run in another directory, where a relative path would lead nowhere.
+        places = (str(Path(place).resolve()) for place in sources.split(os.pathsep) if place)
+        environment["PYTHONPATH"] = os.pathsep.join(places)
     result = subprocess.run(
         ["bash", "-c", command],
         cwd=directory,
