@@ -24,6 +24,7 @@ setup: $(READY) ## create .venv with the pinned dependencies and zerodrift itsel
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "zerodrift needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1). Set PYTHON=."; exit 2; }
+	@echo "installing into $(VENV): some minutes, and on Linux 6 GB, most of it PyTorch's"
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements.lock
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
@@ -94,7 +95,7 @@ c-test: $(READY) ## build the C runtime with CMake and run its ctest programs, s
 sizes: $(READY) ## flash, RAM, stack and instructions of the golden models, against main's last commit
 	$(RUN) benchmarks/sizes.py
 
-bench: $(READY) ## every figure the documentation quotes (BENCH=--quick for the reduced form)
+bench: $(READY) ## the figures of the documentation, but for the targets bench-... (BENCH=--quick)
 	$(RUN) -m benchmarks $(BENCH)
 
 fuzz: $(READY) ## fuzz the generated C and the readers of files, 10 CPU minutes per target (FUZZ=--seconds=20)
