@@ -94,6 +94,18 @@ def guess_project(logs: Sequence[Path]) -> Guess:
         checks.append(f"'{time}' seems not to be in seconds; zerodrift wants seconds")
     if len(temperatures) > 1:
         checks.append(f"'{temperatures[0]}' was taken as the chip's own thermometer")
+    groups = {
+        name: values
+        for name in common
+        if name not in numeric and name != RUN_COLUMN
+        if 1 < len(values := _list_values(first, name)) <= 32
+    }
+    for name, values in groups.items():
+        named = ", ".join(values[:3]) + (", ..." if len(values) > 3 else "")
+        checks.append(
+            f"'{name}' has {len(values)} values ({named}), all taken as one sensor; "
+            "[logs] where picks one"
+        )
     return Guess(
         sensor_name=re.sub(r"[^A-Za-z0-9_]+", "_", logs[0].stem).strip("_").lower() or "sensor",
         time=time,
@@ -102,12 +114,7 @@ def guess_project(logs: Sequence[Path]) -> Guess:
         outputs=outputs,
         inputs=inputs,
         runs=_list_values(first, RUN_COLUMN) if RUN_COLUMN in common else (),
-        groups={
-            name: values
-            for name in common
-            if name not in numeric and name != RUN_COLUMN
-            if 1 < len(values := _list_values(first, name)) <= 32
-        },
+        groups=groups,
         checks=(
             *checks,
             *(f"full_scale of {output.name} is a guess from the data" for output in outputs),

@@ -124,7 +124,10 @@ def test_init_proposes_where_for_a_column_of_names(tmp_path, invoke):
     lines = ["run,unit,time_s,temperature_degC,Fx_N"]
     lines += [f"r{k % 2},{'AB'[k % 2]},{k // 2},{k / 4},{k}" for k in range(80)]
     path.write_text("\n".join(lines))
-    assert invoke(path).exit_code == 0
+    result = invoke(path)
+    assert result.exit_code == 0
+    told = "check: 'unit' has 2 values (A, B), all taken as one sensor; [logs] where picks one"
+    assert told in result.output
     text = (tmp_path / "zerodrift.toml").read_text()
     assert '# where = { unit = "A" }  # one of: A, B' in text
     # Two runs: one can be left out, so that the log is not cut.
