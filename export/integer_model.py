@@ -290,12 +290,14 @@ def load_model(path: Path) -> IntegerModel:
     """Read a model written by `IntegerModel.save`.
 
     Raises:
-        InputError: not JSON, another format, fields missing or unknown, entries that do not fit
-            their type, or a hash that does not match (the file was edited or damaged).
+        InputError: no such file, not JSON, another format, fields missing or unknown, entries that
+            do not fit their type, or a hash that does not match (the file was edited or damaged).
         CheckError: a bound of the arithmetic does not hold.
     """
     try:
         body = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: there is no integer model. Run `zerodrift firmware`.") from error
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(
             f"{path}: cannot be read as a model ({error}). Run `zerodrift export`."

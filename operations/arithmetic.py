@@ -16,7 +16,6 @@ CodeArray = NDArray[np.signedinteger[Any]]
 
 INT16_MIN, INT16_MAX = -(2**15), 2**15 - 1
 INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
-INT64_MIN, INT64_MAX = -(2**63), 2**63 - 1
 
 
 def round_shift(x: Any, shift: int) -> Any:

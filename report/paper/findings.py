@@ -1,6 +1,5 @@
 """Which of the paper's claims come out on the twin: computed from the results, never assumed."""
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
@@ -179,8 +178,3 @@ def summarise_default(plan: Plan, outcomes: Outcomes) -> list[str]:
         f"Error of the paper's GRU over that of the default ({METHODS[DEFAULT].title}), both "
         f"trained on the same chamber logs: {'; '.join(parts)}."
     ]
-
-
-def list_surprises(findings: Sequence[Finding]) -> list[Finding]:
-    """Return the claims that do not come out as the paper has them."""
-    return [finding for finding in findings if finding.verdict != HOLDS]

@@ -1,6 +1,6 @@
 """From outcomes to figures: medians and quartiles over specimens and seeds, and paired ratios."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +10,6 @@ from zerodrift.report.paper.store import Cell
 from zerodrift.report.paper.study import Outcome
 
 Array = NDArray[np.float64]
-
-Select = Callable[[Cell], bool]
 
 
 @dataclass(frozen=True)
@@ -48,10 +46,6 @@ class Outcomes:
 
     def __init__(self, outcomes: Sequence[Outcome]) -> None:
         self._by_cell: Mapping[Cell, Outcome] = {o.cell: o for o in outcomes}
-
-    def find(self, cell: Cell) -> Outcome | None:
-        """Return the outcome of a cell; None if it was not fitted."""
-        return self._by_cell.get(cell)
 
     def get(self, cells: Iterable[Cell]) -> list[Outcome]:
         """Return those outcomes of cells that there are."""

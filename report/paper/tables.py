@@ -20,7 +20,6 @@ FEET = ("left foot", "right foot")
 """The two walks; the twin's feet are two draws of the protocol."""
 POOLED = "all"
 SIMULATED = "simulated"
-IN_SAMPLE = "in sample"
 
 
 @dataclass(frozen=True)

@@ -140,7 +140,7 @@ def test_model_of_another_structure_is_refused(edit: Edit, saved: Path) -> None:
 
 
 def test_missing_model_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="zerodrift export"):
+    with pytest.raises(InputError, match="no integer model"):
         load_model(tmp_path / "gone.json")
 
 
