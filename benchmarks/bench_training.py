@@ -33,6 +33,13 @@ WINDOW, HIDDEN, BATCH, RATE, EPOCHS = 10, 36, 128, 1e-3, 2000
 HELD_OUT = "test_chamber_1"
 
 
+def copy_example(project: Path) -> None:
+    """Write configuration and simulated logs of the bundled example into a folder."""
+    for name in ("zerodrift.toml", "twin.json"):
+        shutil.copy(EXAMPLE / name, project / name)
+    ensure_example_logs(project)
+
+
 def main(quick: bool, epochs: int = 0) -> None:
     """Print errors on a held-out chamber run and CPU times of both, and their ratio.
 
@@ -44,9 +51,7 @@ def main(quick: bool, epochs: int = 0) -> None:
     epochs = epochs or (4 if quick else 250)
     with tempfile.TemporaryDirectory() as scratch:
         project = Path(scratch)
-        for name in ("zerodrift.toml", "twin.json"):
-            shutil.copy(EXAMPLE / name, project / name)
-        ensure_example_logs(project)
+        copy_example(project)
         config = load_config(project)
         dataset = load_dataset(config)
         held_out = [run for run in dataset.test if run.name == HELD_OUT]

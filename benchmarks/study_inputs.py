@@ -6,7 +6,6 @@ Prints, for each choice of inputs, the error on each simulated held-out run and 
 the whole training. The evidence of `docs/decisions/020-what-the-network-sees.md`.
 """
 
-import shutil
 import tempfile
 import time
 from collections.abc import Sequence
@@ -17,11 +16,10 @@ from unittest.mock import patch
 import numpy as np
 import torch
 
-from benchmarks.bench_training import EXAMPLE, measure_error
+from benchmarks.bench_training import copy_example, measure_error
 from zerodrift.config import Config, load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.physics.twin.example import ensure_example_logs
 from zerodrift.train import stages
 from zerodrift.train.front_end import FrontEnd, Tap, fit_front_end
 from zerodrift.train.training import train
@@ -63,9 +61,7 @@ def main() -> None:
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as scratch:
         project = Path(scratch)
-        for name in ("zerodrift.toml", "twin.json"):
-            shutil.copy(EXAMPLE / name, project / name)
-        ensure_example_logs(project)
+        copy_example(project)
         config = load_config(project)
         dataset = load_dataset(config)
         config.build_directory.mkdir()
