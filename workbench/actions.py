@@ -1,10 +1,10 @@
 """What the page's buttons do: each runs a command, as a user would type it."""
 
 import shlex
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from dash import ctx, no_update
-
+from zerodrift.errors import InputError
 from zerodrift.workbench.uploads import list_logs
 from zerodrift.workbench.workplace import Workplace
 
@@ -34,58 +34,61 @@ def add(place: Workplace, kind: str, *, force: bool) -> None:
     place.run("add", f"Adding {kind}", ["add", kind, "--json", *options])
 
 
-def press(
-    place: Workplace, effect: str | None, present: str | None, force: list[str] | None
-) -> Any:
+def press(place: Workplace, button: str, chosen: Mapping[str, Any]) -> None:
     """Do what a button says.
 
     Args:
         place: the project.
-        effect: chosen among those that can be added.
-        present: chosen among those in the model.
-        force: holds a word where an effect is to be kept whether it helps or not.
+        button: which one.
+        chosen: of the page at that moment: `effect` on the button or in the list of those that can
+            be added, `present` in the list of those in the model, and `force` where an effect is to
+            be kept whether it helps or not.
+
+    Raises:
+        InputError: there is no such button.
     """
-    button = ctx.triggered_id
-    if not ctx.triggered or not ctx.triggered[0]["value"]:
-        return no_update
-    if isinstance(button, dict):
-        add(place, button["effect"], force=bool(force))
-    elif button == "add-chosen":
+    effect, present = chosen.get("effect"), chosen.get("present")
+    force = bool(chosen.get("force"))
+    simple: dict[str, Callable[[], object]] = {
+        "undo": place.undo,
+        "look": place.look,
+        "cancel": place.cancel,
+        "dismiss": place.dismiss,
+        "begin": lambda: begin(place),
+        "practise": lambda: practise(place),
+    }
+    if button in ("add", "add-chosen"):
         if not effect:
             place.tell("Choose an effect to add.", is_error=False)
         else:
-            add(place, effect, force=bool(force))
+            add(place, str(effect), force=force)
     elif button == "remove":
         if not present:
             place.tell("Choose the effect to remove.", is_error=False)
         else:
-            kind, _, signal = present.partition("[")
+            kind, _, signal = str(present).partition("[")
             options = ["--set", f"signal={signal.rstrip(']')}"] if signal else []
             place.run("remove", f"Removing {present}", ["remove", kind, "--json", *options])
-    elif button in ("undo", "look", "cancel", "dismiss"):
-        {
-            "undo": place.undo,
-            "look": place.look,
-            "cancel": place.cancel,
-            "dismiss": place.dismiss,
-        }[button]()
-    else:
+    elif button in TITLES:
         options = ["--no-diagnose"] if button == "report" else []
         place.run(button, TITLES[button], [button, "--json", *options])
-    return no_update
-
-
-def begin(place: Workplace) -> Any:
-    """Begin a project: from the logs in the directory, or from simulated ones."""
-    if not ctx.triggered or not ctx.triggered[0]["value"]:
-        return no_update
-    if ctx.triggered_id == "begin":
-        logs = [str(place.directory / name) for name in list_logs(place.directory)]
-        place.run("init", "Guessing columns", ["init", *logs, "--json"])
+    elif button in simple:
+        simple[button]()
     else:
-        told = ["--told", PRACTICE_EFFECT, "--mystery", "1", "--seed", str(draw_seed())]
-        place.run("twin", "Simulating a sensor", ["twin", *told, "--json"])
-    return no_update
+        expected = ", ".join(("add", "add-chosen", "remove", *TITLES, *simple))
+        raise InputError(f"{button!r}: is no button of the page; expected one of {expected}.")
+
+
+def begin(place: Workplace) -> None:
+    """Begin a project from the logs in the directory."""
+    logs = [str(place.directory / name) for name in list_logs(place.directory)]
+    place.run("init", "Guessing columns", ["init", *logs, "--json"])
+
+
+def practise(place: Workplace) -> None:
+    """Begin a project from simulated logs with something hidden in them."""
+    told = ["--told", PRACTICE_EFFECT, "--mystery", "1", "--seed", str(draw_seed())]
+    place.run("twin", "Simulating a sensor", ["twin", *told, "--json"])
 
 
 def draw_seed() -> int:

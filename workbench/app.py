@@ -1,19 +1,15 @@
 """The page: which of its parts listen to which."""
 
 import dash
-from dash import ALL, Dash, Input, Output, State
+from dash import Dash, Input, Output, State
 
 from zerodrift.report.page import read_asset
 from zerodrift.workbench import views
-from zerodrift.workbench.actions import begin, press
-from zerodrift.workbench.chart import MOVES, draw_main, go_to_segment
+from zerodrift.workbench.chart import MOVES, draw_main
 from zerodrift.workbench.layout import PAGE, lay_out
 from zerodrift.workbench.workplace import Workplace
 
-BUTTONS = (
-    *("add-chosen", "undo", "look", "remove", "train", "firmware", "verify", "report"),
-    *("cancel", "dismiss"),
-)
+CHOICES = ("output", "run", "ghost", "effect", "present")
 
 
 def make_app(workplace: Workplace) -> Dash:
@@ -30,7 +26,6 @@ def make_app(workplace: Workplace) -> Dash:
     _connect_frame(app, workplace)
     _connect_findings(app, workplace)
     _connect_chart(app, workplace)
-    _connect_buttons(app, workplace)
     return app
 
 
@@ -73,34 +68,20 @@ def _connect_findings(app: Dash, place: Workplace) -> None:
         Output("verdict", "className"),
         Output("verdict", "children"),
         Output("guess-box", "hidden"),
-        Output("guess-choice", "options"),
+        Output("guess-choice", "data-choices"),
         Output("guess-told", "children"),
         Output("actions", "hidden"),
         Output("adds", "children"),
         Output("undo", "disabled"),
         Input("version", "data"),
         Input("guess", "data"),
-        State("guess-choice", "value"),
-    )(lambda _, told, guess: views.show_top(place, told, guess))
+        State("picks", "data"),
+    )(lambda _, told, picks: views.show_top(place, told, picks))
     app.callback(
-        Output("output", "options"),
-        Output("output", "value"),
-        Output("run", "options"),
-        Output("run", "value"),
-        Output("ghost", "options"),
-        Output("ghost", "value"),
-        Output("effect", "options"),
-        Output("effect", "value"),
-        Output("present", "options"),
-        Output("present", "value"),
+        *[Output(name, "data-choices") for name in CHOICES],
         Input("version", "data"),
         Input("guess", "data"),
-        State("output", "value"),
-        State("run", "value"),
-        State("ghost", "value"),
-        State("effect", "value"),
-        State("present", "value"),
-    )(lambda _, told, *now: views.list_choices(place, told, *now))
+    )(lambda _, told: views.list_choices(place, told))
     app.callback(
         Output("revision", "children"),
         Output("revision", "hidden"),
@@ -118,9 +99,9 @@ def _connect_findings(app: Dash, place: Workplace) -> None:
         Output("effect-told", "children"),
         Output("effect-told", "hidden"),
         Input("version", "data"),
-        Input("effect", "value"),
+        Input("picks", "data"),
         Input("guess", "data"),
-    )(lambda _, effect, told: views.tell_effect(place, effect, told))
+    )(lambda _, picks, told: views.tell_effect(place, picks, told))
 
 
 def _connect_chart(app: Dash, place: Workplace) -> None:
@@ -131,45 +112,15 @@ def _connect_chart(app: Dash, place: Workplace) -> None:
         Output("main-table", "children"),
         Output("drawn", "data"),
         Input("version", "data"),
-        Input("output", "value"),
-        Input("run", "value"),
-        Input("ghost", "value"),
-        Input("goto", "data"),
+        Input("view", "data"),
         *[Input(name, "n_clicks") for name in MOVES],
         Input("main", "relayoutData"),
         State("drawn", "data"),
-    )(lambda _, *now: draw_main(place, *now[:4], *now[-2:]))
-    app.callback(
-        Output("output", "value", allow_duplicate=True),
-        Output("run", "value", allow_duplicate=True),
-        Output("goto", "data"),
-        Input({"type": "segment", "number": ALL}, "n_clicks"),
-        prevent_initial_call=True,
-    )(lambda _: go_to_segment(place))
-    app.callback(
-        Output("ghost", "value", allow_duplicate=True),
-        Input({"type": "draw", "effect": ALL}, "n_clicks"),
-        prevent_initial_call=True,
-    )(lambda _: views.choose_ghost())
-
-
-def _connect_buttons(app: Dash, place: Workplace) -> None:
-    """Connect the buttons that do something to the project."""
-    app.callback(
-        Output("pressed", "data"),
-        *[Input(name, "n_clicks") for name in BUTTONS],
-        Input({"type": "add", "effect": ALL, "place": ALL}, "n_clicks"),
-        State("effect", "value"),
-        State("present", "value"),
-        State("force", "value"),
-        prevent_initial_call=True,
-    )(lambda *values: press(place, *values[-3:]))
-    app.callback(
-        Output("begun", "data"),
-        Input("begin", "n_clicks"),
-        Input("practise", "n_clicks"),
-        prevent_initial_call=True,
-    )(lambda *_: begin(place))
+    )(
+        lambda _, view, *now: draw_main(
+            place, view, dict(zip(MOVES, now, strict=False)), *now[len(MOVES) :]
+        )
+    )
     app.callback(
         Output("guess", "data"),
         Input("tell", "n_clicks"),

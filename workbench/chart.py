@@ -1,14 +1,16 @@
 """The chart of one run: what part of it is shown, and what went on there."""
 
+from collections.abc import Mapping
 from typing import Any
 
-from dash import ctx, no_update
+from dash import no_update
 
 from zerodrift.report import tables
 from zerodrift.report.figures_runs import Window, choose_clock, draw_run, find_rows
 from zerodrift.report.findings import Findings, Trace
 from zerodrift.report.thin import pick_spread
 from zerodrift.workbench import panels
+from zerodrift.workbench.views import choose_first
 from zerodrift.workbench.workplace import Workplace
 
 MOST_ROWS = 100
@@ -18,53 +20,53 @@ MOVES = ("earlier", "later", "closer", "wider", "whole")
 CLOSER = 0.5
 STEP = 0.5
 """Of the width that is shown, for one press of earlier or later."""
+MOST_PRESSES = 50
+"""Presses of one button that are answered at once; no run is longer than that."""
 
 
 def draw_main(
     place: Workplace,
-    output: str | None,
-    run: str | None,
-    ghost: str | None,
-    goto: dict[str, Any] | None,
+    view: Mapping[str, Any] | None,
+    presses: Mapping[str, int | None],
     moved: dict[str, Any] | None,
-    drawn: list[Any] | None,
+    drawn: Mapping[str, Any] | None,
 ) -> tuple[Any, ...]:
     """Return the chart of one run, refined to the part that is shown, and what went on there.
 
+    A request may be answered by a later one of the same chart, and two may be made as one. So what
+    is asked for is told from what was drawn last, and not from what changed last.
+
     Args:
         place: the project.
-        output: chosen.
-        run: chosen.
-        ghost: effect to draw over what is left.
-        goto: the segment that was asked for last.
+        view: output, run, and ghost (the effect to draw over what is left) as chosen, and `part`,
+            the worst segment that was asked for last, with its number among such requests; None
+            where the page has told nothing yet.
+        presses: how often each of `MOVES` was pressed.
         moved: what the chart tells of a zoom.
-        drawn: what is drawn now: what of, from when to when, and the zoom that was answered.
+        drawn: what is drawn now.
     """
     findings = place.findings
-    names = [trace.run for trace in findings.traces] if findings is not None else []
-    if findings is None or output not in findings.outputs or run not in names:
+    if findings is None:
+        return tuple([no_update] * 4)
+    output, run = choose_first(findings)
+    if view is not None:
+        output, run = view["output"], view["run"]
+    if output not in findings.outputs or run not in [trace.run for trace in findings.traces]:
         return tuple([no_update] * 4)
     trace = findings.find_trace(run)
-    wanted = [place.shown, output, run, ghost]
-    causes = {told["prop_id"].partition(".")[0] for told in ctx.triggered}
-    window = Window(run)
-    if drawn and drawn[2] == run:
-        window = Window(run, *drawn[4])
-    if "goto" in causes and goto is not None and (goto["run"], goto["output"]) == (run, output):
-        window = Window(run, goto["from_s"], goto["to_s"])
-    elif drawn and drawn[:4] == wanted:
-        # A request may be answered by a later one of the same chart, so what was answered is
-        # looked at, and not what changed last.
-        moves = causes & set(MOVES)
-        found = read_zoom(trace, moved) if moved and moved != drawn[5] else None
-        if moves:
-            window = move_window(trace, window, moves.pop())
-        elif found is not None:
-            window = found
-        else:
-            return tuple([no_update] * 4)
     k = findings.outputs.index(output)
+    ghost, part = ((view or {}).get(name) for name in ("ghost", "part"))
     curve = place.preview(ghost, run) if ghost else None
+    wanted = {
+        "chart": [place.shown, output, run, ghost if curve is not None else None],
+        "part": part["number"] if part else 0,
+        "presses": {name: presses.get(name) or 0 for name in MOVES},
+        "moved": moved,
+    }
+    changed = {name for name, value in wanted.items() if not drawn or drawn[name] != value}
+    if not changed or (changed == {"moved"} and read_zoom(trace, moved or {}) is None):
+        return tuple([no_update] * 4)
+    window = choose_window(trace, output, part, wanted, drawn)
     figure = draw_run(
         trace,
         findings.told["compare"],
@@ -77,8 +79,38 @@ def draw_main(
         figure,
         panels.show_segments(findings, run, output),
         panels.show_table(tabulate_part(findings, k, window)),
-        [*wanted, [window.from_s, window.to_s], moved],
+        {**wanted, "window": [window.from_s, window.to_s]},
     )
+
+
+def choose_window(
+    trace: Trace,
+    output: str,
+    part: Mapping[str, Any] | None,
+    wanted: Mapping[str, Any],
+    drawn: Mapping[str, Any] | None,
+) -> Window:
+    """Return the part of a run to be shown: what was shown of it, and moved as was asked since.
+
+    Args:
+        trace: the run.
+        output: which one is shown.
+        part: the worst segment that was asked for last.
+        wanted: what is to be drawn, as `draw_main` keeps it.
+        drawn: what was drawn last.
+    """
+    of_part = part is not None and (part["run"], part["output"]) == (trace.run, output)
+    if part is not None and of_part and wanted["part"] != (drawn["part"] if drawn else 0):
+        return Window(trace.run, part["from_s"], part["to_s"])
+    if not drawn or drawn["chart"][2] != trace.run:
+        return Window(trace.run)
+    window = Window(trace.run, *drawn["window"])
+    if wanted["moved"] != drawn["moved"]:
+        window = read_zoom(trace, wanted["moved"] or {}) or window
+    for move in MOVES:
+        for _ in range(min(wanted["presses"][move] - drawn["presses"][move], MOST_PRESSES)):
+            window = move_window(trace, window, move)
+    return window
 
 
 def read_zoom(trace: Trace, moved: dict[str, Any]) -> Window | None:
@@ -114,27 +146,6 @@ def move_window(trace: Trace, window: Window, move: str) -> Window:
         return Window(trace.run)
     middle = min(max(middle, first + 0.5 * width), last - 0.5 * width)
     return Window(trace.run, middle - 0.5 * width, middle + 0.5 * width)
-
-
-def go_to_segment(place: Workplace) -> tuple[Any, ...]:
-    """Return output, run and part of the worst segment whose button was pressed."""
-    findings = place.findings
-    if findings is None or not ctx.triggered or not ctx.triggered[0]["value"]:
-        return tuple([no_update] * 3)
-    worst = findings.told["compare"]["worst"]
-    number = int(ctx.triggered_id["number"])
-    if number > len(worst):
-        return tuple([no_update] * 3)
-    segment = worst[number - 1]
-    beside = segment["to_s"] - segment["from_s"]
-    time_s = findings.find_trace(segment["run"]).time_s
-    goto = {
-        "run": segment["run"],
-        "output": segment["output"],
-        "from_s": max(segment["from_s"] - beside, float(time_s[0])),
-        "to_s": min(segment["to_s"] + beside, float(time_s[-1])),
-    }
-    return segment["output"], segment["run"], goto
 
 
 def tabulate_part(findings: Findings, k: int, window: Window) -> tables.Table:

@@ -23,7 +23,8 @@ MOVES = (
     ("wider", "Wider"),
     ("whole", "Whole run"),
 )
-STORES = ("guess", "pressed", "begun", "drawn", "goto", "below")
+STORES = ("guess", "drawn", "view", "picks", "below")
+"""Of them `view` and `picks` are written by the page's script: what is chosen now."""
 PAGE = """<!doctype html>
 <html lang="en">
 <head>
@@ -50,12 +51,12 @@ def lay_out() -> Any:
             dcc.Store(id="version", data=-1),
             *stores,
             html.Div(
-                [html.Div(id="job", role="status"), html.Button("Cancel", id="cancel")],
+                [html.Div(id="job", role="status"), _press("Cancel", "cancel")],
                 id="job-box",
                 hidden=True,
             ),
             html.Div(
-                [html.P("", id="message", role="alert"), html.Button("Dismiss", id="dismiss")],
+                [html.P("", id="message", role="alert"), _press("Dismiss", "dismiss")],
                 id="message-box",
                 hidden=True,
             ),
@@ -76,9 +77,22 @@ def _lay_out_contents() -> Any:
     return html.Nav([html.Ol(links), theme], className="contents", **{"aria-label": "Contents"})
 
 
-def _choose(words: str, name: str, **options: Any) -> Any:
-    """Return a dropdown with its words."""
-    return html.Label([words, dcc.Dropdown(id=name, **options)], className="wide")
+def _choose(words: str, name: str, *, store: str = "picks", empty: str | None = "choose") -> Any:
+    """Return a list to choose from, with its words; its choices come by `data-choices`.
+
+    Args:
+        words: what is chosen.
+        name: of the list.
+        store: which is told what is chosen.
+        empty: words for nothing chosen; without them there is always a choice.
+    """
+    told = {"data-store": store, **({} if empty is None else {"data-empty": empty})}
+    return html.Label([words, html.Select(id=name, **told)], className="wide")
+
+
+def _press(words: str, button: str, **options: Any) -> Any:
+    """Return a button that has the server do something."""
+    return html.Button(words, id=button, **{"data-press": button}, **options)
 
 
 def _lay_out_top() -> list[Any]:
@@ -104,14 +118,14 @@ def _lay_out_top() -> list[Any]:
                 html.Div(id="adds", className="adds"),
                 html.Div(
                     [
-                        _choose("another effect", "effect", placeholder="choose"),
-                        html.Button("Add it", id="add-chosen"),
+                        _choose("another effect", "effect"),
+                        _press("Add it", "add-chosen"),
                     ],
                     className="pair",
                 ),
                 html.Label(force),
-                html.Button("Undo", id="undo"),
-                html.Button("Look again", id="look"),
+                _press("Undo", "undo"),
+                _press("Look again", "look"),
             ],
             id="actions",
             className="actions",
@@ -126,9 +140,9 @@ def _lay_out_sections() -> list[Any]:
     """Return the sections below the head."""
     ghost = "an effect, drawn over what is left"
     choices = [
-        _choose("Output", "output", clearable=False),
-        _choose("Run", "run", clearable=False),
-        _choose("What would it look like", "ghost", placeholder=ghost),
+        _choose("Output", "output", store="view", empty=None),
+        _choose("Run", "run", store="view", empty=None),
+        _choose("What would it look like", "ghost", store="view", empty=ghost),
     ]
     chart = dcc.Graph(id="main", config=panels.GRAPH, style={"height": "520px"})
     table = [
@@ -163,7 +177,7 @@ def _lay_out_sections() -> list[Any]:
             "Effects in the model",
             html.Div(id="model"),
             html.Div(
-                [_choose("Effect", "present"), html.Button("Remove", id="remove")],
+                [_choose("Effect", "present"), _press("Remove", "remove")],
                 className="actions",
             ),
         ),
@@ -172,8 +186,8 @@ def _lay_out_sections() -> list[Any]:
             "Firmware",
             html.Div(
                 [
-                    *(html.Button(words, id=name) for words, name in buttons),
-                    html.Button("Write report", id="report"),
+                    *(_press(words, name) for words, name in buttons),
+                    _press("Write report", "report"),
                 ],
                 className="actions",
             ),

@@ -76,7 +76,7 @@ def show_segments(findings: Findings, run: str, output: str) -> list[Any]:
         items.append(
             html.Li(
                 [
-                    html.Button(words, id={"type": "segment", "number": number}),
+                    html.Button(words, **{"data-choose": json.dumps(find_part(findings, segment))}),
                     f" {segment['pattern']}, RMSE {segment['rmse']:.3g} {unit}"
                     + (" (shaded above)" if is_here else ""),
                 ]
@@ -86,6 +86,23 @@ def show_segments(findings: Findings, run: str, output: str) -> list[Any]:
         html.P(f"The worst segments, with what was going on. {legend}", className="note"),
         html.Ul(items, className="segments"),
     ]
+
+
+def find_part(findings: Findings, segment: Mapping[str, Any]) -> dict[str, Any]:
+    """Return output, run and part to be shown of a worst segment: it, and as much on either side.
+
+    Args:
+        findings: what was found.
+        segment: one of the worst, as `compare` tells it.
+    """
+    beside = segment["to_s"] - segment["from_s"]
+    time_s = findings.find_trace(segment["run"]).time_s
+    return {
+        "output": segment["output"],
+        "run": segment["run"],
+        "from_s": max(segment["from_s"] - beside, float(time_s[0])),
+        "to_s": min(segment["to_s"] + beside, float(time_s[-1])),
+    }
 
 
 def show_revision(revision: Mapping[str, Any]) -> list[Any]:
@@ -249,11 +266,21 @@ def show_start(logs: Sequence[str], directory: str) -> list[Any]:
             className="drop",
         ),
         html.P("Logs in the directory: " + (", ".join(logs) or "none yet") + ".", id="logs-there"),
-        html.Button("Guess columns and begin", id="begin", className="primary", disabled=not logs),
+        html.Button(
+            "Guess columns and begin",
+            id="begin",
+            className="primary",
+            disabled=not logs,
+            **{"data-press": "begin"},
+        ),
         html.H2("Or practise"),
         html.P(
             "Simulated logs of a six-axis sensor with one hidden effect are written into this "
             "directory: guess what is hidden, then let the page tell you."
         ),
-        html.Button("Write simulated logs with something hidden", id="practise"),
+        html.Button(
+            "Write simulated logs with something hidden",
+            id="practise",
+            **{"data-press": "practise"},
+        ),
     ]

@@ -8,6 +8,7 @@ from flask import Flask, Response, jsonify, request, send_file
 from werkzeug.serving import WSGIRequestHandler, make_server
 
 from zerodrift.errors import InputError
+from zerodrift.workbench.actions import press
 from zerodrift.workbench.app import make_app
 from zerodrift.workbench.security import guard, make_token
 from zerodrift.workbench.uploads import place_upload, receive
@@ -88,7 +89,7 @@ class Workbench:
 
 
 def add_routes(server: Flask, place: Workplace) -> None:
-    """Add the two routes beside the page: a log going in, the report coming out."""
+    """Add the routes beside the page: a button pressed, a log going in, the report coming out."""
 
     def upload() -> tuple[Response, int]:
         name = request.args.get("name", "")
@@ -115,6 +116,16 @@ def add_routes(server: Flask, place: Workplace) -> None:
             place.tell(str(error))
         return jsonify({}), 400
 
+    def pressed() -> tuple[Response, int]:
+        told = request.get_json(silent=True)
+        try:
+            if not isinstance(told, dict):
+                raise InputError("what was pressed is not told; expected a JSON object.")
+            press(place, str(told.get("button", "")), told)
+        except InputError as error:
+            return jsonify({"error": str(error)}), 400
+        return jsonify({}), 200
+
     def report() -> Response:
         path = place.directory / "report.html"
         if not path.is_file():
@@ -123,4 +134,5 @@ def add_routes(server: Flask, place: Workplace) -> None:
 
     server.add_url_rule("/upload", view_func=upload, methods=["POST"])
     server.add_url_rule("/upload/refused", view_func=refuse, methods=["POST"])
+    server.add_url_rule("/press", view_func=pressed, methods=["POST"])
     server.add_url_rule("/report.html", view_func=report)

@@ -1,5 +1,6 @@
 """The parts of the page that tell the verdict: what is missing, why, and why not the others."""
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -50,19 +51,18 @@ def list_addable(findings: Findings) -> list[str]:
     return [diagnosed["effect"], *diagnosed["lookalikes"]]
 
 
-def make_add(effect: str, place: str, *, words: str = "", primary: bool = False) -> Any:
+def make_add(effect: str, *, words: str = "", primary: bool = False) -> Any:
     """Return a button that adds an effect.
 
     Args:
         effect: its kind.
-        place: where on the page the button is, since one effect may have several.
         words: on it; left out, `Add EFFECT`.
         primary: whether it is what the page proposes.
     """
     return html.Button(
         words or f"Add {effect}",
-        id={"type": "add", "effect": effect, "place": place},
         className="primary" if primary else "",
+        **{"data-press": "add", "data-effect": effect},
     )
 
 
@@ -71,16 +71,14 @@ def show_adds(findings: Findings) -> list[Any]:
     diagnosed = findings.told["diagnose"]
     names = list_addable(findings)
     alike = [
-        make_add(name, "top", words=f"Add look-alike {name}" if number else "", primary=not number)
+        make_add(name, words=f"Add look-alike {name}" if number else "", primary=not number)
         for number, name in enumerate(names)
     ]
     others = diagnosed["thermometers"] if diagnosed is not None else []
     if others:
         told = others[0]
         kind = told["command"].split()[2]
-        alike.append(
-            make_add(kind, "top", words=f"Add {kind} after {told['signal']}", primary=True)
-        )
+        alike.append(make_add(kind, words=f"Add {kind} after {told['signal']}", primary=True))
     return alike
 
 
@@ -118,10 +116,12 @@ def _show_candidate(
         f"{name} {value:.4g} {units.get(name, '').removeprefix('1')}".rstrip()
         for name, value in candidate["parameters"].items()
     )
-    buttons = [make_add(kind, "ranking", primary=is_named)]
+    buttons = [make_add(kind, primary=is_named)]
     if kind in previews:
         draw = html.Button(
-            "Draw it over what is left", id={"type": "draw", "effect": kind}, className="draw"
+            "Draw it over what is left",
+            className="draw",
+            **{"data-choose": json.dumps({"ghost": kind})},
         )
         buttons.insert(0, draw)
     return html.Li(

@@ -1,10 +1,12 @@
 """What the page shows at a moment: one function for each group of its parts."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dash import ctx, html, no_update
+from dash import html, no_update
 
+from zerodrift.report.findings import Findings
 from zerodrift.workbench import panels, verdicts
 from zerodrift.workbench.uploads import list_logs
 from zerodrift.workbench.workplace import Workplace
@@ -44,9 +46,11 @@ def hides(place: Workplace, told: bool | None) -> bool:
     return place.is_practice and not told and not place.undo_stack and place.revision is None
 
 
-def show_top(place: Workplace, told: bool | None, guess: str | None) -> tuple[Any, ...]:
+def show_top(
+    place: Workplace, told: bool | None, picks: Mapping[str, str] | None
+) -> tuple[Any, ...]:
     """Return the head of the page: the verdict, and what can be done about it."""
-    findings = place.findings
+    findings, guess = place.findings, (picks or {}).get("guess-choice")
     if findings is None:
         return tuple([no_update] * 11)
     waits = hides(place, told)
@@ -68,7 +72,7 @@ def show_top(place: Workplace, told: bool | None, guess: str | None) -> tuple[An
         kind,
         parts,
         not waits,
-        [NOTHING, *findings.told["catalogue"]],
+        write_choices([NOTHING, *findings.told["catalogue"]]),
         guessed,
         waits,
         verdicts.show_adds(findings),
@@ -76,42 +80,44 @@ def show_top(place: Workplace, told: bool | None, guess: str | None) -> tuple[An
     )
 
 
-def list_choices(place: Workplace, told: bool | None, *now: Any) -> tuple[Any, ...]:
-    """Return what can be chosen; what was chosen stays chosen as long as it is there.
+def list_choices(place: Workplace, told: bool | None) -> tuple[Any, ...]:
+    """Return what can be chosen of output, run, ghost, effect and present, each as JSON.
 
-    What stays is not sent: this answer may be older than what the user chose meanwhile.
+    What is chosen is up to the page's script: an answer of the server may be older than the
+    user's choice.
     """
     findings = place.findings
     if findings is None:
-        return tuple([no_update] * 10)
-    output, run, ghost, effect, present = now
-    compared = findings.told["compare"]
-    runs = [
-        {"label": t.run + ("" if t.held_out else " (learnt from)"), "value": t.run}
-        for t in findings.traces
-    ]
-    names = [trace.run for trace in findings.traces]
-    worst = compared["worst"][0] if compared["worst"] else None
+        return tuple([no_update] * 5)
+    first_output, first_run = choose_first(findings)
+    runs = [(t.run + ("" if t.held_out else " (learnt from)"), t.run) for t in findings.traces]
     ghosts = [] if hides(place, told) else list(place.previews)
     kinds = [term["name"] for term in findings.told["model"]["terms"]]
-    others = list(findings.told["catalogue"])
     return (
-        list(findings.outputs),
-        _keep(output, findings.outputs, worst["output"] if worst else findings.outputs[0]),
-        runs,
-        _keep(run, names, worst["run"] if worst else names[0]),
-        ghosts,
-        _keep(ghost, ghosts),
-        others,
-        _keep(effect, others),
-        kinds,
-        _keep(present, kinds),
+        write_choices(findings.outputs, first_output),
+        json.dumps({"choices": runs, "first": first_run}),
+        write_choices(ghosts),
+        write_choices(list(findings.told["catalogue"])),
+        write_choices(kinds),
     )
 
 
-def _keep(value: str | None, choices: Sequence[str], otherwise: str | None = None) -> Any:
-    """Return what to choose where what is chosen is not there any more."""
-    return no_update if value in choices or value == otherwise else otherwise
+def choose_first(findings: Findings) -> tuple[str, str]:
+    """Return the output and the run that are shown at first: those of the worst segment."""
+    worst = findings.told["compare"]["worst"]
+    if worst:
+        return worst[0]["output"], worst[0]["run"]
+    return findings.outputs[0], findings.traces[0].run
+
+
+def write_choices(names: Sequence[str], first: str = "") -> str:
+    """Return what can be chosen as the page's script reads it.
+
+    Args:
+        names: each its own words.
+        first: chosen as long as the user chose nothing; nothing, where left out.
+    """
+    return json.dumps({"choices": [(name, name) for name in names], "first": first})
 
 
 def show_sections(place: Workplace, told: bool | None) -> tuple[Any, ...]:
@@ -136,17 +142,12 @@ def show_sections(place: Workplace, told: bool | None) -> tuple[Any, ...]:
     )
 
 
-def tell_effect(place: Workplace, effect: str | None, told: bool | None) -> tuple[Any, bool]:
+def tell_effect(
+    place: Workplace, picks: Mapping[str, str] | None, told: bool | None
+) -> tuple[Any, bool]:
     """Return all that is known about the effect that was chosen in the list of effects."""
-    findings = place.findings
-    if findings is None or effect is None or hides(place, told):
+    findings, effect = place.findings, (picks or {}).get("effect")
+    if findings is None or not effect or hides(place, told):
         return [], True
     parts = verdicts.show_effect(findings, effect)
     return [html.H3(effect), *parts], not parts
-
-
-def choose_ghost() -> Any:
-    """Return the effect whose button was pressed, to be drawn over what is left."""
-    if not ctx.triggered or not ctx.triggered[0]["value"]:
-        return no_update
-    return ctx.triggered_id["effect"]

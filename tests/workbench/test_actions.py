@@ -6,6 +6,7 @@ import pytest
 
 pytest.importorskip("dash", reason="dash is not installed; `make setup` installs it")
 
+from zerodrift.errors import InputError
 from zerodrift.workbench import actions
 
 DIAGNOSED = {
@@ -25,68 +26,50 @@ def place(tmp_path):
         findings=SimpleNamespace(told={"diagnose": DIAGNOSED}),
         run=lambda name, title, arguments: ran.append((name, title, arguments)),
         tell=lambda text, **_: ran.append(text),
+        **dict.fromkeys(("undo", "look", "cancel", "dismiss")),
         ran=ran,
     )
 
 
-@pytest.fixture
-def click(monkeypatch):
-    """Return a function that says which button was pressed."""
-
-    def do(button, value=1):
-        told = SimpleNamespace(triggered=[{"value": value}], triggered_id=button)
-        monkeypatch.setattr(actions, "ctx", told)
-
-    return do
-
-
-def test_add_takes_the_form_that_the_diagnosis_found(place, click):
-    click({"type": "add", "effect": "zero_tempco", "place": "top"})
-    actions.press(place, None, None, [])
+def test_add_takes_the_form_that_the_diagnosis_found(place):
+    actions.press(place, "add", {"effect": "zero_tempco"})
     expected = ["add", "zero_tempco", "--json", "--hold", "order=2"]
     assert place.ran == [("add", "Adding zero_tempco", expected)]
 
 
-def test_add_of_a_look_alike_takes_its_name_alone_and_what_was_chosen_elsewhere_is_left(
-    place, click
-):
-    click({"type": "add", "effect": "dark_current", "place": "top"})
-    actions.press(place, "creep", None, ["keep"])
+def test_add_of_a_look_alike_takes_its_name_alone(place):
+    actions.press(place, "add", {"effect": "dark_current", "present": "creep", "force": True})
     assert place.ran == [
         ("add", "Adding dark_current", ["add", "dark_current", "--json", "--force"])
     ]
 
 
-def test_add_after_another_thermometer(place, click):
-    click({"type": "add", "effect": "thermal_lag", "place": "top"})
-    actions.press(place, None, None, [])
+def test_add_after_another_thermometer(place):
+    actions.press(place, "add", {"effect": "thermal_lag"})
     options = ["--set", "signal=body_temperature", "--set", "x=a b"]
     assert place.ran[0][2] == ["add", "thermal_lag", "--json", *options]
 
 
-def test_button_that_only_came_into_being_does_nothing(place, click):
-    click({"type": "add", "effect": "creep", "place": "ranking"}, value=None)
-    actions.press(place, None, None, [])
+def test_button_that_is_none_is_refused(place):
+    with pytest.raises(InputError, match="'format': is no button of the page; expected one of add"):
+        actions.press(place, "format", {})
     assert place.ran == []
 
 
 @pytest.mark.parametrize("button", ["add-chosen", "remove"])
-def test_nothing_chosen_is_told(place, click, button):
-    click(button)
-    actions.press(place, None, None, [])
+def test_nothing_chosen_is_told(place, button):
+    actions.press(place, button, {"effect": "", "present": None})
     assert place.ran[0].startswith("Choose")
 
 
-def test_remove_of_an_effect_that_follows_another_thermometer(place, click):
-    click("remove")
-    actions.press(place, None, "zero_tempco[body_temperature]", [])
+def test_remove_of_an_effect_that_follows_another_thermometer(place):
+    actions.press(place, "remove", {"present": "zero_tempco[body_temperature]"})
     told = ["remove", "zero_tempco", "--json", "--set", "signal=body_temperature"]
     assert place.ran == [("remove", "Removing zero_tempco[body_temperature]", told)]
 
 
-def test_logs_of_a_new_project_are_named_in_full(place, click):
+def test_logs_of_a_new_project_are_named_in_full(place):
     """A name that looks like an option is none, and no file of the same name elsewhere is taken."""
     (place.directory / "-x.csv").write_text("time_s\n0\n")
-    click("begin")
-    actions.begin(place)
+    actions.press(place, "begin", {})
     assert place.ran[0][2] == ["init", str(place.directory / "-x.csv"), "--json"]

@@ -3,6 +3,8 @@
 import json
 import re
 import shutil
+import threading
+import time
 from urllib.parse import urlsplit
 
 import pytest
@@ -10,7 +12,13 @@ from tests.loop.conftest import write_project
 from tests.workbench.conftest import serve
 from tests.workbench.test_workplace import run_command, settle, use_effect
 
+from zerodrift.workbench import views
 from zerodrift.workbench.chart import MOVES
+
+expect = pytest.importorskip(
+    "playwright.sync_api", reason="Playwright is not installed; `make setup-browser` does it"
+).expect
+expect.set_options(timeout=120_000)
 
 DRAWN = "#main .js-plotly-plot .scatterlayer .trace"
 
@@ -21,13 +29,17 @@ def open_page(page, bench):
     page.wait_for_selector("#verdict-sentence")
 
 
-def choose(page, dropdown, value):
-    """Choose in a dropdown by keyboard alone."""
-    page.locator(f"#{dropdown}").focus()
-    page.keyboard.press("Enter")
-    page.keyboard.type(value)
-    page.keyboard.press("ArrowDown")
-    page.keyboard.press("Enter")
+def choose(page, name, value):
+    """Choose in a list by keyboard alone, as soon as there is such a choice."""
+    chosen = page.locator(f"#{name}")
+    expect(chosen.locator(f"option[value='{value}']")).to_be_attached()
+    chosen.focus()
+    page.keyboard.press("Home")
+    for _ in range(chosen.locator("option").count()):
+        if chosen.input_value() == value:
+            return
+        page.keyboard.press("ArrowDown")
+    expect(chosen).to_have_value(value)
 
 
 def drop(page, name, text, size=None):
@@ -44,8 +56,32 @@ def drop(page, name, text, size=None):
     )
 
 
-def wait_for_job(page):
-    page.wait_for_function("document.getElementById('job').textContent === ''", timeout=120_000)
+def wait_for_job(page, bench):
+    """Wait until nothing runs, and the page has heard of it."""
+    settle(bench.place)
+    with page.expect_response(
+        lambda answer: '"tick.n_intervals"' in (answer.request.post_data or "")
+    ):
+        pass
+    expect(page.locator("#job")).to_have_text("")
+
+
+def tells(page, words, where="#verdict-sentence"):
+    """Wait until the page says so."""
+    expect(page.locator(where)).to_contain_text(words)
+
+
+def wait_until(is_so):
+    """Wait for something on the server's side."""
+    deadline = time.monotonic() + 120.0
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def dismiss(page):
+    page.click("#dismiss")
+    expect(page.locator("#message-box")).to_be_hidden()
 
 
 def read_numbers(page, selector):
@@ -60,11 +96,11 @@ def test_loop_in_the_browser(page, bench, project, tmp_path, keep):
     copy = tmp_path / "copy"
     shutil.copytree(project.directory, copy)
     open_page(page, bench)
-    assert "The model lacks thermal_lag" in page.inner_text("#verdict-sentence")
-    assert page.inner_text("#adds") == "Add thermal_lag"
+    tells(page, "The model lacks thermal_lag")
+    expect(page.locator("#adds")).to_have_text("Add thermal_lag")
+    wait_for_job(page, bench)
     keep(page, "1_named")
 
-    page.wait_for_function("document.getElementById('job').textContent === ''")
     _, told = run_command(copy, "add", "thermal_lag", "--json")
     page.locator("#adds button").focus()
     page.keyboard.press("Enter")
@@ -76,19 +112,14 @@ def test_loop_in_the_browser(page, bench, project, tmp_path, keep):
         assert float(rows[name][3]) < float(rows[name][2])
     assert project.toml.read_bytes() == (copy / "zerodrift.toml").read_bytes()
     page.wait_for_selector("#staircase .js-plotly-plot")
-    page.wait_for_function(
-        "document.getElementById('verdict-sentence')?.textContent.startsWith('Nothing is missing')"
-    )
-    wait_for_job(page)
+    expect(page.locator("#verdict-sentence")).to_have_text(re.compile("^Nothing is missing"))
+    wait_for_job(page, bench)
     keep(page, "2_added")
     _, diagnosed = run_command(copy, "diagnose", "--json")
-    assert f"{diagnosed['floor_ratio_before']:.2f} times" in page.inner_text("#verdict-sentence")
+    tells(page, f"{diagnosed['floor_ratio_before']:.2f} times")
 
     page.click("#undo")
-    page.wait_for_function(
-        "document.getElementById('verdict-sentence')?.textContent.includes('thermal_lag')"
-    )
-    assert "lacks thermal_lag" in page.inner_text("#verdict-sentence")
+    tells(page, "lacks thermal_lag")
     assert "thermal_lag" not in project.toml.read_text()
     assert page.wrong == []
     asked = {urlsplit(url).netloc for url in page.asked if url.startswith(("http", "ws"))}
@@ -124,17 +155,70 @@ def test_zoom_shows_more_of_less(page, bench):
 def test_effect_is_drawn_over_what_is_left_and_explained(page, bench, keep):
     open_page(page, bench)
     settle(bench.place)
-    page.wait_for_selector("#candidates button.draw")
     choose(page, "ghost", "thermal_lag")
-    page.wait_for_function(
-        "document.querySelector('#main .legend')?.textContent.includes('would look like')"
-    )
+    tells(page, "would look like", "#main .legend")
     choose(page, "effect", "thermal_gradient")
-    page.wait_for_function("document.getElementById('effect-told').textContent.includes('provoke')")
-    assert "Not it:" in page.inner_text("#effect-told")
+    tells(page, "provoke", "#effect-told")
+    tells(page, "Not it:", "#effect-told")
     page.click("#main-details summary")
     page.wait_for_selector("#main-table table")
     keep(page, "3_ghost")
+
+
+@pytest.mark.slow
+def test_answer_that_comes_late_takes_back_no_choice(page, bench, project, monkeypatch):
+    """While the server is asked what there is to choose, the user chooses."""
+    open_page(page, bench)
+    wait_for_job(page, bench)
+    asked, may_answer, list_choices = threading.Event(), threading.Event(), views.list_choices
+
+    def answer_late(*arguments):
+        told = list_choices(*arguments)
+        asked.set()
+        assert may_answer.wait(120.0)
+        return told
+
+    monkeypatch.setattr(views, "list_choices", answer_late)
+    shown = page.locator("#run").input_value()
+    other = next(t.run for t in bench.place.findings.traces if t.run != shown)
+    bench.place.previews = ()
+    bench.place.tell("What was drawn is gone for a moment.", is_error=False)
+    assert asked.wait(120.0)
+    choose(page, "run", other)
+    choose(page, "ghost", "thermal_lag")
+    choose(page, "effect", "thermal_gradient")
+    monkeypatch.setattr(views, "list_choices", list_choices)
+    may_answer.set()
+    expect(page.locator("#ghost option[value='thermal_lag']")).not_to_be_attached()
+    assert page.locator("#run").input_value() == other
+    assert page.locator("#effect").input_value() == "thermal_gradient"
+    tells(page, "provoke", "#effect-told")
+
+    bench.place.previews = ("thermal_lag",)
+    bench.place.tell("There it is again.", is_error=False)
+    expect(page.locator("#ghost")).to_have_value("thermal_lag")
+    tells(page, "would look like", "#main .legend")
+
+
+@pytest.mark.slow
+def test_add_pressed_while_the_page_is_drawn_anew_is_done(page, bench, project, monkeypatch):
+    open_page(page, bench)
+    wait_for_job(page, bench)
+    asked, may_answer, show_top = threading.Event(), threading.Event(), views.show_top
+
+    def answer_late(*arguments):
+        told = show_top(*arguments)
+        asked.set()
+        assert may_answer.wait(120.0)
+        return told
+
+    monkeypatch.setattr(views, "show_top", answer_late)
+    bench.place.tell("Draw it anew.", is_error=False)
+    assert asked.wait(120.0)
+    page.locator("#adds button").press("Enter")
+    may_answer.set()
+    page.wait_for_selector("#revision table")
+    assert 'kind = "thermal_lag"' in project.toml.read_text()
 
 
 @pytest.mark.slow
@@ -145,16 +229,16 @@ def test_each_look_alike_can_be_added(page, tmp_path, keep):
     project = write_project(directory, runs=8, tau_s=3.0)
     with serve(directory) as bench:
         open_page(page, bench)
-        assert "these logs cannot tell which" in page.inner_text("#verdict-sentence")
+        tells(page, "these logs cannot tell which")
         buttons = page.locator("#adds button").all_inner_texts()
         assert buttons[0] == "Add thermal_lag"
         assert "Add look-alike clock_delay" in buttons
-        wait_for_job(page)
+        wait_for_job(page, bench)
         keep(page, "9_look_alikes")
         page.click("text=Add look-alike clock_delay")
         page.wait_for_selector("#revision table")
-        assert "Added clock_delay" in page.inner_text("#revision")
-        wait_for_job(page)
+        tells(page, "Added clock_delay", "#revision")
+        wait_for_job(page, bench)
     assert 'kind = "clock_delay"' in project.toml.read_text()
     assert page.wrong == []
 
@@ -162,7 +246,7 @@ def test_each_look_alike_can_be_added(page, tmp_path, keep):
 @pytest.mark.slow
 def test_worst_segment_is_gone_to_and_walked_away_from_by_keyboard(page, bench):
     open_page(page, bench)
-    wait_for_job(page)
+    wait_for_job(page, bench)
     segment = bench.place.findings.told["compare"]["worst"][-1]
     read = (
         "() => { const plot = document.querySelector('#main .js-plotly-plot');"
@@ -188,19 +272,18 @@ def test_worst_segment_is_gone_to_and_walked_away_from_by_keyboard(page, bench):
 @pytest.mark.slow
 def test_what_hangs_is_cancelled_from_the_page_and_its_verdict_stays(page, bench, project):
     open_page(page, bench)
-    wait_for_job(page)
+    wait_for_job(page, bench)
     before = project.toml.read_text()
     use_effect(project, "return ()", extra="import time\ntime.sleep(600)")
-    page.wait_for_selector("#cancel", state="visible")
-    page.wait_for_function("document.getElementById('job').textContent.includes('Looking at')")
-    page.locator("#cancel").focus()
-    page.keyboard.press("Enter")
-    wait_for_job(page)
-    assert "lacks thermal_lag" in page.inner_text("#verdict-sentence")
+    tells(page, "Looking at", "#job")
+    page.locator("#cancel").press("Enter")
+    wait_for_job(page, bench)
+    tells(page, "lacks thermal_lag")
+    hung = bench.place.job
     project.toml.write_text(before)
-    page.wait_for_function("document.getElementById('job').textContent.includes('Looking at')")
-    wait_for_job(page)
-    assert "lacks thermal_lag" in page.inner_text("#verdict-sentence")
+    wait_until(lambda: bench.place.job is not hung)
+    wait_for_job(page, bench)
+    tells(page, "lacks thermal_lag")
     assert page.wrong == []
 
 
@@ -211,25 +294,20 @@ def test_errors_are_messages_and_the_page_lives_on(page, bench, project, keep):
     moved = project.directory.parent / "moved"
     shutil.move(project.directory / "logs", moved)
     page.wait_for_selector("#message-box.error")
-    assert "logs" in page.inner_text("#message")
+    tells(page, "logs", "#message")
     keep(page, "4_log_deleted")
-    page.click("#dismiss")
-    page.wait_for_selector("#message-box", state="hidden")
+    dismiss(page)
     shutil.move(moved, project.directory / "logs")
-    page.wait_for_function(
-        "document.getElementById('message').textContent.includes('changed outside')"
-    )
-    wait_for_job(page)
-    assert "lacks thermal_lag" in page.inner_text("#verdict-sentence")
+    tells(page, "changed outside", "#message")
+    wait_for_job(page, bench)
+    tells(page, "lacks thermal_lag")
     project.toml.write_text(project.toml.read_text().replace("[sensor]", "[senser]"))
     page.wait_for_selector("#message-box.error")
-    assert "zerodrift.toml:" in page.inner_text("#message")
-    page.click("#dismiss")
-    page.wait_for_selector("#message-box", state="hidden")
+    tells(page, "zerodrift.toml:", "#message")
+    dismiss(page)
     project.toml.write_text(project.toml.read_text().replace("[senser]", "[sensor]"))
     use_effect(project, "raise ZeroDivisionError('mine')")
-    wait_for_job(page)
-    page.wait_for_function("document.getElementById('message').textContent.includes('mine')")
+    tells(page, "mine", "#message")
     assert "Traceback" not in page.inner_text("#message")
     assert page.is_visible("#verdict")
     assert page.wrong == []
@@ -249,27 +327,22 @@ def test_new_project_from_a_chosen_log(page, project, tmp_path, keep):
             chooser.value.set_files(
                 [{"name": f"run_{number}.csv", "mimeType": "text/csv", "buffer": log.read_bytes()}]
             )
-            page.wait_for_function(
-                f"document.getElementById('logs-there').textContent.includes('run_{number}.csv')"
-            )
+            tells(page, f"run_{number}.csv", "#logs-there")
         drop(page, "run_3.csv", log.read_text())
-        page.wait_for_function(
-            "document.getElementById('logs-there').textContent.includes('run_3.csv')"
-        )
+        tells(page, "run_3.csv", "#logs-there")
         keep(page, "5_new_project")
         drop(page, "huge.csv", "", size=2 << 30)
         page.wait_for_selector("#message-box.error")
-        assert "huge.csv: is 2.1 GB" in page.inner_text("#message")
-        page.click("#dismiss")
-        page.wait_for_selector("#message-box", state="hidden")
+        tells(page, "huge.csv: is 2.1 GB", "#message")
+        dismiss(page)
         page.click("#begin")
         page.wait_for_selector(DRAWN)
         page.wait_for_selector("#errors table")
-        assert "Fz" in page.inner_text("#errors")
-        assert "temperature temperature_degC; Fz in N: Fz_N" in page.inner_text("#message")
+        tells(page, "Fz", "#errors")
+        tells(page, "temperature temperature_degC; Fz in N: Fz_N", "#message")
         text = (directory / "zerodrift.toml").read_text()
         assert 'measured = "Fz_N"' in text
-        wait_for_job(page)
+        wait_for_job(page, bench)
     # What is too large is refused by its size alone, which the console tells of as well.
     assert len(page.wrong) == 1
     assert "400 (BAD REQUEST)" in page.wrong[0]
@@ -284,7 +357,7 @@ def test_bad_file_is_a_message(page, tmp_path):
         page.wait_for_selector("#begin")
         page.click("#begin")
         page.wait_for_selector("#message-box.error")
-        assert "bad.csv" in page.inner_text("#message")
+        tells(page, "bad.csv", "#message")
         assert not (directory / "zerodrift.toml").exists()
         assert page.is_visible("#begin")
 
@@ -300,12 +373,12 @@ def test_practice_case_asks_for_a_guess_first(page, tmp_path, keep):
         page.wait_for_selector("#tell")
         assert page.query_selector("#verdict-sentence") is None
         assert "simulated data" in page.inner_text("#kicker").lower()
-        wait_for_job(page)
+        wait_for_job(page, bench)
         choose(page, "guess-choice", "creep")
         keep(page, "6_guess")
         page.click("#tell")
         page.wait_for_selector("#verdict-sentence")
-        assert "You guessed creep" in page.inner_text("#guess-told")
+        tells(page, "You guessed creep", "#guess-told")
     assert page.wrong == []
 
 
@@ -320,14 +393,11 @@ def test_train_firmware_verify_and_report_from_the_page(page, bench, project, ke
         ("report", "open report.html"),
     ):
         page.click(f"#{button}")
-        page.wait_for_function(
-            f"document.getElementById('outcome').textContent.includes({json.dumps(words)})",
-            timeout=300_000,
-        )
-        wait_for_job(page)
+        expect(page.locator("#outcome")).to_contain_text(words, timeout=300_000)
+        wait_for_job(page, bench)
     page.wait_for_selector("#firmware-told .table table")
     told = json.loads((project.directory / "build" / "firmware.json").read_text())
-    assert f"{told['flash_bytes']} B" in page.inner_text("#firmware-told")
+    tells(page, f"{told['flash_bytes']} B", "#firmware-told")
     keep(page, "7_firmware")
     with page.context.expect_page() as opened:
         page.click("#outcome a")
@@ -336,26 +406,23 @@ def test_train_firmware_verify_and_report_from_the_page(page, bench, project, ke
 
 
 @pytest.mark.slow
-def test_page_is_dark_where_the_reader_wants_it(browser, bench, keep):
-    window = browser.new_page(color_scheme="dark", viewport={"width": 1360, "height": 1000})
-    window.set_default_timeout(60_000)
-    open_page(window, bench)
-    ground = window.evaluate("getComputedStyle(document.body).backgroundColor")
+def test_page_is_dark_where_the_reader_wants_it(page, bench, keep):
+    page.emulate_media(color_scheme="dark")
+    open_page(page, bench)
+    ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert sum(int(part) for part in re.findall(r"\d+", ground)[:3]) < 150
-    ink = window.eval_on_selector(
-        "#main .xtick text, #main .x2tick text", "t => getComputedStyle(t).fill"
-    )
+    tick = page.locator("#main .xtick text, #main .x2tick text").first
+    ink = tick.evaluate("t => getComputedStyle(t).fill")
     assert sum(int(part) for part in re.findall(r"\d+", ink)[:3]) > 450
-    keep(window, "8_dark")
-    window.click("#theme")
-    assert "Dark page" in window.inner_text("#theme")
-    window.close()
+    keep(page, "8_dark")
+    page.click("#theme")
+    tells(page, "Dark page", "#theme")
 
 
 @pytest.mark.slow
 def test_everything_that_can_be_used_has_a_name_and_takes_the_keyboard(page, bench):
     open_page(page, bench)
-    wait_for_job(page)
+    wait_for_job(page, bench)
     unnamed = page.evaluate(
         "() => Array.from(document.querySelectorAll('#bench button, #bench input, #bench summary'))"
         ".filter(e => e.offsetParent !== null)"
@@ -368,9 +435,13 @@ def test_everything_that_can_be_used_has_a_name_and_takes_the_keyboard(page, ben
     reached = set()
     for _ in range(150):
         page.keyboard.press("Tab")
-        reached.add(page.evaluate("document.activeElement.id"))
-    assert any('"type":"add"' in name for name in reached)
-    assert any('"type":"segment"' in name for name in reached)
+        reached.add(
+            page.evaluate(
+                "(e => e.id || e.dataset.press || e.dataset.choose)(document.activeElement)"
+            )
+        )
+    assert "add" in reached
+    assert any('"from_s"' in (name or "") for name in reached)
     named = ("theme", "effect", "look", "output", "run", "ghost", "main-summary", "present")
     wanted = {*named, *MOVES, "add-chosen", "remove", "train", "firmware", "verify", "report"}
     assert wanted - reached == set()

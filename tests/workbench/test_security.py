@@ -87,6 +87,22 @@ def test_no_file_of_project_or_machine_is_served(bench, path):
     assert answer.status in (200, 400, 404, 500)
 
 
+def test_button_is_pressed_with_the_token_alone(bench):
+    answer, _ = ask(bench, "/press", method="POST", body=b'{"button": "undo"}')
+    assert answer.status == 403
+    assert bench.place.message is None
+
+
+@pytest.mark.parametrize("body", [b"", b"[]", b'{"button": "format"}', b'{"button": ["undo"]}'])
+def test_press_of_what_is_no_button_does_nothing(bench, body):
+    headers = {"Content-Type": "application/json"}
+    path = f"/press?token={bench.token}"
+    answer, text = ask(bench, path, method="POST", body=body, headers=headers)
+    assert answer.status == 400
+    assert b"expected" in text
+    assert bench.place.message is None
+
+
 def upload(bench, name, body, headers=None):
     from urllib.parse import quote
 

@@ -77,7 +77,11 @@ def test_guess_comes_before_the_verdict():
 def test_each_look_alike_has_a_button_of_its_own():
     diagnosed = told("missing", "creep", lookalikes=["ageing", "warm_up"], thermometers=[])
     buttons = show_adds(find(diagnosed))
-    assert [b.id["effect"] for b in buttons] == ["creep", "ageing", "warm_up"]
+    assert [b.to_plotly_json()["props"]["data-effect"] for b in buttons] == [
+        "creep",
+        "ageing",
+        "warm_up",
+    ]
     assert [b.children for b in buttons[1:]] == ["Add look-alike ageing", "Add look-alike warm_up"]
 
 

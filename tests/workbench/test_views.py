@@ -1,5 +1,6 @@
 """What the page offers, and what it leaves alone."""
 
+import json
 from types import SimpleNamespace
 
 import pytest
@@ -33,26 +34,16 @@ def place():
 
 
 def test_first_choice_is_the_worst_segment(place):
-    told = list_choices(place, None, None, None, None, None, None)
-    assert (told[1], told[3]) == ("Fz", "two")
-    assert (told[5], told[7], told[9]) == (no_update, no_update, no_update)
-
-
-def test_what_is_chosen_and_still_there_is_not_sent_back(place):
-    """An answer under way must not undo what the user chooses meanwhile."""
-    told = list_choices(place, None, "Fz", "one", "ageing", "ageing", "creep")
-    assert [told[i] for i in (1, 3, 5, 7, 9)] == [no_update] * 5
-
-
-def test_what_is_gone_is_not_chosen_any_more(place):
-    told = list_choices(place, None, "Mx", "three", "warm_up", "warm_up", "warm_up")
-    assert [told[i] for i in (1, 3, 5, 7, 9)] == ["Fz", "two", None, None, None]
+    output, run, *others = (json.loads(told) for told in list_choices(place, None))
+    assert output == {"choices": [["Fz", "Fz"]], "first": "Fz"}
+    assert run == {"choices": [["one", "one"], ["two", "two"]], "first": "two"}
+    assert [told["first"] for told in others] == ["", "", ""]
 
 
 def test_nothing_is_drawn_over_before_the_guess(place):
     place.is_practice = True
-    assert list_choices(place, None, None, None, None, None, None)[4] == []
-    assert list_choices(place, True, None, None, None, None, None)[4] == ["ageing"]
+    assert json.loads(list_choices(place, None)[2])["choices"] == []
+    assert json.loads(list_choices(place, True)[2])["choices"] == [["ageing", "ageing"]]
 
 
 @pytest.mark.parametrize(("busy", "words"), [(True, "Reading the logs"), (False, "says why")])

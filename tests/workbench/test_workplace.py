@@ -28,9 +28,9 @@ def settle(place, timeout_s=600.0):
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
         job = place.job
-        if job is not None and job.running:
+        if job is not None:
             job.wait(timeout_s)
-        if not place.busy:
+        if job is place.job:
             return
         time.sleep(0.02)
     raise AssertionError("still busy")

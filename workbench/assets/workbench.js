@@ -42,18 +42,79 @@
     told.rows.forEach((row) => write(body.insertRow(), "td", row, told.texts));
     place.replaceChildren(table);
   }
-  new MutationObserver((changes) => {
+  // What is chosen is kept here, in the lists themselves: the server says what there is to choose,
+  // and no answer of it, however late, can take back what the user chose meanwhile.
+  const wished = {};
+  const sent = {};
+  let part = null;
+  function tell(store) {
+    const told = {};
+    document.querySelectorAll("select[data-store=" + store + "]").forEach((list) => {
+      told[list.id] = list.value || null;
+    });
+    if (store === "view") { told.part = part; }
+    const text = JSON.stringify(told);
+    if (text !== sent[store]) {
+      sent[store] = text;
+      window.dash_clientside.set_props(store, { data: told });
+    }
+  }
+  function offer(list) {
+    const told = JSON.parse(list.dataset.choices);
+    const now = list.value;
+    const choices = "empty" in list.dataset ? [[list.dataset.empty, ""], ...told.choices] : told.choices;
+    list.replaceChildren(...choices.map(([words, value]) => new Option(words, value)));
+    const values = choices.map((choice) => choice[1]);
+    const kept = [wished[list.id], now, told.first].find((value) => values.includes(value));
+    list.value = kept === undefined ? values[0] : kept;
+  }
+  function choose(told) {
+    if ("from_s" in told) { part = Object.assign({}, told, { number: (part ? part.number : 0) + 1 }); }
+    ["output", "run", "ghost"].filter((name) => name in told).forEach((name) => {
+      const list = document.getElementById(name);
+      const isThere = Array.from(list.options).some((option) => option.value === told[name]);
+      if (!isThere) { list.append(new Option(told[name], told[name])); }
+      wished[name] = list.value = told[name];
+    });
+    tell("view");
+    document.getElementById("measured").scrollIntoView();
+  }
+  document.addEventListener("change", (event) => {
+    if (!event.target.matches("select[data-store]")) { return; }
+    wished[event.target.id] = event.target.value;
+    tell(event.target.dataset.store);
+  });
+  async function press(button) {
+    const told = {
+      button: button.dataset.press,
+      effect: button.dataset.effect || document.getElementById("effect").value,
+      present: document.getElementById("present").value,
+      force: Boolean(document.querySelector("#force input")?.checked),
+    };
+    await fetch("/press", {
+      method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(told),
+    });
+  }
+  function find(changes, attribute) {
     const places = new Set();
     changes.forEach((change) => {
-      if (change.type === "attributes") { places.add(change.target); }
+      if (change.attributeName === attribute) { places.add(change.target); }
       change.addedNodes.forEach((node) => {
         if (node.nodeType !== 1) { return; }
-        if (node.dataset.table) { places.add(node); }
-        node.querySelectorAll("[data-table]").forEach((inner) => places.add(inner));
+        if (node.hasAttribute(attribute)) { places.add(node); }
+        node.querySelectorAll("[" + attribute + "]").forEach((inner) => places.add(inner));
       });
     });
-    places.forEach(fill);
-  }).observe(root, { childList: true, subtree: true, attributes: true, attributeFilter: ["data-table"] });
+    return Array.from(places);
+  }
+  new MutationObserver((changes) => {
+    find(changes, "data-table").forEach(fill);
+    const lists = find(changes, "data-choices");
+    lists.forEach(offer);
+    new Set(lists.map((list) => list.dataset.store)).forEach(tell);
+  }).observe(root, {
+    childList: true, subtree: true, attributes: true, attributeFilter: ["data-table", "data-choices"],
+  });
   async function send(files) {
     for (const file of files) {
       if (file.size > largest) {
@@ -79,9 +140,10 @@
     if (drop) { drop.classList.remove("over"); send(event.dataTransfer.files); }
   });
   document.addEventListener("click", (event) => {
-    if (event.target.closest("button.draw, .segments button")) {
-      document.getElementById("measured").scrollIntoView();
-    }
+    const chooser = event.target.closest("[data-choose]");
+    if (chooser) { choose(JSON.parse(chooser.dataset.choose)); }
+    const button = event.target.closest("[data-press]");
+    if (button) { press(button); }
     if (event.target.id !== "choose") { return; }
     const input = document.createElement("input");
     input.type = "file";
