@@ -6,10 +6,9 @@ from dash import Dash, Input, Output, State
 from zerodrift.report.page import read_asset
 from zerodrift.workbench import views
 from zerodrift.workbench.chart import MOVES, draw_main
-from zerodrift.workbench.layout import PAGE, lay_out
+from zerodrift.workbench.first import CHART, CHOICES, FRAME, TOP, Places, lay_out_first
+from zerodrift.workbench.layout import PAGE, PLOTLY
 from zerodrift.workbench.workplace import Workplace
-
-CHOICES = ("output", "run", "ghost", "effect", "present")
 
 
 def make_app(workplace: Workplace) -> Dash:
@@ -21,12 +20,16 @@ def make_app(workplace: Workplace) -> Dash:
         serve_locally=True,
         suppress_callback_exceptions=True,
     )
-    app.index_string = PAGE.replace("STYLE", read_asset("page.css"))
-    app.layout = lay_out()
+    app.index_string = PAGE.replace("PLOTLY", PLOTLY).replace("STYLE", read_asset("page.css"))
+    app.layout = lambda: lay_out_first(workplace)
     _connect_frame(app, workplace)
     _connect_findings(app, workplace)
     _connect_chart(app, workplace)
     return app
+
+
+def _list(places: Places) -> list[Output]:
+    return [Output(name, attribute) for name, attribute in places]
 
 
 def _connect_frame(app: Dash, place: Workplace) -> None:
@@ -37,15 +40,12 @@ def _connect_frame(app: Dash, place: Workplace) -> None:
         Output("job-box", "hidden"),
         Input("tick", "n_intervals"),
         State("version", "data"),
+        prevent_initial_call=True,
     )(lambda _, version: views.poll(place, version))
     app.callback(
-        Output("start", "children"),
-        Output("start", "hidden"),
-        Output("bench", "hidden"),
-        Output("message", "children"),
-        Output("message-box", "hidden"),
-        Output("message-box", "className"),
+        *_list(FRAME),
         Input("version", "data"),
+        prevent_initial_call=True,
     )(lambda _: views.show_frame(place))
     app.clientside_callback(
         dash.ClientsideFunction("zerodrift", "turn"),
@@ -62,25 +62,17 @@ def _connect_findings(app: Dash, place: Workplace) -> None:
         Input("version", "data"),
     )
     app.callback(
-        Output("kicker", "children"),
-        Output("sensor", "children"),
-        Output("subtitle", "children"),
-        Output("verdict", "className"),
-        Output("verdict", "children"),
-        Output("guess-box", "hidden"),
-        Output("guess-choice", "data-choices"),
-        Output("guess-told", "children"),
-        Output("actions", "hidden"),
-        Output("adds", "children"),
-        Output("undo", "disabled"),
+        *_list(TOP),
         Input("version", "data"),
         Input("guess", "data"),
         State("picks", "data"),
+        prevent_initial_call=True,
     )(lambda _, told, picks: views.show_top(place, told, picks))
     app.callback(
-        *[Output(name, "data-choices") for name in CHOICES],
+        *_list(CHOICES),
         Input("version", "data"),
         Input("guess", "data"),
+        prevent_initial_call=True,
     )(lambda _, told: views.list_choices(place, told))
     app.callback(
         Output("revision", "children"),
@@ -101,21 +93,20 @@ def _connect_findings(app: Dash, place: Workplace) -> None:
         Input("version", "data"),
         Input("picks", "data"),
         Input("guess", "data"),
+        prevent_initial_call=True,
     )(lambda _, picks, told: views.tell_effect(place, picks, told))
 
 
 def _connect_chart(app: Dash, place: Workplace) -> None:
     """Connect the chart with what chooses its part."""
     app.callback(
-        Output("main", "figure"),
-        Output("cause", "children"),
-        Output("main-table", "children"),
-        Output("drawn", "data"),
+        *_list(CHART),
         Input("version", "data"),
         Input("view", "data"),
         *[Input(name, "n_clicks") for name in MOVES],
         Input("main", "relayoutData"),
         State("drawn", "data"),
+        prevent_initial_call=True,
     )(
         lambda _, view, *now: draw_main(
             place, view, dict(zip(MOVES, now, strict=False)), *now[len(MOVES) :]

@@ -23,6 +23,9 @@ MOVES = (
     ("wider", "Wider"),
     ("whole", "Whole run"),
 )
+PLOTLY = "/_dash-component-suites/plotly/package_data/plotly.min.js"
+"""Of Dash's own routes. Asked for at once, it is compiled while the other scripts run; left to
+Dash, it would be asked for when the page is there, and the page would wait for it."""
 STORES = ("guess", "drawn", "view", "picks", "below")
 """Of them `view` and `picks` are written by the page's script: what is chosen now."""
 PAGE = """<!doctype html>
@@ -30,13 +33,17 @@ PAGE = """<!doctype html>
 <head>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 {%metas%}
+<link rel="preload" as="script" href="PLOTLY">
+<link rel="preload" as="script" href="/_dash-component-suites/dash/dcc/async-graph.js">
+<link rel="preload" as="fetch" href="/_dash-layout" crossorigin>
+<link rel="preload" as="fetch" href="/_dash-dependencies" crossorigin>
 <title>{%title%}</title>
 <style>STYLE</style>
 {%css%}
 </head>
 <body>
 {%app_entry%}
-<footer class="scripts">{%config%}{%scripts%}{%renderer%}</footer>
+<footer class="scripts">{%config%}{%scripts%}<script src="PLOTLY"></script>{%renderer%}</footer>
 </body>
 </html>
 """

@@ -66,6 +66,9 @@ class Workbench:
             fd=listener.fileno(),
         )
         self.place.look()
+        # Dash collects its scripts and styles on the first request: here, while the logs are read.
+        client = app.server.test_client()
+        client.get("/", query_string={"token": self.token}, base_url=f"http://{HOST}:{self.port}")
 
     @property
     def url(self) -> str:

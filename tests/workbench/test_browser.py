@@ -20,7 +20,8 @@ expect = pytest.importorskip(
 ).expect
 expect.set_options(timeout=120_000)
 
-DRAWN = "#main .js-plotly-plot .scatterlayer .trace"
+DRAWN = "#main .js-plotly-plot:not(.dash-graph--pending) .scatterlayer .trace"
+"""The chart, drawn and listening."""
 
 
 def open_page(page, bench):

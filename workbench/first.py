@@ -1,0 +1,68 @@
+"""The page as it is sent first: with the verdict, the choices and the chart already in it.
+
+A page that came empty would ask for each of its parts, one after the other, before it drew
+anything.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from dash import no_update
+
+from zerodrift.workbench import views
+from zerodrift.workbench.chart import draw_main
+from zerodrift.workbench.layout import lay_out
+from zerodrift.workbench.workplace import Workplace
+
+Places = tuple[tuple[str, str], ...]
+"""Parts of the page that one function fills: id and property of each."""
+
+FRAME: Places = (
+    ("start", "children"),
+    ("start", "hidden"),
+    ("bench", "hidden"),
+    ("message", "children"),
+    ("message-box", "hidden"),
+    ("message-box", "className"),
+)
+TOP: Places = (
+    ("kicker", "children"),
+    ("sensor", "children"),
+    ("subtitle", "children"),
+    ("verdict", "className"),
+    ("verdict", "children"),
+    ("guess-box", "hidden"),
+    ("guess-choice", "data-choices"),
+    ("guess-told", "children"),
+    ("actions", "hidden"),
+    ("adds", "children"),
+    ("undo", "disabled"),
+)
+CHOICES: Places = tuple(
+    (name, "data-choices") for name in ("output", "run", "ghost", "effect", "present")
+)
+CHART: Places = (
+    ("main", "figure"),
+    ("cause", "children"),
+    ("main-table", "children"),
+    ("drawn", "data"),
+)
+
+
+def lay_out_first(place: Workplace) -> Any:
+    """Return the whole page, what is known by now filled in; the rest comes by the callbacks."""
+    # Read before all else: what changes meanwhile is then shown by the page's next request.
+    version = place.version
+    page = lay_out()
+    shown: Sequence[tuple[Places, Callable[[], tuple[Any, ...]]]] = (
+        (FRAME, lambda: views.show_frame(place)),
+        (TOP, lambda: views.show_top(place, None, None)),
+        (CHOICES, lambda: views.list_choices(place, None)),
+        (CHART, lambda: draw_main(place, None, {}, None, None)),
+    )
+    for places, show in shown:
+        for (name, attribute), value in zip(places, show(), strict=True):
+            if value is not no_update:
+                setattr(page[name], attribute, value)
+    page["version"].data = version
+    return page
