@@ -16,6 +16,7 @@ from zerodrift.report.figures import (
 from zerodrift.report.figures_runs import draw_output, draw_residual, list_means
 from zerodrift.report.findings import Findings, find_threshold
 from zerodrift.report.page import render_template
+from zerodrift.report.parts import list_parts
 from zerodrift.report.verdict import write_headline
 
 POINTS_OF_ALL_LINES = 60_000
@@ -97,6 +98,7 @@ def list_sections(findings: Findings) -> list[dict[str, Any]]:
                 "name": name,
                 "unit": unit,
                 "runs": draw_output(findings.traces, compared, name, most=most),
+                "parts": tables.tabulate_parts(list_parts(findings.traces, k), unit),
                 "residual": residual,
                 "means": tables.tabulate_means(list_means(residual), unit),
                 "correlation": correlation,

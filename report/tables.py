@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from zerodrift.report.parts import Part
 from zerodrift.report.verdict import explain_standing
 
 Told = Mapping[str, Any]
@@ -115,6 +116,33 @@ def tabulate_candidates(diagnosed: Told, titles: Mapping[str, str]) -> Table:
         *("held-out RMSE, of now", "p", "excitation"),
     )
     return Table("Effects that are not in the model", headings, tuple(rows), texts=4)
+
+
+def tabulate_parts(parts: Sequence[Part], unit: str) -> Table:
+    """Return what was measured, modelled and left along the runs, part by part.
+
+    Args:
+        parts: equal parts of each run.
+        unit: of the output.
+    """
+    rows = tuple(
+        (
+            part.run,
+            write_number(part.from_s, 6),
+            write_number(part.to_s, 6),
+            write_number(part.temperature_degC),
+            write_number(part.measured),
+            write_number(part.model),
+            write_number(part.left, 3),
+            write_number(part.left_rms, 3),
+        )
+        for part in parts
+    )
+    headings = (
+        *("run", "from, s", "to, s", "mean temperature, degC", f"mean drift, {unit}"),
+        *(f"mean of model, {unit}", f"mean of what is left, {unit}", f"its RMS, {unit}"),
+    )
+    return Table("Along the runs, as a table", headings, rows, note="Equal parts of each run.")
 
 
 def tabulate_means(means: Sequence[tuple[str, str, float, float]], unit: str) -> Table:

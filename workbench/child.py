@@ -6,6 +6,7 @@ Both write into the directory RESULT and say by an event when something there is
 """
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -48,6 +49,8 @@ def diagnose(directory: Path, result: Path, skip_invalid: bool) -> None:
     _tell(DIAGNOSED)
     if found is None:
         return
+    if hasattr(os, "nice"):  # not on Windows
+        os.nice(10)  # the verdict is on the page; what is drawn with it comes before further curves
     previews = preview_effects(
         config, dataset, catalogue, found["diagnosis"], PREVIEWS, print_progress
     )

@@ -16,6 +16,7 @@ from zerodrift.report.findings import (
     measure_rate,
     save_findings,
 )
+from zerodrift.report.parts import MOST_PARTS, list_parts
 from zerodrift.report.report import list_figures, render_report
 
 
@@ -92,7 +93,25 @@ def test_report_has_a_table_beside_every_figure_and_a_word_for_it(surveyed):
     for label, behind in re.findall(
         r'aria-label="([^"]*)".*?</figure>(.*?)(?=<figure|</main>)', page, re.DOTALL
     ):
-        assert "<table" in behind or "errors per run are in the table" in label, label
+        assert "<table" in behind, label
+
+
+def test_parts_in_the_table_cover_each_run_and_are_those_of_the_samples(surveyed):
+    traces = surveyed[1].traces
+    parts = list_parts(traces, 0)
+    for trace in traces:
+        mine = [part for part in parts if part.run == trace.run]
+        assert len(mine) == MOST_PARTS
+        assert (mine[0].from_s, mine[-1].to_s) == (trace.time_s[0], trace.time_s[-1])
+        third = mine[2]
+        rows = (trace.time_s >= third.from_s) & (trace.time_s <= third.to_s)
+        assert third.measured == np.mean(trace.drift[0, rows])
+        assert third.left == np.mean(trace.error[0, rows])
+        assert third.left_rms == np.sqrt(np.mean(np.square(trace.error[0, rows])))
+        assert third.model == np.mean(trace.drift[0, rows] - trace.error[0, rows])
+    many = list_parts(traces * 100, 0)
+    assert {part.run for part in many} == {trace.run for trace in traces}
+    assert len(many) == 100 * len(traces)
 
 
 def test_means_in_the_table_are_those_of_the_samples(surveyed):

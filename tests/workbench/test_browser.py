@@ -153,6 +153,16 @@ def test_zoom_shows_more_of_less(page, bench):
 
 
 @pytest.mark.slow
+def test_cursor_is_shared_by_measurement_and_residual(page, bench):
+    open_page(page, bench)
+    wait_for_job(page, bench)
+    for panel in ("x2y", "x2y2"):
+        page.hover(f"#main .nsewdrag[data-subplot='{panel}']")
+        for line in ("drift as measured", "model", "what is left"):
+            tells(page, line, "#main .hoverlayer")
+
+
+@pytest.mark.slow
 def test_effect_is_drawn_over_what_is_left_and_explained(page, bench, keep):
     open_page(page, bench)
     settle(bench.place)
