@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from numpy.typing import NDArray
 from unicorn import (
@@ -135,10 +136,12 @@ class EmulatedModel:
             _load(self._chip, image)
             table: Any = image.get_section_by_name(".symtab")
             self._symbols = {s.name: int(s["st_value"]) for s in table.iter_symbols()}
-            self._objects = {
-                s.name: int(s["st_size"])
-                for s in table.iter_symbols()
-                if s["st_info"]["type"] == "STT_OBJECT"
+            objects = [s for s in table.iter_symbols() if s["st_info"]["type"] == "STT_OBJECT"]
+            self._objects = {s.name: int(s["st_size"]) for s in objects}
+            self._constants = {
+                s.name
+                for s in objects
+                if not image.get_section(s["st_shndx"])["sh_flags"] & SH_FLAGS.SHF_WRITE
             }
         self._chip.mem_map(_STACK, _STACK_BYTES)
         self._chip.mem_map(_STOP, _PAGE)
@@ -184,7 +187,7 @@ class EmulatedModel:
     @property
     def arrays(self) -> dict[str, int]:
         """Name -> bytes of the model's and the runtime's constants, which lie in the flash."""
-        return {name: size for name, size in self._objects.items() if not name.startswith("chip_")}
+        return {name: size for name, size in self._objects.items() if name in self._constants}
 
     def read_memory(self, symbol: str) -> bytes:
         """Return the bytes of a constant or variable."""
@@ -214,11 +217,24 @@ class EmulatedModel:
             features: [I] what the layer reads; as they are if None.
             h_q30: [H] state before the step; as it is if None.
         """
+        self._write_layer(features, h_q30)
+        return self._count("chip_layer")
+
+    def step_layer(
+        self, features: NDArray[np.int16], h_q30: NDArray[np.int32]
+    ) -> NDArray[np.int32]:
+        """Return the state [H] that the recurrent layer's step makes of features [I], state [H]."""
+        self._write_layer(features, h_q30)
+        self._call("chip_layer")
+        return self._read("chip_h_q30", "<i4", h_q30.size)
+
+    def _write_layer(
+        self, features: NDArray[np.int16] | None, h_q30: NDArray[np.int32] | None
+    ) -> None:
         if features is not None:
             self._chip.mem_write(self._symbols["chip_features"], features.astype("<i2").tobytes())
         if h_q30 is not None:
             self._chip.mem_write(self._symbols["chip_h_q30"], h_q30.astype("<i4").tobytes())
-        return self._count("chip_layer")
 
     def _count(self, function: str) -> int:
         """Return the number of instructions of a call.

@@ -32,20 +32,26 @@ def compute_lines() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return offset, slope
 
 
-def compute_half() -> NDArray[np.int32]:
-    """Return the nodes from 0 up to one beyond the first that has the last one's value."""
-    nodes = tanh_nodes()[tanh_nodes().size // 2 :]
-    return nodes[: int(np.argmax(nodes == nodes[-1])) + 2]
+def compute_half() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return offset in Q0.30 and slope in Q0.19 of the lines from 0 up to the first level one.
+
+    tanh is odd: at -t the slope is that of t and the offset its negative.
+    """
+    offset, slope = (line[line.size // 2 :] for line in compute_lines())
+    last = int(np.argmax(slope == 0))
+    return offset[: last + 1], slope[: last + 1]
 
 
 def render_runtime_source() -> str:
     """Return zd_runtime.c with the tables that the reference uses."""
     template = make_environment().get_template("zd_runtime.c.j2")
     offset, slope = compute_lines()
-    half, slopes = compute_half().tolist(), [*slope.tolist(), 0]
+    half_offset, half_slope = compute_half()
+    slopes = [*slope.tolist(), 0]
     return template.render(
-        half=half,
-        half_crc=crc_of_words([*half, *OCTAVE_Q29]),
+        half_offsets=half_offset.tolist(),
+        half_slopes=half_slope.tolist(),
+        half_crc=crc_of_words([*half_offset.tolist(), *half_slope.tolist(), *OCTAVE_Q29]),
         offsets=offset.tolist(),
         slopes=slopes,
         lines_crc=crc_of_words([*offset.tolist(), *slopes, *OCTAVE_Q29]),

@@ -359,12 +359,29 @@ def read_lines(tables: Mapping[str, list[int]]) -> list[tuple[int, int]]:
             if max(map(abs, ends)) >= 1 << 31:
                 raise NotUnderstoodError(f"line {line} of tanh: the slope's product overflows")
             lines.append((offset + ends[0], offset + ends[1]))
-    half = tables.get("zd_tanh_half_q19", [])  # what small cores read instead, up to its end value
-    if any(node << 11 != start for node, (start, _) in zip(half, lines[256:], strict=False)):
-        raise NotUnderstoodError("zd_tanh_half_q19 is not the table of the other cores")
+        _require_half(tables)
     if len(lines) != 512:
         raise NotUnderstoodError(f"tanh has {len(lines)} lines; 512 are read")
     return lines
+
+
+def _require_half(tables: Mapping[str, list[int]]) -> None:
+    """Raise where the lines that are read at -Os are not those of the whole table, on either side.
+
+    They lie from 0 on; the last one is level and holds beyond; at -t the offset's sign changes.
+    """
+
+    def pair(stem: str) -> list[tuple[int, int]]:
+        names = (f"zd_tanh_{stem}offset_q30", f"zd_tanh_{stem}slope_q19")
+        return list(zip(*(tables[name] for name in names), strict=False))
+
+    if "zd_tanh_half_offset_q30" in tables:
+        half, whole = pair("half_"), pair("")
+        sizes = {len(tables[f"zd_tanh_half_{name}"]) for name in ("offset_q30", "slope_q19")}
+        half += [half[-1]] * (256 - len(half))
+        mirrored = [(-offset, slope) for offset, slope in reversed(half)]
+        if len(sizes) > 1 or half[-1][1] != 0 or mirrored + half != whole[:512]:
+            raise NotUnderstoodError("zd_tanh_half_* is not the table of the other cores")
 
 
 def _require_all(name: str, sizes: list[int], test: str) -> None:

@@ -23,7 +23,7 @@ CONDITION = re.compile(
     r"#(if ZD_RUNTIME_FORMAT != \d+|ifndef (?:ZD_OBSERVE|\w+_H)"
     r"|(?:el)?if ZD_KERNEL == (ZD_KERNEL_[A-Z]+)"
     r"|if \(ZD_KERNEL == ZD_KERNEL_PAIRS\) && defined\(ZD_GRU_ASSEMBLY\)"
-    r"|if ZD_GRU_ASSEMBLY == 6|if defined\((?:ZD_GRU_ASSEMBLY|ZD_SMALL)\)|else|endif)"
+    r"|if ZD_GRU_ASSEMBLY == 6|if defined\((?:ZD_GRU_ASSEMBLY|ZD_SMALL|ZD_UNALIGNED)\)|else|endif)"
 )
 
 

@@ -215,6 +215,13 @@ FAULTS = {
     "assembly": (C, r"    uint32_t flags = 0;", '    __asm__("nop");'),
     "table not monotone": (TABLE, TANH + r"((?:-?\d+,\s+){200})-?\d+", r"\1\g<2>7"),
     "table beyond one": (TABLE, r"524272\n", "524287\n"),
+    "half of the table another one": (
+        TABLE,
+        r"(zd_tanh_half_slope_q19\[\w+\] = \{\s+)\d",
+        r"\g<1>",
+    ),
+    "half of the table short": (TABLE, r"(zd_tanh_half_offset_q30\[\w+\] = \{\s+)0,", r"\1"),
+    "half of the table not level": (TABLE, r" 0\n(\};\n#else)", r" 1\n\1"),
     "table short": (TABLE, TANH + r"-?\d+,\s", r"\1"),
     "invariant wider than 16 bits": (RUNTIME, "1073709057", "1073741824"),
     "invariant narrower than a step": (RUNTIME, "1073709057", "1073709055"),

@@ -446,26 +446,23 @@ static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x
         "6:\n" /* r1 <- zd_tanh_q30(r1); changes r2 - r5 */
         "asrs r2, r1, #31\n"
 #if defined(ZD_SMALL)
-        "eors r1, r1, r2\n"
-        "subs r1, r1, r2\n"
-        "ldr r3, 10f\n"
-        "subs r3, r3, r1\n"
-        "asrs r4, r3, #31\n"
-        "ands r3, r3, r4\n"
-        "adds r1, r1, r3\n" /* no more than the table's end */
-        "lsrs r3, r1, #11\n"
-        "lsls r3, r3, #2\n"
-        "ldr r4, 9f\n"
-        "adds r4, r4, r3\n"
-        "ldm r4!, {r3, r5}\n"
-        "subs r5, r5, r3\n"
-        "lsls r1, r1, #21\n"
-        "lsrs r1, r1, #21\n"
-        "muls r1, r5, r1\n"
-        "lsls r3, r3, #11\n"
-        "adds r1, r1, r3\n"
-        "eors r1, r1, r2\n"
-        "subs r1, r1, r2\n"
+        "asrs r4, r1, #11\n"
+        "eors r4, r4, r2\n"
+        "movs r3, #177\n"
+        "subs r3, r3, r4\n"
+        "asrs r5, r3, #31\n"
+        "ands r3, r3, r5\n"
+        "adds r4, r4, r3\n" /* no more than the last line */
+        "lsls r4, r4, #1\n"
+        "ldr r3, 9f\n"
+        "ldrh r3, [r3, r4]\n"
+        "lsls r4, r4, #1\n"
+        "ldr r5, 10f\n"
+        "ldr r5, [r5, r4]\n"
+        "eors r5, r5, r2\n"
+        "subs r5, r5, r2\n"
+        "muls r1, r3, r1\n"
+        "adds r1, r1, r5\n"
 #else
         "asrs r3, r1, #19\n"
         "eors r3, r3, r2\n"
@@ -512,9 +509,9 @@ static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x
         ".align 2\n"
         "9:\n"
 #if defined(ZD_SMALL)
-        ".word zd_tanh_half_q19\n"
+        ".word zd_tanh_half_slope_q19\n"
         "10:\n"
-        ".word 362496\n"
+        ".word zd_tanh_half_offset_q30\n"
 #else
         ".word zd_tanh_slope_q19 + 512\n"
         "10:\n"
@@ -535,25 +532,33 @@ static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x
         "sub sp, sp, #44\n"
         "add r4, r1, #32\n" /* where the state ends */
 #if defined(ZD_SMALL)
-        "movw r5, #:lower16:zd_tanh_half_q19\n"
-        "movt r5, #:upper16:zd_tanh_half_q19\n"
-        "movw r6, #30719\n" /* from where the table ends to 2^31 - 1 */
-        "movt r6, #32762\n"
+        "movw r5, #:lower16:(zd_tanh_half_offset_q30 - 312)\n"
+        "movt r5, #:upper16:(zd_tanh_half_offset_q30 - 312)\n"
+        "movw r6, #:lower16:(zd_tanh_half_slope_q19 - 156)\n"
+        "movt r6, #:upper16:(zd_tanh_half_slope_q19 - 156)\n"
+        "mov r7, #78\n"
+        "and r8, r3, #2097152\n"
 #else
         "movw r5, #:lower16:(zd_tanh_offset_q30 + 1024)\n"
         "movt r5, #:upper16:(zd_tanh_offset_q30 + 1024)\n"
         "movw r6, #:lower16:(zd_tanh_slope_q19 + 512)\n"
         "movt r6, #:upper16:(zd_tanh_slope_q19 + 512)\n"
-#endif
-        "mov r7, #0x40000000\n"
         "mov r8, r3\n"
+#endif
         "stm sp, {r4-r8}\n"
+#if defined(ZD_UNALIGNED)
+        "ldr r4, [r2, #0]\n"
+        "str r4, [sp, #20]\n"
+        "ldrh r4, [r2, #4]\n"
+        "str r4, [sp, #24]\n"
+#else
         "ldrh r4, [r2, #0]\n"
         "ldrh r5, [r2, #2]\n"
         "orr r4, r4, r5, lsl #16\n"
         "str r4, [sp, #20]\n"
         "ldrh r4, [r2, #4]\n"
         "str r4, [sp, #24]\n"
+#endif
         "mov r12, r1\n"
         "add r3, sp, #28\n"
         "mov lr, #32768\n" /* half of what is cut off, doubled */
@@ -572,9 +577,8 @@ static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x
         "pkhtb r7, r11, r10, asr #16\n"
         "stm r3!, {r4-r7}\n"
         "1:\n"
-        "ldm r0!, {r1-r4}\n" /* biases */
         "ldrd r5, r6, [sp, #20]\n"
-        "ldm r0!, {r7-r11, lr}\n"
+        "ldm r0!, {r1-r4, r7-r11, lr}\n"
         "smlad r1, r5, r7, r1\n"
         "smlad r1, r6, r8, r1\n"
         "smlad r2, r5, r9, r2\n"
@@ -599,76 +603,56 @@ static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x
         "smlad r4, r6, lr, r4\n"
 "ldm sp, {r7-r11}\n"
 #if defined(ZD_SMALL)
-        "asr r1, r1, #11\n"
-        "eor r5, r1, r1, asr #31\n"
-        "sub r5, r5, r1, asr #31\n"
-        "qadd r5, r5, r9\n" /* no more than the table's end */
-        "sub r5, r5, r9\n"
-        "lsr r6, r5, #11\n"
-        "add r6, r8, r6, lsl #2\n"
-        "ldrd r6, lr, [r6]\n"
-        "sub lr, lr, r6\n"
-        "ubfx r5, r5, #0, #11\n"
-        "mul lr, lr, r5\n"
-        "add r6, lr, r6, lsl #11\n"
+        "ssat r1, #20, r1, asr #11\n"
+        "asr r5, r1, #11\n"
+        "eors r5, r5, r1, asr #31\n"
+        "uqadd8 r5, r5, r10\n"
+        "ldr r6, [r8, r5, lsl #2]\n"
+        "ldrh lr, [r9, r5, lsl #1]\n"
         "eor r6, r6, r1, asr #31\n"
-        "sub r1, r6, r1, asr #31\n"
+        "mla r1, lr, r1, r6\n"
+"adc r1, r1, #0x40000000\n" /* r_q31 */
+        "smmlar r3, r4, r1, r3\n"
+        "smmul r2, r2, r11\n" /* shifted, or 0 */
+        "eors r5, r2, r2, asr #31\n"
+        "usat r5, #8, r5, asr #11\n"
+        "uqadd8 r5, r5, r10\n"
+        "ldr r6, [r8, r5, lsl #2]\n"
+        "ldrh lr, [r9, r5, lsl #1]\n"
+        "eor r6, r6, r2, asr #31\n"
+        "mla r2, lr, r2, r6\n"
+"adc r2, r2, #0x40000000\n" /* u_q31, or 1/2 */
+        "ssat r3, #20, r3, asr #10\n"
+        "asr r5, r3, #11\n"
+        "eors r5, r5, r3, asr #31\n"
+        "uqadd8 r5, r5, r10\n"
+        "ldr r6, [r8, r5, lsl #2]\n"
+        "ldrh lr, [r9, r5, lsl #1]\n"
+        "eor r6, r6, r3, asr #31\n"
+        "mla r3, lr, r3, r6\n"
+"adc r3, r3, #0\n"
 #else
         "ssat r1, #20, r1, asr #11\n"
         "asr r5, r1, #11\n"
         "ldr r6, [r8, r5, lsl #2]\n"
         "ldrsh lr, [r9, r5, lsl #1]\n"
         "mla r1, lr, r1, r6\n"
-#endif
-"add r1, r1, r10\n" /* r_q31 */
+"add r1, r1, #0x40000000\n" /* r_q31 */
         "smmlar r3, r4, r1, r3\n"
-#if defined(ZD_SMALL)
-        "asr r2, r2, #11\n"
-        "eor r5, r2, r2, asr #31\n"
-        "sub r5, r5, r2, asr #31\n"
-        "qadd r5, r5, r9\n" /* no more than the table's end */
-        "sub r5, r5, r9\n"
-        "lsr r6, r5, #11\n"
-        "add r6, r8, r6, lsl #2\n"
-        "ldrd r6, lr, [r6]\n"
-        "sub lr, lr, r6\n"
-        "ubfx r5, r5, #0, #11\n"
-        "mul lr, lr, r5\n"
-        "add r6, lr, r6, lsl #11\n"
-        "eor r6, r6, r2, asr #31\n"
-        "sub r2, r6, r2, asr #31\n"
-#else
         "ssat r2, #20, r2, asr #11\n"
         "asr r5, r2, #11\n"
         "ldr r6, [r8, r5, lsl #2]\n"
         "ldrsh lr, [r9, r5, lsl #1]\n"
         "mla r2, lr, r2, r6\n"
-#endif
 "and r2, r2, r11\n"
-        "add r2, r2, r10\n" /* u_q31, or 1/2 */
-#if defined(ZD_SMALL)
-        "asr r3, r3, #10\n"
-        "eor r5, r3, r3, asr #31\n"
-        "sub r5, r5, r3, asr #31\n"
-        "qadd r5, r5, r9\n" /* no more than the table's end */
-        "sub r5, r5, r9\n"
-        "lsr r6, r5, #11\n"
-        "add r6, r8, r6, lsl #2\n"
-        "ldrd r6, lr, [r6]\n"
-        "sub lr, lr, r6\n"
-        "ubfx r5, r5, #0, #11\n"
-        "mul lr, lr, r5\n"
-        "add r6, lr, r6, lsl #11\n"
-        "eor r6, r6, r3, asr #31\n"
-        "sub r3, r6, r3, asr #31\n"
-#else
+        "add r2, r2, #0x40000000\n" /* u_q31, or 1/2 */
         "ssat r3, #20, r3, asr #10\n"
         "asr r5, r3, #11\n"
         "ldr r6, [r8, r5, lsl #2]\n"
         "ldrsh lr, [r9, r5, lsl #1]\n"
         "mla r3, lr, r3, r6\n"
 #endif
-"ldr r4, [r12]\n"
+        "ldr r4, [r12]\n"
         "sub r3, r3, r4\n"
         "smmulr r3, r3, r2\n"
         "add r4, r4, r3, lsl #1\n"

@@ -44,18 +44,33 @@ static inline void zd_put_pair(int32_t *v, int32_t low, int32_t high) {
 #endif
 }
 
+/* A state as the products read it. */
+static inline int32_t zd_state_q15(int32_t h_q30) {
+    return zd_asr32(h_q30 + ((int32_t)1 << 14), 15);
+}
+
 /* v [ZD_PAIR_SCRATCH] <- features and rounded state. */
 static inline void zd_gru_pack_pairs(const int16_t *x, uint32_t inputs, const int32_t *h_q30,
                                      uint32_t hidden, int32_t *v) {
-    const int32_t half = (int32_t)1 << 14;
     int32_t *to = v;
     for (uint32_t i = 0; i < inputs; i += 2u) {
         zd_put_pair(to, x[i], ((i + 1u) < inputs) ? x[i + 1u] : 0);
         to = &to[ZD_PER_PAIR];
     }
-    for (uint32_t j = 0; j < hidden; j += 2u) {
-        const int32_t high = ((j + 1u) < hidden) ? zd_asr32(h_q30[j + 1u] + half, 15) : 0;
-        zd_put_pair(to, zd_asr32(h_q30[j] + half, 15), high);
+    uint32_t j = 0;
+#if defined(__ARM_FEATURE_DSP)
+    for (; (j + 4u) <= hidden; j += 4u) { /* two pairs, which one instruction stores */
+        int32_t both[2];
+        zd_put_pair(&both[0], zd_state_q15(h_q30[j]), zd_state_q15(h_q30[j + 1u]));
+        zd_put_pair(&both[1], zd_state_q15(h_q30[j + 2u]), zd_state_q15(h_q30[j + 3u]));
+        to[0] = both[0];
+        to[1] = both[1];
+        to = &to[2];
+    }
+#endif
+    for (; j < hidden; j += 2u) {
+        const int32_t high = ((j + 1u) < hidden) ? zd_state_q15(h_q30[j + 1u]) : 0;
+        zd_put_pair(to, zd_state_q15(h_q30[j]), high);
         to = &to[ZD_PER_PAIR];
     }
 }

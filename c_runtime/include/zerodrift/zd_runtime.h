@@ -20,7 +20,7 @@
 
 /* How a GRU with 16-bit weights and its reset gate after the product is computed. All ways give the
  * same bits; the target's own macros choose, -DZD_KERNEL=... overrides (docs/reference/kernels.md).
- * ZD_SMALL trades speed for 2.3 KB of flash: a compiler that is told to optimise for size (-Os)
+ * ZD_SMALL trades speed for 2 KB of flash: a compiler that is told to optimise for size (-Os)
  * takes it, unless ZD_FAST is defined. All files of a build must do the same; otherwise it does not
  * link. */
 #if defined(__OPTIMIZE_SIZE__) && !defined(ZD_SMALL) && !defined(ZD_FAST)
@@ -39,6 +39,10 @@
 #endif
 #endif
 #endif
+/* The assembly may read two neighbours of 16 bits as one word, the first one low. */
+#if defined(__ARM_FEATURE_UNALIGNED) && !defined(__ARM_BIG_ENDIAN)
+#define ZD_UNALIGNED
+#endif
 #if !defined(ZD_KERNEL)
 #if defined(__ARM_FEATURE_MVE) && !defined(ZD_SMALL)
 #define ZD_KERNEL ZD_KERNEL_ROWS
@@ -55,7 +59,7 @@
 #define ZD_RUNTIME_FORMAT 2
 
 #if defined(ZD_SMALL)
-#define ZD_TANH_HALF_NODES 179 /* the assembly knows it too */
+#define ZD_TANH_HALF_LINES 178 /* the assembly knows it too */
 #else
 #define ZD_TANH_LINES 512
 #endif
@@ -66,13 +70,24 @@
 /* The table of the specification, 4.1, in one of two forms. An undefined reference to one of these
  * means that ZD_SMALL was defined for a part of the build only. */
 #if defined(ZD_SMALL)
-/* tanh at 0, 1/32, ..., 178/32 in Q0.19; beyond, the last value holds. */
-extern const int32_t zd_tanh_half_q19[ZD_TANH_HALF_NODES];
+/* Line i of 178, between i / 32 and the next: its rise in Q0.19 and where it cuts the axis in
+ * Q0.30. The last one is level and holds beyond it. At -t the slope is the same, the offset its
+ * negative. */
+extern const int32_t zd_tanh_half_offset_q30[ZD_TANH_HALF_LINES];
+extern const int16_t zd_tanh_half_slope_q19[ZD_TANH_HALF_LINES];
 #else
-/* Line i - 256 of 512, between (i - 256) / 32 and the next: its rise in Q0.19 and where it cuts the
- * axis in Q0.30. One more slope, so that a vector unit may read 32 bits at the last one. */
+/* Line i - 256 of 512, between (i - 256) / 32 and the next, as above on both sides of 0. One more
+ * slope, so that a vector unit may read 32 bits at the last one. */
 extern const int32_t zd_tanh_offset_q30[ZD_TANH_LINES];
 extern const int16_t zd_tanh_slope_q19[ZD_TANH_LINES + 1];
+#endif
+
+#if defined(ZD_SMALL)
+#define ZD_TANH_OFFSET_Q30 (&zd_tanh_half_offset_q30[0])
+#define ZD_TANH_SLOPE_Q19 (&zd_tanh_half_slope_q19[0])
+#else
+#define ZD_TANH_OFFSET_Q30 (&zd_tanh_offset_q30[256])
+#define ZD_TANH_SLOPE_Q19 (&zd_tanh_slope_q19[256])
 #endif
 
 /* 2^f = sum c[i] f^i for 0 <= f <= 1 in Q2.29. */
@@ -178,44 +193,30 @@ static inline int32_t zd_saturate20(int32_t t) {
 
 /* Where the table lies: kept in registers by a kernel that reads it often. */
 typedef struct {
-#if defined(ZD_SMALL)
-    const int32_t *half_q19;
-#else
     const int32_t *offset_q30; /* of the line from 0 on */
     const int16_t *slope_q19;
-#endif
 } zd_table_t;
 
 static inline void zd_find_table(zd_table_t *table) {
-#if defined(ZD_SMALL)
-    const int32_t *half = zd_tanh_half_q19;
-    ZD_FORGET(half);
-    table->half_q19 = half;
-#else
-    const int32_t *offset = &zd_tanh_offset_q30[256];
-    const int16_t *slope = &zd_tanh_slope_q19[256];
+    const int32_t *offset = ZD_TANH_OFFSET_Q30;
+    const int16_t *slope = ZD_TANH_SLOPE_Q19;
     ZD_FORGET(offset);
     ZD_FORGET(slope);
     table->offset_q30 = offset;
     table->slope_q19 = slope;
-#endif
 }
 
 /* tanh in Q0.30 of t in Q3.16, any int32: outside -8 .. 8 the ends hold. |result| <= 2^30 - 2^15.
  * |slope * t| < 2^29: where a line is steep, t is small. */
 static inline int32_t zd_read_q30(int32_t t_q16, const zd_table_t *table) {
 #if defined(ZD_SMALL)
-    const uint32_t end = (ZD_TANH_HALF_NODES - 2u) * 2048u;
     const int32_t sign = zd_asr32(t_q16, 31);
-    const uint32_t distance = (uint32_t)(t_q16 ^ sign) - (uint32_t)sign;
-    const uint32_t rest = end - distance;
-    int32_t beyond = zd_asr32((int32_t)rest, 31); /* -1 beyond the end, otherwise 0 */
+    const int32_t distance = zd_asr32(t_q16, 11) ^ sign; /* in lines, from 0 on either side */
+    const int32_t rest = (ZD_TANH_HALF_LINES - 1) - distance;
+    int32_t beyond = zd_asr32(rest, 31); /* -1 beyond the last line, otherwise 0 */
     ZD_FORGET_NUMBER(beyond);
-    const uint32_t position = distance + (rest & (uint32_t)beyond);
-    const int32_t start = table->half_q19[position >> 11];
-    const int32_t slope = table->half_q19[(position >> 11) + 1u] - start;
-    const int32_t size = (start * 2048) + (slope * (int32_t)(position & 2047u));
-    return (size ^ sign) - sign;
+    const int32_t line = distance + (rest & beyond);
+    return ((table->offset_q30[line] ^ sign) - sign) + (table->slope_q19[line] * t_q16);
 #else
     const int32_t position = zd_saturate20(t_q16);
     const int32_t line = zd_asr32(position, 11);
@@ -224,11 +225,7 @@ static inline int32_t zd_read_q30(int32_t t_q16, const zd_table_t *table) {
 }
 
 static inline int32_t zd_tanh_q30(int32_t t_q16) {
-#if defined(ZD_SMALL)
-    const zd_table_t table = {zd_tanh_half_q19};
-#else
-    const zd_table_t table = {&zd_tanh_offset_q30[256], &zd_tanh_slope_q19[256]};
-#endif
+    const zd_table_t table = {ZD_TANH_OFFSET_Q30, ZD_TANH_SLOPE_Q19};
     return zd_read_q30(t_q16, &table);
 }
 
