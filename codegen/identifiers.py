@@ -69,7 +69,8 @@ _STANDARD_HEADERS = re.compile(
 )
 """The model's own header must not hide one of these."""
 RESERVED_OUTPUTS = re.compile(
-    r"h|format|model_hash|model_id|channels|outputs|saved_bytes|flag_.*|fault_.*|.*_lsb_per_unit"
+    r"h|format|model_hash|model_id|channels|outputs|sample_period_us|saved_bytes|flag_.*|fault_.*"
+    r"|.*_lsb_per_unit"
 )
 """Macros of the header that the macro of an output's index must not take."""
 _LONGEST = 31  # characters that C99 promises to tell apart in external names

@@ -5,7 +5,11 @@
  *   front_end_state_t state;
  *   front_end_settle(&state, &input);               once, at power-on, with the first reading
  *   flags = front_end_step(&state, &input, drift);  every 0.5 s
- *   compensated = measured - drift
+ *   compensated = measured - drift                  in counts of FRONT_END_..._LSB_PER_UNIT
+ *
+ * Nothing is kept outside the state: any number of sensors, each with a state of its own, from any
+ * thread or interrupt. Two calls with the same state must not overlap. No pointer may be null. No call
+ * allocates memory or waits. C99, and C++ through extern "C".
  */
 #ifndef FRONT_END_H
 #define FRONT_END_H
@@ -22,33 +26,36 @@ extern "C" {
 #define FRONT_END_CHANNELS 3
 #define FRONT_END_OUTPUTS 3
 
-/* Index of each output in drift[], and how many counts make one unit. */
-#define FRONT_END_FX 0 /* Fx in N */
+/** Between two calls of front_end_step, in microseconds, rounded. */
+#define FRONT_END_SAMPLE_PERIOD_US UINT32_C(500000)
+
+/* Index of each output in drift[], and how many counts make one unit. The range is that of drift[]. */
+#define FRONT_END_FX 0 /* Fx in N, -1000000 .. 750000 counts */
 #define FRONT_END_FX_LSB_PER_UNIT 1
-#define FRONT_END_FY 1 /* Fy in N */
+#define FRONT_END_FY 1 /* Fy in N, -10000000 .. 7500000 counts */
 #define FRONT_END_FY_LSB_PER_UNIT 10
-#define FRONT_END_FZ 2 /* Fz in N */
+#define FRONT_END_FZ 2 /* Fz in N, -100000000 .. 75000000 counts */
 #define FRONT_END_FZ_LSB_PER_UNIT 100
 
 /* Flags returned by front_end_step; 0 = all is well. */
 #define FRONT_END_FLAG_WARMING_UP UINT32_C(1)        /* fewer than 5 steps since init */
-#define FRONT_END_FLAG_TEMPERATURE_RANGE UINT32_C(2) /* outside the calibrated temperatures */
-#define FRONT_END_FLAG_RATE_RANGE UINT32_C(4)        /* faster than any calibrated change */
+#define FRONT_END_FLAG_TEMPERATURE_RANGE UINT32_C(2) /* code outside -12000 .. 12000 */
+#define FRONT_END_FLAG_RATE_RANGE UINT32_C(4)        /* by more than 1000 counts in a step */
 #define FRONT_END_FLAG_CLAMPED UINT32_C(8)           /* the correction was limited */
 #define FRONT_END_FLAG_DAMAGED UINT32_C(16)          /* state not sound: drift is 0, state restarted */
 
-/* Raw codes as the hardware gives them. */
+/** Raw codes as the hardware gives them. */
 typedef struct {
     int16_t temperature; /* temperature: 0 + 0.0078125 degC per count */
     int16_t supply; /* supply: 1.5 + 0.0078125 degC per count */
     int16_t humidity; /* humidity: 3 + 0.0078125 degC per count */
 } front_end_input_t;
 
-/* Owned by the caller; one per sensor. */
+/** Owned by the caller; one per sensor. To be read and written by these functions alone. */
 typedef struct {
     uint32_t identity; /* FRONT_END_MODEL_ID once started */
-    uint32_t steps;
-    int16_t previous_temperature;
+    uint32_t steps; /* since the start, no more than 5 */
+    int16_t previous_temperature; /* code of the step before */
     int64_t lowpass_3_v;
     int32_t delay_6_line[5];
     uint16_t delay_6_oldest;
@@ -56,27 +63,28 @@ typedef struct {
     int32_t gru_h_q30[8];
 } front_end_state_t;
 
-/* Cold start: the first step takes its input to have lasted; the network warms up from nothing. */
+/** Cold start: the first step takes its input to have lasted; the network warms up from nothing. */
 void front_end_init(front_end_state_t *s);
 
-/* Start at rest, as if the input had lasted forever. */
+/** Start at rest, as if the input had lasted forever. */
 void front_end_settle(front_end_state_t *s, const front_end_input_t *in);
 
-/* One sample period later: writes the drift to subtract and returns the flags. */
+/** One sample period later: writes the drift to subtract and returns the flags. */
 uint32_t front_end_step(front_end_state_t *s, const front_end_input_t *in,
                   int32_t drift[FRONT_END_OUTPUTS]);
 
-/* Replays a built-in sequence and checks the CRC of the constants; 0 = this chip computes what the
+/** Replays a built-in sequence and checks the CRC of the constants; 0 = this chip computes what the
  * reference computed, otherwise the sum of the faults. */
 uint32_t front_end_selftest(void);
 #define FRONT_END_FAULT_REPLAY UINT32_C(1) /* another result: compiler, chip or memory */
 #define FRONT_END_FAULT_TABLES UINT32_C(2) /* weights or activation table damaged */
 
-/* Copies the state with version, model and CRC, for a reset without a new start. */
 #define FRONT_END_SAVED_BYTES (16u + sizeof(front_end_state_t))
+
+/** Copies the state with version, model and CRC, for a reset without a new start. */
 void front_end_save(const front_end_state_t *s, uint8_t saved[FRONT_END_SAVED_BYTES]);
 
-/* 0 = the state goes on from the copy; 1 = the copy is not sound, or another build's, and the state
+/** 0 = the state goes on from the copy; 1 = the copy is not sound, or another build's, and the state
  * is as after front_end_init. */
 uint32_t front_end_restore(front_end_state_t *s, const uint8_t saved[FRONT_END_SAVED_BYTES]);
 
