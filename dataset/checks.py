@@ -18,6 +18,8 @@ UNREADY_DEGC = -256.0
 """What a TMP117 reports before its first conversion (code 0x8000; datasheet, table 7-2)."""
 COLDEST_DEGC = -200.0
 HOTTEST_DEGC = 500.0
+LARGEST = 1e30
+"""No measured value is larger, in any unit; powers of it stay finite in double precision."""
 MIXED_RATIO = 1.5
 """Blocks of a run whose median intervals differ by more than this are mixed sampling."""
 _SKIP = "or pass --skip-invalid to drop"
@@ -41,11 +43,11 @@ def find_invalid_rows(table: Table, temperatures: Iterable[str]) -> Mask | None:
 def find_invalid_values(values: Array, is_temperature: bool) -> Mask | None:
     """Return where a column is invalid; None, without making a mask, when it is nowhere."""
     if not is_temperature:
-        # One pass without a mask: a sum of squares is finite only if every value is.
+        # One pass without a mask: no value is larger than the root of the sum of squares.
         with np.errstate(over="ignore", invalid="ignore"):
-            if np.isfinite(np.dot(values, values)):
+            if np.dot(values, values) <= LARGEST**2:
                 return None
-    low, high = (COLDEST_DEGC, HOTTEST_DEGC) if is_temperature else (-np.inf, np.inf)
+    low, high = (COLDEST_DEGC, HOTTEST_DEGC) if is_temperature else (-LARGEST, LARGEST)
     if is_temperature and values.min() >= low and values.max() <= high:
         return None
     invalid = ~(np.isfinite(values) & (values >= low) & (values <= high))
@@ -79,6 +81,11 @@ def explain_invalid_row(table: Table, invalid: Mask, temperatures: Iterable[str]
         return InputError(
             f"{place.text}: column '{column}' is {text.strip()}; expected a finite number. "
             f"Correct the row, {_SKIP} {rows}."
+        )
+    if column not in set(temperatures):
+        return InputError(
+            f"{place.text}: column '{column}' is {text.strip()}; expected a measured value, within "
+            f"{LARGEST:g} of 0. Correct the row, {_SKIP} {rows}."
         )
     if value == UNREADY_DEGC:
         return InputError(

@@ -20,6 +20,7 @@ from zerodrift.dataset.checks import (
 )
 from zerodrift.dataset.locate import find_blank_rows, locate_row
 from zerodrift.dataset.naming import RunKey, name_runs, refuse_overlaps
+from zerodrift.dataset.oddities import find_oddities
 from zerodrift.dataset.resample import COARSEST, MIN_STEPS, Stretch, plan_stretches
 from zerodrift.dataset.runs import Array, Dataset, Run
 from zerodrift.dataset.selectors import Selection, expand_selectors
@@ -70,6 +71,7 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
     names = name_runs([piece.key for use in USES for piece in pieces[use]], config.directory)
     runs = {use: tuple(_finish(piece, names, config) for piece in pieces[use]) for use in USES}
     _check_training(config, runs["train"], notes)
+    notes += find_oddities(config, [*runs["train"], *runs["test"]])
     return Dataset(
         train=runs["train"],
         test=runs["test"],

@@ -1,5 +1,6 @@
 """The second pass: line and text of a row that failed a check."""
 
+import itertools
 from dataclasses import dataclass
 
 import polars as pl
@@ -46,8 +47,8 @@ def find_blank_rows(source: Source) -> list[int]:
     if not source.is_csv or source.where:
         return []
     with source.path.open("rb") as file:
-        next(file)
-        return [row for row, line in enumerate(file) if not line.strip()]
+        lines = itertools.islice(file, source.head_lines, None)
+        return [row for row, line in enumerate(lines) if not line.strip()]
 
 
 def _explain_quotes(source: Source) -> str:
@@ -72,8 +73,8 @@ def _find_line(source: Source, record: int) -> int:
     """Return the 1-based line on which a record ends; a quoted field may hold line breaks."""
     current, last, is_quoted = -1, 1, False
     with source.path.open("rb") as file:
-        next(file)
-        for number, line in enumerate(file, start=2):
+        lines = itertools.islice(file, source.head_lines, None)
+        for number, line in enumerate(lines, start=source.head_lines + 1):
             last = number
             current += not is_quoted
             is_quoted ^= line.count(b'"') % 2 == 1

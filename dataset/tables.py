@@ -6,7 +6,7 @@ a second time, by `zerodrift.dataset.locate`, for the line and the text of the o
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +40,8 @@ class Source:
     """The character between CSV fields; None for Parquet."""
     where: Mapping[str, str]
     """Row filter: column -> value."""
+    head_lines: int = 1
+    """Lines before the first record of a CSV: the header and blank lines after it."""
 
     @property
     def is_csv(self) -> bool:
@@ -58,7 +60,7 @@ class Source:
                 self.path,
                 separator=self.separator or ",",
                 has_header=False,
-                skip_lines=1,
+                skip_lines=self.head_lines,
                 schema=schema,
                 ignore_errors=True,
                 glob=False,
@@ -146,7 +148,7 @@ def open_source(path: Path, label: str, where: Mapping[str, str]) -> Source:
                 "each name once. Rename one of them."
             )
     unique = tuple(name or f"\0unnamed{index}" for index, name in enumerate(names))
-    return Source(path, label, unique, separator, where)
+    return Source(path, label, unique, separator, where, _count_head_lines(head))
 
 
 def read_table(source: Source, needed: Mapping[str, str], run_column: bool = True) -> Table:
@@ -238,6 +240,13 @@ def _read_head(path: Path, label: str) -> bytes:
     return head
 
 
+def _count_head_lines(head: bytes) -> int:
+    """Return the number of lines up to the first record: the parser takes a blank one for one."""
+    lines = head.split(b"\n")[1:-1]
+    blank = next((count for count, line in enumerate(lines) if line.strip()), len(lines))
+    return 1 + blank
+
+
 def _read_parquet_names(path: Path, label: str) -> tuple[str, ...]:
     try:
         return tuple(pl.scan_parquet(path, glob=False).collect_schema().names())
@@ -284,7 +293,7 @@ def _explain_no_rows(source: Source) -> str:
         wanted = " and ".join(f"{column} = '{value}'" for column, value in source.where.items())
         seen = []
         for column in source.where:
-            known = Source(source.path, source.label, source.names, source.separator, {}).scan()
+            known = replace(source, where={}).scan()
             values = known.select(pl.col(column).cast(pl.String).unique()).collect().to_series()
             seen += [f"{column} is one of {', '.join(sorted(values.drop_nulls())[:8])}"]
         if any(not text.endswith("one of ") for text in seen):

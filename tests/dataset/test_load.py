@@ -53,6 +53,16 @@ def test_load_takes_blank_lines_for_nothing(project):
     assert dataset.notes == ()
 
 
+def test_load_takes_blank_lines_after_the_header_for_nothing(project):
+    path = project.directory / "log.csv"
+    expected = project.load().train[0].measured
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0], "", " ", *lines[1:]]) + "\n")
+    assert np.array_equal(project.load().train[0].measured, expected)
+    path.write_text("\n\n".join([*lines[:5], lines[5].replace(",", ",x", 1), *lines[6:]]) + "\n")
+    assert project.refusal().startswith("log.csv:11: column")
+
+
 def test_load_reads_files_of_a_glob_sorted_by_name(project, rows):
     for name in ("logs/b.csv", "logs/a.csv", "logs/deep/c.csv"):
         project.write_log(rows(), name)

@@ -25,6 +25,7 @@ def spoil(rows, row: int, column: int, value: str):
     [
         ("nan", "column 'Fz_N' is nan", "expected a finite number", "--skip-invalid"),
         ("inf", "column 'Fz_N' is inf", "expected a finite number", "--skip-invalid"),
+        ("1e308", "column 'Fz_N' is 1e308", "within 1e+30 of 0", "--skip-invalid"),
         ("-inf", "column 'Fz_N' is -inf", "expected a finite number", "--skip-invalid"),
         ("oops", "column 'Fz_N' holds 'oops'", "expected a finite number", "Correct the row"),
         ("NA", "column 'Fz_N' holds 'NA'", "expected a finite number", "Correct the row"),
