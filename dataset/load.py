@@ -2,8 +2,8 @@
 
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +69,7 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
     learnt_or_tested = pieces["train"] + pieces["test"]
     refuse_overlaps([piece.key for piece in learnt_or_tested if piece.part == 0])
     names = name_runs([piece.key for use in USES for piece in pieces[use]], config.directory)
-    runs = {use: tuple(_finish(piece, names, config) for piece in pieces[use]) for use in USES}
+    runs = {use: _link(_finish(piece, names, config) for piece in pieces[use]) for use in USES}
     _check_training(config, runs["train"], notes)
     notes += find_oddities(config, [*runs["train"], *runs["test"]])
     return Dataset(
@@ -325,6 +325,15 @@ def _finish(piece: _Piece, names: dict[RunKey, str], config: Config) -> Run:
         inputs={name: piece.inputs[name] for name in config.inputs},
         start_s=piece.key.start_s,
     )
+
+
+def _link(runs: Iterable[Run]) -> tuple[Run, ...]:
+    """Return the stretches, each of a run's later ones with the one before it."""
+    linked: list[Run] = []
+    for run in runs:
+        follows = run.part > 0 and linked and linked[-1].group == run.group
+        linked.append(replace(run, before=linked[-1]) if follows else run)
+    return tuple(linked)
 
 
 def _check_training(config: Config, train: Sequence[Run], notes: list[str]) -> None:

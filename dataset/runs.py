@@ -1,7 +1,7 @@
 """What a log becomes: uninterrupted stretches at one sample period, with units in the names."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +42,12 @@ class Run:
     """Optional channels [n] by the name that effects use: supply, humidity, clock, ..."""
     start_s: float | None = None
     """The log's own clock at the first row of the whole run; None: at this stretch's first."""
+    before: "Run | None" = field(default=None, repr=False, compare=False)
+    """The stretch of the same run before the gap; None for the first, or to begin at rest."""
+
+    def at_rest(self) -> "Run":
+        """Return the stretch as if nothing had been before it, as a chip takes it."""
+        return self if self.before is None else replace(self, before=None)
 
     @property
     def drift(self) -> Array:

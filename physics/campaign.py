@@ -21,7 +21,8 @@ from zerodrift.physics.rails import bridge
 from zerodrift.physics.rates import Rates
 from zerodrift.physics.reduction import Column, plan_reduction, select_means
 from zerodrift.physics.signals import SignalPlan, graph_inputs, name_signals, read_signals
-from zerodrift.physics.terms import Term, build_columns, build_features, name_feature
+from zerodrift.physics.terms import Term, build_features, name_feature
+from zerodrift.physics.tracks import build_stretches, lay_tracks
 
 Array = NDArray[np.float64]
 
@@ -101,8 +102,13 @@ class Campaign:
         """[G] the run that each piece belongs to."""
         self.ops = GraphOperations(plan.sample_period_s)
         self._signals = name_signals(self.ops, plan)
-        self._inputs = [graph_inputs(read_signals(run, plan)) for run in runs]
-        self.rates = Rates(self._inputs, self.reduction, plan.sample_period_s)
+        tracks = lay_tracks(runs, plan, block)
+        self.rates = Rates(
+            [graph_inputs(track.signals) for track in tracks],
+            [track.places for track in tracks],
+            self.reduction,
+            plan.sample_period_s,
+        )
         self._cache: OrderedDict[tuple[int, bool], Column] = OrderedDict()
         self.set_aside = set_aside
         self._drifts = [self._reduce_drift(k, None) for k in range(len(plan.outputs))]
@@ -241,9 +247,8 @@ class Campaign:
         if not self.set_aside or not self.plan.saturated:
             return
         predictions = []
-        for run in self.runs:
-            signals = read_signals(run, self.plan)
-            columns = build_columns(signals, terms, self.order, self.plan.sample_period_s)[1:]
+        built = build_stretches(self.runs, self.plan, terms, self.order)
+        for run, (_, *columns) in zip(self.runs, built, strict=True):
             prediction = np.zeros(run.drift.shape)
             for column, row in zip(columns, coefficients.T, strict=True):
                 prediction += column.signal[:, None] * row
@@ -257,8 +262,8 @@ class Campaign:
         drifts = []
         for i, run in enumerate(self.runs):
             drift = run.drift[:, k]
-            flags = self._inputs[i].get(f"saturated:{self.plan.outputs[k]}")
-            if flags is not None and self.set_aside:
+            if self.plan.outputs[k] in self.plan.saturated and self.set_aside:
+                flags = read_signals(run, self.plan).saturated[self.plan.outputs[k]]
                 expected = predictions[i][:, k] if predictions else np.zeros_like(drift)
                 drift = expected + bridge(drift - expected, flags)
             drifts.append(drift)

@@ -318,8 +318,10 @@ def _excite(campaign: Campaign, base: Found, terms: Sequence[Term], weights: Arr
     changed = campaign.build(terms)
     known = {f.name: j for j, f in enumerate(features)}
     new = [f for f in changed if f.name not in known]
+    outputs: list[str | None] = []
     if new:
         extra = [campaign.column(f.signal, name_feature(f, terms)) for f in new]
+        outputs = [f.output for f in new]
     else:
         steps = [
             (known[f.name], campaign.column(f.signal) - campaign.column(now.signal))
@@ -331,16 +333,21 @@ def _excite(campaign: Campaign, base: Found, terms: Sequence[Term], weights: Arr
             for row in base.solution.coefficients
             if steps
         ]
+        outputs += campaign.plan.outputs[: len(extra)]
     width = len(coordinates)
     marked = [*slopes, *((width + i, -1, column) for i, column in enumerate(extra))]
     sums = campaign.sum(features, base.terms, marked)
     gram = np.einsum("l,glab->ab", weights.mean(axis=1) / weights.mean(), sums.products)
     first = len(features) + len(slopes)
-    model = [*range(first), *range(first + len(extra), gram.shape[0] - sums.outputs)]
-    inverse = invert_scaled(gram[np.ix_(model, model)])
+    offsets = range(first + len(extra), gram.shape[0] - sums.outputs)
+    seen_by = [f.output for f in features] + [features[j].output for _, j, _ in slopes]
     shares = [0.0]
-    for e in range(first, first + len(extra)):
-        if gram[e, e] > 0.0:
-            left = gram[e, e] - gram[e, model] @ inverse @ gram[model, e]
-            shares.append(float(np.sqrt(max(left, 0.0) / gram[e, e])))
+    for output in campaign.plan.outputs:
+        # A column that another output alone sees imitates nothing in this one.
+        model = [*(i for i, owner in enumerate(seen_by) if owner in (None, output)), *offsets]
+        inverse = invert_scaled(gram[np.ix_(model, model)])
+        for e, owner in enumerate(outputs, start=first):
+            if owner in (None, output) and gram[e, e] > 0.0:
+                left = gram[e, e] - gram[e, model] @ inverse @ gram[model, e]
+                shares.append(float(np.sqrt(max(left, 0.0) / gram[e, e])))
     return max(shares)

@@ -21,8 +21,9 @@ from zerodrift.physics.floor import estimate_fast_noise
 from zerodrift.physics.noise import Noise, measure_noise
 from zerodrift.physics.projection import get_coordinates, list_coordinates
 from zerodrift.physics.search import Found, search, search_beyond_rails, sum_with_slopes
-from zerodrift.physics.signals import SignalPlan, read_signals
-from zerodrift.physics.terms import Term, build_columns
+from zerodrift.physics.signals import SignalPlan
+from zerodrift.physics.terms import Term
+from zerodrift.physics.tracks import build_stretches
 
 Array = NDArray[np.float64]
 
@@ -199,7 +200,7 @@ def _rest_of_dwell(found: Found, run: Run, campaign: Campaign) -> Array:
 
     A log's time seldom says which; the right reading leaves less.
     """
-    warm = replace(run, time_s=run.time_s - run.time_s[0] + WARMED_UP_S, start_s=0.0)
+    warm = replace(run, time_s=run.time_s - run.time_s[0] + WARMED_UP_S, start_s=0.0, before=None)
     rests = [
         run.drift - predict(found, reading, campaign.plan, campaign.order)
         for reading in (run, warm)
@@ -209,8 +210,7 @@ def _rest_of_dwell(found: Found, run: Run, campaign: Campaign) -> Array:
 
 def predict(found: Found, run: Run, plan: SignalPlan, order: Sequence[str]) -> Array:
     """Return the drift [n, K] that a search's end predicts for a run, but for a constant."""
-    signals = read_signals(run, plan)
-    columns = build_columns(signals, found.terms, order, plan.sample_period_s)[1:]
+    columns = build_stretches([run], plan, found.terms, order)[0][1:]
     total = np.zeros(run.drift.shape)
     for column, row in zip(columns, found.solution.coefficients.T, strict=True):
         total += column.signal[:, None] * row

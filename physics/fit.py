@@ -26,7 +26,8 @@ from zerodrift.physics.projection import (
 )
 from zerodrift.physics.search import Found, search, search_beyond_rails, sum_with_slopes
 from zerodrift.physics.signals import SignalPlan, explain_missing, plan_signals, read_signals
-from zerodrift.physics.terms import OFFSET, Term, build_columns, start_term, tidy_terms
+from zerodrift.physics.terms import OFFSET, Term, start_term, tidy_terms
+from zerodrift.physics.tracks import build_stretches
 
 Array = NDArray[np.float64]
 
@@ -178,9 +179,9 @@ def _finish(campaign: Campaign, found: Found, units: Sequence[str]) -> PhysicalM
     samples: dict[str, Array] = {}
     names: tuple[str, ...] = ()
     feature_units: tuple[str, ...] = ()
-    for run in runs:
+    built = build_stretches(runs, plan, terms, campaign.order)
+    for run, (_, *columns) in zip(runs, built, strict=True):
         signals = read_signals(run, plan)
-        columns = build_columns(signals, terms, campaign.order, plan.sample_period_s)[1:]
         names = tuple(column.name for column in columns)
         feature_units = tuple(column.unit for column in columns)
         rest = run.drift

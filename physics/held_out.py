@@ -29,8 +29,8 @@ from zerodrift.physics.projection import (
     step_values,
     weigh,
 )
-from zerodrift.physics.signals import read_signals
-from zerodrift.physics.terms import Term, build_columns
+from zerodrift.physics.terms import Term
+from zerodrift.physics.tracks import build_stretches
 
 Array = NDArray[np.float64]
 
@@ -269,10 +269,11 @@ def _build(
     model: PhysicalModel, terms: Sequence[Term], runs: Sequence[Run]
 ) -> tuple[tuple[Feature[Array], ...], Array]:
     """Return the features without the constant, and their values [n, J] over a run's stretches."""
-    values, columns = [], []
-    for run in runs:
-        signals = read_signals(run, model.plan)
-        columns = build_columns(signals, terms, model.order, model.plan.sample_period_s)[1:]
-        empty = np.empty((len(run), 0))
-        values.append(np.stack([c.signal for c in columns], axis=1) if columns else empty)
-    return tuple(columns), np.concatenate(values)
+    built = [columns[1:] for columns in build_stretches(runs, model.plan, terms, model.order)]
+    values = [
+        np.stack([column.signal for column in columns], axis=1)
+        if columns
+        else np.empty((len(run), 0))
+        for run, columns in zip(runs, built, strict=True)
+    ]
+    return tuple(built[-1]), np.concatenate(values)

@@ -61,9 +61,14 @@ def _keep_outputs(dataset: Dataset, kept: NDArray[np.intp]) -> Dataset:
     """Return the data with these outputs alone."""
 
     def narrow(runs: tuple[Run, ...]) -> tuple[Run, ...]:
-        return tuple(
-            replace(run, measured=run.measured[:, kept], reference=run.reference[:, kept])
-            for run in runs
+        return tuple(narrow_one(run) for run in runs)
+
+    def narrow_one(run: Run) -> Run:
+        return replace(
+            run,
+            measured=run.measured[:, kept],
+            reference=run.reference[:, kept],
+            before=None if run.before is None else narrow_one(run.before),
         )
 
     return replace(

@@ -12,7 +12,8 @@ from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.signals import SignalPlan, name_signals, read_signals
-from zerodrift.physics.terms import Term, build_columns, build_features
+from zerodrift.physics.terms import Term, build_features
+from zerodrift.physics.tracks import build_stretches
 
 Array = NDArray[np.float64]
 
@@ -82,10 +83,12 @@ class PhysicalModel:
         return self.plan.reference_temperature_degC
 
     def features(self, run: Run) -> Array:
-        """Return the features [n, J] of one run, the constant first."""
-        signals = read_signals(run, self.plan)
+        """Return the features [n, J] of one stretch, the constant first.
+
+        What has a memory remembers the stretches before it; see `Run.at_rest`.
+        """
         terms = [fitted.term for fitted in self.terms]
-        columns = build_columns(signals, terms, self.order, self.plan.sample_period_s)
+        (columns,) = build_stretches([run], self.plan, terms, self.order)
         return np.stack([column.signal for column in columns], axis=1)
 
     def predict(self, run: Run) -> Array:

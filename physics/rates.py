@@ -24,10 +24,11 @@ STRAIGHT_ENOUGH = 1e-2
 
 
 class Rates:
-    """The signals of all stretches at both rates.
+    """The signals of all tracks at both rates.
 
     Args:
-        inputs: per stretch, signal name -> [n].
+        inputs: per track, signal name -> [n]; a track holds the stretches of one run.
+        places: per track, (stretch, its first sample on the track), at multiples of the block.
         reduction: how stretches become blocks and octaves.
         sample_period_s: seconds between samples.
     """
@@ -35,10 +36,12 @@ class Rates:
     def __init__(
         self,
         inputs: Sequence[Mapping[str, Array]],
+        places: Sequence[Sequence[tuple[int, int]]],
         reduction: Reduction,
         sample_period_s: float,
     ) -> None:
         self._inputs = inputs
+        self._places = places
         self._reduction = reduction
         self._sample_period_s = sample_period_s
         self._slow = {
@@ -64,22 +67,26 @@ class Rates:
         sources = {n.source for n in list_nodes([node]) if n.op == "input"}
         fast = self._find_fast(sources)
         block = self._reduction.block
-        parts: list[tuple[Array, Array | None] | None] = [None] * len(self._inputs)
+        block_rows = self._reduction.rows
+        parts: list[tuple[Array, Array | None] | None] = [None] * len(block_rows)
         if len(fast) < len(self._inputs):
             laid = evaluate([node], self._slow, block * self._sample_period_s)[0]
             for i, row in enumerate(laid):
-                if i not in fast:
-                    parts[i] = self._reduction.draw_lines(row[: self._reduction.rows[i]])
+                for stretch, start in self._places[i] if i not in fast else ():
+                    first = start // block
+                    means = row[first : first + block_rows[stretch]]
+                    parts[stretch] = self._reduction.draw_lines(means)
         if fast:
             full = {name: self._lay_full(name, fast) for name in sources}
             laid = evaluate([node], full, self._sample_period_s)[0]
             for i, row in zip(fast, laid, strict=True):
-                length = next(iter(self._inputs[i].values())).size
-                parts[i] = self._reduction.take_apart(row[:length])
+                for stretch, start in self._places[i]:
+                    samples = row[start : start + block * block_rows[stretch]]
+                    parts[stretch] = self._reduction.take_apart(samples)
         return self._reduction.assemble([part for part in parts if part is not None])
 
     def _find_fast(self, sources: set[str]) -> tuple[int, ...]:
-        """Return the stretches in which one of the signals is fast."""
+        """Return the tracks in which one of the signals is fast."""
         if self._reduction.block == 1 or not sources:
             return ()
         limit = STRAIGHT_ENOUGH if self.roughly else STRAIGHT
@@ -87,20 +94,20 @@ class Rates:
         return tuple(np.flatnonzero(bent > limit).tolist())
 
     def _measure_curvature(self, name: str) -> Array:
-        """Return each stretch's share of the signal's squares that straight lines leave."""
+        """Return each track's share of the signal's squares that straight lines leave."""
         if self._reduction.block == 1:
             return np.zeros(len(self._inputs))
         measured = [self._reduction.measure_curvature(x[name]) for x in self._inputs]
         total = sum(all_of_it for _, all_of_it in measured)
         left = np.array([left for left, _ in measured])
-        # Per stretch against the mean stretch, so that one still run does not count as fast.
+        # Per track against the mean track, so that one still run does not count as fast.
         return left * len(measured) / total if total > 0.0 else left
 
-    def _lay_full(self, name: str, stretches: tuple[int, ...]) -> Array:
-        """Return a signal of some stretches at the full rate, side by side."""
-        key = (name, stretches)
+    def _lay_full(self, name: str, tracks: tuple[int, ...]) -> Array:
+        """Return a signal of some tracks at the full rate, side by side."""
+        key = (name, tracks)
         if key not in self._full:
-            self._full[key] = _lay_side_by_side([self._inputs[i][name] for i in stretches])
+            self._full[key] = _lay_side_by_side([self._inputs[i][name] for i in tracks])
         return self._full[key]
 
 

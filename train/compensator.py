@@ -88,6 +88,7 @@ class Compensator:
 
         The run is taken to be at rest before its first sample.
         """
+        run = run.at_rest()
         drift = self.physics.predict(run)
         if self.bank is not None:
             drift = drift + self.physics.features(run) @ self.bank.correction

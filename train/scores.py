@@ -124,6 +124,6 @@ def measure(
 
     return Errors(
         uncompensated=rmse(lambda run: np.zeros_like(run.drift)),
-        physics=rmse(compensator.physics.predict),
+        physics=rmse(lambda run: compensator.physics.predict(run.at_rest())),
         compensated=rmse(compensator.predict),
     )

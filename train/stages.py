@@ -42,6 +42,7 @@ class Stages:
 
     def explain(self, run: Run) -> Array:
         """Return the drift [n, K] that physics and the linear part predict for a run."""
+        run = run.at_rest()
         features = self.front_end.compute(run)
         return np.asarray(self.physics.predict(run) + features @ self.linear + self.constant)
 
@@ -87,6 +88,7 @@ def fit_stages(config: Config, physics: PhysicalModel, runs: Sequence[Run]) -> S
         physics: fitted to the same runs.
         runs: training runs.
     """
+    runs = [run.at_rest() for run in runs]
     residuals = [run.drift - physics.predict(run) for run in runs]
     unit = _measure_scale(runs, residuals)
     lags_s = config.network.lags_s or choose_lags(

@@ -161,3 +161,17 @@ def test_next_experiment_tells_lookalikes_apart(tempco):
         assert "times the noise" in diagnosis.next_experiment
     else:
         assert diagnosis.next_experiment
+
+
+def test_crosstalk_beside_a_span_shift_of_each_output_is_testable():
+    """What one output's own columns imitate is no imitation in another output."""
+
+    def disturb(bench):
+        share = bench.load / np.array([2000.0, 14.0])
+        span = 0.02 * (bench.temperature - 25.0)[:, None] * share * np.array([20.0, 0.2])
+        return linear(bench) + span + share[:, ::-1] * np.array([8.0, 0.06])
+
+    model = [EffectConfig("zero_tempco"), EffectConfig("span_tempco")]
+    diagnosis = diagnose(model, make_dataset(disturb, length=600))
+    assert (diagnosis.verdict, diagnosis.effect) == ("missing", "crosstalk")
+    assert diagnosis.floor_ratio_after < 1.15

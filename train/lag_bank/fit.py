@@ -74,6 +74,7 @@ class FittedBank:
 
     def correct(self, run: Run, physics: PhysicalModel) -> Array:
         """Return what is added to the physical model's drift, [n, K]."""
+        run = run.at_rest()
         basis = self.bank.compute(run, physics.outputs)
         drift = physics.features(run) @ self.bank.correction + basis @ self.bank.coefficients
         if self.front_end is not None:
@@ -116,6 +117,7 @@ def fit_lag_bank(
         report: is told the share that is done, and of what.
     """
     report(0.0, "lag bank")
+    runs = [run.at_rest() for run in runs]
     orders = _prepare(physics, runs, sources)
     usual = orders[min(1, len(orders) - 1)].rows
     banks = [_hold(usual, lags_s)] if lags_s else choose_bank(usual)
