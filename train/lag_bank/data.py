@@ -81,7 +81,8 @@ class BankData:
         self._levels = [
             (x - s.centre) / s.half_span for x, s in zip(signals, self.scales, strict=True)
         ]
-        self._stretches = stretches
+        self._stretches = [slice(int(a), int(b)) for a, b in stretches]
+        self._powers = [raise_all(x) for x in self._levels]
         self._filtered: dict[Lag, Array] = {}
         self.others = self.average(np.concatenate(others))
         self.targets = self.average(np.concatenate(targets))
@@ -126,29 +127,39 @@ class BankData:
                 self._filtered.pop(next(iter(self._filtered)))
             x = self._levels[lag[0]]
             self._filtered[lag] = np.concatenate(
-                [lowpass(x[a:b], self.dt_s, lag[1]) for a, b in self._stretches]
+                [lowpass(x[own], self.dt_s, lag[1]) for own in self._stretches]
             )
         return self._filtered[lag]
 
     def level(self, source: int) -> Array:
         """Return the block means of u, u^2, ... of a thermometer, [m, DEGREE]."""
-        x = self._levels[source]
-        return self.average(np.stack([x**p for p in range(1, DEGREE + 1)], axis=1))
+        return self.average(self._powers[source])
 
     def lag(self, lag: Lag) -> Array:
         """Return the block means of v - u, v^2 - u^2, ... of a lagged v, [m, DEGREE]."""
-        u, v = self._levels[lag[0]], self._filter(lag)
-        return self.average(np.stack([v**p - u**p for p in range(1, DEGREE + 1)], axis=1))
+        return self.average(raise_all(self._filter(lag)) - self._powers[lag[0]])
 
-    def slope(self, lag: Lag) -> Array:
-        """Return the derivatives of `lag` with respect to log tau, [m, DEGREE]."""
+    def lag_and_slope(self, lag: Lag) -> tuple[Array, Array]:
+        """Return `lag` and its derivatives with respect to log tau, both [m, DEGREE]."""
         u, v = self._levels[lag[0]], self._filter(lag)
         slope = lag[1] * np.concatenate(
-            [lowpass_slope(u[a:b], v[a:b], self.dt_s, lag[1]) for a, b in self._stretches]
+            [lowpass_slope(u[own], v[own], self.dt_s, lag[1]) for own in self._stretches]
         )
-        return self.average(
-            np.stack([p * v ** (p - 1) * slope for p in range(1, DEGREE + 1)], axis=1)
-        )
+        powers = raise_all(v)
+        slopes = np.empty_like(powers)
+        slopes[:, 0] = slope
+        for p in range(1, DEGREE):
+            np.multiply(powers[:, p - 1], (p + 1) * slope, out=slopes[:, p])
+        return self.average(powers - self._powers[lag[0]]), self.average(slopes)
+
+
+def raise_all(x: Array) -> Array:
+    """Return x, x^2, ... of a signal [n], as columns [n, DEGREE]."""
+    powers = np.empty((len(x), DEGREE))
+    powers[:, 0] = x
+    for p in range(1, DEGREE):
+        np.multiply(powers[:, p - 1], x, out=powers[:, p])
+    return powers
 
 
 def _choose_scale(x: Array) -> Scale:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -57,14 +56,20 @@ class _State:
 
 
 def solve_ridge(normal: Array, right: Array, ridge: Array) -> Array:
-    """Return (normal + diag(ridge))^-1 right for a normal matrix [J, J] and [J, K]."""
-    matrix = normal + np.diag(ridge)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = matrix * scale[:, None] * scale
-    scaled[np.diag_indices_from(scaled)] += JITTER
-    factor = cho_factor(scaled, check_finite=False)
-    solved = cho_solve(factor, scale[:, None] * right, check_finite=False)
-    return np.asarray(scale[:, None] * solved)
+    """Return (normal + diag(ridge))^-1 right.
+
+    Args:
+        normal: normal matrices [..., J, J].
+        right: [..., J, K].
+        ridge: [..., J].
+    """
+    size = normal.shape[-1]
+    diagonal = np.diagonal(normal, axis1=-2, axis2=-1) + ridge
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-300))
+    scaled = normal * scale[..., :, None] * scale[..., None, :]
+    places = np.arange(size)
+    scaled[..., places, places] = diagonal * scale**2 + JITTER
+    return np.asarray(scale[..., None] * np.linalg.solve(scaled, scale[..., None] * right))
 
 
 def minimise(problem: Problem, theta: Array, most_steps: int) -> Array:
@@ -94,12 +99,12 @@ def _evaluate(problem: Problem, theta: Array) -> _State:
     columns = problem.build(theta)
     phi, slopes, y = columns.phi, columns.slopes, problem.targets
     outputs = y.shape[1]
-    across = phi.T @ np.concatenate([y, slopes], axis=1)
+    across = np.concatenate([phi.T @ y, phi.T @ slopes], axis=1)
     solved = solve_ridge(phi.T @ phi, across, problem.ridge)
     c, projected = solved[:, :outputs], solved[:, outputs:]
     residual = y - phi @ c
     offset = theta - problem.prior_mean
-    cost = float(np.sum(residual**2) + problem.ridge @ np.sum(c**2, axis=1))
+    cost = float(np.vdot(residual, residual) + problem.ridge @ np.sum(c**2, axis=1))
     cost += float(problem.prior @ offset**2)
     pull = np.sum((slopes.T @ residual) * c[columns.of_column], axis=1)
     curved = slopes.T @ slopes - across[:, outputs:].T @ projected

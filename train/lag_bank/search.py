@@ -22,6 +22,8 @@ LONGEST_SHARE = 0.25
 MOST_LAGS = 4
 EARNS_ITS_PLACE = 0.95
 """A larger bank must bring the error on runs left out below this multiple of a smaller one's."""
+HELPS = 0.999
+"""The search ends where no lag more brings that error below this multiple of what it was."""
 RIDGES = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 """Shares of each column's own square."""
 NEAR_START = 1e-3
@@ -63,16 +65,51 @@ class Rows:
         """Return the columns of the linear part [m, J]."""
         return np.concatenate([self.fixed, *(self.data.lag(lag) for lag in lags)], axis=1)
 
+    def take(self, some: NDArray[np.bool_]) -> "Part":
+        """Return the part of a fit that some rows [m] are."""
+        return Part(self, some)
+
     def prepare(self, columns: Array, some: NDArray[np.bool_]) -> Array:
         """Return some rows of columns [m, J], centred where runs are tared, weighted."""
-        weight, x = self.weight[some], columns[some]
-        if self.tared:
-            group = self.data.run_group[some]
-            sums = np.zeros((int(group.max()) + 1, x.shape[1]))
-            np.add.at(sums, group, weight[:, None] * x)
-            total = np.bincount(group, weight)
-            x = x - (sums / np.maximum(total, 1e-300)[:, None])[group]
-        return np.asarray(x * np.sqrt(weight)[:, None])
+        part = self.take(some)
+        return part.prepare(part.cut(columns))
+
+
+class Part:
+    """Some rows of a fit, and what centres and weights them.
+
+    Args:
+        rows: the rows of the whole fit.
+        some: [m] which of them.
+    """
+
+    def __init__(self, rows: Rows, some: NDArray[np.bool_]) -> None:
+        self._places = slice(None) if some.all() else np.flatnonzero(some)
+        weight = rows.weight[self._places]
+        self.weight = float(weight.sum())
+        """Of all rows together."""
+        self._root = np.sqrt(weight)[:, None]
+        self._tared = rows.tared
+        if self._tared and len(weight):
+            run = rows.data.run_group[self._places]
+            self._weight = weight[:, None]
+            self._starts = np.flatnonzero(np.diff(run, prepend=-1))
+            _, stretch_run = np.unique(run[self._starts], return_inverse=True)
+            self._same = stretch_run[:, None] == np.arange(stretch_run.max() + 1)
+            self._row_run = np.repeat(stretch_run, np.diff(self._starts, append=len(run)))
+            total = self._same.T @ np.add.reduceat(weight, self._starts)
+            self._total = np.maximum(total, 1e-300)[:, None]
+
+    def cut(self, x: Array) -> Array:
+        """Return the part's rows of x [m, ...]."""
+        return np.asarray(x[self._places])
+
+    def prepare(self, x: Array) -> Array:
+        """Return the part's rows [p, J], centred where runs are tared, weighted."""
+        if self._tared and len(x):
+            sums = self._same.T @ np.add.reduceat(self._weight * x, self._starts, axis=0)
+            x = x - (sums / self._total)[self._row_run]
+        return np.asarray(x * self._root)
 
 
 @dataclass(frozen=True)
@@ -85,64 +122,102 @@ class Bank:
     """RMSE on runs left out, in units."""
 
 
+@dataclass(frozen=True)
+class Products:
+    """Sums of products of columns and targets, group by group; T sets of columns side by side."""
+
+    learnt: Array
+    """[..., G, J + K, J + K] of all rows of a group."""
+    judged: Array
+    """[..., G, J + K, J + K] of those that judge."""
+
+
 class LeftOut:
     """Judges linear parts on groups left out, by sums of products."""
 
     def __init__(self, rows: Rows) -> None:
         self._rows = rows
         group = rows.data.group
-        self._learnt = [group == g for g in range(rows.data.groups)]
-        self._judged = [own & rows.data.covered for own in self._learnt]
-        self._weight = float(sum(rows.weight[own].sum() for own in self._judged))
+        learnt = [group == g for g in range(rows.data.groups)]
+        self._learnt = [rows.take(own) for own in learnt]
+        self._judged = [rows.take(own & rows.data.covered) for own in learnt]
+        self._weight = sum(part.weight for part in self._judged)
 
-    def sum_products(self, columns: Array) -> tuple[Array, Array]:
-        """Return sums of products of columns and targets by group [G, C, C]: all, and judged."""
-        together = np.concatenate([columns, self._rows.targets], axis=1)
-        whole, judged = (
-            np.stack([x.T @ x for x in (self._rows.prepare(together, some) for some in parts)])
-            for parts in (self._learnt, self._judged)
-        )
-        return whole, judged
-
-    def measure(self, products: tuple[Array, Array], ridge: float) -> float:
-        """Return the RMSE on the groups, each predicted by a fit to the others."""
-        whole, judged = products
-        outputs = self._rows.unit.size
-        total = whole.sum(axis=0)
-        j = total.shape[0] - outputs
-        squares = 0.0
-        for own, seen in zip(whole, judged, strict=True):
-            rest = total - own
-            c = solve_ridge(rest[:j, :j], rest[:j, j:], ridge * np.diag(rest)[:j])
-            squares += float(
-                np.trace(seen[j:, j:])
-                - 2.0 * np.sum(c * seen[:j, j:])
-                + np.sum(c * (seen[:j, :j] @ c))
+    def sum_products(self, columns: Array) -> Products:
+        """Return the products of columns [m, J] and targets."""
+        x = np.concatenate([columns, self._rows.targets], axis=1)
+        return Products(
+            *(
+                np.stack([own.T @ own for own in (part.prepare(part.cut(x)) for part in parts)])
+                for parts in (self._learnt, self._judged)
             )
-        return float(np.sqrt(max(squares, 0.0) / max(self._weight * outputs, 1e-300)))
+        )
+
+    def sum_each(self, base: Array, more: Sequence[Array]) -> Products:
+        """Return the products [T, G, ...] of a base [m, J] with one of T sets [m, L] after it."""
+        wide = base.shape[1]
+        x = np.concatenate([base, self._rows.targets, *more], axis=1)
+        outputs, each = self._rows.unit.size, more[0].shape[1]
+        known = wide + outputs
+        sets = np.arange(len(more))[:, None] * each + np.arange(each) + known  # [T, L]
+        head, tail = np.arange(wide), np.arange(wide, known)
+        places = np.stack([np.concatenate([head, own, tail]) for own in sets])  # [T, J + L + K]
+        found = []
+        for parts in (self._learnt, self._judged):
+            sums = []
+            for part in parts:
+                own = part.prepare(part.cut(x))
+                product = np.zeros((x.shape[1], x.shape[1]))
+                product[:known] = own[:, :known].T @ own
+                product[known:, :known] = product[:known, known:].T
+                for i in sets:
+                    product[np.ix_(i, i)] = own[:, i].T @ own[:, i]
+                sums.append(product[places[:, :, None], places[:, None, :]])
+            found.append(np.stack(sums, axis=1))
+        return Products(*found)
+
+    def measure(self, products: Products, ridge: Array) -> Array:
+        """Return the RMSE on the groups, each predicted by a fit to the others, [...].
+
+        Args:
+            products: of the columns.
+            ridge: shares of each column's own square; broadcast with the sets of columns.
+        """
+        whole, judged = products.learnt, products.judged
+        outputs = self._rows.unit.size
+        j = whole.shape[-1] - outputs
+        rest = whole.sum(axis=-3, keepdims=True) - whole
+        strength = ridge[..., None, None] * np.diagonal(rest, axis1=-2, axis2=-1)[..., :j]
+        c = solve_ridge(rest[..., :j, :j], rest[..., :j, j:], strength)  # [..., G, J, K]
+        squares = np.trace(judged[..., j:, j:], axis1=-2, axis2=-1) + np.sum(
+            c * (judged[..., :j, :j] @ c - 2.0 * judged[..., :j, j:]), axis=(-2, -1)
+        )
+        total = np.maximum(squares.sum(axis=-1), 0.0)
+        return np.asarray(np.sqrt(total / max(self._weight * outputs, 1e-300)))
 
     def choose_ridge(self, lags: Sequence[Lag]) -> Bank:
         """Return these lags with the ridge that does best."""
         products = self.sum_products(self._rows.columns(lags))
-        error, ridge = min((self.measure(products, ridge), ridge) for ridge in RIDGES)
+        errors = self.measure(products, np.array(RIDGES))
+        error, ridge = min(zip(errors.tolist(), RIDGES, strict=True))
         return Bank(tuple(lags), ridge, error)
 
 
 def choose_bank(rows: Rows, most: int = MOST_LAGS) -> list[Bank]:
-    """Return the best bank found of each size, from none to `most` lags."""
+    """Return the best bank found of each size: no lag, and as many as help, up to `most`."""
     data, judge = rows.data, LeftOut(rows)
     grid = np.geomspace(*span_of(data), GRID)
+    tries = [(s, float(tau_s)) for s in range(len(data.sources)) for tau_s in grid]
+    columns = [data.lag(lag) for lag in tries]
     banks = [judge.choose_ridge(())]
     while len(banks) <= most:
         last = banks[-1]
-        base = rows.columns(last.lags)
-        tries = []
-        for source in range(len(data.sources)):
-            for tau_s in grid:
-                lag = (source, float(tau_s))
-                products = judge.sum_products(np.concatenate([base, data.lag(lag)], axis=1))
-                tries.append((judge.measure(products, last.ridge), lag))
-        found = (*last.lags, min(tries)[1])
+        products = judge.sum_each(rows.columns(last.lags), columns)
+        errors = judge.measure(products, np.array(last.ridge))
+        error, lag = min(zip(errors.tolist(), tries, strict=True))
+        if error > HELPS * last.error:
+            break
+        found = (*last.lags, lag)
         options = [judge.choose_ridge(o) for o in (found, refine(rows, found, last.ridge))]
         banks.append(min(options, key=lambda bank: bank.error))
     return banks
@@ -164,8 +239,8 @@ def span_of(data: BankData) -> tuple[float, float]:
 
 def refine(rows: Rows, lags: Sequence[Lag], ridge: float) -> tuple[Lag, ...]:
     """Return the lags with their time constants at the least squares."""
-    data, some = rows.data, rows.everything
-    fixed = rows.prepare(rows.fixed, some)
+    data, part = rows.data, rows.take(rows.everything)
+    fixed = part.prepare(rows.fixed)
     low, high = np.log(span_of(data))
 
     def decode(theta: Array) -> list[Lag]:
@@ -174,8 +249,9 @@ def refine(rows: Rows, lags: Sequence[Lag], ridge: float) -> tuple[Lag, ...]:
 
     def build(theta: Array) -> Columns:
         now = decode(theta)
-        columns = rows.prepare(np.concatenate([data.lag(lag) for lag in now], axis=1), some)
-        slopes = rows.prepare(np.concatenate([data.slope(lag) for lag in now], axis=1), some)
+        found = [data.lag_and_slope(lag) for lag in now]
+        columns = part.prepare(np.concatenate([lag for lag, _ in found], axis=1))
+        slopes = part.prepare(np.concatenate([slope for _, slope in found], axis=1))
         return Columns(
             np.concatenate([fixed, columns], axis=1),
             slopes,
@@ -184,7 +260,7 @@ def refine(rows: Rows, lags: Sequence[Lag], ridge: float) -> tuple[Lag, ...]:
         )
 
     start = np.log([tau_s for _, tau_s in lags])
-    targets = rows.prepare(rows.targets, some)
+    targets = part.prepare(rows.targets)
     phi = build(start).phi
     strength = ridge * np.sum(phi**2, axis=0)
     residual = targets - phi @ solve_ridge(phi.T @ phi, phi.T @ targets, strength)

@@ -40,7 +40,8 @@ class Member:
 
 def fit_linear(rows: Rows, columns: Array, ridge: float, some: NDArray[np.bool_]) -> Member:
     """Return the linear part alone, fitted to some of the rows."""
-    f, y = rows.prepare(columns, some), rows.prepare(rows.targets, some)
+    part = rows.take(some)
+    f, y = (part.prepare(part.cut(x)) for x in (columns, rows.targets))
     linear = solve_ridge(f.T @ f, f.T @ y, ridge * np.sum(f**2, axis=0))
     return Member(np.zeros((0, 1)), linear, np.zeros((0, y.shape[1])))
 
@@ -65,43 +66,40 @@ def fit_member(
         seed: of the start.
         some: [m] rows to learn from.
     """
-    f, y = rows.prepare(columns, some), rows.prepare(rows.targets, some)
+    part = rows.take(some)
+    f, y = (part.prepare(part.cut(x)) for x in (columns, rows.targets))
     linear_ridge = ridge * np.sum(f**2, axis=0)
     basis = np.linalg.qr(np.concatenate([f, np.diag(np.sqrt(linear_ridge))]))[0]
 
     def project(x: Array) -> Array:
         """Return rows without what the linear part explains of them, its ridge included."""
-        x = np.concatenate([x, np.zeros((f.shape[1], x.shape[1]))])
-        return np.asarray(x - basis @ (basis.T @ x))
+        left = basis @ -(basis[: len(f)].T @ x)
+        left[: len(f)] += x
+        return np.asarray(left)
 
-    samples = float(rows.weight[some].sum())
     left = project(y)
-    scale = np.sqrt(np.maximum(np.sum(left**2, axis=0) / samples, 1e-300))
-    x = np.concatenate([features, np.ones((len(features), 1))], axis=1)
+    scale = np.sqrt(np.maximum(np.sum(left**2, axis=0) / part.weight, 1e-300))
+    x = part.cut(np.concatenate([features, np.ones((len(features), 1))], axis=1))
     inputs = x.shape[1]
     places = np.arange(count * inputs)
 
     def build(theta: Array) -> Columns:
         hidden = np.tanh(x @ theta.reshape(count, inputs).T)
-        bent = ((1.0 - hidden**2)[:, :, None] * x[:, None, :]).reshape(len(x), -1)
-        return Columns(
-            project(rows.prepare(hidden, some)),
-            project(rows.prepare(bent, some)),
-            places,
-            places // inputs,
-        )
+        bent = (1.0 - hidden**2)[:, :, None] * x[:, None, :]
+        both = project(part.prepare(np.concatenate([hidden, bent.reshape(len(x), -1)], axis=1)))
+        return Columns(both[:, :count], both[:, count:], places, places // inputs)
 
     start = np.random.default_rng(seed).normal(size=(count, inputs)) * SPREAD
     problem = Problem(
         build,
         left / scale,
-        np.full(count, HEAD_RIDGE * samples),
-        np.full(count * inputs, PRIOR * samples),
+        np.full(count, HEAD_RIDGE * part.weight),
+        np.full(count * inputs, PRIOR * part.weight),
         np.zeros(count * inputs),
     )
     weights = minimise(problem, start.ravel(), STEPS).reshape(count, inputs)
-    both = np.concatenate([f, rows.prepare(np.tanh(x @ weights.T), some)], axis=1)
-    strength = np.concatenate([linear_ridge, np.full(count, HEAD_RIDGE * samples)])
+    both = np.concatenate([f, part.prepare(np.tanh(x @ weights.T))], axis=1)
+    strength = np.concatenate([linear_ridge, np.full(count, HEAD_RIDGE * part.weight)])
     solved = solve_ridge(both.T @ both, both.T @ y, strength)
     return Member(weights, solved[: f.shape[1]], solved[f.shape[1] :])
 
