@@ -65,6 +65,8 @@ class BankData:
         stretches = list(zip(self._ends, self._ends[1:], strict=False))
         starts = [np.arange(a, b, block) for a, b in stretches]
         self._starts = np.concatenate(starts)
+        self.begins = np.isin(self._starts, self._ends[:-1])
+        """[m] rows that begin a stretch."""
         self.counts = np.diff(np.append(self._starts, samples)).astype(np.float64)
         """[m] samples behind each row."""
         names = list(dict.fromkeys(run.group for run in runs))
@@ -88,10 +90,10 @@ class BankData:
         self.targets = self.average(np.concatenate(targets))
         self.loaded = self.average(np.concatenate(loaded).astype(np.float64)) > 0.0
 
-    def see(self, others: Array) -> "BankData":
-        """Return the same runs with other further columns [n, J]."""
+    def less(self, parts: Sequence[Array]) -> "BankData":
+        """Return the same runs with these parts [n, K] per run taken off the targets."""
         again = copy.copy(self)
-        again.others = self.average(others)
+        again.targets = self.targets - self.average(np.concatenate(parts))
         return again
 
     @property

@@ -1,24 +1,18 @@
 """From runs and a physical model to the lag bank: data, weights, lags, units, and what to note."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.backend import NumpyOperations, Operations
 from zerodrift.physics.fit import TARE_RATIO
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.front_end import TEMPERATURE, FrontEnd, Tap, fit_front_end, read_source
-from zerodrift.train.lag_bank.data import DEGREE, BankData
-from zerodrift.train.lag_bank.model import (
-    LOAD,
-    LagBank,
-    LoadTerm,
-    build_loads,
-    list_load_terms,
-)
+from zerodrift.train.lag_bank.data import DEGREE, BankData, Lag
+from zerodrift.train.lag_bank.loads import LOAD_SHARE, LoadPart, fit_loads
+from zerodrift.train.lag_bank.model import LagBank
 from zerodrift.train.lag_bank.search import (
     EARNS_ITS_PLACE,
     Bank,
@@ -35,18 +29,10 @@ UNITS = 4
 """tanh units of a member."""
 MEMBERS = 3
 """Fits from different starts that are averaged."""
-ORDERS = (0, 1, 2)
-"""Of the loads' powers; which one is right is told by runs left out."""
-TARE_LAGS_S = (10.0, 60.0, 300.0)
-"""Lags with which it is judged whether runs have offsets of their own."""
-LOAD_SHARE = 1e-3
-"""Share of the largest load from which a sample counts as loaded."""
-LOAD_SPAN = 0.05
-"""Share of its full scale that a load must span to be taken for a cause of drift."""
+TRIAL_LAGS_S = (10.0, 60.0, 300.0)
+"""Lags of a small bank, for what is asked before the lags are known."""
 FEWEST_JUMPS = 20
 """From row to row, before they tell the noise of a class of rows."""
-STILL = 0.01
-"""Median jump from sample to sample of a load that is held, as a share of its span."""
 LEAST_WEIGHT = 1e-2
 """Of the rows of a noisy class, as a share of the best class's."""
 FEWEST_RUNS = 3
@@ -84,11 +70,13 @@ class FittedBank:
 
 
 @dataclass(frozen=True)
-class _Prepared:
+class Prepared:
+    """Rows of the fit with and without what loads add."""
+
+    raw: Rows
     rows: Rows
-    others: int
-    """Columns of physics and loads in the fit."""
-    loads: tuple[LoadTerm, ...]
+    """The same, targets without what loads add."""
+    loads: LoadPart
     kept: NDArray[np.int64]
     """Physical features that move."""
 
@@ -118,13 +106,12 @@ def fit_lag_bank(
     """
     report(0.0, "lag bank")
     runs = [run.at_rest() for run in runs]
-    orders = _prepare(physics, runs, sources)
-    usual = orders[min(1, len(orders) - 1)].rows
-    banks = [_hold(usual, lags_s)] if lags_s else choose_bank(usual)
+    prepared = prepare(physics, runs, sources)
+    banks = [_hold(prepared.rows, lags_s)] if lags_s else choose_bank(prepared.rows)
     bank = pick(banks)
-    judged = [LeftOut(one.rows).choose_ridge(bank.lags) for one in orders]
-    bank = pick(judged)
-    prepared = orders[judged.index(bank)]
+    if prepared.loads.terms:
+        prepared = _take_off(prepared.raw, prepared.kept, physics, runs, bank.lags)
+        bank = LeftOut(prepared.rows).choose_ridge(bank.lags)
     rows = prepared.rows
     report(0.4, f"{len(bank.lags)} lags")
     columns = rows.columns(bank.lags)
@@ -160,87 +147,54 @@ def fit_lag_bank(
     return _settle_constant(fitted, physics, runs)
 
 
-def _prepare(
-    physics: PhysicalModel, runs: Sequence[Run], sources: Sequence[str]
-) -> list[_Prepared]:
-    """Return the rows of the fit for each order of load terms, weighted by their noise."""
+def prepare(physics: PhysicalModel, runs: Sequence[Run], sources: Sequence[str]) -> Prepared:
+    """Return the rows of the fit, weighted by their noise, without what loads add."""
     features = [physics.features(run) for run in runs]
     together = np.concatenate(features)
     moves = np.ptp(together, axis=0) > 1e-12 * np.maximum(np.abs(together).max(axis=0), 1e-300)
     kept = np.flatnonzero(moves)
-    loads = list_loads(physics, runs)
     largest = np.max([np.abs(run.reference).max(axis=0) for run in runs], axis=0)
     loaded = [
         np.any(np.abs(run.reference) > LOAD_SHARE * np.maximum(largest, 1e-300), axis=1)
         for run in runs
     ]
-    low = min(float(run.temperature_degC.min()) for run in runs)
-    high = max(float(run.temperature_degC.max()) for run in runs)
-    centre, half_span = 0.5 * (low + high), max(0.5 * (high - low), 1e-3)
-    by_order = []
-    for order in ORDERS if loads else ORDERS[:1]:
-        terms = list_load_terms(loads, order)
-        parts = []
-        for run, x in zip(runs, features, strict=True):
-            columns = _see_loads(run, physics, (run.temperature_degC - centre) / half_span, terms)
-            parts.append(np.concatenate([x[:, kept], columns], axis=1))
-        by_order.append((terms, parts))
     targets = [run.drift - physics.predict(run) for run in runs]
-    _, others = by_order[min(1, len(by_order) - 1)]
-    data = BankData(runs, sources, others, targets, loaded)
+    data = BankData(runs, sources, [x[:, kept] for x in features], targets, loaded)
     drift = np.concatenate([run.drift for run in runs])
     unit = np.sqrt(np.mean((drift - drift.mean(axis=0)) ** 2, axis=0))
     unit[unit == 0.0] = 1.0
-    rows = Rows(data, data.counts, False, unit)
-    rows = Rows(data, data.counts, _is_tared(rows), unit)
+    raw = Rows(data, data.counts, False, unit)
+    lags = _list_trial_lags(raw)
+    prepared = _take_off(raw, kept, physics, runs, lags)
+    raw = replace(raw, tared=_is_tared(prepared.rows))
     if any(run.reference.any() for run in runs):
-        rows = Rows(data, _weigh(rows), rows.tared, unit)
-    return [
-        _Prepared(
-            Rows(data.see(np.concatenate(parts)), rows.weight, rows.tared, unit),
-            parts[0].shape[1],
-            terms,
-            kept,
-        )
-        for terms, parts in by_order
-    ]
+        weight = _weigh(replace(prepared.rows, tared=raw.tared))
+        raw = replace(raw, weight=weight)
+    return _take_off(raw, kept, physics, runs, lags)
 
 
-def _see_loads(run: Run, physics: PhysicalModel, level: Array, terms: Sequence[LoadTerm]) -> Array:
-    """Return the load terms [n, T] of a run."""
-    ops: Operations[Array] = NumpyOperations(run.sample_period_s, (len(run),))
+def _take_off(
+    raw: Rows,
+    kept: NDArray[np.int64],
+    physics: PhysicalModel,
+    runs: Sequence[Run],
+    lags: Sequence[Lag],
+) -> Prepared:
+    """Return the rows without what loads add, which is solved beside a bank of these lags."""
+    loads = fit_loads(physics, runs, raw, lags)
+    if not loads.terms:
+        return Prepared(raw, raw, loads, kept)
+    parts = loads.predict(runs, physics, raw.data.scales[0])
+    return Prepared(raw, replace(raw, data=raw.data.less(parts)), loads, kept)
 
-    def read(source: str) -> Array:
-        return run.reference[:, physics.outputs.index(source.removeprefix(LOAD))]
 
-    columns = build_loads(ops, read, level, terms)
-    return np.stack(columns, axis=1) if columns else np.zeros((len(run), 0))
-
-
-def list_loads(physics: PhysicalModel, runs: Sequence[Run]) -> tuple[str, ...]:
-    """Return the outputs whose load is held still in some run, as test weights hold it.
-
-    A load that jumps from sample to sample, as a gait's does, leaves its mean alone to tell the
-    gain from the drift, and a reference's noise and delay count as gain.
-    """
-    names = []
-    for name in physics.plan.loaded:
-        k = physics.outputs.index(name)
-        full_scale = physics.plan.full_scale[k]
-        for run in runs:
-            load = run.reference[:, k]
-            on = np.abs(load) > LOAD_SHARE * full_scale
-            still = float(np.median(np.abs(np.diff(load))[on[1:]])) if on[1:].any() else np.inf
-            if np.ptp(load) > LOAD_SPAN * full_scale and still < STILL * np.ptp(load):
-                names.append(name)
-                break
-    return tuple(names)
+def _list_trial_lags(rows: Rows) -> list[Lag]:
+    return [(s, tau_s) for s in range(len(rows.data.sources)) for tau_s in TRIAL_LAGS_S]
 
 
 def _residual(rows: Rows) -> Array:
     """Return what a small bank leaves of the targets, [m, K], rows weighted and centred."""
-    span = range(len(rows.data.sources))
-    columns = rows.columns([(s, tau_s) for s in span for tau_s in TARE_LAGS_S])
+    columns = rows.columns(_list_trial_lags(rows))
     member = fit_linear(rows, columns, 1e-6, rows.everything)
     return rows.prepare(rows.targets - columns @ member.linear, rows.everything)
 
@@ -285,7 +239,7 @@ def _hold(rows: Rows, lags_s: Sequence[float]) -> Bank:
 
 def _finish(
     physics: PhysicalModel,
-    prepared: _Prepared,
+    prepared: Prepared,
     bank: Bank,
     members: Sequence[Member],
     front_end: FrontEnd | None,
@@ -299,18 +253,19 @@ def _finish(
     correction = np.zeros((physics.coefficients.shape[0], outputs))
     correction[0] = linear[0]
     correction[prepared.kept] += linear[1 : 1 + features]
-    loads = linear[1 + features : 1 + prepared.others]
-    at = 1 + prepared.others
+    at = 1 + features
     levels = linear[at : at + DEGREE * len(data.sources)].reshape(-1, DEGREE, outputs).copy()
     lags = linear[at + DEGREE * len(data.sources) :].reshape(-1, DEGREE, outputs)
     for (source, _), own in zip(bank.lags, lags, strict=True):
         levels[source] -= own  # the fit's columns are v^p - u^p
-    coefficients = np.concatenate([loads, levels.reshape(-1, outputs), lags.reshape(-1, outputs)])
+    coefficients = np.concatenate(
+        [prepared.loads.coefficients, levels.reshape(-1, outputs), lags.reshape(-1, outputs)]
+    )
     whole = LagBank(
         sources=data.sources,
         scales=data.scales,
         lags=bank.lags,
-        loads=prepared.loads,
+        loads=prepared.loads.terms,
         correction=correction,
         coefficients=coefficients,
     )

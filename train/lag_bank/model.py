@@ -1,6 +1,5 @@
 """The fitted lag bank: what it adds to the physical model, as arrays and as a graph."""
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -21,8 +20,9 @@ LOAD = "load:"
 """What names of loads begin with in graphs."""
 LoadTerm = tuple[tuple[str, ...], int]
 """Product of one or two loads and a power of the chip's temperature u."""
-LOAD_POWERS, PAIR_POWERS = 3, 2
-"""A load is seen times u^0, u^1 and u^2; a product of two, or a square, times u^0 and u^1."""
+POWERS = ((0, 0), (2, 0), (2, 1), (3, 1), (3, 2))
+"""By order of the load terms: how many powers of u, from u^0 on, a load is seen times, and how many
+a product of two loads or a square: nothing; gain by temperature; curvature; both richer."""
 
 
 @dataclass(frozen=True)
@@ -132,15 +132,19 @@ class LagBank:
         )
 
 
-def list_load_terms(loads: Sequence[str], order: int) -> tuple[LoadTerm, ...]:
-    """Return the terms of an order: 0 none; 1 the loads; 2 their squares and products too."""
-    terms: list[LoadTerm] = []
-    if order >= 1:
-        terms += [((name,), p) for name in loads for p in range(LOAD_POWERS)]
-    if order >= 2:
-        pairs = itertools.combinations_with_replacement(loads, 2)
-        terms += [(pair, p) for pair in pairs for p in range(PAIR_POWERS)]
-    return tuple(terms)
+def list_load_terms(
+    loads: Sequence[str], order: int, pairs: Sequence[tuple[str, str]]
+) -> tuple[LoadTerm, ...]:
+    """Return the terms of an order, 0 to 4; see `POWERS`.
+
+    Args:
+        loads: names of the loads.
+        order: how rich.
+        pairs: products of two loads, or squares, that were seen.
+    """
+    own, both = POWERS[order]
+    single: list[LoadTerm] = [((name,), p) for name in loads for p in range(own)]
+    return (*single, *((pair, p) for pair in pairs for p in range(both)))
 
 
 def build_loads(
