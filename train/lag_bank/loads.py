@@ -109,7 +109,13 @@ def list_pairs(
 
 
 def fit_loads(
-    physics: PhysicalModel, runs: Sequence[Run], rows: Rows, lags: Sequence[Lag]
+    physics: PhysicalModel,
+    runs: Sequence[Run],
+    rows: Rows,
+    lags: Sequence[Lag],
+    *,
+    choice: Sequence[int] = tuple(range(len(POWERS))),
+    alike: float | None = None,
 ) -> LoadPart:
     """Return the load terms that runs left out ask for, solved beside a bank.
 
@@ -118,6 +124,8 @@ def fit_loads(
         runs: training runs.
         rows: of these runs.
         lags: of the bank.
+        choice: orders of the load terms to choose from, see `POWERS`.
+        alike: how alike neighbouring rows of what is left are; None: as found.
     """
     data, outputs = rows.data, rows.unit.size
     loads = list_loads(physics, runs)
@@ -131,10 +139,14 @@ def fit_loads(
     )
     base = rows.columns(lags)
     places = [base.shape[1] + np.array([terms.index(t) for t in o], dtype=int) for o in orders]
-    system = _System(rows, np.concatenate([base, seen], axis=1), base.shape[1], places[USUAL_ORDER])
-    found = [system.choose(place) for place in places]
-    chosen = pick(found)
-    order = found.index(chosen)
+    columns = np.concatenate([base, seen], axis=1)
+    if alike is None:
+        usual = np.concatenate([np.arange(base.shape[1]), places[USUAL_ORDER]])
+        alike = _correlate(rows, columns[:, usual])
+    system = _System(rows, columns, base.shape[1], alike)
+    found = {order: system.choose(places[order]) for order in choice}
+    chosen = pick(list(found.values()))
+    order = next(order for order in found if found[order] is chosen)
     return LoadPart(orders[order], system.solve_all(places[order], chosen.ridge) * rows.unit)
 
 
@@ -145,14 +157,14 @@ class _System:
         rows: rows and targets.
         columns: [m, J] of the bank, then of the richest load terms.
         bank: how many columns are the bank's.
-        usual: places of the load terms whose remainder tells how alike neighbouring rows are.
+        alike: how alike neighbouring rows of what is left are.
     """
 
-    def __init__(self, rows: Rows, columns: Array, bank: int, usual: Places) -> None:
+    def __init__(self, rows: Rows, columns: Array, bank: int, alike: float) -> None:
         self._bank, self._outputs = bank, rows.unit.size
         data = rows.data
         together = np.concatenate([columns, rows.targets], axis=1)
-        together = difference(together, _correlate(rows, together, bank, usual), data.begins)
+        together = difference(together, alike, data.begins)
         parts = _split(data)
         self._learnt = self._sum(rows, together, parts)
         judged = [part & data.covered for part in parts[:-1]]
@@ -197,11 +209,10 @@ class _System:
         return self._solve(self._learnt.sum(axis=0)[picked], ridge)[self._bank :]
 
 
-def _correlate(rows: Rows, together: Array, bank: int, usual: Places) -> float:
-    """Return how alike neighbouring rows of what is left are, 0 to `MOST_ALIKE`."""
+def _correlate(rows: Rows, columns: Array) -> float:
+    """Return how alike neighbouring rows of what columns [m, J] leave are, 0 to `MOST_ALIKE`."""
     everything = rows.everything
-    own = np.concatenate([np.arange(bank), usual])
-    x = rows.prepare(together[:, own], everything)
+    x = rows.prepare(columns, everything)
     y = rows.prepare(rows.targets, everything)
     left = y - x @ solve_ridge(x.T @ x, x.T @ y, RIDGE * np.sum(x**2, axis=0))
     left[~np.isin(rows.data.run_group, _list_loaded(rows.data))] = 0.0
