@@ -23,12 +23,19 @@ class OutputError:
     unit: str
     full_scale: float
     uncompensated: float
+    physics: float | None
+    """Of the physical model alone; None where there is nothing beside it, or no such model."""
     float_model: float
     integer_model: float
     integer_to_float: float
     """Root mean square difference of the two models: what quantization costs."""
     integer_bias: float
     """Mean of measurement minus integer model; rmse^2 = bias^2 + scatter^2."""
+
+    @property
+    def is_hurt(self) -> bool:
+        """Whether the physical model alone errs less than with what was learnt beside it."""
+        return self.physics is not None and self.physics < self.float_model
 
     @property
     def percent_of_full_scale(self) -> float:
@@ -61,6 +68,7 @@ def tell_errors(
     uncompensated, float_error, integer_error = (
         _join(runs, answer, compensator.tared) for answer in (none, floats, integers)
     )
+    physics = _err_by_physics(compensator, runs)
     difference = np.concatenate(floats) - np.concatenate(integers)
     return tuple(
         OutputError(
@@ -68,6 +76,7 @@ def tell_errors(
             unit=output.unit,
             full_scale=output.full_scale,
             uncompensated=_rms(uncompensated[:, k]),
+            physics=None if physics is None else _rms(physics[:, k]),
             float_model=_rms(float_error[:, k]),
             integer_model=_rms(integer_error[:, k]),
             integer_to_float=_rms(difference[:, k]),
@@ -75,6 +84,18 @@ def tell_errors(
         )
         for k, output in enumerate(outputs)
     )
+
+
+def _err_by_physics(
+    compensator: Compensator | ImportedCompensator, runs: Sequence[Run]
+) -> Array | None:
+    """Return the errors [n, K] of the physical model alone, if something was learnt beside it."""
+    if isinstance(compensator, ImportedCompensator):
+        return None
+    if compensator.network is None and compensator.bank is None:
+        return None
+    answers = [compensator.physics.predict(run.at_rest()) for run in runs]
+    return _join(runs, answers, compensator.tared)
 
 
 def _join(runs: Sequence[Run], predictions: Sequence[Array], tared: bool) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tests.main_job.conftest import invoke, write_project
 
+from zerodrift.commands.firmware import tell_hurt
 from zerodrift.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.errors import CheckError
@@ -22,6 +23,7 @@ from zerodrift.export.integer_model import FLAG_TEMPERATURE_RANGE, FLAG_WARMING_
 from zerodrift.export.reference import Reference
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.compensator import Compensator
+from zerodrift.verify.errors_told import OutputError
 
 
 def test_firmware_reports_equal_bits_and_errors_in_physical_units(project: Path) -> None:
@@ -33,13 +35,23 @@ def test_firmware_reports_equal_bits_and_errors_in_physical_units(project: Path)
     assert 300 < result["instructions_per_step"]["cortex-m4"] < 20_000
     assert result["held_out"] is True
     for name in ("Fz", "Mx"):
-        rmse = {key: result["rmse"][key][name] for key in ("uncompensated", "float", "integer")}
-        assert rmse["integer"] < rmse["uncompensated"]
+        kinds = ("uncompensated", "physics", "float", "integer")
+        rmse = {key: result["rmse"][key][name] for key in kinds}
+        assert rmse["integer"] < rmse["physics"] < rmse["uncompensated"]
         assert result["rmse_integer_to_float"][name] < 0.002 * rmse["uncompensated"]
     assert 0 < result["ram_bytes"] < result["flash_bytes"] < 20_000
     assert 0 < result["stack_bytes"] < 2000
     for name in result["files"]:
         assert (project / name).is_file()
+
+
+def test_network_that_hurts_on_held_out_runs_is_told() -> None:
+    def err(name: str, physics: float | None) -> OutputError:
+        return OutputError(name, "N", 100.0, 9.0, physics, 2.5, 2.5, 0.001, 0.0)
+
+    assert tell_hurt([err("Fx", 3.0), err("Fy", None)]) == ""
+    told = tell_hurt([err("Fx", 3.0), err("Fz", 2.0)])
+    assert "(Fz 2.5 against 2 N)" in told and 'kind = "none" under [network]' in told
 
 
 def test_firmware_written_twice_gives_the_same_bytes(

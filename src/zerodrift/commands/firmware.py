@@ -81,6 +81,11 @@ def describe(firmware: Any, directory: Path) -> dict[str, Any]:
         ),
         "rmse": {
             "uncompensated": {e.name: e.uncompensated for e in firmware.errors},
+            **(
+                {"physics": {e.name: e.physics for e in firmware.errors}}
+                if _is_learnt(firmware)
+                else {}
+            ),
             "float": {e.name: e.float_model for e in firmware.errors},
             "integer": {e.name: e.integer_model for e in firmware.errors},
             **(
@@ -101,6 +106,26 @@ def describe(firmware: Any, directory: Path) -> dict[str, Any]:
         "certificate": {"claims": firmware.certificate.holds},
         "files": [show_path(path, directory) for path in firmware.files],
     }
+
+
+def _is_learnt(firmware: Any) -> bool:
+    """Return whether something was learnt beside the physical model."""
+    return any(e.physics is not None for e in firmware.errors)
+
+
+def tell_hurt(errors: Any) -> str:
+    """Return a sentence on outputs that the physical model alone predicts better, or ""."""
+    worse = [
+        f"{e.name} {e.float_model:.4g} against {e.physics:.4g} {e.unit}"
+        for e in errors
+        if e.is_hurt
+    ]
+    if not worse:
+        return ""
+    return (
+        "On the held-out runs the physical model alone does better than with what was learnt"
+        f' beside it ({", ".join(worse)}): record more runs, or set kind = "none" under [network].'
+    )
 
 
 def describe_budget(firmware: Any) -> dict[str, Any]:
@@ -138,12 +163,23 @@ def _print(firmware: Any, directory: Path) -> None:
     table = open_table(
         f"RMSE over the {kind}: {', '.join(firmware.error_runs)}",
         ("output", "unit"),
-        ("uncompensated", "float", "integer", "% FS", "int - float"),
+        (
+            "uncompensated",
+            *(["physics alone"] if _is_learnt(firmware) else []),
+            "float",
+            "integer",
+            "% FS",
+            "int - float",
+        ),
     )
     for e in firmware.errors:
-        numbers = (e.uncompensated, e.float_model, e.integer_model, e.percent_of_full_scale)
-        table.add_row(e.name, e.unit, *(f"{x:.4g}" for x in numbers), f"{e.integer_to_float:.2g}")
+        physics = [] if e.physics is None else [e.physics]
+        numbers = (*physics, e.float_model, e.integer_model, e.percent_of_full_scale)
+        cells = (f"{x:.4g}" for x in (e.uncompensated, *numbers))
+        table.add_row(e.name, e.unit, *cells, f"{e.integer_to_float:.2g}")
     console.print(table)
+    if firmware.held_out and (told := tell_hurt(firmware.errors)):
+        console.print(told)
     if firmware.tared:
         console.print("The logs are tared: each run's own offset is taken off every error.")
     if firmware.untuned:
