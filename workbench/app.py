@@ -2,13 +2,18 @@
 
 import dash
 from dash import Dash, Input, Output, State
+from flask import send_file
 
 from zerodrift.report.page import read_asset
 from zerodrift.workbench import views
+from zerodrift.workbench.bundle import find_bundle
 from zerodrift.workbench.chart import MOVES, draw_main
 from zerodrift.workbench.first import CHART, CHOICES, FRAME, TOP, Places, lay_out_first
 from zerodrift.workbench.layout import PAGE, PLOTLY
 from zerodrift.workbench.workplace import Workplace
+
+BASIC = "/plotly-basic.min.js"
+SCRIPT = "text/javascript"
 
 
 def make_app(workplace: Workplace) -> Dash:
@@ -20,12 +25,23 @@ def make_app(workplace: Workplace) -> Dash:
         serve_locally=True,
         suppress_callback_exceptions=True,
     )
-    app.index_string = PAGE.replace("PLOTLY", PLOTLY).replace("STYLE", read_asset("page.css"))
+    app.index_string = PAGE.replace("PLOTLY", _serve_plotly(app)).replace(
+        "STYLE", read_asset("page.css")
+    )
     app.layout = lambda: lay_out_first(workplace)
     _connect_frame(app, workplace)
     _connect_findings(app, workplace)
     _connect_chart(app, workplace)
     return app
+
+
+def _serve_plotly(app: Dash) -> str:
+    """Return where the page finds Plotly."""
+    bundle = find_bundle()
+    if bundle is None:
+        return PLOTLY
+    app.server.add_url_rule(BASIC, view_func=lambda: send_file(bundle, mimetype=SCRIPT))
+    return BASIC
 
 
 def _list(places: Places) -> list[Output]:
