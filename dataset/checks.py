@@ -164,7 +164,7 @@ def check_sampling(table: Table, column: str, start: int, stop: int) -> None:
     """
     interval_s = np.diff(table.columns[column][start:stop])
     blocks = min(64, max(2, interval_s.size // 64))
-    if interval_s.size < 16:
+    if interval_s.size < 16 or interval_s.max() <= MIXED_RATIO * interval_s.min():
         return
     edges = np.linspace(0, interval_s.size, blocks + 1).astype(int)
     medians = np.array([np.median(interval_s[a:b]) for a, b in itertools.pairwise(edges)])

@@ -12,7 +12,7 @@ from zerodrift.fleet.result import RESULT, Outcome, SensorResult, load_result
 from zerodrift.fleet.sensors import configure_sensor, find_sensors
 from zerodrift.train.checkpoint import write_whole
 
-BATCH, NETWORK_BATCH = 16, 32
+BATCH = 32
 """Sensors in a batch: compiled together, and with a network trained together."""
 
 
@@ -66,8 +66,7 @@ def run_fleet(
             outcomes[sensor] = Outcome(sensor, kept, kept=True)
             tell()
     left = [sensor for sensor in sensors if sensor not in outcomes]
-    usual = BATCH if design.config.network.kind == "none" else NETWORK_BATCH
-    size = batch or max(1, min(usual, -(-len(left) // jobs)))
+    size = batch or max(1, min(BATCH, -(-len(left) // jobs)))
     batches: list[Batch] = [tuple(left[i : i + size]) for i in range(0, len(left), size)]
     if batches:
         with closing(executor.run(design, batches)) as found:

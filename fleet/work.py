@@ -31,7 +31,7 @@ from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import check_certificate
 from zerodrift.verify.firmware import list_sequences
-from zerodrift.verify.host_check import check_host
+from zerodrift.verify.host_check import check_host, check_starts
 
 UNFORESEEN = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
 """What a sensor's logs might raise that nobody thought of: told in its name, others go on."""
@@ -182,21 +182,19 @@ def check_bits(host: HostModel, dataset: Dataset) -> int:
         CheckError: they differ, or the model's own self-test fails.
     """
     sequences = list_sequences(host.model, dataset, random_steps=RANDOM_STEPS)
-    cases = [
-        (f"start of {name}", codes[:START_STEPS], settled)
-        for name, codes in sequences.items()
-        for settled in (True, False)
-    ]
-    cases.append(("everything", np.concatenate(list(sequences.values())), True))
+    everything = np.concatenate(list(sequences.values()))
     vectors = 0
-    for name, codes, settled in cases:
-        outcome = check_host(host, codes, settled=settled)
+    for outcome in (
+        check_starts(host, sequences, START_STEPS, settled=True),
+        check_starts(host, sequences, START_STEPS, settled=False),
+        check_host(host, everything, settled=True),
+    ):
         if outcome.mismatch is not None:
             raise CheckError(
-                f"the C differs from the reference: sequence '{name}', {outcome.mismatch}."
+                f"the C differs from the reference: {outcome.mismatch}."
                 " Nothing written for this sensor."
             )
-        vectors += len(codes)
+        vectors += outcome.steps
     if host.selftest() != 0:
         raise CheckError("the generated self-test fails on this host. Nothing written.")
     return vectors

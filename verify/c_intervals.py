@@ -184,7 +184,7 @@ class Machine(Expressions):
         self._take(")")
         if self._compared and self._compared[1] == "<":
             self._assume(self._compared[0], below=self._compared[2])
-        before = copy.deepcopy(self._locals)
+        before = _copy(self._locals)
         returned = self._block()
         self._narrow.clear()
         self._locals = before if returned else _join(before, self._locals)
@@ -215,9 +215,9 @@ class Machine(Expressions):
                 self._block()
         else:
             self._locals[name] = Value(first.low, max(end.high - 1, first.low), kind)
-            once = before = copy.deepcopy(self._locals)
+            once = before = _copy(self._locals)
             for _ in range(2):
-                once, self._at = copy.deepcopy(self._locals), body
+                once, self._at = _copy(self._locals), body
                 self._block()
                 self._locals = _join(before, self._locals)
             if once != self._locals:
@@ -391,6 +391,14 @@ def _require_all(name: str, sizes: list[int], test: str) -> None:
         counts += [count] * (f"s -> {name} [" in body)
     if any([int(count)] != sizes for count in counts):
         raise NotUnderstoodError(f"the state check looks at {counts} of {name} {sizes}")
+
+
+def _copy(variables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the variables as they are now: what can change is copied."""
+    return {
+        name: value if isinstance(value, Value) else copy.deepcopy(value)
+        for name, value in variables.items()
+    }
 
 
 def _join(a: dict[str, Any], b: dict[str, Any]) -> dict[str, Any]:

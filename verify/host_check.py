@@ -6,8 +6,8 @@ starts a batch of chunks from those states. If every chunk agrees at every step 
 state from which the next one began, the two runs are equal by induction over the whole sequence.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,7 +52,7 @@ def check_host(
         peer: another back end to compare the host with, in place of the reference.
     """
     model, total = host.model, codes.shape[0]
-    chunk = chunk or max(16, min(LONGEST_CHUNK, -(-total // CHUNKS_AT_ONCE)))
+    chunk = chunk or choose_chunk(total)
     reference = Reference(model)
     start = reference.start(codes[:1].astype(np.int64), settled=settled)
     whole, rest = divmod(total, chunk)
@@ -62,9 +62,7 @@ def check_host(
         part = host.run(codes[first : first + chunk], settled=settled, restart=first == 0)
         states.append(host.pack(states[0].size))
         rows.append(np.column_stack([part.nodes, part.flags.astype(np.int64), part.drift]))
-    labels = [*label_columns(model), "flags", *(f"drift[{k}]" for k in range(len(model.outputs)))]
-    if not host.observes:
-        labels = labels[len(label_columns(model)) :]
+    labels = _label(host)
     compared = 0
     groups = [(i, min(i + CHUNKS_AT_ONCE, whole)) for i in range(0, whole, CHUNKS_AT_ONCE)]
     groups += [(whole, whole + 1)] if rest else []
@@ -90,6 +88,54 @@ def check_host(
             if mismatch is not None:
                 return HostCheck(total, compared, mismatch)
     return HostCheck(total, compared, None)
+
+
+def choose_chunk(total: int) -> int:
+    """Return the steps of a chunk: few batches, and a short last chunk, since it runs alone."""
+    least = max(16, min(LONGEST_CHUNK, -(-total // CHUNKS_AT_ONCE)))
+    return min(range(least, least + least // 4 + 1), key=lambda chunk: chunk + total % chunk)
+
+
+def check_starts(
+    host: HostModel, sequences: Mapping[str, CodeArray], steps: int, *, settled: bool
+) -> HostCheck:
+    """Compare a host build with the reference over the first steps of many sequences.
+
+    Args:
+        host: the compiled model.
+        sequences: raw inputs [T, C] by name.
+        steps: how many of each; no more than the shortest has.
+        settled: start from `settle` rather than `init`.
+    """
+    steps = min(steps, *map(len, sequences.values()))
+    codes = np.stack([whole[:steps] for whole in sequences.values()])
+    reference = Reference(host.model)
+    start = reference.start(codes[:, 0].astype(np.int64), settled=settled)
+    width = start.pack().shape[1]
+    expected, after = _run_reference(reference, codes, start, observe=host.observes)
+    labels = _label(host)
+    for name, own, values, end in zip(sequences, codes, expected, after, strict=True):
+        part = host.run(own, settled=settled)
+        rows = np.column_stack([part.nodes, part.flags.astype(np.int64), part.drift])
+        found = np.concatenate([rows[-1], host.pack(width)])[None]
+        mismatch = find_mismatch(host.model, values, rows, labels) or find_mismatch(
+            host.model,
+            np.concatenate([values[-1], end])[None],
+            found,
+            [*labels, *(f"state[{n}]" for n in range(width))],
+            len(own) - 1,
+        )
+        if mismatch is not None:
+            mismatch = replace(mismatch, where=f"{mismatch.where} in the start of '{name}'")
+            return HostCheck(len(codes) * steps, expected.size, mismatch)
+    return HostCheck(len(codes) * steps, expected.size, None)
+
+
+def _label(host: HostModel) -> list[str]:
+    """Return the names of what is compared at each step."""
+    outputs = [f"drift[{k}]" for k in range(len(host.model.outputs))]
+    nodes = label_columns(host.model) if host.observes else []
+    return [*nodes, "flags", *outputs]
 
 
 def _run_reference(

@@ -4,7 +4,9 @@ import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 
 from zerodrift.errors import InputError
 from zerodrift.fleet_config import FleetConfig, read_fleet
@@ -192,10 +194,16 @@ def parse_config(text: str, path: Path) -> Config:
 def locate_key(path: Path, *key: str) -> str:
     """Return `zerodrift.toml:LINE` for a key, or the path alone when the file cannot be read."""
     try:
-        lines = index_lines(path.read_text(encoding="utf-8"))
+        lines = _index_lines(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError):
         return str(path)
     return f"{path}:{find_line(lines, key)}"
+
+
+@lru_cache(maxsize=4)
+def _index_lines(text: str) -> Mapping[tuple[str | int, ...], int]:
+    """Return `index_lines`, once for a text that a whole fleet shares."""
+    return MappingProxyType(index_lines(text))
 
 
 def _describe_syntax_error(path: Path, message: str) -> str:

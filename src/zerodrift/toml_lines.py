@@ -1,6 +1,7 @@
 """Where each key of a TOML text stands, so that an error about it can name its line."""
 
 import re
+from collections.abc import Mapping
 
 Path = tuple[str | int, ...]
 
@@ -47,7 +48,7 @@ def index_lines(text: str) -> dict[Path, int]:
     return lines
 
 
-def find_line(lines: dict[Path, int], path: Path) -> int:
+def find_line(lines: Mapping[Path, int], path: Path) -> int:
     """Return the line of `path`, or of the nearest table around it; 1 when none is known."""
     for length in range(len(path), 0, -1):
         if path[:length] in lines:

@@ -11,7 +11,7 @@ from tests.golden.model_factory import Draw, Shape, draw_model
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.reference import Reference
-from zerodrift.verify.host_check import check_host
+from zerodrift.verify.host_check import check_host, check_starts, choose_chunk
 
 FULL = Shape(front_end=("delay", "lowpass", "product"), inputs=3, hidden=6, outputs=2)
 WINDOWED = Shape(window=4, hidden=5, outputs=2, inputs=2)
@@ -111,3 +111,33 @@ def test_first_differing_step_is_named(tmp_path: Path) -> None:
     assert mismatch is not None
     assert (mismatch.step, mismatch.where) == (37, "drift[1]")
     assert "N against" in mismatch.physical
+
+
+@pytest.mark.parametrize("settled", [True, False])
+def test_starts_of_many_sequences_are_checked_together(settled: bool, tmp_path: Path) -> None:
+    model = draw_model(FULL, 9)
+    code = generate(model)
+    sequences = {
+        name: Draw(6 + i).codes(-3000, 3000, 5 + 20 * i, FULL.inputs)
+        for i, name in enumerate(("short", "long"))
+    }
+    host = HostModel(model, code, tmp_path / "good", flags=("-O1",))
+    outcome = check_starts(host, sequences, 8, settled=settled)
+    assert outcome.mismatch is None
+    assert outcome.steps == 2 * 5
+    pattern, becomes = FAULTS["delay one step long"]
+    source, count = re.subn(pattern, becomes, code.source)
+    assert count > 0
+    bad = GeneratedCode(code.prefix, code.header, source, code.harness)
+    host = HostModel(model, bad, tmp_path / "bad", flags=("-O1",))
+    found = check_starts(host, sequences, 8, settled=settled).mismatch
+    assert found is not None
+    assert "in the start of 'short'" in str(found)
+
+
+@pytest.mark.parametrize("total", [1, 15, 16, 255, 4096, 15803, 15900, 10**6])
+def test_chunks_are_few_and_the_last_one_short(total: int) -> None:
+    chunk = choose_chunk(total)
+    least = max(16, min(512, -(-total // 256)))
+    assert least <= chunk <= 1.25 * least
+    assert chunk + total % chunk <= least + total % least
