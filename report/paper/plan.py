@@ -7,6 +7,8 @@ from zerodrift.train.methods import METHODS
 
 DEFAULT = "lag_bank"
 PAPER_GRU = "gru_window_paper"
+PROJECTED_GRU = "gru_window_projected"
+"""The same network, trained another way."""
 PAPER_METHODS = ("lsm_linear", "mlp", "mlp_seq", "tcn", PAPER_GRU)
 QUICK_METHODS = (*PAPER_METHODS, "lsm_cubic", DEFAULT)
 NEED_SKLEARN = ("kernel_ridge", "svr", "knn", "random_forest")

@@ -45,10 +45,11 @@ PHYSICS = tuple(
 SOURCES: Mapping[str, tuple[str, ...]] = {
     "linear": ("train/methods/interface.py", "train/methods/windows.py", "train/methods/linear.py"),
     "network": NETWORK,
+    "gru_window_projected": (*NETWORK, "train/methods/projected.py"),
     "baseline": ("train/methods/windows.py", "train/methods/baselines.py"),
     "physics": ("operations", *PHYSICS, "train"),
 }
-"""Family of methods -> the files, or folders of them, that decide its results."""
+"""Family of methods, or one method -> the files, or folders of them, that decide its results."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,8 @@ class Store:
     def find_path(self, cell: Cell, family: str) -> Path:
         """Return where a result lies or would lie."""
         logs = digest_logs(cell.sensor, cell.logs, cell.body)
-        key = json.dumps([FORMAT, asdict(cell), logs, digest_sources(family)], sort_keys=True)
+        sources = digest_sources(cell.method if cell.method in SOURCES else family)
+        key = json.dumps([FORMAT, asdict(cell), logs, sources], sort_keys=True)
         return self.directory / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.json"
 
     def load(self, cell: Cell, family: str) -> dict[str, Any] | None:

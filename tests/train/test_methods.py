@@ -16,7 +16,16 @@ from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.front_end import Tap, compute_taps
 from zerodrift.train.methods import METHODS, Options
-from zerodrift.train.networks import FeedForwardNetwork, MlpNetwork, TcnNetwork, build_network
+from zerodrift.train.methods.networks import make_gru
+from zerodrift.train.methods.projected import Projected, fit_whitening
+from zerodrift.train.methods.windows import fit_windows
+from zerodrift.train.networks import (
+    FeedForwardNetwork,
+    GruNetwork,
+    MlpNetwork,
+    TcnNetwork,
+    build_network,
+)
 from zerodrift.train.onnx_export import build_layers_onnx, read_onnx_layers
 from zerodrift.train.optimise import Progress, Result, Settings, Trainer
 from zerodrift.train.sequences import Sequence32
@@ -223,3 +232,32 @@ def test_feed_forward_networks_carry_no_state() -> None:
     assert states.shape == (7, 0, 5)
     alone, _ = network(x[3:4], network.cold(5))
     assert torch.allclose(drift[3], alone[0], atol=1e-6)
+
+
+def test_projected_gradient_is_that_of_the_error() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(5, 1, 400)).astype(np.float32)
+    y = np.stack([x.sum(axis=(0, 1)), np.tanh(x[-1, 0])]).astype(np.float32)
+    torch.manual_seed(0)
+    network = make_gru("reset_before")(1, 2)
+    assert isinstance(network, GruNetwork)
+    problem = Projected(network, x, y, np.full(400, 3.0))
+    start = problem.start
+    direction = rng.normal(size=start.size) / np.sqrt(start.size)
+    _, slope = problem.evaluate(start)
+    step = 0.05
+    ahead, behind = (problem.evaluate(start + sign * step * direction)[0] for sign in (1, -1))
+    assert (ahead - behind) / (2 * step) == pytest.approx(slope @ direction, rel=0.02)
+
+
+def test_whitened_taps_are_unlike_each_other_and_noise_stays_small() -> None:
+    runs = [make_run(i) for i in range(3)]
+    windows = fit_windows(runs, (), 10, 10.0)
+    whitening = fit_whitening(windows, runs)
+    taps = np.concatenate([whitening.apply(windows, run) for run in runs], axis=2)[:, 0]
+    np.testing.assert_allclose(taps.mean(axis=1)[-1], 0.0, atol=1e-3)
+    together = taps @ taps.T / taps.shape[1]
+    np.testing.assert_allclose(together, np.diag(np.diag(together)), atol=1e-3)
+    assert np.diag(together).max() < 1.001
+    assert together[-1, -1] == pytest.approx(1.0, abs=1e-3)
+    assert np.allclose(whitening.matrix, np.tril(whitening.matrix))

@@ -32,6 +32,7 @@ from zerodrift.train.methods.networks import (
     make_network,
 )
 from zerodrift.train.methods.physical import fit_bank, fit_physics, make_trained
+from zerodrift.train.methods.projected import make_projected
 
 _GRU = NetworkConfig(kind="gru", hidden=16, memory="stream")
 
@@ -61,6 +62,12 @@ METHODS: Mapping[str, Method] = {
             "GRU(36), 10 samples, reset after",
             "network",
             make_network(make_gru("reset_after"), WINDOW, True),
+        ),
+        Method(
+            "gru_window_projected",
+            "GRU(36), 10 whitened samples, head solved",
+            "network",
+            make_projected("reset_before"),
         ),
         Method("gru_stream", "GRU(16), streaming", "network", make_trained(_GRU, False)),
         Method("physics", "effects", "physics", fit_physics, False, False),
