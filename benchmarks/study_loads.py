@@ -11,10 +11,12 @@ axes pooled, medians over specimens. One thermometer; lags found as in training.
 """
 
 import argparse
+import itertools
 from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zerodrift.config import EffectConfig
 from zerodrift.dataset.runs import Run
@@ -34,7 +36,10 @@ from zerodrift.train.front_end import TEMPERATURE
 from zerodrift.train.lag_bank.fit import prepare
 from zerodrift.train.lag_bank.loads import LoadPart, fit_loads, see_loads
 from zerodrift.train.lag_bank.model import POWERS
+from zerodrift.train.lag_bank.projection import solve_ridge
 from zerodrift.train.lag_bank.search import Rows, choose_bank, pick
+
+Array = NDArray[np.float64]
 
 OBLIQUE = """\
 title Thermal chamber, one cycle with weights that load all six directions at once
@@ -80,6 +85,16 @@ WAYS: Mapping[str, tuple[tuple[int, ...], float | None]] = {
     "gain to T^2, products times T": ((4,), None),
     CHOSEN: (tuple(range(len(POWERS))), None),
 }
+BASES: Mapping[str, tuple[str, ...]] = {
+    "gain by u, u^2": ("1", "u", "u2"),
+    "gain by u, products": ("1", "u", "products"),
+    "gain by u, u^2, products by u": ("1", "u", "u2", "products", "products u"),
+    "gain by the body's temperature, products": ("1", "body", "products"),
+    "gain by u, squares of the couplers' codes": ("1", "u", "squares of codes"),
+    "gain by u, products, cubes": ("1", "u", "products", "cubes"),
+}
+"""Of the load's part; u is the chip's temperature."""
+CODES, RIDGE = 3000.0, 1e-4
 
 
 @cache
@@ -131,6 +146,70 @@ def study(sensor: int, kind: str, count: int, ways: Sequence[str]) -> list[list[
     return found
 
 
+def see_basis(sensor: int, one: Recording, basis: str) -> Array:
+    """Return the columns [n, J] of one of `BASES`, the same for all outputs."""
+    twin = draw_sensor(sensor)
+    load = one.reference / FULL_SCALE
+    codes = twin.to_codes(one.reference) / CODES
+    u = (one.temperature_degC[:, None] - 20.0) / 40.0
+    body = (one.body_temperature_degC[:, None] - 20.0) / 40.0
+    pairs = itertools.combinations_with_replacement(range(len(OUTPUTS)), 2)
+    products = np.stack([load[:, k] * load[:, m] for k, m in pairs], axis=1)
+    parts = {
+        "1": load,
+        "u": load * u,
+        "u2": load * u**2,
+        "body": load * body,
+        "products": products,
+        "products u": products * u,
+        "cubes": load**3,
+        "squares of codes": codes**2,
+    }
+    return np.concatenate([parts[name] for name in BASES[basis]], axis=1)
+
+
+def study_bases(sensor: int) -> list[list[float]]:
+    """Return RMSE over floor [basis][test] where the drift without load is known exactly."""
+    twin = draw_sensor(sensor)
+
+    def left(one: Recording) -> Array:
+        bare = twin.to_load(twin.sense(np.zeros_like(one.load), one.nodes))
+        return np.asarray(one.measured - one.reference - bare)
+
+    runs = record_training(sensor, "varied", False)
+    unit = np.concatenate([r.drift for r in runs if r.name.startswith("chamber_")]).std(axis=0)
+    train = [record_one(sensor, "pairs", f"pairs_{n}", TRAIN_SEED) for n in (1, 2, 3)]
+    found = []
+    for basis in BASES:
+        x = np.concatenate([see_basis(sensor, one, basis) for one in train])
+        y = np.concatenate([left(one) for one in train])
+        normal = x.T @ x
+        solved = solve_ridge(normal, x.T @ y, RIDGE * np.diag(normal))
+        errors = []
+        for kind in TESTS:
+            error = floor = 0.0
+            for n in (1, 2):
+                one = record_one(sensor, kind, f"test_{kind}_{n}", TEST_SEED)
+                missed = (left(one) - see_basis(sensor, one, basis) @ solved) / unit
+                error += float(np.sum(np.mean(missed**2, axis=0)))
+                floor += float(np.sum((one.floor / unit) ** 2))
+            errors.append(float(np.sqrt(error / floor)))
+        found.append(errors)
+    return found
+
+
+def print_bases(sensors: Sequence[int]) -> None:
+    """Print what bases of the load's part can do at best."""
+    print("the same with the drift without load known exactly: RMSE / floor, every specimen")
+    errors = np.array([study_bases(s) for s in sensors])
+    for place, basis in enumerate(BASES):
+        figures = "".join(
+            f"   {test} " + ", ".join(f"{figure:.2f}" for figure in errors[:, place, at])
+            for at, test in enumerate(TESTS)
+        )
+        print(f"{basis:<44}{figures}", flush=True)
+
+
 def main(sensors: Sequence[int]) -> None:
     """Print the table."""
     print(f"simulated; specimens {', '.join(map(str, sensors))}; error of the load part / floor")
@@ -149,4 +228,6 @@ def main(sensors: Sequence[int]) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="The loads' part of the drift, and its logs.")
     parser.add_argument("--sensors", type=int, nargs="+", default=[1, 2, 3])
-    main(parser.parse_args().sensors)
+    parser.add_argument("--bases", action="store_true", help="bases at their best, alone")
+    given = parser.parse_args()
+    (print_bases if given.bases else main)(given.sensors)
