@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.config import Config
+from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.feedback import predict_fed_back
 from zerodrift.export.float_network import FloatNetwork
@@ -200,6 +201,8 @@ def count_elapsed(model: IntegerModel, run: Run) -> int:
 
 def predict_on_chip(compensator: "Compensator | ImportedCompensator", run: Run) -> Array:
     """Return the float model's drift [n, K] with loads as the chip knows them."""
+    if run.before is not None:
+        return predict_along(lambda whole: predict_on_chip(compensator, whole), run)
     if compensator.physics is None:
         return compensator.predict(run)
     nodes = list_nodes(compensator.physics.graph().features)
@@ -286,6 +289,8 @@ def measure_warm_up(model: IntegerModel, runs: Sequence[Run]) -> int:
 
 def predict_integer(model: IntegerModel, run: Run) -> Array:
     """Return the drift [n, K] that the chip computes for a run, in each output's unit."""
+    if run.before is not None:
+        return predict_along(lambda whole: predict_integer(model, whole), run)
     codes = encode_inputs(model, run)[None]
     trace = Reference(model).run(codes, elapsed=count_elapsed(model, run))
     scale = np.array([output.lsb_per_unit for output in model.outputs], dtype=np.float64)

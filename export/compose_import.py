@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.config import Config
+from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.errors import InputError, nearest
 from zerodrift.export.compose import (
@@ -62,6 +63,8 @@ class ImportedCompensator:
 
     def predict(self, run: Run) -> Array:
         """Return the predicted drift [n, K] of a run that starts at rest."""
+        if run.before is not None:
+            return predict_along(self.predict, run)
         features = read_features(run, self.front_end.features)
         if self.window:
             return self.network.run_windows(features, self.window)

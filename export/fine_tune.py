@@ -91,7 +91,7 @@ def tune_imported(
     """
     described = describe_imported(compensator, config, runs)
     calibration = calibrate_imported(compensator, described, runs)
-    targets = [compensator.predict(run) for run in runs]
+    targets = [compensator.predict(run.at_rest()) for run in runs]
     return tune_network(described, calibration, targets, runs, report)
 
 
@@ -157,7 +157,8 @@ def build_integer_network(
 
 
 def answer(compensator: Compensator, run: Run) -> Array:
-    """Return what the float network alone adds to a run's drift [n, K]."""
+    """Return what the float network alone adds to the drift [n, K] of a stretch from rest."""
+    run = run.at_rest()
     return compensator.predict(run) - replace(compensator, network=None).predict(run)
 
 

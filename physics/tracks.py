@@ -5,13 +5,13 @@ straight lines over the gap; columns are built along the whole track, and only w
 cut out of them again. No sample of a gap is ever compared with anything.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.dataset.bridges import lay, list_chain, plan_bridges
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.effect import Feature, Signals
 from zerodrift.physics.signals import SignalPlan, read_signals
@@ -31,9 +31,6 @@ class Track:
 
 def lay_tracks(runs: Sequence[Run], plan: SignalPlan, block: int = 1) -> list[Track]:
     """Return the tracks on which the stretches lie; a run without a gap is one by itself.
-
-    A bridge has as many samples as the gap, but no more than all stretches before it: what lies
-    longer ago than that is as good as settled.
 
     Args:
         runs: stretches of runs.
@@ -59,14 +56,6 @@ def lay_tracks(runs: Sequence[Run], plan: SignalPlan, block: int = 1) -> list[Tr
     return sorted(tracks, key=lambda track: track.places[0])
 
 
-def list_chain(run: Run) -> list[Run]:
-    """Return the stretches of a run up to this one, the first one first."""
-    chain = [run]
-    while chain[0].before is not None:
-        chain.insert(0, chain[0].before)
-    return chain
-
-
 def build_stretches(
     runs: Sequence[Run], plan: SignalPlan, terms: Sequence[Term], order: Sequence[str]
 ) -> list[list[Feature[Array]]]:
@@ -90,36 +79,20 @@ def _join(
     """Return the signals laid end to end, gaps bridged, and where each part begins."""
     if len(parts) == 1:
         return parts[0], [0]
-    bridges, starts = [], [0]
-    for before, after in pairwise(chain):
-        end = starts[-1] + len(before)
-        gap_s = float(after.time_s[0] - before.time_s[-1])
-        missing = min(max(round(gap_s / before.sample_period_s) - 1, 0), end)
-        missing += -(end + missing) % block
-        bridges.append(missing)
-        starts.append(end + missing)
+    bridges, starts = plan_bridges(chain, block)
 
-    def lay(values: Sequence[Array]) -> Array:
-        pieces = [values[0]]
-        for now, missing in zip(values[1:], bridges, strict=True):
-            line = np.linspace(pieces[-1][-1], now[0], missing + 2)[1:-1]
-            pieces += [line, now]
-        return np.concatenate(pieces)
+    def lay_all(of_parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+        return {name: lay([part[name] for part in of_parts], bridges) for name in of_parts[0]}
 
-    first = parts[0]
     return (
         replace(
-            first,
-            temperature_degC=lay([part.temperature_degC for part in parts]),
-            elapsed_s=lay([part.elapsed_s for part in parts]),
-            clock_s=lay([part.clock_s for part in parts]),
-            load={name: lay([part.load[name] for part in parts]) for name in first.load},
-            saturated={
-                name: lay([part.saturated[name] for part in parts]) for name in first.saturated
-            },
-            channels={
-                name: lay([part.channels[name] for part in parts]) for name in first.channels
-            },
+            parts[0],
+            temperature_degC=lay([part.temperature_degC for part in parts], bridges),
+            elapsed_s=lay([part.elapsed_s for part in parts], bridges),
+            clock_s=lay([part.clock_s for part in parts], bridges),
+            load=lay_all([part.load for part in parts]),
+            saturated=lay_all([part.saturated for part in parts]),
+            channels=lay_all([part.channels for part in parts]),
         ),
         starts,
     )

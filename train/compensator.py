@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.runs import Run
 from zerodrift.errors import InputError
 from zerodrift.operations.dense import FloatFeedForward
@@ -86,9 +87,10 @@ class Compensator:
     def predict(self, run: Run) -> Array:
         """Return the predicted drift [n, K] of a run, each output in its unit.
 
-        The run is taken to be at rest before its first sample.
+        The run is taken to be at rest before its first sample, and gaps in it for straight lines.
         """
-        run = run.at_rest()
+        if run.before is not None:
+            return predict_along(self.predict, run)
         drift = self.physics.predict(run)
         if self.bank is not None:
             drift = drift + self.physics.features(run) @ self.bank.correction

@@ -124,6 +124,6 @@ def measure(
 
     return Errors(
         uncompensated=rmse(lambda run: np.zeros_like(run.drift)),
-        physics=rmse(lambda run: compensator.physics.predict(run.at_rest())),
+        physics=rmse(compensator.physics.predict),
         compensated=rmse(compensator.predict),
     )

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.c_runtime.host import HostModel
+from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
 from zerodrift.export.compose_import import ImportedCompensator
@@ -59,11 +60,13 @@ def tell_errors(
     outputs = host.model.outputs
     scale = np.array([output.lsb_per_unit for output in outputs], dtype=np.float64)
     floats = [predict_on_chip(compensator, run) for run in runs]
-    integers = [
-        host.run(encode_inputs(host.model, run), elapsed=count_elapsed(host.model, run)).drift
-        / scale
-        for run in runs
-    ]
+
+    def compute(run: Run) -> Array:
+        codes = encode_inputs(host.model, run)
+        trace = host.run(codes, elapsed=count_elapsed(host.model, run))
+        return np.asarray(trace.drift / scale)
+
+    integers = [predict_along(compute, run) for run in runs]
     none = [np.zeros_like(run.drift) for run in runs]
     uncompensated, float_error, integer_error = (
         _join(runs, answer, compensator.tared) for answer in (none, floats, integers)

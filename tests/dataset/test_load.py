@@ -198,6 +198,8 @@ def test_load_splits_at_a_gap_and_drops_what_is_too_short(project, rows):
         ("log", "log", 0, 30),
         ("log#2", "log", 1, 20),
     ]
+    first, second = dataset.train
+    assert (first.before, second.before) == (None, first)
     notes = "\n".join(dataset.notes)
     assert "log.csv: interrupted 2 times (longest 96 s, after 104 s)" in notes
     assert "log.csv: left out 1 of 3 stretches, of fewer than 10 steps each" in notes

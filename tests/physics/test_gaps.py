@@ -16,6 +16,7 @@ from tests.physics.conftest import (
 )
 
 from zerodrift.config import EffectConfig
+from zerodrift.dataset.bridges import predict_along
 from zerodrift.physics.diagnose import diagnose
 from zerodrift.physics.fit import fit
 from zerodrift.physics.held_out import hold_out
@@ -166,3 +167,20 @@ def test_hysteresis_is_named_in_logs_with_gaps(tempco):
     assert (diagnosis.verdict, diagnosis.effect) == ("missing", "thermal_hysteresis")
     assert diagnosis.parameters["half_width_K"] == pytest.approx(5.0, rel=0.05)
     assert diagnosis.floor_ratio_after < 1.2
+
+
+def test_replay_along_the_run_is_that_of_the_run_without_a_gap():
+    whole = make_straight_gap().train[0]
+    first, second = interrupt(whole, 300, 400)
+    seen = []
+
+    def total(run):
+        seen.append(run)
+        return np.cumsum(run.temperature_degC[:, None] + run.reference, axis=0)
+
+    expected = total(whole)
+    assert np.array_equal(predict_along(total, first), expected[:300])
+    assert predict_along(total, second) == pytest.approx(expected[400:])
+    assert seen[-1].before is None
+    assert seen[-1].time_s == pytest.approx(whole.time_s)
+    assert seen[-1].inputs["supply"] == pytest.approx(whole.inputs["supply"])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.config import Config
+from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.dataset.units import read_unit
 from zerodrift.errors import InputError
@@ -196,8 +197,14 @@ def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Pred
     with tempfile.TemporaryDirectory(prefix="zerodrift-") as scratch:
         host = HostModel(model, generate(model), Path(scratch), observe=False)
 
-    def predict(run: Run) -> Array:
+    def compute(run: Run) -> Array:
         trace = host.run(encode_inputs(model, run), elapsed=count_elapsed(model, run))
         return np.asarray(trace.drift / scale)
 
-    return Predictor(C, predict, physics.effects, physics.tared, find_usable=physics.find_usable)
+    return Predictor(
+        C,
+        lambda run: predict_along(compute, run),
+        physics.effects,
+        physics.tared,
+        find_usable=physics.find_usable,
+    )
