@@ -1,14 +1,16 @@
 """Fuzzes what reads or computes: `python -m tests.fuzz [--seconds S] [--scratch] [TARGET ...]`.
 
-step, state, restore: the generated C under libFuzzer with the address and undefined-behaviour
-sanitizers (needs clang). model, onnx, config, csv: the readers of a user's files under atheris.
-Each target gets S seconds of processor time, shared out over its models. What a fuzzer finds
-interesting is kept in tests/fuzz/corpus, as small as its coverage allows, or with --scratch in
-build/fuzz alone. Exit codes: 0 no finding, 1 a finding, 2 a fuzzer is missing.
+step, state, restore: the generated C, with the whole and the small table, under libFuzzer with the
+address and undefined-behaviour sanitizers (needs clang). model, onnx, config, csv: the readers of
+a user's files under atheris. Each target gets S seconds of processor time, shared out over its
+models. What a fuzzer finds interesting is kept in tests/fuzz/corpus, as small as its coverage
+allows, or with --scratch in build/fuzz alone. Exit codes: 0 no finding, 1 a finding, 2 a fuzzer
+is missing.
 """
 
 import argparse
 import importlib.util
+import itertools
 import os
 import resource
 import shutil
@@ -33,12 +35,14 @@ Command = list[str | Path]
 def list_jobs(target: str, clang: Compiler | None) -> Iterator[tuple[str, Command, list[bytes]]]:
     """Yield the name, the command and the seeds of all that is fuzzed for a target."""
     if target in build.TARGETS and clang is not None:
-        for name in build.MODELS:
-            folder = SCRATCH / f"{target}_{name}"
+        for name, (table, macros) in itertools.product(build.MODELS, build.TABLES.items()):
+            if table and target == "restore":  # reads no table
+                continue
+            job = f"{target}_{name}{table}"
             model = load_model(build.GOLDEN / f"{name}.model.json")
-            flags = (f"-fsanitize=fuzzer,{build.SANITIZERS}",)
-            program = build.build(model, target, clang, folder, flags)
-            yield f"{target}_{name}", [program, "-max_len=600"], []
+            flags = (f"-fsanitize=fuzzer,{build.SANITIZERS}", *macros)
+            program = build.build(model, target, clang, SCRATCH / job, flags)
+            yield job, [program, "-max_len=600"], []
     elif target in loaders.TARGETS:
         limit = f"-max_len={LONGEST_INPUT[target]}"
         command: Command = [sys.executable, "-m", "tests.fuzz.under_atheris", target]
@@ -131,9 +135,10 @@ def main() -> int:
     for target in targets:
         jobs = [] if find_missing([target], clang) else list(list_jobs(target, clang))
         for name, command, seeds in jobs:
-            corpus = SCRATCH / name / "corpus" if arguments.scratch else CORPUS / name
-            if arguments.scratch and (CORPUS / name).is_dir():
-                shutil.copytree(CORPUS / name, corpus, dirs_exist_ok=True)
+            kept = CORPUS / name.removesuffix("_small")
+            corpus = SCRATCH / name / "corpus" if arguments.scratch else kept
+            if arguments.scratch and kept.is_dir():
+                shutil.copytree(kept, corpus, dirs_exist_ok=True)
             corpus.mkdir(parents=True, exist_ok=True)
             for number, seed in enumerate(seeds):
                 (corpus / f"seed_{number}").write_bytes(seed)

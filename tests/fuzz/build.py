@@ -18,6 +18,8 @@ GOLDEN = HERE.parent / "golden"
 TARGETS = {"step": 0, "state": 1, "restore": 2}
 MODELS = ("front_end", "windowed", "int8_before", "effects")
 """Filters and a delay; a window; 8-bit weights; a load, a counter and an input of 32 bits."""
+TABLES = {"": (), "_small": ("-DZD_SMALL",)}
+"""End of a job's name -> how the table of tanh is chosen, see docs/reference/kernels.md."""
 SANITIZERS = "address,undefined"
 _PROBE = """int LLVMFuzzerTestOneInput(const unsigned char *data, unsigned long size);
 int LLVMFuzzerTestOneInput(const unsigned char *data, unsigned long size) {

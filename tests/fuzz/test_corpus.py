@@ -39,6 +39,17 @@ def test_corpus_and_random_bytes_find_nothing(name: str, target: str, tmp_path: 
 
 
 @needs_sanitizers
+@pytest.mark.parametrize("target", ["step", "state"])
+def test_corpus_finds_nothing_in_the_small_table(target: str, tmp_path: Path) -> None:
+    model = load_model(build.GOLDEN / "int8_before.model.json")
+    flags = (f"-fsanitize={build.SANITIZERS}", "-DREPLAY", *build.TABLES["_small"])
+    program = build.build(model, target, SANITIZED[0], tmp_path, flags)
+    files = sorted((CORPUS / f"{target}_int8_before").glob("*"))
+    done = subprocess.run([program, *files], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_sanitizers
 def test_target_would_find_a_state_that_is_not_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
