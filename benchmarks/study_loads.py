@@ -13,13 +13,14 @@ axes pooled, medians over specimens. One thermometer; lags found as in training.
 import argparse
 import itertools
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.config import EffectConfig
 from zerodrift.dataset.runs import Run
+from zerodrift.export.feedback import predict_fed_back
 from zerodrift.physics.fit import fit
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.physics.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
@@ -31,13 +32,22 @@ from zerodrift.physics.twin.six_axis import (
     record,
     to_run,
 )
-from zerodrift.report.paper.world import PERIOD_S, TEST_SEED, TRAIN_SEED, record_training
+from zerodrift.report.paper.plan import DEFAULT
+from zerodrift.report.paper.world import (
+    PERIOD_S,
+    TEST_SEED,
+    TRAIN_SEED,
+    pool_floor,
+    record_test,
+    record_training,
+)
 from zerodrift.train.front_end import TEMPERATURE
 from zerodrift.train.lag_bank.fit import prepare
 from zerodrift.train.lag_bank.loads import LoadPart, fit_loads, see_loads
 from zerodrift.train.lag_bank.model import POWERS
 from zerodrift.train.lag_bank.projection import solve_ridge
 from zerodrift.train.lag_bank.search import Rows, choose_bank, pick
+from zerodrift.train.methods import METHODS, Options
 
 Array = NDArray[np.float64]
 
@@ -210,6 +220,25 @@ def print_bases(sensors: Sequence[int]) -> None:
         print(f"{basis:<44}{figures}", flush=True)
 
 
+def print_fed_back(sensors: Sequence[int]) -> None:
+    """Print what it costs that the chip takes its loads from its own last drift."""
+    print("RMSE / floor of the default, by true loads and by those of the chip")
+    for sensor in sensors:
+        runs = record_training(sensor, "loaded", False)
+        options = Options(outputs=OUTPUTS, full_scale=tuple(FULL_SCALE.tolist()))
+        fitted = METHODS[DEFAULT].fit(runs, seed=0, options=options)
+        for test in ("chamber_loaded", "walking"):
+            trials = record_test(sensor, test, False)
+            unit = np.concatenate([trial.run.drift for trial in trials]).std(axis=0)
+            floor = np.sqrt(np.mean((pool_floor(trials) / unit) ** 2))
+            figures = []
+            for predict in (fitted.predict, partial(predict_fed_back, fitted.predict)):
+                missed = [trial.run.drift - predict(trial.run) for trial in trials]
+                error = np.sqrt(np.mean((np.concatenate(missed) / unit) ** 2))
+                figures.append(float(error / floor))
+            print(f"specimen {sensor}, {test}: {figures[0]:.3f}, {figures[1]:.3f}", flush=True)
+
+
 def main(sensors: Sequence[int]) -> None:
     """Print the table."""
     print(f"simulated; specimens {', '.join(map(str, sensors))}; error of the load part / floor")
@@ -229,5 +258,11 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="The loads' part of the drift, and its logs.")
     parser.add_argument("--sensors", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--bases", action="store_true", help="bases at their best, alone")
+    parser.add_argument("--fed-back", action="store_true", help="loads as the chip has them")
     given = parser.parse_args()
-    (print_bases if given.bases else main)(given.sensors)
+    if given.bases:
+        print_bases(given.sensors)
+    elif given.fed_back:
+        print_fed_back(given.sensors)
+    else:
+        main(given.sensors)
