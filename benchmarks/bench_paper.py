@@ -3,11 +3,16 @@
 All data are simulated. Errors are pooled over the six axes, each in shares of its drift's RMS over
 the chamber cycles; figures are medians over specimens and seeds, with quartiles. Specimens 1 to 3
 served to choose the default; the others are looked at here alone. "bench" is heating, cooling and
-the plates of the walk without strides, together; varied logs are twelve, none of them a walk. The
+the plates of the walk without strides, together. Varied logs are twelve of these protocols and of
+two more, in draws of their own; "no plates" are twelve of which none stands on the plates. The
 paper's GRU is trained in two ways on all specimens, by one learning-rate cycle of 40 epochs and by
 L-BFGS on whitened taps with the head solved; each line on errors takes whichever of the two did
 better on its very tests. By the paper's own recipe (2000 epochs at a constant rate) it is trained
 on the first specimen as far as `--recipe-epochs` goes.
+
+No method's error gets below the noise of the test, so the paper's GRU over the noise floor is the
+most that any method can gain on it. Beside each ratio of errors stands that of the drift's errors,
+noise taken off.
 
 Every fit is kept in `--store`, so that an interrupted benchmark goes on where it was.
 """
@@ -18,7 +23,7 @@ import resource
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,6 +43,10 @@ SENSORS, SEEDS = 8, 3
 RECIPE_EPOCHS = 2000
 STORE = Path("build/bench_paper")
 CSV_MB = 38.0
+GRUS = {"gru": PAPER_GRU, "projected": PROJECTED_GRU}
+"""The paper's GRU, by way of training."""
+BODY_OF = {"varied": "body", "unwalked": "unwalked body"}
+"""Fits with the second thermometer, by those without."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +56,12 @@ class Row:
     what: str
     target: str
     measured: Spread
-    reached: bool
+    reached: bool | None
+    """None: a figure without a target."""
 
     def write(self) -> str:
         """Return the line."""
-        verdict = "reached" if self.reached else "NOT reached"
+        verdict = {True: "reached", False: "NOT reached", None: "for comparison"}[self.reached]
         spread = self.measured
         quartiles = f"{spread.low:.3g} to {spread.high:.3g}, {spread.count} values"
         return f"{self.what:<66} {self.target:>9} {spread.median:9.3g}   {verdict} ({quartiles})"
@@ -62,8 +72,8 @@ def main(quick: bool) -> None:
     run(1 if quick else SENSORS, 1 if quick else SEEDS, 5 if quick else RECIPE_EPOCHS, STORE, quick)
 
 
-def run(sensors: int, seeds: int, recipe_epochs: int, store: Path, quick: bool) -> None:
-    """Print the table for so many specimens and seeds."""
+def list_cells(sensors: int, seeds: int, recipe_epochs: int, rows: str) -> dict[str, list[Cell]]:
+    """Return the fits by group, for all rows or for those of one kind."""
     specimens, starts = range(1, sensors + 1), range(seeds)
     everyone = [(s, start) for start in starts for s in specimens]
     cells = {
@@ -73,16 +83,30 @@ def run(sensors: int, seeds: int, recipe_epochs: int, store: Path, quick: bool) 
         "body": [Cell(DEFAULT, s, start, logs="varied", body=True) for s, start in everyone],
         "loaded": [Cell(DEFAULT, s, start, logs="loaded") for s, start in everyone],
         "loaded body": [Cell(DEFAULT, s, start, logs="loaded", body=True) for s, start in everyone],
-        "gru": [Cell(PAPER_GRU, s, start) for s, start in everyone],
-        "gru varied": [Cell(PAPER_GRU, s, start, logs="varied") for s, start in everyone],
-        "projected": [Cell(PROJECTED_GRU, s, start) for s, start in everyone],
-        "projected varied": [Cell(PROJECTED_GRU, s, start, logs="varied") for s, start in everyone],
+        "unwalked": [Cell(DEFAULT, s, start, logs="unwalked") for s, start in everyone],
+        "unwalked body": [
+            Cell(DEFAULT, s, start, logs="unwalked", body=True) for s, start in everyone
+        ],
+        **{
+            f"{name} {logs}": [Cell(method, s, start, logs=logs) for s, start in everyone]
+            for name, method in GRUS.items()
+            for logs in ("chamber", "varied", "unwalked")
+        },
         "recipe": [
             Cell(PAPER_GRU, 1, schedule="recipe", epochs=recipe_epochs, course=True),
             Cell(PAPER_GRU, 1, course=True),
             Cell(PROJECTED_GRU, 1, course=True),
         ],
     }
+    left_out = () if rows == "all" else ("loaded", "loaded body", "recipe")
+    return {name: group for name, group in cells.items() if name not in left_out}
+
+
+def run(
+    sensors: int, seeds: int, recipe_epochs: int, store: Path, quick: bool, rows: str = "all"
+) -> None:
+    """Print the table for so many specimens and seeds."""
+    cells = list_cells(sensors, seeds, recipe_epochs, rows)
 
     def tell(done: int, total: int, what: str) -> None:
         print(f"  {done} of {total} fits: {what}", file=sys.stderr, flush=True)
@@ -96,8 +120,11 @@ def run(sensors: int, seeds: int, recipe_epochs: int, store: Path, quick: bool) 
     )
     for row in [*compare_errors(groups, outcomes), *compare_sizes(groups)]:
         print(row.write())
-    print_time(groups, recipe_epochs)
+    if rows == "all":
+        print_time(groups, recipe_epochs)
     print_floors(groups)
+    if rows != "all":
+        return
     measure_csv(2.0 if quick else CSV_MB)
     print("fleet: python -m benchmarks.bench_fleet")
 
@@ -114,30 +141,44 @@ def pool_floor(outcome: Outcome, tests: Sequence[str]) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
+def pool_drift(outcome: Outcome, tests: Sequence[str]) -> float:
+    """Return `pool` with the noise of the tests taken off, in squares.
+
+    The noise is the same whatever the method; what is left is the method's error of the drift.
+    """
+    squared = pool(outcome, tests) ** 2 - pool_floor(outcome, tests) ** 2
+    return float(np.sqrt(max(squared, 1e-300)))
+
+
 def divide(
-    outcomes: Outcomes, ones: Sequence[Outcome], others: Sequence[Outcome], tests: Sequence[str]
-) -> Spread:
-    """Return the errors of ones over those of others, paired by specimen and seed."""
-    return summarise(pool(a, tests) / pool(b, tests) for a, b in outcomes.pair(ones, others))
-
-
-def divide_best(
     outcomes: Outcomes,
     ways: Sequence[Sequence[Outcome]],
     others: Sequence[Outcome],
     tests: Sequence[str],
+    error: Callable[[Outcome, Sequence[str]], float] = pool,
 ) -> Spread:
-    """Return the least errors of several ways over those of others, likewise paired."""
+    """Return the errors of a method over those of others, paired by specimen and seed.
+
+    Args:
+        outcomes: all there are.
+        ways: of the method, by each way of training; the best of each pair counts.
+        others: what it is compared with.
+        tests: pooled.
+        error: how.
+    """
     pairs = [outcomes.pair(ones, others) for ones in ways]
     return summarise(
-        min(pool(a, tests) for a, _ in alike) / pool(alike[0][1], tests)
+        min(error(one, tests) for one, _ in alike) / error(alike[0][1], tests)
         for alike in zip(*pairs, strict=True)
     )
 
 
-def over_floor(group: Sequence[Outcome], tests: Sequence[str]) -> Spread:
-    """Return errors over the noise floor."""
-    return summarise(pool(o, tests) / pool_floor(o, tests) for o in group)
+def over_floor(tests: Sequence[str], *ways: Sequence[Outcome]) -> Spread:
+    """Return errors over the noise floor, the best of several ways of training."""
+    return summarise(
+        min(pool(o, tests) for o in alike) / pool_floor(alike[0], tests)
+        for alike in zip(*ways, strict=True)
+    )
 
 
 def compare_errors(groups: dict[str, list[Outcome]], outcomes: Outcomes) -> list[Row]:
@@ -151,37 +192,52 @@ def compare_errors(groups: dict[str, list[Outcome]], outcomes: Outcomes) -> list
     def less(what: str, spread: Spread, most: float) -> None:
         rows.append(Row(what, f"<= {most:g}", spread, spread.median <= most))
 
+    def tell(what: str, spread: Spread) -> None:
+        rows.append(Row(what, "", spread, None))
+
     g = groups
-    varied = (g["gru varied"], g["projected varied"])
+    grus = {
+        logs: [g[f"{name} {logs}"] for name in GRUS] for logs in ("chamber", "varied", "unwalked")
+    }
     more(
         "chamber, held-out cycles: LSM linear / default",
-        divide(outcomes, g["linear"], g["chamber"], chamber),
+        divide(outcomes, [g["linear"]], g["chamber"], chamber),
         40.0,
     )
-    less("chamber, held-out cycles: default / floor", over_floor(g["chamber"], chamber), 1.12)
-    more(
-        "bench, varied logs: the paper's GRU / default",
-        divide_best(outcomes, varied, g["varied"], BENCH),
-        2.5,
-    )
+    less("chamber, held-out cycles: default / floor", over_floor(chamber, g["chamber"]), 1.12)
     more(
         "bench, chamber logs only: the paper's GRU / default",
-        divide_best(outcomes, (g["gru"], g["projected"]), g["chamber"], BENCH),
+        divide(outcomes, grus["chamber"], g["chamber"], BENCH),
         1.0,
     )
     more(
+        "bench, varied logs: the paper's GRU / default",
+        divide(outcomes, grus["varied"], g["varied"], BENCH),
+        2.5,
+    )
+    more(
         "bench, varied logs, second thermometer: the paper's GRU / default",
-        divide_best(outcomes, varied, g["body"], BENCH),
+        divide(outcomes, grus["varied"], g["body"], BENCH),
         5.0,
     )
     less(
         "bench, varied logs, second thermometer: default / floor",
-        over_floor(g["body"], BENCH),
+        over_floor(BENCH, g["body"]),
         1.15,
     )
+    for logs, what in (("varied", "varied logs"), ("unwalked", "no plates")):
+        tell(f"bench, {what}: the paper's GRU / floor", over_floor(BENCH, *grus[logs]))
+        for name, second in ((logs, ""), (BODY_OF[logs], ", second thermometer")):
+            label = f"bench, {what}{second}"
+            tell(f"{label}: default / floor", over_floor(BENCH, g[name]))
+            tell(f"{label}: GRU / default", divide(outcomes, grus[logs], g[name], BENCH))
+            tell(
+                f"{label}: GRU / default, noise taken off",
+                divide(outcomes, grus[logs], g[name], BENCH, pool_drift),
+            )
     for name, what in (("loaded", "load"), ("loaded body", "load, second thermometer")):
-        for test in LOADED:
-            less(f"{what}, {test}: default / floor", over_floor(g[name], (test,)), 2.0)
+        for test in LOADED if name in g else ():
+            less(f"{what}, {test}: default / floor", over_floor((test,), g[name]), 2.0)
     return rows
 
 
@@ -189,10 +245,14 @@ def compare_sizes(groups: dict[str, list[Outcome]]) -> list[Row]:
     """Return the lines on parameters and multiplications, of the larger default."""
     rows = []
     for key, what, target in (("parameters", "parameters", 15.0), ("macs_per_step", "MACs", 100.0)):
-        for name in ("chamber", "varied"):
-            theirs = groups["gru"][0].result[key]
+        for name, logs in (
+            ("chamber", "chamber"),
+            ("varied", "varied"),
+            ("body", "two thermometers'"),
+        ):
+            theirs = groups["gru chamber"][0].result[key]
             spread = summarise(theirs / o.result[key] for o in groups[name])
-            label = f"{what}, {name} logs: the paper's GRU window / default"
+            label = f"{what}, {logs} logs: the paper's GRU window / default"
             rows.append(Row(label, f">= {target:g}", spread, spread.median >= target))
     return rows
 
@@ -241,12 +301,12 @@ def print_floors(groups: dict[str, list[Outcome]]) -> None:
     """Print every group's error over the noise floor, test by test."""
     print("error / noise floor, medians")
     tests = ("chamber", *BENCH, *LOADED)
-    print("  " + " " * 14 + "".join(f"{test:>15}" for test in tests))
+    print("  " + " " * 18 + "".join(f"{test:>15}" for test in tests))
     for name, group in groups.items():
         if name == "recipe":
             continue
-        figures = "".join(f"{over_floor(group, (test,)).median:15.2f}" for test in tests)
-        print(f"  {name:<14}{figures}")
+        figures = "".join(f"{over_floor((test,), group).median:15.2f}" for test in tests)
+        print(f"  {name:<18}{figures}")
 
 
 def measure_csv(megabytes: float) -> None:
@@ -296,6 +356,9 @@ if __name__ == "__main__":
     parser.add_argument("--sensors", type=int, default=0, help="specimens (8)")
     parser.add_argument("--seeds", type=int, default=0, help="seeds (3)")
     parser.add_argument("--recipe-epochs", type=int, default=0, help="of the recipe (2000)")
+    parser.add_argument(
+        "--rows", choices=("all", "bench"), default="all", help="bench: heat and sizes alone"
+    )
     parser.add_argument("--store", type=Path, default=STORE, help="where fits are kept")
     given = parser.parse_args()
     run(
@@ -304,4 +367,5 @@ if __name__ == "__main__":
         given.recipe_epochs or (5 if given.quick else RECIPE_EPOCHS),
         given.store,
         given.quick,
+        given.rows,
     )

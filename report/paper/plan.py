@@ -84,7 +84,7 @@ class Plan:
         return list(dict.fromkeys([*cells, *self.training_cells()]))
 
 
-LOGS = ("chamber", "varied")
+LOGS = ("chamber", "unwalked", "varied")
 
 
 def make_plan(quick: bool, sensors: int, seeds: int, recipe_epochs: int) -> tuple[Plan, str]:

@@ -60,7 +60,7 @@ class Cell:
     sensor: int
     seed: int = 0
     logs: str = "chamber"
-    """chamber | varied | loaded."""
+    """chamber | varied | unwalked | loaded."""
     body: bool = False
     """Whether the method may see the second thermometer."""
     spacing_s: float = 10.0

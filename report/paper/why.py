@@ -187,7 +187,11 @@ def _follow(plan: Plan, outcomes: Outcomes) -> Training:
 def _heat(plan: Plan, outcomes: Outcomes) -> Heat:
     seed = plan.seeds[0]
     errors: dict[tuple[str, str], dict[str, Spread]] = {}
-    named = {"chamber": "the chamber alone", "varied": "the chamber and bench logs"}
+    named = {
+        "chamber": "the chamber alone",
+        "unwalked": "the chamber and bench logs without the walk's plates",
+        "varied": "the chamber and bench logs",
+    }
     for method in HEATED:
         for logs in LOGS:
             found = outcomes.get(Cell(method, s, seed, logs=logs) for s in plan.few)

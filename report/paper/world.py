@@ -29,8 +29,16 @@ STILL = Path(__file__).parent / "walking_still.txt"
 """The walk's plates without strides: the drift of walking alone."""
 
 CHAMBER_CYCLES = 6
-VARIED = (("heating", 2), ("cooling", 2), ("standing", 4), ("lamp_steps", 4))
-"""Twelve bench logs; none of them is a walk."""
+VARIED = (
+    ("heating", 2),
+    ("cooling", 2),
+    ("walking_still", 4),
+    ("standing", 2),
+    ("lamp_steps", 2),
+)
+"""Twelve bench logs, every protocol of the tests among them in draws of its own."""
+UNWALKED = (("heating", 2), ("cooling", 2), ("standing", 4), ("lamp_steps", 4))
+"""Twelve bench logs, none of which stands on the plates of the walk."""
 LOADED_CYCLES = 3
 
 TESTS: dict[str, tuple[str, int]] = {
@@ -69,17 +77,21 @@ def record_training(sensor: int, logs: str, body: bool) -> tuple[Run, ...]:
 
     Args:
         sensor: the specimen's seed.
-        logs: chamber | varied (chamber and bench logs) | loaded (those, and chamber cycles with
-            test weights).
+        logs: chamber | varied (chamber and bench logs) | unwalked (likewise, but none of the
+            walk's plates) | loaded (varied, and chamber cycles with test weights).
         body: whether the logs hold the second thermometer.
     """
     wanted = [("chamber", CHAMBER_CYCLES)]
     if logs in ("varied", "loaded"):
         wanted += VARIED
+    if logs == "unwalked":
+        wanted += UNWALKED
     if logs == "loaded":
         wanted.append(("chamber_loaded", LOADED_CYCLES))
     return tuple(
-        _record(sensor, protocol, f"{protocol}_{number}", TRAIN_SEED, body).run
+        _record(
+            sensor, TESTS.get(protocol, (protocol, 0))[0], f"{protocol}_{number}", TRAIN_SEED, body
+        ).run
         for protocol, count in wanted
         for number in range(1, count + 1)
     )

@@ -60,6 +60,7 @@ def test_json_holds_tables_findings_and_files(paper):
     assert all(finding["sentence"] for finding in told["findings"])
     assert {entry["logs"] for entry in told["why"]["heat"]} == {
         "the chamber alone",
+        "the chamber and bench logs without the walk's plates",
         "the chamber and bench logs",
         "those, with a second thermometer",
     }

@@ -16,7 +16,7 @@ CELLS = [Cell("lsm_linear", 1), Cell("lsm_cubic", 1)]
 
 
 def test_test_runs_are_none_of_the_training_runs():
-    for logs in ("chamber", "varied", "loaded"):
+    for logs in ("chamber", "varied", "unwalked", "loaded"):
         train = record_training(1, logs, False)
         for test in TESTS:
             for trial in record_test(1, test, False):
@@ -28,9 +28,14 @@ def test_test_runs_are_none_of_the_training_runs():
                 )
 
 
-def test_no_walk_is_trained_on():
-    names = [run.name for run in record_training(1, "loaded", False)]
-    assert not any("walking" in name for name in names)
+def test_varied_logs_hold_the_protocols_of_the_bench_and_no_strides():
+    for logs, plates in (("varied", 4), ("unwalked", 0)):
+        names = [run.name.rpartition("_")[0] for run in record_training(1, logs, False)]
+        bench = [name for name in names if name != "chamber"]
+        assert len(bench) == 12
+        assert bench.count("walking_still") == plates
+        assert {"heating", "cooling"} < set(bench)
+        assert "walking" not in bench
 
 
 def test_a_result_is_what_the_method_leaves_of_the_drift(tmp_path):
