@@ -230,7 +230,12 @@ def compare_errors(groups: dict[str, list[Outcome]], outcomes: Outcomes) -> list
         for name, second in ((logs, ""), (BODY_OF[logs], ", second thermometer")):
             label = f"bench, {what}{second}"
             tell(f"{label}: default / floor", over_floor(BENCH, g[name]))
+            one_cycle = [g[f"gru {logs}"]]
             tell(f"{label}: GRU / default", divide(outcomes, grus[logs], g[name], BENCH))
+            tell(
+                f"{label}: GRU by one cycle / default",
+                divide(outcomes, one_cycle, g[name], BENCH),
+            )
             tell(
                 f"{label}: GRU / default, noise taken off",
                 divide(outcomes, grus[logs], g[name], BENCH, pool_drift),

@@ -168,7 +168,7 @@ def test_verify_before_firmware_says_what_to_run(logs: Path, tmp_path: Path) -> 
     directory = write_project(tmp_path / "p", logs)
     result = invoke("verify", "-C", str(directory))
     assert result.exit_code == 2
-    assert "zerodrift export" in str(result.exception)
+    assert "zerodrift firmware" in str(result.exception)
 
 
 def test_export_writes_a_proven_model(project: Path, tmp_path: Path) -> None:

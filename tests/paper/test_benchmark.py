@@ -1,7 +1,7 @@
 """The benchmark's ratios: of errors, and of the drift's errors with the noise taken off."""
 
 import pytest
-from benchmarks.bench_paper import BENCH, divide, divide_drift, list_cells
+from benchmarks.bench_paper import BENCH, divide, list_cells, over_floor, pool_drift
 
 from zerodrift.report.paper.store import Cell
 from zerodrift.report.paper.study import Outcome
@@ -16,8 +16,16 @@ def make_outcome(method: str, error: float) -> Outcome:
 def test_noise_is_taken_off_in_squares():
     theirs, ours = make_outcome("gru_window_paper", 13.0**0.5), make_outcome("lag_bank", 10.0**0.5)
     outcomes = Outcomes([theirs, ours])
-    assert divide(outcomes, [theirs], [ours], BENCH).median == pytest.approx(1.3**0.5)
-    assert divide_drift(outcomes, [theirs], [ours], BENCH).median == pytest.approx(2.0)
+    assert divide(outcomes, [[theirs]], [ours], BENCH).median == pytest.approx(1.3**0.5)
+    assert divide(outcomes, [[theirs]], [ours], BENCH, pool_drift).median == pytest.approx(2.0)
+
+
+def test_better_of_two_trainings_counts():
+    one, other = make_outcome("gru_window_paper", 6.0), make_outcome("gru_window_projected", 4.0)
+    ours = make_outcome("lag_bank", 3.5)
+    outcomes = Outcomes([one, other, ours])
+    assert divide(outcomes, [[one], [other]], [ours], BENCH).median == pytest.approx(4.0 / 3.5)
+    assert over_floor(BENCH, [one], [other]).median == pytest.approx(4.0 / 3.0)
 
 
 def test_rows_on_the_bench_need_no_loads_and_no_recipe():
