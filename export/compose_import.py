@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.config import Config
+from zerodrift.config import LONGEST_WINDOW, Config
 from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.errors import InputError, nearest
@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 
 TEMPERATURE = "temperature"
 """Name of the feature that is the chip's own thermometer; others are names of [inputs]."""
-LONGEST_WINDOW = 4096
 
 
 @dataclass(frozen=True)

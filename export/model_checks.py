@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from zerodrift.config import LONGEST_WINDOW
 from zerodrift.errors import CheckError, InputError
 from zerodrift.operations.gru import IntegerGru
 from zerodrift.operations.load import IntegerLoad
@@ -101,8 +102,10 @@ def _check_references(node: Any, model: "IntegerModel") -> None:
         if shapes != [(node.width, len(node.inputs)), (node.width,), (node.width,)]:
             raise ValueError(f"node '{node.name}': arrays {shapes} do not fit together")
     if isinstance(node, IntegerGruLayer):
-        if node.window < 0:
-            raise ValueError(f"node '{node.name}' has a window of {node.window}")
+        if not 0 <= node.window <= LONGEST_WINDOW:
+            raise ValueError(
+                f"node '{node.name}' has a window of {node.window}, not 0 to {LONGEST_WINDOW}"
+            )
         for layer in (node.gru, *getattr(node, "lower", ())):
             _check_layer(node.name, layer)
 

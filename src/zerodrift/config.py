@@ -24,6 +24,8 @@ WINDOWED_KINDS = ("mlp_seq", "tcn")
 HIDDEN = {"lag_bank": 12, "mlp": 36, "mlp_seq": 36}
 """Units of the kinds whose default is not the GRU's."""
 WINDOW = 10
+LONGEST_WINDOW = 4096
+"""A recurrent network goes through the whole window at every step."""
 WEIGHT_FORMATS = ("int16", "int8")
 MAX_OUTPUTS = 16
 MAX_HIDDEN = 256
@@ -272,7 +274,7 @@ def _read_network(table: TomlTable) -> NetworkConfig:
     if "memory" in table.values and table.values["memory"] != "stream":
         if isinstance(table.values["memory"], str):
             raise table.expect("memory", "'stream' or a window length >= 2 in samples")
-        memory = table.integer("memory", 2)
+        memory = table.integer("memory", 2, LONGEST_WINDOW)
     options: dict[str, float | int | str | bool] = {}
     for key in ("starts", "epochs"):
         if key in table.values:
