@@ -5,6 +5,7 @@ run on rails, noise, jumps and walks over all that the inputs' types hold: it mu
 those that are refused are seen to trap; others would need inputs that no sequence here has.
 """
 
+import faulthandler
 import hashlib
 import json
 import multiprocessing
@@ -107,6 +108,7 @@ def is_refused(code: GeneratedCode, certificate: str, mutant: Mutant) -> bool:
 
 def run_trapped(model: IntegerModel, code: GeneratedCode, folder: Path) -> None:
     """Run C with traps on every sequence; exit 9 if it does not compile."""
+    faulthandler.disable()  # a trap is what is looked for
     compiler = find_compilers()[0]
     quiet = Compiler(compiler.name, (*compiler.command, "-w"))
     try:
