@@ -43,7 +43,7 @@ def find_oddities(config: Config, runs: Sequence[Run]) -> list[str]:
     ]
     notes += _tell_spikes(where, config.temperature_column, "temperature")
     for index, output in enumerate(config.outputs):
-        where = [(run, row) for run in runs for row in _find_drift_spikes(run.drift[:, index])]
+        where = [(run, row) for run in runs for row in _find_drift_spikes(run, index)]
         notes += _tell_spikes(where, output.measured, f"output {output.name}")
         notes += _find_unit_mismatch(runs, index, output.measured, output.reference)
     return notes
@@ -84,8 +84,9 @@ def _find_spikes(values: Array, least: float) -> np.ndarray:
     return np.concatenate(found) if found else np.zeros(0, dtype=np.intp)
 
 
-def _find_drift_spikes(drift: Array) -> list[int]:
+def _find_drift_spikes(run: Run, index: int) -> list[int]:
     """Return the rows of one output whose drift stands out of both neighbours and of all else."""
+    drift = run.measured[:, index] - run.reference[:, index]
     if drift.size < 3:
         return []
     some = np.arange(0, drift.size - 1, _spread(drift.size))

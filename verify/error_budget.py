@@ -98,7 +98,7 @@ def measure_budget(
         runs: measurements, preferably held out.
         steps: length of the run that is followed over time.
     """
-    runs = [cut_run(run, LONGEST_RUN_STEPS) for run in runs]
+    runs = [cut_run(run.at_rest(), LONGEST_RUN_STEPS) for run in runs]  # as the C is started
     levels = _Levels(described, calibration, host.model)
     traces = [_observe(host, run) for run in runs]
     inputs = [_read_inputs(compensator, run) for run in runs]

@@ -58,15 +58,8 @@ def tell_errors(
         runs: measurements, preferably held out.
     """
     outputs = host.model.outputs
-    scale = np.array([output.lsb_per_unit for output in outputs], dtype=np.float64)
     floats = [predict_on_chip(compensator, run) for run in runs]
-
-    def compute(run: Run) -> Array:
-        codes = encode_inputs(host.model, run)
-        trace = host.run(codes, elapsed=count_elapsed(host.model, run))
-        return np.asarray(trace.drift / scale)
-
-    integers = [predict_along(compute, run) for run in runs]
+    integers = [predict_by_c(host, run) for run in runs]
     none = [np.zeros_like(run.drift) for run in runs]
     uncompensated, float_error, integer_error = (
         _join(runs, answer, compensator.tared) for answer in (none, floats, integers)
@@ -89,6 +82,16 @@ def tell_errors(
     )
 
 
+def predict_by_c(host: HostModel, run: Run) -> Array:
+    """Return the drift [n, K] that the C computes for a run, in each output's unit."""
+    if run.before is not None:
+        return predict_along(lambda whole: predict_by_c(host, whole), run)
+    model = host.model
+    trace = host.run(encode_inputs(model, run), elapsed=count_elapsed(model, run))
+    scale = np.array([output.lsb_per_unit for output in model.outputs], dtype=np.float64)
+    return np.asarray(trace.drift / scale)
+
+
 def _err_by_physics(
     compensator: Compensator | ImportedCompensator, runs: Sequence[Run]
 ) -> Array | None:
@@ -97,7 +100,7 @@ def _err_by_physics(
         return None
     if compensator.network is None and compensator.bank is None:
         return None
-    answers = [compensator.physics.predict(run.at_rest()) for run in runs]
+    answers = [compensator.physics.predict(run) for run in runs]
     return _join(runs, answers, compensator.tared)
 
 

@@ -273,7 +273,7 @@ def _read_network(table: TomlTable) -> NetworkConfig:
     memory: str | int = default.memory
     if "memory" in table.values and table.values["memory"] != "stream":
         if isinstance(table.values["memory"], str):
-            raise table.expect("memory", "'stream' or a window length >= 2 in samples")
+            raise table.expect("memory", f"'stream' or a window of 2 to {LONGEST_WINDOW} samples")
         memory = table.integer("memory", 2, LONGEST_WINDOW)
     options: dict[str, float | int | str | bool] = {}
     for key in ("starts", "epochs"):

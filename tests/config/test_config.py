@@ -151,7 +151,7 @@ def test_config_leaves_optional_tables_at_their_defaults():
         ("hidden = 24", "hidden = 0", ["hidden is 0", "1 to 256"]),
         ('kind = "gru"', 'kind = "gur"', ["[network] kind is 'gur'", "'gru'"]),
         ("memory = 10", "memory = 1", ["memory is 1", "2 to 4096"]),
-        ("memory = 10", 'memory = "steam"', ["'steam'", "'stream' or a window length >= 2"]),
+        ("memory = 10", 'memory = "steam"', ["'steam'", "'stream' or a window of 2 to 4096"]),
         ("seed = 7", "seed = -1", ["seed is -1", ">= 0"]),
         ("epochs = 40", "epochs = 0", ["epochs is 0", ">= 1"]),
         ("epochs = 40", "epoch = 40", ["[network] epoch", "'epochs'"]),

@@ -1,5 +1,6 @@
 """The error budget adds up, names the right operation, and shows that nothing grows."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,14 +12,22 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.config import load_config
 from zerodrift.dataset.load import load_dataset
+from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import calibrate, describe_compensator, predict_integer
 from zerodrift.export.quantize import quantize
 from zerodrift.train.compensator import Compensator
+from zerodrift.train.split import cut_run
 from zerodrift.verify.error_budget import ErrorBudget, measure_budget, repeat_run
 
 
 def measure(
-    project: Path, folder: Path, *, weights: str = "int16", coarser: int = 1, steps: int = 1000
+    project: Path,
+    folder: Path,
+    *,
+    weights: str = "int16",
+    coarser: int = 1,
+    steps: int = 1000,
+    change: Callable[[Run], Run] = Run.at_rest,
 ) -> tuple[ErrorBudget, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
     """Return the budget of a project's compensator and its measured total."""
     config = load_config(project)
@@ -30,7 +39,8 @@ def measure(
     calibration = calibrate(compensator, described, dataset.train)
     model = quantize(described, calibration, weights)
     host = HostModel(model, generate(model), folder)
-    budget = measure_budget(described, calibration, compensator, host, dataset.test, steps)
+    runs = [change(run) for run in dataset.test]
+    budget = measure_budget(described, calibration, compensator, host, runs, steps)
     errors = [predict_integer(model, run) - compensator.predict(run) for run in dataset.test]
     return budget, np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
 
@@ -51,6 +61,29 @@ def test_budget_names_the_operation_that_is_made_coarse(project: Path, tmp_path:
     # an output rounded to whole counts is off by 1/sqrt(12) of one
     counts = coarse_output.nodes[-1].rms * np.array([10.0, 1000.0])
     np.testing.assert_allclose(counts, 12**-0.5, rtol=0.1)
+
+
+def test_budget_after_a_gap_starts_at_rest_as_the_c_does(project: Path, tmp_path: Path) -> None:
+    """Else the float model's memory of what was before the gap would count as quantization."""
+
+    def begin_late(run: Run) -> Run:
+        late = slice(len(run) // 2, None)
+        return replace(
+            run,
+            part=1,
+            time_s=run.time_s[late],
+            temperature_degC=run.temperature_degC[late],
+            measured=run.measured[late],
+            reference=run.reference[late],
+            inputs={name: values[late] for name, values in run.inputs.items()},
+            before=cut_run(run, len(run) // 3),
+        )
+
+    after_gap, _ = measure(project, tmp_path / "a", change=begin_late)
+    alone, _ = measure(project, tmp_path / "b", change=lambda run: begin_late(run).at_rest())
+    np.testing.assert_array_equal(after_gap.total, alone.total)
+    for late, rest in zip(after_gap.over_time, alone.over_time, strict=True):
+        np.testing.assert_array_equal(late.rms, rest.rms)
 
 
 @pytest.mark.slow

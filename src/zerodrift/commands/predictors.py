@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.config import Config
-from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.dataset.units import read_unit
 from zerodrift.errors import InputError
@@ -174,13 +173,10 @@ def _open_network(compensator: "Compensator") -> Predictor:
 
 def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Predictor:
     """Return the integer model, computed by its reference in Python or by its C on this host."""
-    from zerodrift.export.compose import count_elapsed, encode_inputs, predict_integer
+    from zerodrift.export.compose import predict_integer
     from zerodrift.export.integer_model import load_model
 
-    path = config.build_directory / "model.json"
-    if not path.exists():
-        raise InputError(f"{path}: there is no integer model. Run `zerodrift export`.")
-    model = load_model(path)
+    model = load_model(config.build_directory / "model.json")
     physics = compensator.physics
     if kind == INTEGER:
         return Predictor(
@@ -192,18 +188,13 @@ def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Pred
         )
     from zerodrift.c_runtime.host import HostModel
     from zerodrift.codegen.generate import generate
+    from zerodrift.verify.errors_told import predict_by_c
 
-    scale = np.array([output.lsb_per_unit for output in model.outputs], dtype=np.float64)
     with tempfile.TemporaryDirectory(prefix="zerodrift-") as scratch:
         host = HostModel(model, generate(model), Path(scratch), observe=False)
-
-    def compute(run: Run) -> Array:
-        trace = host.run(encode_inputs(model, run), elapsed=count_elapsed(model, run))
-        return np.asarray(trace.drift / scale)
-
     return Predictor(
         C,
-        lambda run: predict_along(compute, run),
+        lambda run: predict_by_c(host, run),
         physics.effects,
         physics.tared,
         find_usable=physics.find_usable,
