@@ -13,7 +13,6 @@ what the wall clock shows on a machine that does nothing else.
 import argparse
 import json
 import multiprocessing
-import os
 import resource
 import statistics
 import subprocess
@@ -171,7 +170,6 @@ def pose_problems(project: Path, count: int) -> list[Problem]:
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     parser = argparse.ArgumentParser(prog="python -m benchmarks.bench_fleet", description=__doc__)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--sensors", type=int, default=None)

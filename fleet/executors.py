@@ -11,9 +11,10 @@ from typing import Any, Protocol
 from zerodrift.errors import CheckError, InputError
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import Outcome
+from zerodrift.threads import BLAS
 
 Batch = tuple[str, ...]
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS")
+ONE_THREAD = (*BLAS, "POLARS_MAX_THREADS")
 """Set to 1 in workers, so that as many processes as cores do not fight over them."""
 
 

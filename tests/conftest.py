@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 import pytest
 
+from zerodrift.threads import use_one_thread
+
+use_one_thread()
+
 
 @dataclass(frozen=True)
 class Result:

@@ -9,6 +9,7 @@ import click
 
 from zerodrift import __version__
 from zerodrift.errors import ZerodriftError
+from zerodrift.threads import use_one_thread
 
 #: Command name -> one-line help. The command itself is `zerodrift.commands.<name>:command`.
 COMMANDS: dict[str, str] = {
@@ -73,6 +74,7 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; a user's error becomes one message on stderr and its exit code."""
+    use_one_thread()
     try:
         cli.main(standalone_mode=False)
     except ZerodriftError as error:
