@@ -14,7 +14,6 @@ from zerodrift.physics.thermometers import list_thermometers
 from zerodrift.train.compensator import Compensator, calibrate
 from zerodrift.train.lag_bank.fit import (
     FEWEST_RUNS,
-    MEMBERS,
     FittedBank,
     choose_sources,
     fit_lag_bank,
@@ -97,7 +96,7 @@ def _fit(
         choose_sources(list_thermometers(config), runs),
         seed=network.seed,
         lags_s=network.lags_s,
-        units=max(1, network.hidden // MEMBERS),
+        units=network.hidden,
         report=report,
     )
 

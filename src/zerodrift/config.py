@@ -21,7 +21,7 @@ MODEL_TABLES = ("effect", "network", "quantization", "firmware", "plugins", "fle
 NETWORK_KINDS = ("lag_bank", "gru", "mlp", "mlp_seq", "tcn", "none")
 WINDOWED_KINDS = ("mlp_seq", "tcn")
 """These see a window of samples; the GRU may."""
-HIDDEN = {"lag_bank": 12, "mlp": 36, "mlp_seq": 36}
+HIDDEN = {"mlp": 36, "mlp_seq": 36}
 """Units of the kinds whose default is not the GRU's."""
 WINDOW = 10
 LONGEST_WINDOW = 4096

@@ -9,26 +9,18 @@ from numpy.typing import NDArray
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.fit import TARE_RATIO
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.train.front_end import TEMPERATURE, FrontEnd, Tap, fit_front_end, read_source
+from zerodrift.train.front_end import TEMPERATURE, FrontEnd, read_source
 from zerodrift.train.lag_bank.data import DEGREE, BankData, Lag
 from zerodrift.train.lag_bank.loads import LOAD_SHARE, LoadPart, fit_loads
 from zerodrift.train.lag_bank.model import LagBank
-from zerodrift.train.lag_bank.search import (
-    EARNS_ITS_PLACE,
-    Bank,
-    LeftOut,
-    Rows,
-    choose_bank,
-    pick,
-)
-from zerodrift.train.lag_bank.units import Member, fit_linear, fit_member, measure_left_out
+from zerodrift.train.lag_bank.search import Bank, LeftOut, Rows, choose_bank, pick
+from zerodrift.train.lag_bank.unit_choice import Choice, choose_units
+from zerodrift.train.lag_bank.units import fit_linear
 
 Array = NDArray[np.float64]
 
-UNITS = 4
-"""tanh units of a member."""
-MEMBERS = 3
-"""Fits from different starts that are averaged."""
+UNITS = 16
+"""tanh units, where they help."""
 TRIAL_LAGS_S = (10.0, 60.0, 300.0)
 """Lags of a small bank, for what is asked before the lags are known."""
 FEWEST_JUMPS = 20
@@ -89,7 +81,6 @@ def fit_lag_bank(
     seed: int = 0,
     lags_s: Sequence[float] = (),
     units: int = UNITS,
-    members: int = MEMBERS,
     report: Callable[[float, str], None] = lambda done, text: None,
 ) -> FittedBank:
     """Return the bank fitted to what a physical model leaves of the training runs.
@@ -100,8 +91,7 @@ def fit_lag_bank(
         sources: thermometers, the chip's own first.
         seed: of the units' starts.
         lags_s: time constants of the chip's thermometer; empty: found by leaving runs out.
-        units: tanh units per member; 0: none.
-        members: how many starts are averaged.
+        units: tanh units, if any help; 0: none.
         report: is told the share that is done, and of what.
     """
     report(0.0, "lag bank")
@@ -112,39 +102,19 @@ def fit_lag_bank(
     if prepared.loads.terms:
         prepared = _take_off(prepared.raw, prepared.kept, physics, runs, bank.lags)
         bank = LeftOut(prepared.rows).choose_ridge(bank.lags)
-    rows = prepared.rows
-    report(0.4, f"{len(bank.lags)} lags")
-    columns = rows.columns(bank.lags)
-    alone = fit_linear(rows, columns, bank.ridge, rows.everything)
+    report(0.3, f"{len(bank.lags)} lags")
+
+    def tell(done: float, text: str) -> None:
+        report(0.3 + 0.7 * done, text)
+
+    choice = choose_units(prepared.rows, runs, bank, units, seed, hold=bool(lags_s), report=tell)
     errors = [b.error for b in banks]
-    chosen: list[Member] = [alone]
-    front_end = None
-    if units:
-        taps = [Tap("level", source=s) for s in sources]
-        taps += [Tap("lag", source=sources[s], tau_s=tau_s) for s, tau_s in bank.lags]
-        seen = fit_front_end(taps, runs)
-        features = rows.data.average(np.concatenate([seen.compute(run) for run in runs]))
-
-        def try_linear(some: NDArray[np.bool_]) -> Callable[[], Array]:
-            member = fit_linear(rows, columns, bank.ridge, some)
-            return lambda: member.predict(columns, features[:, :0])
-
-        def try_units(some: NDArray[np.bool_]) -> Callable[[], Array]:
-            member = fit_member(rows, columns, features, bank.ridge, units, (seed, 0), some)
-            return lambda: member.predict(columns, features)
-
-        without, with_units = (measure_left_out(rows, t) for t in (try_linear, try_units))
-        errors.append(bank.error * with_units / max(without, 1e-300))
-        report(0.7, "tanh units")
-        if with_units < EARNS_ITS_PLACE * without:
-            front_end = seen
-            chosen = [
-                fit_member(rows, columns, features, bank.ridge, units, (seed, m), rows.everything)
-                for m in range(members)
-            ]
-    fitted = _finish(physics, prepared, bank, chosen, front_end, tuple(errors))
+    if choice.ratio is not None:
+        errors.append(bank.error * choice.ratio)
+    notes = _tell(bank, choice, prepared.rows.data)
+    fitted = assemble_fit(physics, runs, prepared, choice, tuple(errors), notes)
     report(1.0, "lag bank")
-    return _settle_constant(fitted, physics, runs)
+    return fitted
 
 
 def prepare(physics: PhysicalModel, runs: Sequence[Run], sources: Sequence[str]) -> Prepared:
@@ -237,59 +207,60 @@ def _hold(rows: Rows, lags_s: Sequence[float]) -> Bank:
     return LeftOut(rows).choose_ridge([(0, float(tau_s)) for tau_s in lags_s])
 
 
-def _finish(
+def assemble_fit(
     physics: PhysicalModel,
+    runs: Sequence[Run],
     prepared: Prepared,
-    bank: Bank,
-    members: Sequence[Member],
-    front_end: FrontEnd | None,
+    choice: Choice,
     errors: tuple[float, ...],
+    notes: tuple[str, ...],
 ) -> FittedBank:
-    """Return the members' mean, its columns as the chip's basis has them."""
-    rows, data = prepared.rows, prepared.rows.data
+    """Return what was fitted, its columns as the chip's basis has them."""
+    rows, data, member = prepared.rows, prepared.rows.data, choice.member
     unit, outputs = rows.unit, rows.unit.size
-    linear = np.mean([member.linear for member in members], axis=0) * unit
+    linear = member.linear * unit
     features = len(prepared.kept)
     correction = np.zeros((physics.coefficients.shape[0], outputs))
     correction[0] = linear[0]
     correction[prepared.kept] += linear[1 : 1 + features]
     at = 1 + features
     levels = linear[at : at + DEGREE * len(data.sources)].reshape(-1, DEGREE, outputs).copy()
-    lags = linear[at + DEGREE * len(data.sources) :].reshape(-1, DEGREE, outputs)
-    for (source, _), own in zip(bank.lags, lags, strict=True):
-        levels[source] -= own  # the fit's columns are v^p - u^p
+    lags = linear[at + DEGREE * len(data.sources) :].reshape(-1, choice.degree, outputs)
+    for (source, _), own in zip(choice.lags, lags, strict=True):
+        levels[source, : choice.degree] -= own  # the fit's columns are v^p - u^p
     coefficients = np.concatenate(
         [prepared.loads.coefficients, levels.reshape(-1, outputs), lags.reshape(-1, outputs)]
     )
     whole = LagBank(
         sources=data.sources,
         scales=data.scales,
-        lags=bank.lags,
+        lags=choice.lags,
         loads=prepared.loads.terms,
         correction=correction,
         coefficients=coefficients,
+        degree=choice.degree,
     )
-    weights = np.concatenate([member.weights for member in members])
-    head = np.concatenate([member.head for member in members]) / len(members) * unit
-    return FittedBank(
+    fitted = FittedBank(
         bank=whole,
-        front_end=front_end,
-        weights=weights[:, :-1],
-        bias=weights[:, -1],
-        head=head,
+        front_end=choice.front_end,
+        weights=member.weights[:, :-1],
+        bias=member.weights[:, -1],
+        head=member.head * unit,
         tared=rows.tared,
         errors=errors,
-        notes=_tell(bank, front_end is not None, data),
+        notes=notes,
     )
+    return _settle_constant(fitted, physics, runs)
 
 
-def _tell(bank: Bank, units: bool, data: BankData) -> tuple[str, ...]:
+def _tell(bank: Bank, choice: Choice, data: BankData) -> tuple[str, ...]:
     """Return what users should know about the choice."""
     named = ", ".join(
         f"{tau_s:.3g} s" + (f" of {data.sources[s]}" if len(data.sources) > 1 else "")
-        for s, tau_s in bank.lags
+        for s, tau_s in choice.lags
     )
-    what = f"lags {named or 'none'}{' and tanh units' if units else ''}"
+    units = len(choice.member.weights) if choice.front_end else 0
+    what = f"lags {named or 'none'}" + (f" and {units} tanh units" if units else "")
     if len(bank.lags) > 1 or len(data.sources) > 1:
         return (f"the lag bank holds {what}, chosen on runs left out",)
     return (

@@ -43,6 +43,8 @@ class LagBank:
     """[J, K] added to the physical model's coefficients."""
     coefficients: Array
     """[B, K] of the basis, in output units."""
+    degree: int = DEGREE
+    """Powers of each lag; a thermometer itself has `DEGREE`."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -52,7 +54,7 @@ class LagBank:
         lags = [
             f"lowpass({self.sources[s]}, {tau_s:g} s)^{p}"
             for s, tau_s in self.lags
-            for p in range(1, DEGREE + 1)
+            for p in range(1, self.degree + 1)
         ]
         return (*loads, *levels, *lags)
 
@@ -69,7 +71,7 @@ class LagBank:
             scale = self.scales[place]
             lagged = ops.lowpass(read(self.sources[place]), tau_s)
             gain = 1.0 / scale.half_span
-            columns += raise_up(ops, ops.affine(lagged, gain, -scale.centre * gain), DEGREE)
+            columns += raise_up(ops, ops.affine(lagged, gain, -scale.centre * gain), self.degree)
         return tuple(columns)
 
     def compute(self, run: Run, outputs: tuple[str, ...]) -> Array:
@@ -104,7 +106,7 @@ class LagBank:
     @property
     def macs(self) -> int:
         """Multiplications in a step: powers, products with loads, lags, and the sum."""
-        powers = (DEGREE - 1) * (len(self.sources) + len(self.lags))
+        powers = (DEGREE - 1) * len(self.sources) + (self.degree - 1) * len(self.lags)
         loads = sum(len(names) - 1 + (p > 0) for names, p in self.loads)
         return powers + loads + 2 * len(self.lags) + int(self.coefficients.size)
 
@@ -115,6 +117,7 @@ class LagBank:
             "scales": [[s.centre, s.half_span] for s in self.scales],
             "lags": [[s, tau_s] for s, tau_s in self.lags],
             "loads": [[list(names), p] for names, p in self.loads],
+            "degree": self.degree,
             "correction": self.correction.tolist(),
             "coefficients": self.coefficients.tolist(),
         }
@@ -129,6 +132,7 @@ class LagBank:
             loads=tuple((tuple(names), int(p)) for names, p in values["loads"]),
             correction=np.array(values["correction"], dtype=np.float64).reshape(-1, outputs),
             coefficients=np.array(values["coefficients"], dtype=np.float64).reshape(-1, outputs),
+            degree=int(values.get("degree", DEGREE)),
         )
 
 

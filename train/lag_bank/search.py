@@ -61,9 +61,10 @@ class Rows:
         """[m] all rows."""
         return np.ones(len(self.weight), dtype=bool)
 
-    def columns(self, lags: Sequence[Lag]) -> Array:
-        """Return the columns of the linear part [m, J]."""
-        return np.concatenate([self.fixed, *(self.data.lag(lag) for lag in lags)], axis=1)
+    def columns(self, lags: Sequence[Lag], degree: int = DEGREE) -> Array:
+        """Return the columns of the linear part [m, J], with so many powers of each lag."""
+        own = [self.data.lag(lag)[:, :degree] for lag in lags]
+        return np.concatenate([self.fixed, *own], axis=1)
 
     def take(self, some: NDArray[np.bool_]) -> "Part":
         """Return the part of a fit that some rows [m] are."""
