@@ -20,6 +20,7 @@ from zerodrift.train.lag_bank.unit_choice import (
     list_trials,
     spread_lags,
 )
+from zerodrift.train.lag_bank.units import measure_left_out
 
 Array = NDArray[np.float64]
 
@@ -110,6 +111,18 @@ def test_a_lag_of_one_power_is_what_many_powers_with_zeros_are() -> None:
     assert np.array_equal(again.compute(run, ("Fz", "Mx")), one.compute(run, ("Fz", "Mx")))
     old = {key: value for key, value in four.to_dict().items() if key != "degree"}
     assert LagBank.from_dict(old, 2).degree == DEGREE
+
+
+def test_every_run_counts_once_however_long_it_is() -> None:
+    runs = [make_run(i, slow=0.0, length=length) for i, length in enumerate((1200, 300, 300))]
+    rows = replace(make_rows(runs), unit=np.ones(2))
+    covered = rows.data.covered
+    off = np.where(rows.data.run_group == 0, 1.0, 3.0)[:, None] * np.ones(2)
+    assert all(covered[rows.data.run_group == g].any() for g in range(3))
+    found = measure_left_out(rows, lambda some: lambda: rows.targets + off)
+    assert found == pytest.approx(np.sqrt((1.0 + 9.0 + 9.0) / 3.0))
+    covered[:] = False
+    assert measure_left_out(rows, lambda some: lambda: rows.targets) == np.inf
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -124,7 +124,7 @@ def choose_units(
         report(done / (len(asked) + 1), "tanh units")
         errors.append(trial.measure((seed, start)))
     ratio = min(errors) / without
-    if ratio >= EARNS_ITS_PLACE:
+    if not ratio < EARNS_ITS_PLACE:  # nor where nothing could be judged
         return Choice(bank.lags, bank.ridge, DEGREE, alone, None, ratio)
     best, start = asked[int(np.argmin(errors))]
     report(len(asked) / (len(asked) + 1), "tanh units")
