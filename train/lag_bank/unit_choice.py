@@ -10,13 +10,21 @@ from zerodrift.dataset.runs import Run
 from zerodrift.train.front_end import FrontEnd, Tap, fit_front_end
 from zerodrift.train.lag_bank.data import DEGREE, Lag
 from zerodrift.train.lag_bank.search import EARNS_ITS_PLACE, Bank, Rows, span_of
-from zerodrift.train.lag_bank.units import Member, fit_linear, fit_member, measure_left_out
+from zerodrift.train.lag_bank.units import (
+    STEPS,
+    Member,
+    fit_linear,
+    fit_member,
+    measure_left_out,
+)
 
 Array = NDArray[np.float64]
 
 FEW_UNITS = 4
 STARTS = (2, 1)
 """Of few units, which may end in a poor minimum, and of many."""
+STEPS_ASKED = 25
+"""Of a fit that is only judged: twice as many change the error by a hundredth."""
 SPREAD_LAGS = 4
 """Lags that are spread over all that the logs can tell."""
 
@@ -66,17 +74,16 @@ class Trial:
         features = np.concatenate([self.front_end.compute(run) for run in runs])
         self._features = rows.data.average(features)
 
-    def fit(self, seed: Sequence[int], some: NDArray[np.bool_]) -> Member:
+    def fit(self, seed: Sequence[int], some: NDArray[np.bool_], steps: int = STEPS) -> Member:
         """Return the units from one start, fitted to some of the rows [m]."""
-        return fit_member(
-            self._rows, self._columns, self._features, self.ridge, self.count, seed, some
-        )
+        rows, columns, features = self._rows, self._columns, self._features
+        return fit_member(rows, columns, features, self.ridge, self.count, seed, some, steps)
 
     def measure(self, seed: Sequence[int]) -> float:
         """Return the error on runs left out, in units of the drift."""
 
         def learn(some: NDArray[np.bool_]) -> Callable[[], Array]:
-            member = self.fit(seed, some)
+            member = self.fit(seed, some, STEPS_ASKED)
             return lambda: member.predict(self._columns, self._features)
 
         return measure_left_out(self._rows, learn)

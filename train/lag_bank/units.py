@@ -54,6 +54,7 @@ def fit_member(
     count: int,
     seed: Sequence[int],
     some: NDArray[np.bool_],
+    steps: int = STEPS,
 ) -> Member:
     """Return `count` units and the linear part beside them, fitted from one random start.
 
@@ -65,6 +66,7 @@ def fit_member(
         count: number of units.
         seed: of the start.
         some: [m] rows to learn from.
+        steps: of Levenberg-Marquardt, at most.
     """
     part = rows.take(some)
     f, y = (part.prepare(part.cut(x)) for x in (columns, rows.targets))
@@ -97,7 +99,7 @@ def fit_member(
         np.full(count * inputs, PRIOR * part.weight),
         np.zeros(count * inputs),
     )
-    weights = minimise(problem, start.ravel(), STEPS).reshape(count, inputs)
+    weights = minimise(problem, start.ravel(), steps).reshape(count, inputs)
     both = np.concatenate([f, part.prepare(np.tanh(x @ weights.T))], axis=1)
     strength = np.concatenate([linear_ridge, np.full(count, HEAD_RIDGE * part.weight)])
     solved = solve_ridge(both.T @ both, both.T @ y, strength)
