@@ -11,7 +11,7 @@ error on held-out runs over their noise floor. The evidence of
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
@@ -110,6 +110,19 @@ def judge(form: Form, runs: Sequence[Run], tests: dict[str, tuple[Trial, ...]]) 
         features = front_end.compute(run) if form.units else np.zeros((len(run), 0))
         return np.asarray(member.predict(see(run), features) * scale)
 
+    return measure_heat(predict, tests, scale)
+
+
+def measure_heat(
+    predict: Callable[[Run], Array], tests: dict[str, tuple[Trial, ...]], scale: Array
+) -> dict[str, float]:
+    """Return the error over the noise floor of each test, and of the bench together.
+
+    Args:
+        predict: drift [n, K] of a run.
+        tests: the runs of each test, the bench's among them.
+        scale: [K] what errors are shares of.
+    """
     squares, floors = {}, {}
     for test, trials in tests.items():
         error = np.concatenate([(t.run.drift - predict(t.run)) / scale for t in trials])

@@ -16,15 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.study_heat import JUDGED, measure_heat
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.fit import fit as fit_effects
-from zerodrift.report.paper.world import (
-    BODY,
-    CHAMBER_CYCLES,
-    pool_floor,
-    record_test,
-    record_training,
-)
+from zerodrift.report.paper.world import BODY, CHAMBER_CYCLES, record_test, record_training
 from zerodrift.train.front_end import TEMPERATURE
 from zerodrift.train.lag_bank.data import DEGREE
 from zerodrift.train.lag_bank.fit import assemble_fit, prepare
@@ -35,8 +30,6 @@ from zerodrift.train.methods.physical import DEFAULT_EFFECTS
 
 Array = NDArray[np.float64]
 
-JUDGED = ("chamber", "heating", "cooling", "walking_still")
-BENCH = JUDGED[1:]
 SHAPES = ((4, 1), (4, 3), (6, 2), (8, 2), (12, 1), (16, 1), (24, 1))
 """Units of a member, and members."""
 
@@ -85,22 +78,6 @@ def fit_forms(
     return [fit_form(form) for form in forms]
 
 
-def judge(
-    predict: Callable[[Run], Array], runs: Sequence[Run], sensor: int, second: bool
-) -> dict[str, float]:
-    """Return the error over the noise floor of each test, and of the bench together."""
-    scale = np.concatenate([run.drift for run in runs[:CHAMBER_CYCLES]]).std(axis=0)
-    squares, floors = {}, {}
-    for test in JUDGED:
-        trials = record_test(sensor, test, second)
-        error = np.concatenate([(t.run.drift - predict(t.run)) / scale for t in trials])
-        squares[test] = float(np.mean(error**2))
-        floors[test] = float(np.mean((pool_floor(trials) / scale) ** 2))
-    found = {test: float(np.sqrt(squares[test] / floors[test])) for test in JUDGED}
-    together = sum(squares[t] for t in BENCH) / sum(floors[t] for t in BENCH)
-    return {**found, "bench": float(np.sqrt(together))}
-
-
 def list_forms(second: bool) -> list[Form]:
     """Return the forms that are compared."""
     found = [Form(0, degree, *shape) for degree in (DEGREE, 1) for shape in SHAPES]
@@ -116,8 +93,10 @@ def main(sensors: Sequence[int], second: bool) -> None:
     rows: list[list[list[float]]] = [[] for _ in forms]
     for sensor in sensors:
         runs = record_training(sensor, "varied", second)
+        tests = {test: record_test(sensor, test, second) for test in JUDGED}
+        scale = np.concatenate([run.drift for run in runs[:CHAMBER_CYCLES]]).std(axis=0)
         for row, (predict, numbers) in zip(rows, fit_forms(runs, second, forms), strict=True):
-            found = judge(predict, runs, sensor, second)
+            found = measure_heat(predict, tests, scale)
             row.append([*(found[name] for name in names), numbers])
     print(f"simulated six-axis sensors {list(sensors)}; error / noise floor, medians")
     print(f"{'lags':<8}{'powers':>7}{'units':>9}", *(f"{n[:10]:>10}" for n in names), "   numbers")
