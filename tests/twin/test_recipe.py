@@ -4,10 +4,12 @@ import json
 
 import pytest
 
+from zerodrift.config import NETWORK_KINDS
 from zerodrift.errors import InputError
 from zerodrift.physics.twin import EffectChoice, Recipe, parse_choice, simulate
 from zerodrift.physics.twin.recipe import (
     LISTED_EFFECTS,
+    NETWORKS,
     check_recipe,
     draw_mystery,
     expand_channels,
@@ -150,3 +152,7 @@ def test_mystery_repeats_by_seed_and_spares_what_is_taken():
     assert len(set(names)) > 10
     assert not {"zero_tempco", "dark_current"} & set(names)
     assert all(first.name != second.name for first, second in drawn)
+
+
+def test_twin_can_write_every_kind_of_network():
+    assert set(NETWORKS) == set(NETWORK_KINDS)
