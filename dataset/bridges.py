@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Array, Run
 
@@ -53,12 +54,67 @@ def predict_along(predict: Callable[[Run], Array], run: Run) -> Array:
         return predict(run)
     chain = list_chain(run)
     bridges, starts = plan_bridges(chain)
-    whole = replace(
+    return predict(_lay_run(chain, bridges))[starts[-1] :]
+
+
+def join_stretches(runs: Sequence[Run]) -> tuple[list[Run], list[NDArray[np.bool_]]]:
+    """Return runs in one piece each, and which samples [n] of each are those of `runs`.
+
+    Args:
+        runs: whole runs or stretches of them; what is not among them but lies before one that is
+            is laid too, and not marked.
+    """
+    joined, logged = [], []
+    for whole, places in _lay_chains(runs):
+        marks = np.zeros(len(whole), dtype=bool)
+        for i, start in places:
+            marks[start : start + len(runs[i])] = True
+        joined.append(whole)
+        logged.append(marks)
+    return joined, logged
+
+
+def predict_all(predict: Callable[[Run], Array], runs: Sequence[Run]) -> list[Array]:
+    """Return `predict_along` of every run [n, K], each chain of stretches gone through once."""
+    answers = [np.zeros((0, 0))] * len(runs)
+    for whole, places in _lay_chains(runs):
+        answer = predict(whole)
+        for i, start in places:
+            answers[i] = answer[start : start + len(runs[i])]
+    return answers
+
+
+def _lay_chains(runs: Sequence[Run]) -> list[tuple[Run, list[tuple[int, int]]]]:
+    """Return runs in one piece, with (stretch, its first sample) for those of `runs` in each."""
+    index = {(run.group, run.part): i for i, run in enumerate(runs)}
+    laid: set[int] = set()
+    pieces = []
+    for i in sorted(range(len(runs)), key=lambda i: -runs[i].part):
+        if i in laid:
+            continue
+        chain = list_chain(runs[i])
+        bridges, starts = plan_bridges(chain)
+        places = []
+        for part, start in zip(chain, starts, strict=True):
+            at = i if part is runs[i] else index.get((part.group, part.part))
+            if at is not None and at not in laid and len(runs[at]) == len(part):
+                places.append((at, start))
+                laid.add(at)
+        pieces.append((_lay_run(chain, bridges), places))
+    return sorted(pieces, key=lambda piece: piece[1][0])
+
+
+def _lay_run(chain: Sequence[Run], bridges: Sequence[int]) -> Run:
+    """Return the stretches of a run as one, at rest before it."""
+    if len(chain) == 1:
+        return chain[0]
+    return replace(
         chain[0],
         time_s=lay([part.time_s for part in chain], bridges),
         temperature_degC=lay([part.temperature_degC for part in chain], bridges),
         measured=lay([part.measured for part in chain], bridges),
         reference=lay([part.reference for part in chain], bridges),
-        inputs={name: lay([part.inputs[name] for part in chain], bridges) for name in run.inputs},
+        inputs={
+            name: lay([part.inputs[name] for part in chain], bridges) for name in chain[0].inputs
+        },
     )
-    return predict(whole)[starts[-1] :]

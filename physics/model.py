@@ -95,6 +95,14 @@ class PhysicalModel:
         """Return the predicted drift [n, K] of one run, each output in its unit."""
         return np.asarray(self.features(run) @ self.coefficients)
 
+    def predict_all(self, runs: Sequence[Run]) -> list[Array]:
+        """Return `predict` of every run [n, K], each chain of stretches gone through once."""
+        terms = [fitted.term for fitted in self.terms]
+        return [
+            np.stack([column.signal for column in columns], axis=1) @ self.coefficients
+            for columns in build_stretches(runs, self.plan, terms, self.order)
+        ]
+
     def find_usable(self, run: Run) -> NDArray[np.bool_]:
         """Return [n, K] which samples say something about the drift.
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from zerodrift.config import Config
+from zerodrift.dataset.bridges import join_stretches
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.operations.dense import FloatDense, FloatFeedForward
 from zerodrift.physics.catalogue import Catalogue
@@ -103,6 +104,7 @@ def _fit(
 
 def assemble_bank(alone: Compensator, fitted: FittedBank, runs: Sequence[Run]) -> Compensator:
     """Return the compensator of physics and a fitted bank, calibrated on its runs."""
+    runs, _ = join_stretches(runs)
     whole = replace(
         alone, bank=fitted.bank, tared=fitted.tared, notes=(*alone.notes, *fitted.notes)
     )

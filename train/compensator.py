@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.bridges import predict_along
+from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.runs import Run
 from zerodrift.errors import InputError
 from zerodrift.operations.dense import FloatFeedForward
@@ -102,6 +102,10 @@ class Compensator:
         if self.network is not None:
             drift = drift + self._run_network(features)
         return np.asarray(drift)
+
+    def predict_all(self, runs: Sequence[Run]) -> list[Array]:
+        """Return `predict` of every run [n, K], each chain of stretches gone through once."""
+        return predict_all(self.predict, runs)
 
     @property
     def tap_coefficients(self) -> Array:

@@ -1,6 +1,6 @@
 """What a trained compensator achieves per output: in-sample and held out, beside physics alone."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,6 @@ from zerodrift.train.compensator import Compensator
 from zerodrift.train.split import Split
 
 Array = NDArray[np.float64]
-Predict = Callable[[Run], Array]
 
 WORTH_ITS_FLASH = 0.97
 """What learns the rest is kept if it brings the error on held-out runs below this multiple."""
@@ -111,10 +110,10 @@ def measure(
         skip: run's name -> samples at its start that do not count.
     """
 
-    def rmse(predict: Predict) -> Array:
+    def rmse(predictions: Sequence[Array]) -> Array:
         by_group: dict[str, list[Array]] = {}
-        for run in runs:
-            error = (run.drift - predict(run))[(skip or {}).get(run.name, 0) :]
+        for run, prediction in zip(runs, predictions, strict=True):
+            error = (run.drift - prediction)[(skip or {}).get(run.name, 0) :]
             by_group.setdefault(run.group, []).append(error)
         if not by_group:
             return np.full(len(compensator.outputs), np.nan)
@@ -123,7 +122,7 @@ def measure(
         return np.asarray(np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0)))
 
     return Errors(
-        uncompensated=rmse(lambda run: np.zeros_like(run.drift)),
-        physics=rmse(compensator.physics.predict),
-        compensated=rmse(compensator.predict),
+        uncompensated=rmse([np.zeros_like(run.drift) for run in runs]),
+        physics=rmse(compensator.physics.predict_all(runs)),
+        compensated=rmse(compensator.predict_all(runs)),
     )

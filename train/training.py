@@ -139,7 +139,7 @@ def stand_alone(
         units=dataset.units,
         sample_period_s=config.sample_period_s,
         tared=physics.tared,
-        calibration=calibrate(dataset.train, [], [physics.predict(run) for run in dataset.train]),
+        calibration=calibrate(dataset.train, [], physics.predict_all(dataset.train)),
         trained_from=mark_inputs(config, dataset, settings),
         notes=physics.notes,
     )

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.c_runtime.host import HostModel
-from zerodrift.dataset.bridges import predict_along
+from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
 from zerodrift.export.compose_import import ImportedCompensator
@@ -58,8 +58,8 @@ def tell_errors(
         runs: measurements, preferably held out.
     """
     outputs = host.model.outputs
-    floats = [predict_on_chip(compensator, run) for run in runs]
-    integers = [predict_by_c(host, run) for run in runs]
+    floats = predict_all(lambda run: predict_on_chip(compensator, run), runs)
+    integers = predict_all(lambda run: predict_by_c(host, run), runs)
     none = [np.zeros_like(run.drift) for run in runs]
     uncompensated, float_error, integer_error = (
         _join(runs, answer, compensator.tared) for answer in (none, floats, integers)
@@ -100,8 +100,7 @@ def _err_by_physics(
         return None
     if compensator.network is None and compensator.bank is None:
         return None
-    answers = [compensator.physics.predict(run) for run in runs]
-    return _join(runs, answers, compensator.tared)
+    return _join(runs, compensator.physics.predict_all(runs), compensator.tared)
 
 
 def _join(runs: Sequence[Run], predictions: Sequence[Array], tared: bool) -> Array:

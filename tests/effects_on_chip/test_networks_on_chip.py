@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from zerodrift.export.compose import (
 )
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.compensator import Compensator
+from zerodrift.train.lag_bank import unit_choice
+from zerodrift.train.lag_bank.unit_choice import Trial, list_trials
 from zerodrift.train.training import train
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.firmware import recheck
@@ -36,7 +39,7 @@ CURVE = 0.02
 """Of the load at its largest, as a share of it."""
 NETWORKS = {
     "lag_bank": NetworkConfig(kind="lag_bank", hidden=6, lags_s=(45.0, 400.0)),
-    "many units": NetworkConfig(kind="lag_bank", hidden=12, lags_s=(45.0, 400.0)),
+    "many units": NetworkConfig(kind="lag_bank", hidden=16, lags_s=(45.0, 400.0)),
     "mlp": NetworkConfig(kind="mlp", hidden=6, lags_s=(30.0,)),
     "mlp_seq": NetworkConfig(kind="mlp_seq", hidden=6, memory=4, lags_s=(30.0,)),
     "tcn": NetworkConfig(
@@ -81,7 +84,14 @@ def train_network(
 
 
 @pytest.mark.parametrize("kind", NETWORKS)
-def test_network_is_the_same_on_the_chip(kind: str, tmp_path: Path) -> None:
+def test_network_is_the_same_on_the_chip(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def list_many(*arguments: Any, **options: Any) -> list[Trial]:
+        return list_trials(*arguments, **options)[1:]
+
+    if kind == "many units":  # whatever the logs ask for
+        monkeypatch.setattr(unit_choice, "list_trials", list_many)
     compensator, config = train_network(kind, tmp_path)
     runs = tuple(add_drift(run, loaded=False) for run in draw_runs(4, LENGTH))
     assert compensator.network is not None

@@ -16,7 +16,7 @@ from tests.physics.conftest import (
 )
 
 from zerodrift.config import EffectConfig
-from zerodrift.dataset.bridges import predict_along
+from zerodrift.dataset.bridges import join_stretches, predict_all, predict_along
 from zerodrift.physics.diagnose import diagnose
 from zerodrift.physics.fit import fit
 from zerodrift.physics.held_out import hold_out
@@ -184,3 +184,47 @@ def test_replay_along_the_run_is_that_of_the_run_without_a_gap():
     assert seen[-1].before is None
     assert seen[-1].time_s == pytest.approx(whole.time_s)
     assert seen[-1].inputs["supply"] == pytest.approx(whole.inputs["supply"])
+
+
+def cut_in_three(run):
+    first = take(run, 0, 150)
+    second = take(run, 200, 300, 1, first)
+    return first, second, take(run, 400, len(run), 2, second)
+
+
+def test_every_stretch_is_predicted_from_one_replay_of_its_run():
+    runs = make_straight_gap().train
+    stretches = [part for run in runs[:2] for part in cut_in_three(run)]
+    seen = []
+
+    def total(run):
+        seen.append(run)
+        return np.cumsum(run.temperature_degC[:, None] + run.reference, axis=0)
+
+    order = [5, 0, 3, 2, 1, 4]
+    found = predict_all(total, [stretches[i] for i in order])
+    assert len(seen) == 2
+    for i, answer in zip(order, found, strict=True):
+        assert np.array_equal(answer, predict_along(total, stretches[i]))
+
+
+def test_model_predicts_all_stretches_as_one_by_one():
+    dataset = interrupt_all(make_dataset(lagging, runs=3, length=400), 150, 200)
+    model = fit(LAG, dataset.train, outputs=OUTPUTS, units=UNITS, full_scale=FULL_SCALE)
+    for run, answer in zip(dataset.train, model.predict_all(dataset.train), strict=True):
+        assert np.array_equal(answer, model.predict(run))
+
+
+def test_joined_runs_mark_what_was_logged_and_given():
+    whole = make_straight_gap().train[0]
+    first, second, third = cut_in_three(whole)
+    (run,), (logged,) = join_stretches([first, second, third])
+    assert (run.before, len(run)) == (None, len(whole))
+    gaps = np.r_[150:200, 300:400]
+    assert np.array_equal(np.flatnonzero(~logged), gaps)
+    assert np.array_equal(run.measured[logged], np.delete(whole.measured, gaps, axis=0))
+    (run,), (logged,) = join_stretches([third])
+    assert np.array_equal(np.flatnonzero(logged), np.arange(400, len(whole)))
+    (run,), (logged,) = join_stretches([whole])
+    assert run is whole
+    assert logged.all()

@@ -76,6 +76,38 @@ def test_one_lag_is_found_and_the_rest_is_called_unverified() -> None:
     assert "unverified" in bank.notes[0]
 
 
+def interrupt(run: Run, logged: int, missing: int) -> list[Run]:
+    """Return the run's stretches of so many samples, so many lost after each."""
+    stretches: list[Run] = []
+    for start in range(0, len(run) - logged, logged + missing):
+        own = slice(start, start + logged)
+        stretches.append(
+            replace(
+                run,
+                part=len(stretches),
+                time_s=run.time_s[own],
+                temperature_degC=run.temperature_degC[own],
+                measured=run.measured[own],
+                reference=run.reference[own],
+                before=stretches[-1] if stretches else None,
+            )
+        )
+    return stretches
+
+
+def test_bank_lives_on_over_gaps_as_the_sensor_did() -> None:
+    """Taken to be at rest at the start of each stretch, it would not see its lag whole."""
+    whole = [make_run(i, slow=0.0, length=1500) for i in range(4)]
+    stretches = [part for run in whole for part in interrupt(run, 30, 6)]
+    _, bank = fit_bank(whole, units=0)
+    physics, over_gaps = fit_bank(stretches, units=0)
+    assert over_gaps.bank.lags[0][1] == pytest.approx(bank.bank.lags[0][1], rel=0.02)
+    assert measure(physics, over_gaps, make_run(9, slow=0.0)).max() < 1.1
+    alone = [replace(run, group=f"{run.group}#{run.part}", before=None) for run in stretches]
+    physics, at_rest = fit_bank(alone, units=0)
+    assert measure(physics, at_rest, make_run(9, slow=0.0)).max() > 2.0
+
+
 def test_two_lags_are_found() -> None:
     """Their mixture's square has a product of both in it, which units have to learn."""
     runs = [make_run(i, slow=0.3, length=1200) for i in range(4)]

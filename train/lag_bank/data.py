@@ -4,6 +4,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,7 @@ class BankData:
         others: [n, J] per run: further columns of the linear part (physics, loads).
         targets: [n, K] per run: what is to be explained.
         loaded: [n] per run: whether a load is on the sensor.
+        logged: [n] per run: which samples were measured, and do not stand for a gap; empty: all.
     """
 
     def __init__(
@@ -56,22 +58,35 @@ class BankData:
         others: Sequence[Array],
         targets: Sequence[Array],
         loaded: Sequence[NDArray[np.bool_]],
+        logged: Sequence[NDArray[np.bool_]] = (),
     ) -> None:
         self.dt_s = runs[0].sample_period_s
         self.sources = tuple(sources)
-        self._ends = np.cumsum([0, *(len(run) for run in runs)])
-        samples = int(self._ends[-1])
+        ends = np.cumsum([0, *(len(run) for run in runs)])
+        self.logged = tuple(logged or (np.ones(len(run), dtype=bool) for run in runs))
+        """[n] per run: which samples were measured."""
+        there = np.concatenate(self.logged)
+        self._picked = None if there.all() else np.flatnonzero(there)
+        follows = np.append(False, there[:-1])
+        follows[ends[:-1]] = False
+        first = np.flatnonzero(there & ~follows)  # samples that begin a stretch
+        samples = int(there.sum())
         block = max(1, -(-samples // MOST_ROWS))
-        stretches = list(zip(self._ends, self._ends[1:], strict=False))
-        starts = [np.arange(a, b, block) for a, b in stretches]
+        edges = np.append(np.cumsum(there)[first] - 1, samples)
+        starts = [np.arange(a, b, block) for a, b in pairwise(edges)]
         self._starts = np.concatenate(starts)
-        self.begins = np.isin(self._starts, self._ends[:-1])
+        self.begins = np.isin(self._starts, edges[:-1])
         """[m] rows that begin a stretch."""
         self.counts = np.diff(np.append(self._starts, samples)).astype(np.float64)
         """[m] samples behind each row."""
         names = list(dict.fromkeys(run.group for run in runs))
-        places = [np.full(len(s), names.index(r.group)) for r, s in zip(runs, starts, strict=True)]
-        self.run_group = np.concatenate(places)
+        owners = np.searchsorted(ends, first, side="right") - 1
+        self.run_group = np.concatenate(
+            [
+                np.full(len(s), names.index(runs[i].group))
+                for i, s in zip(owners, starts, strict=True)
+            ]
+        )
         """[m] run that a row belongs to; an offset of its own may belong to each."""
         self.group = self.run_group
         """[m] what is left out together: runs, or blocks of the only one."""
@@ -83,7 +98,7 @@ class BankData:
         self._levels = [
             (x - s.centre) / s.half_span for x, s in zip(signals, self.scales, strict=True)
         ]
-        self._stretches = [slice(int(a), int(b)) for a, b in stretches]
+        self._runs = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self._powers = [raise_all(x) for x in self._levels]
         self._filtered: dict[Lag, Array] = {}
         self.others = self.average(np.concatenate(others))
@@ -118,18 +133,20 @@ class BankData:
         return covered
 
     def average(self, x: Array) -> Array:
-        """Return the block means [m, ...] of samples [n, ...]."""
+        """Return the block means [m, ...] of samples [n, ...], those that were logged."""
+        if self._picked is not None:
+            x = x[self._picked]
         sums = np.add.reduceat(x, self._starts, axis=0)
         return np.asarray(sums / self.counts.reshape(-1, *[1] * (x.ndim - 1)))
 
     def _filter(self, lag: Lag) -> Array:
-        """Return the scaled thermometer after a lag, [n]; every stretch starts at rest."""
+        """Return the scaled thermometer after a lag, [n]; every run starts at rest."""
         if lag not in self._filtered:
             if len(self._filtered) >= KEPT:
                 self._filtered.pop(next(iter(self._filtered)))
             x = self._levels[lag[0]]
             self._filtered[lag] = np.concatenate(
-                [lowpass(x[own], self.dt_s, lag[1]) for own in self._stretches]
+                [lowpass(x[own], self.dt_s, lag[1]) for own in self._runs]
             )
         return self._filtered[lag]
 
@@ -145,7 +162,7 @@ class BankData:
         """Return `lag` and its derivatives with respect to log tau, both [m, DEGREE]."""
         u, v = self._levels[lag[0]], self._filter(lag)
         slope = lag[1] * np.concatenate(
-            [lowpass_slope(u[own], v[own], self.dt_s, lag[1]) for own in self._stretches]
+            [lowpass_slope(u[own], v[own], self.dt_s, lag[1]) for own in self._runs]
         )
         powers = raise_all(v)
         slopes = np.empty_like(powers)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.dataset.bridges import join_stretches
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.fit import TARE_RATIO
 from zerodrift.physics.model import PhysicalModel
@@ -95,8 +96,8 @@ def fit_lag_bank(
         report: is told the share that is done, and of what.
     """
     report(0.0, "lag bank")
-    runs = [run.at_rest() for run in runs]
-    prepared = prepare(physics, runs, sources)
+    runs, logged = join_stretches(runs)
+    prepared = prepare(physics, runs, sources, logged)
     banks = [_hold(prepared.rows, lags_s)] if lags_s else choose_bank(prepared.rows)
     bank = pick(banks)
     if prepared.loads.terms:
@@ -117,8 +118,20 @@ def fit_lag_bank(
     return fitted
 
 
-def prepare(physics: PhysicalModel, runs: Sequence[Run], sources: Sequence[str]) -> Prepared:
-    """Return the rows of the fit, weighted by their noise, without what loads add."""
+def prepare(
+    physics: PhysicalModel,
+    runs: Sequence[Run],
+    sources: Sequence[str],
+    logged: Sequence[NDArray[np.bool_]] = (),
+) -> Prepared:
+    """Return the rows of the fit, weighted by their noise, without what loads add.
+
+    Args:
+        physics: fitted to the same runs.
+        runs: in one piece each.
+        sources: thermometers, the chip's own first.
+        logged: [n] per run: samples that were measured; empty: all.
+    """
     features = [physics.features(run) for run in runs]
     together = np.concatenate(features)
     moves = np.ptp(together, axis=0) > 1e-12 * np.maximum(np.abs(together).max(axis=0), 1e-300)
@@ -129,7 +142,7 @@ def prepare(physics: PhysicalModel, runs: Sequence[Run], sources: Sequence[str])
         for run in runs
     ]
     targets = [run.drift - physics.predict(run) for run in runs]
-    data = BankData(runs, sources, [x[:, kept] for x in features], targets, loaded)
+    data = BankData(runs, sources, [x[:, kept] for x in features], targets, loaded, logged)
     drift = np.concatenate([run.drift for run in runs])
     unit = np.sqrt(np.mean((drift - drift.mean(axis=0)) ** 2, axis=0))
     unit[unit == 0.0] = 1.0
@@ -250,7 +263,7 @@ def assemble_fit(
         errors=errors,
         notes=notes,
     )
-    return _settle_constant(fitted, physics, runs)
+    return _settle_constant(fitted, physics, runs, data.logged)
 
 
 def _tell(bank: Bank, choice: Choice, data: BankData) -> tuple[str, ...]:
@@ -270,14 +283,19 @@ def _tell(bank: Bank, choice: Choice, data: BankData) -> tuple[str, ...]:
     )
 
 
-def _settle_constant(fitted: FittedBank, physics: PhysicalModel, runs: Sequence[Run]) -> FittedBank:
+def _settle_constant(
+    fitted: FittedBank,
+    physics: PhysicalModel,
+    runs: Sequence[Run],
+    logged: Sequence[NDArray[np.bool_]],
+) -> FittedBank:
     """Return the bank with its constant at the mean of what is left, each run counting once."""
     if not fitted.tared:
         return fitted
     left: dict[str, list[Array]] = {}
-    for run in runs:
+    for run, there in zip(runs, logged, strict=True):
         error = run.drift - physics.predict(run) - fitted.correct(run, physics)
-        left.setdefault(run.group, []).append(error)
+        left.setdefault(run.group, []).append(error[there])
     means = [np.concatenate(parts).mean(axis=0) for parts in left.values()]
     fitted.bank.correction[0] += np.mean(means, axis=0)
     return fitted
