@@ -1,6 +1,7 @@
 """Pictures of the paper's experiments on the twin; each says that it is simulated."""
 
 from collections.abc import Sequence
+from textwrap import wrap
 
 import numpy as np
 import plotly.graph_objects as go
@@ -191,7 +192,8 @@ def draw_ranking(plan: Plan, outcomes: Outcomes) -> go.Figure:
     figure.update_xaxes(type="log", tickvals=ticks, ticktext=texts, title="error, share")
     figure.update_yaxes(autorange="reversed", showgrid=True)
     _entitle(figure, "How much each method leaves: the paper and the twin")
-    figure.update_layout(margin={"l": 250, "t": 110}, legend={"y": 1.12})
+    figure.update_yaxes(automargin=True, col=1)
+    figure.update_layout(margin={"t": 110}, legend={"y": 1.12})
     return figure
 
 
@@ -268,21 +270,43 @@ def draw_training(training: Training) -> go.Figure:
 
 
 def draw_heat(heat: Heat) -> go.Figure:
-    """Return the errors by what a method was trained on."""
-    figure = go.Figure()
-    for number, ((method, logs), errors) in enumerate(heat.errors.items()):
-        figure.add_scatter(
-            x=list(errors),
-            y=[s.median for s in errors.values()],
-            error_y=_whiskers(list(errors.values()), colour_of(number)),
-            name=f"{METHODS[method].title}: {logs}",
-            mode="markers",
-            marker={"symbol": mark_of(number), "size": 11, "color": colour_of(number)},
-        )
-    figure.add_hline(y=1.0, line={"color": FLOOR, "dash": "dot"})
-    apply_style(figure, 460)
-    figure.update_yaxes(title="error / noise floor", type="log", tickformat="~g", dtick="D2")
-    figure.update_xaxes(title="test (walking_still: the plates of the walk without strides)")
-    _entitle(figure, "Trained in the chamber, tested on heat from one side")
-    figure.update_layout(margin={"t": 150})
+    """Return the errors test by test: a row per training logs, a colour and mark per method."""
+    methods = list(dict.fromkeys(method for method, _ in heat.errors))
+    rows = list(dict.fromkeys(logs for _, logs in heat.errors))
+    tests = list(next(iter(heat.errors.values())))
+    figure = make_subplots(
+        cols=len(tests),
+        shared_yaxes=True,
+        horizontal_spacing=0.03,
+        subplot_titles=["plates of the walk" if t == "walking_still" else t for t in tests],
+    )
+    for number, method in enumerate(methods):
+        own = {logs: errors for (m, logs), errors in heat.errors.items() if m == method}
+        apart = 0.22 * (number - 0.5 * (len(methods) - 1))  # so that equal errors are both seen
+        for col, test in enumerate(tests, 1):
+            spreads = [errors[test] for errors in own.values()]
+            figure.add_scatter(
+                x=[s.median for s in spreads],
+                y=[rows.index(logs) + apart for logs in own],
+                error_x=_whiskers(spreads, colour_of(number)),
+                name=METHODS[method].title,
+                legendgroup=method,
+                showlegend=col == 1,
+                mode="markers",
+                marker={"symbol": mark_of(number), "size": 10, "color": colour_of(number)},
+                row=1,
+                col=col,
+            )
+    figure.add_vline(x=1.0, line={"color": FLOOR, "dash": "dot"})
+    apply_style(figure, 200 + 70 * len(rows))
+    figure.update_xaxes(title="error / noise floor", type="log", tickformat="~g", dtick="D2")
+    figure.update_yaxes(range=[len(rows) - 0.5, -0.5], showgrid=False)
+    figure.update_yaxes(
+        tickvals=list(range(len(rows))),
+        ticktext=["<br>".join(wrap(logs, 28)) for logs in rows],
+        automargin=True,
+        col=1,
+    )
+    _entitle(figure, "By what they learnt from: errors in the chamber and in heat from one side")
+    figure.update_layout(margin={"t": 110}, legend={"y": 1.16})
     return figure
