@@ -1,13 +1,24 @@
 """A run with gaps as one stretch: straight lines stand for what was not logged."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Array, Run
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A run from its first stretch on."""
+
+    stretches: tuple[Run, ...]
+    bridges: tuple[int, ...]
+    """Samples that stand for each gap."""
+    places: tuple[tuple[int, int], ...]
+    """(stretch of those asked for, its first sample in the whole), in the order of time."""
 
 
 def list_chain(run: Run) -> list[Run]:
@@ -65,9 +76,10 @@ def join_stretches(runs: Sequence[Run]) -> tuple[list[Run], list[NDArray[np.bool
             is laid too, and not marked.
     """
     joined, logged = [], []
-    for whole, places in _lay_chains(runs):
+    for chain in find_chains(runs):
+        whole = _lay_run(chain.stretches, chain.bridges)
         marks = np.zeros(len(whole), dtype=bool)
-        for i, start in places:
+        for i, start in chain.places:
             marks[start : start + len(runs[i])] = True
         joined.append(whole)
         logged.append(marks)
@@ -77,31 +89,37 @@ def join_stretches(runs: Sequence[Run]) -> tuple[list[Run], list[NDArray[np.bool
 def predict_all(predict: Callable[[Run], Array], runs: Sequence[Run]) -> list[Array]:
     """Return `predict_along` of every run [n, K], each chain of stretches gone through once."""
     answers = [np.zeros((0, 0))] * len(runs)
-    for whole, places in _lay_chains(runs):
-        answer = predict(whole)
-        for i, start in places:
+    for chain in find_chains(runs):
+        answer = predict(_lay_run(chain.stretches, chain.bridges))
+        for i, start in chain.places:
             answers[i] = answer[start : start + len(runs[i])]
     return answers
 
 
-def _lay_chains(runs: Sequence[Run]) -> list[tuple[Run, list[tuple[int, int]]]]:
-    """Return runs in one piece, with (stretch, its first sample) for those of `runs` in each."""
+def find_chains(runs: Sequence[Run], block: int = 1) -> list[Chain]:
+    """Return the chains that the stretches `runs` lie in; a run without a gap is one by itself.
+
+    Args:
+        runs: stretches; what is before one of them need not be among them.
+        block: each stretch begins at a multiple of so many samples.
+    """
     index = {(run.group, run.part): i for i, run in enumerate(runs)}
     laid: set[int] = set()
-    pieces = []
+    chains = []
     for i in sorted(range(len(runs)), key=lambda i: -runs[i].part):
         if i in laid:
             continue
-        chain = list_chain(runs[i])
-        bridges, starts = plan_bridges(chain)
+        stretches = list_chain(runs[i])
+        bridges, starts = plan_bridges(stretches, block)
         places = []
-        for part, start in zip(chain, starts, strict=True):
-            at = i if part is runs[i] else index.get((part.group, part.part))
-            if at is not None and at not in laid and len(runs[at]) == len(part):
+        for run, start in zip(stretches, starts, strict=True):
+            # A stretch may stand alone, without those before it.
+            at = i if run is runs[i] else index.get((run.group, run.part))
+            if at is not None and at not in laid and len(runs[at]) == len(run):
                 places.append((at, start))
                 laid.add(at)
-        pieces.append((_lay_run(chain, bridges), places))
-    return sorted(pieces, key=lambda piece: piece[1][0])
+        chains.append(Chain(tuple(stretches), tuple(bridges), tuple(places)))
+    return sorted(chains, key=lambda chain: chain.places[0])
 
 
 def _lay_run(chain: Sequence[Run], bridges: Sequence[int]) -> Run:

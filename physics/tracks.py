@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.bridges import lay, list_chain, plan_bridges
+from zerodrift.dataset.bridges import find_chains, lay
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.effect import Feature, Signals
 from zerodrift.physics.signals import SignalPlan, read_signals
@@ -37,23 +37,13 @@ def lay_tracks(runs: Sequence[Run], plan: SignalPlan, block: int = 1) -> list[Tr
         plan: their signals.
         block: each stretch begins at a multiple of so many samples.
     """
-    index = {(run.group, run.part): i for i, run in enumerate(runs)}
-    tracks: list[Track] = []
-    laid: set[int] = set()
-    for i in sorted(range(len(runs)), key=lambda i: -runs[i].part):
-        if i in laid:
-            continue
-        chain = list_chain(runs[i])
-        signals, starts = _join([read_signals(run, plan) for run in chain], chain, block)
-        places = []
-        for run, start in zip(chain, starts, strict=True):
-            # A stretch may stand alone, without those before it.
-            at = i if run is runs[i] else index.get((run.group, run.part))
-            if at is not None and at not in laid and len(runs[at]) == len(run):
-                places.append((at, start))
-                laid.add(at)
-        tracks.append(Track(signals, tuple(places)))
-    return sorted(tracks, key=lambda track: track.places[0])
+    return [
+        Track(
+            _join([read_signals(run, plan) for run in chain.stretches], chain.bridges),
+            chain.places,
+        )
+        for chain in find_chains(runs, block)
+    ]
 
 
 def build_stretches(
@@ -73,26 +63,20 @@ def build_stretches(
     return built
 
 
-def _join(
-    parts: Sequence[Signals[Array]], chain: Sequence[Run], block: int
-) -> tuple[Signals[Array], list[int]]:
-    """Return the signals laid end to end, gaps bridged, and where each part begins."""
+def _join(parts: Sequence[Signals[Array]], bridges: Sequence[int]) -> Signals[Array]:
+    """Return the signals laid end to end, gaps bridged."""
     if len(parts) == 1:
-        return parts[0], [0]
-    bridges, starts = plan_bridges(chain, block)
+        return parts[0]
 
     def lay_all(of_parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
         return {name: lay([part[name] for part in of_parts], bridges) for name in of_parts[0]}
 
-    return (
-        replace(
-            parts[0],
-            temperature_degC=lay([part.temperature_degC for part in parts], bridges),
-            elapsed_s=lay([part.elapsed_s for part in parts], bridges),
-            clock_s=lay([part.clock_s for part in parts], bridges),
-            load=lay_all([part.load for part in parts]),
-            saturated=lay_all([part.saturated for part in parts]),
-            channels=lay_all([part.channels for part in parts]),
-        ),
-        starts,
+    return replace(
+        parts[0],
+        temperature_degC=lay([part.temperature_degC for part in parts], bridges),
+        elapsed_s=lay([part.elapsed_s for part in parts], bridges),
+        clock_s=lay([part.clock_s for part in parts], bridges),
+        load=lay_all([part.load for part in parts]),
+        saturated=lay_all([part.saturated for part in parts]),
+        channels=lay_all([part.channels for part in parts]),
     )

@@ -8,9 +8,8 @@ BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 def use_one_thread() -> None:
     """Let BLAS and OpenMP compute on one thread, unless the user's environment says otherwise.
 
-    The products here are small: on two threads that must share their cores with other work, a fit
-    of ten seconds was seen to take five minutes, nearly all of it spent waiting in a loop. Has no
-    effect on libraries that are loaded already.
+    The products here are small: threads that must share their cores with other work spend nearly
+    all their time waiting for each other. Has no effect on libraries that are loaded already.
     """
     for name in BLAS:
         os.environ.setdefault(name, "1")

@@ -24,7 +24,7 @@ FEW_UNITS = 4
 STARTS = (2, 1)
 """Of few units, which may end in a poor minimum, and of many."""
 STEPS_ASKED = 25
-"""Of a fit that is only judged: twice as many change the error by a hundredth."""
+"""Of a fit that is only judged, at most."""
 SPREAD_LAGS = 4
 """Lags that are spread over all that the logs can tell."""
 
