@@ -48,19 +48,9 @@ def interrupt(run: Run, dropouts: int, rng: np.random.Generator) -> list[Run]:
     for begin, end in edges.reshape(-1, 2):
         if end - begin < SHORTEST:
             continue
-        own = slice(begin, end)
-        stretches.append(
-            replace(
-                run,
-                part=len(stretches),
-                time_s=run.time_s[own],
-                temperature_degC=run.temperature_degC[own],
-                measured=run.measured[own],
-                reference=run.reference[own],
-                inputs={name: values[own] for name, values in run.inputs.items()},
-                before=stretches[-1] if stretches else None,
-            )
-        )
+        before = stretches[-1] if stretches else None
+        own = run.take(slice(begin, end))
+        stretches.append(replace(own, part=len(stretches), before=before))
     return stretches
 
 

@@ -49,6 +49,17 @@ class Run:
         """Return the stretch as if nothing had been before it, as a chip takes it."""
         return self if self.before is None else replace(self, before=None)
 
+    def take(self, rows: slice) -> "Run":
+        """Return some of the stretch's samples, one after the other."""
+        return replace(
+            self,
+            time_s=self.time_s[rows],
+            temperature_degC=self.temperature_degC[rows],
+            measured=self.measured[rows],
+            reference=self.reference[rows],
+            inputs={name: values[rows] for name, values in self.inputs.items()},
+        )
+
     @property
     def drift(self) -> Array:
         """[n, K] measured minus reference: what the compensator has to predict."""

@@ -1,7 +1,7 @@
 """Which training runs are held out while the number of epochs is chosen."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -45,18 +45,6 @@ def split_runs(runs: Sequence[Run]) -> Split:
     )
 
 
-def cut_run(run: Run, stop: int) -> Run:
-    """Return the first `stop` samples of a run."""
-    return replace(
-        run,
-        time_s=run.time_s[:stop],
-        temperature_degC=run.temperature_degC[:stop],
-        measured=run.measured[:stop],
-        reference=run.reference[:stop],
-        inputs={name: values[:stop] for name, values in run.inputs.items()},
-    )
-
-
 def _rank_by_coverage(runs: Sequence[Run], groups: Sequence[str]) -> list[str]:
     """Return the groups, first those whose leaving out shrinks the others' range the least."""
 
@@ -80,7 +68,7 @@ def _split_end(runs: Sequence[Run]) -> Split:
         own = min(left, len(run))
         left -= own
         if own:
-            fit.append(cut_run(run, own))
+            fit.append(run.take(slice(own)))
         if own < len(run):
             held_out.append(run)
             skip[run.name] = own

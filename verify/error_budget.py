@@ -34,7 +34,6 @@ from zerodrift.operations.intervals import Interval
 from zerodrift.operations.layers import COPY_BITS
 from zerodrift.physics.signals import graph_inputs, read_signals
 from zerodrift.train.compensator import Compensator
-from zerodrift.train.split import cut_run
 from zerodrift.verify.mismatch import label_columns
 
 Array = NDArray[np.float64]
@@ -98,7 +97,7 @@ def measure_budget(
         runs: measurements, preferably held out.
         steps: length of the run that is followed over time.
     """
-    runs = [cut_run(run.at_rest(), LONGEST_RUN_STEPS) for run in runs]  # as the C is started
+    runs = [run.at_rest().take(slice(LONGEST_RUN_STEPS)) for run in runs]  # as the C is started
     levels = _Levels(described, calibration, host.model)
     traces = [_observe(host, run) for run in runs]
     inputs = [_read_inputs(compensator, run) for run in runs]

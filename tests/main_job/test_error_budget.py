@@ -16,7 +16,6 @@ from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import calibrate, describe_compensator, predict_integer
 from zerodrift.export.quantize import quantize
 from zerodrift.train.compensator import Compensator
-from zerodrift.train.split import cut_run
 from zerodrift.verify.error_budget import ErrorBudget, measure_budget, repeat_run
 
 
@@ -67,17 +66,8 @@ def test_budget_after_a_gap_starts_at_rest_as_the_c_does(project: Path, tmp_path
     """Else the float model's memory of what was before the gap would count as quantization."""
 
     def begin_late(run: Run) -> Run:
-        late = slice(len(run) // 2, None)
-        return replace(
-            run,
-            part=1,
-            time_s=run.time_s[late],
-            temperature_degC=run.temperature_degC[late],
-            measured=run.measured[late],
-            reference=run.reference[late],
-            inputs={name: values[late] for name, values in run.inputs.items()},
-            before=cut_run(run, len(run) // 3),
-        )
+        late = run.take(slice(len(run) // 2, None))
+        return replace(late, part=1, before=run.take(slice(len(run) // 3)))
 
     after_gap, _ = measure(project, tmp_path / "a", change=begin_late)
     alone, _ = measure(project, tmp_path / "b", change=lambda run: begin_late(run).at_rest())

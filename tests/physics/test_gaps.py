@@ -28,16 +28,10 @@ LAG = [EffectConfig("zero_tempco"), EffectConfig("thermal_lag")]
 
 def take(run, start, stop, part=0, before=None):
     """Return samples start to stop of a run as one stretch."""
-    rows = slice(start, stop)
     return replace(
-        run,
+        run.take(slice(start, stop)),
         name=run.group if part == 0 else f"{run.group}#{part + 1}",
         part=part,
-        time_s=run.time_s[rows],
-        temperature_degC=run.temperature_degC[rows],
-        measured=run.measured[rows],
-        reference=run.reference[rows],
-        inputs={name: values[rows] for name, values in run.inputs.items()},
         start_s=float(run.time_s[0]),
         before=before,
     )

@@ -80,18 +80,9 @@ def interrupt(run: Run, logged: int, missing: int) -> list[Run]:
     """Return the run's stretches of so many samples, so many lost after each."""
     stretches: list[Run] = []
     for start in range(0, len(run) - logged, logged + missing):
-        own = slice(start, start + logged)
-        stretches.append(
-            replace(
-                run,
-                part=len(stretches),
-                time_s=run.time_s[own],
-                temperature_degC=run.temperature_degC[own],
-                measured=run.measured[own],
-                reference=run.reference[own],
-                before=stretches[-1] if stretches else None,
-            )
-        )
+        before = stretches[-1] if stretches else None
+        own = run.take(slice(start, start + logged))
+        stretches.append(replace(own, part=len(stretches), before=before))
     return stretches
 
 
