@@ -51,6 +51,14 @@ class Compiler:
                 f" {done.returncode}:\n{done.stderr[-4000:]}"
             )
 
+    def describe(self) -> str:
+        """Return name and version as the compiler tells them; its name alone if it does not."""
+        done = subprocess.run(
+            [*self.command, "--version"], capture_output=True, text=True, check=False
+        )
+        lines = done.stdout.splitlines()
+        return lines[0].strip() if lines else self.name
+
 
 def find_compilers() -> list[Compiler]:
     """Return the host compilers there are, the preferred one first."""

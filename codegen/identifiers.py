@@ -69,7 +69,7 @@ _STANDARD_HEADERS = re.compile(
 )
 """The model's own header must not hide one of these."""
 RESERVED_OUTPUTS = re.compile(
-    r"h|format|model_hash|model_id|channels|outputs|sample_period_us|saved_bytes|flag_.*|fault_.*"
+    r"h|format|manifest|model_hash|model_id|channels|outputs|sample_period_us|saved_bytes|flag_.*|fault_.*"
     r"|.*_lsb_per_unit"
 )
 """Macros of the header that the macro of an output's index must not take."""

@@ -1,6 +1,8 @@
 """Golden vectors: raw inputs and what the reference makes of them, in one .npz file."""
 
 import io
+import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,8 +29,8 @@ class GoldenVectors:
     """[T, H] streaming state in Q1.30; H = 0 without a streaming GRU."""
     model_hash: str
 
-    def save(self, path: Path) -> None:
-        """Write the vectors atomically; the same vectors give the same bytes."""
+    def to_bytes(self) -> bytes:
+        """Return the file's content; the same vectors give the same bytes."""
         buffer = io.BytesIO()
         np.savez_compressed(
             buffer,
@@ -38,7 +40,11 @@ class GoldenVectors:
             hidden=self.hidden,
             hash=np.frombuffer(self.model_hash.encode(), dtype=np.uint8),
         )
-        write_whole(path, buffer.getvalue())
+        return buffer.getvalue()
+
+    def save(self, path: Path) -> None:
+        """Write the vectors, whole or not at all."""
+        write_whole(path, self.to_bytes())
 
 
 def compute_golden(model: IntegerModel, codes: CodeArray) -> GoldenVectors:
@@ -56,14 +62,35 @@ def load_golden(path: Path) -> GoldenVectors:
     try:
         with np.load(path, allow_pickle=False) as file:
             parts = {name: file[name] for name in FIELDS}
-    except (OSError, ValueError, KeyError, EOFError) as error:
+        _check_shapes(parts)
+        return GoldenVectors(
+            parts["codes"],
+            parts["drift"],
+            parts["flags"],
+            parts["hidden"],
+            parts["hash"].tobytes().decode("ascii"),
+        )
+    except FileNotFoundError as error:
         raise InputError(
-            f"{path}: cannot be read as golden vectors ({error}). Run `zerodrift export`."
+            f"{path}: there are no golden vectors. Run `zerodrift firmware`."
         ) from error
-    return GoldenVectors(
-        parts["codes"],
-        parts["drift"],
-        parts["flags"],
-        parts["hidden"],
-        parts["hash"].tobytes().decode(),
-    )
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(
+            f"{path}: cannot be read as golden vectors ({error}); the file is cut or damaged. Run"
+            " `zerodrift firmware` again."
+        ) from error
+
+
+def _check_shapes(parts: dict[str, NDArray[np.generic]]) -> None:
+    """Refuse arrays that are not [T, ...] of integers, with one T.
+
+    Raises:
+        ValueError: which.
+    """
+    steps = len(parts["codes"]) if parts["codes"].ndim == 2 else 0
+    for name, dimensions in (("codes", 2), ("drift", 2), ("flags", 1), ("hidden", 2)):
+        array = parts[name]
+        if array.dtype.kind not in "iu" or array.ndim != dimensions or len(array) != steps:
+            raise ValueError(f"'{name}' is {array.dtype} {list(array.shape)}")
+    if not steps:
+        raise ValueError("there is no step in them")

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.footprint import Footprint, measure_footprint
 from zerodrift.c_runtime.host import HostModel, render_sources, write_sources
 from zerodrift.codegen.application import render_dbc
@@ -25,7 +26,7 @@ from zerodrift.export.compose_import import (
     describe_imported,
 )
 from zerodrift.export.fine_tune import load_or_tune, load_or_tune_imported
-from zerodrift.export.golden import compute_golden
+from zerodrift.export.golden import GoldenVectors, compute_golden
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx
 from zerodrift.files import make_directory, write_all
@@ -38,6 +39,8 @@ from zerodrift.verify.chip_check import ChipCheck, check_chip
 from zerodrift.verify.error_budget import ErrorBudget, measure_budget
 from zerodrift.verify.errors_told import OutputError, tell_errors
 from zerodrift.verify.firmware_check import FirmwareCheck, check_firmware
+from zerodrift.verify.manifest import FILE_NAME as MANIFEST
+from zerodrift.verify.manifest import write_manifest
 from zerodrift.verify.vectors import draw_sequences
 
 Progress = Callable[[str], None]
@@ -80,6 +83,8 @@ def build_firmware(
     dataset: Dataset,
     compensator: Compensator | ImportedCompensator,
     progress: Progress = lambda _: None,
+    *,
+    network: tuple[Path, ...] = (),
 ) -> Firmware:
     """Build the firmware of a trained compensator and write it, if and only if all bits agree.
 
@@ -88,6 +93,7 @@ def build_firmware(
         dataset: its logs; the test runs are the held-out ones.
         compensator: the trained model, or a network from an ONNX file.
         progress: is told what is being done.
+        network: the ONNX file that the network comes from.
 
     Raises:
         CheckError: no safe format, the C differs from the reference, or the certificate does not
@@ -123,8 +129,7 @@ def build_firmware(
         outcome = recheck(code, certificate, Path(scratch))
     progress("writing")
     golden = compute_golden(model, next(iter(sequences.values()))[:GOLDEN_STEPS])
-    files = write_artefacts(config, model, code, certificate)
-    golden.save(build / "golden.npz")
+    files = write_artefacts(config, model, code, certificate, golden, network=network)
     return Firmware(
         model=model,
         code=code,
@@ -198,12 +203,28 @@ def list_sequences(
 
 
 def write_artefacts(
-    config: Config, model: IntegerModel, code: GeneratedCode, certificate: str
+    config: Config,
+    model: IntegerModel,
+    code: GeneratedCode,
+    certificate: str,
+    golden: GoldenVectors,
+    *,
+    forced: tuple[str, ...] = (),
+    network: tuple[Path, ...] = (),
 ) -> tuple[Path, ...]:
-    """Write model, C and certificate, all or none of them; return the files beside the C.
+    """Write model, C, certificate and manifest, all or none; return the files beside the C.
 
     Files are complete beside their places before the first is put there, so that a full disk leaves
     the old ones.
+
+    Args:
+        config: the project.
+        model: the integer model.
+        code: its C.
+        certificate: its text.
+        golden: its golden vectors.
+        forced: what was found against this firmware and overridden; goes into the manifest.
+        network: the ONNX file that the network comes from.
 
     Raises:
         InputError: a directory cannot be made or written, or has no room.
@@ -214,13 +235,20 @@ def write_artefacts(
         CERTIFICATE: certificate,
         f"{code.prefix}.dbc": render_dbc(model),
     }
-    files = {out / name: text.encode() for name, text in texts.items()}
+    firmware = {name: text.encode() for name, text in texts.items()}
     artefacts = {
-        build / "model.json": model.to_text().encode(),
-        build / CERTIFICATE: certificate.encode(),
-        build / "integer.onnx": build_integer_onnx(model),
+        "model.json": model.to_text().encode(),
+        CERTIFICATE: certificate.encode(),
+        "integer.onnx": build_integer_onnx(model),
+        "golden.npz": golden.to_bytes(),
     }
+    compiler = find_compiler().describe()
+    manifest = write_manifest(
+        config, model.hash, firmware, artefacts, compiler, forced=forced, network=network
+    )
+    firmware[MANIFEST] = manifest.encode()
     for directory in (out, build):
         make_directory(directory)
-    write_all(files | artefacts)
+    files = {out / name: content for name, content in firmware.items()}
+    write_all(files | {build / name: content for name, content in artefacts.items()})
     return tuple(files)

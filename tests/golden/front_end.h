@@ -25,6 +25,8 @@ extern "C" {
 #define FRONT_END_MODEL_ID UINT32_C(2430604020)
 #define FRONT_END_CHANNELS 3
 #define FRONT_END_OUTPUTS 3
+/* Beside this file: hashes of every file of the firmware and of what it was made from. */
+#define FRONT_END_MANIFEST "manifest.json"
 
 /** Between two calls of front_end_step, in microseconds, rounded. */
 #define FRONT_END_SAMPLE_PERIOD_US UINT32_C(500000)

@@ -8,14 +8,18 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.golden.vectors import load
+from tests.projects import render_toml
 
 from zerodrift.cli import main
 from zerodrift.codegen.generate import generate
 from zerodrift.commands.common import write_text
 from zerodrift.config import load_config
 from zerodrift.errors import InputError
+from zerodrift.export.golden import GoldenVectors, compute_golden
+from zerodrift.export.integer_model import IntegerModel
 from zerodrift.files import write_all
 from zerodrift.verify.firmware import write_artefacts
 
@@ -33,6 +37,10 @@ def fail_at(call: int, code: int) -> Callable[..., None]:
             raise OSError(code, os.strerror(code))
 
     return fail
+
+
+def golden(model: IntegerModel) -> GoldenVectors:
+    return compute_golden(model, np.zeros((2, len(model.channels)), dtype=model.code_type))
 
 
 def read_tree(folder: Path) -> dict[str, bytes]:
@@ -77,19 +85,20 @@ def test_firmware_is_replaced_as_a_whole_or_not_at_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whichever of the files is the one that no longer fits."""
-    shutil.copy(ROOT / "examples" / "ft40" / "zerodrift.toml", tmp_path)
+    (tmp_path / "zerodrift.toml").write_text(render_toml('[logs]\ntrain = ["run.csv"]\n'))
+    (tmp_path / "run.csv").write_text("time_s\n0\n")
     config = load_config(tmp_path)
     old, new = load("front_end").model, load("odd_hidden").model
-    files = write_artefacts(config, old, generate(old), "{}")
+    files = write_artefacts(config, old, generate(old), "{}", golden(old))
     before = read_tree(tmp_path)
-    assert len(before) == len(files) + 4
+    assert len(before) == len(files) + 6
     code = generate(new)
-    for call in range(1, len(before)):
+    for call in range(1, len(files) + 5):
         with monkeypatch.context() as patch, pytest.raises(InputError, match="No space left"):
             patch.setattr(os, "fsync", fail_at(call, errno.ENOSPC))
-            write_artefacts(config, new, code, "{}")
+            write_artefacts(config, new, code, "{}", golden(new))
         assert read_tree(tmp_path) == before, call
-    write_artefacts(config, new, code, "{}")
+    write_artefacts(config, new, code, "{}", golden(new))
     assert read_tree(tmp_path) != before
 
 

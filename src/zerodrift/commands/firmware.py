@@ -32,7 +32,7 @@ BUDGET_ROWS = 5
 def command(directory: Path, as_json: bool, skip_invalid: bool, request: OnnxRequest) -> None:
     """Train if needed, quantize, generate C, and check it bit for bit on this host.
 
-    Writes <out>/<sensor>.h and .c with the runtime and certificate.json beside them,
+    Writes <out>/<sensor>.h and .c with runtime, certificate.json and manifest.json beside them,
     build/model.json, integer.onnx and golden.npz, and prints the errors in physical units with
     flash, RAM and stack. Nothing is written unless every compared bit is equal and every bound of
     the certificate is derived again from the C.
@@ -56,7 +56,8 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, request: OnnxReq
         print_notes(dataset.notes)
         compensator = train_project(config, dataset, console)
     with show_progress("quantizing") as say:
-        firmware = build_firmware(config, dataset, compensator, say)
+        network = (request.path.absolute(),) if request and request.path else ()
+        firmware = build_firmware(config, dataset, compensator, say, network=network)
     result = describe(firmware, config.directory)
     keep(result, config.build_directory)
     if as_json:

@@ -1,0 +1,52 @@
+"""A firmware folder with everything beside it, made of a golden model without any training."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.golden.vectors import load
+from tests.projects import render_toml
+
+from zerodrift.codegen.generate import generate
+from zerodrift.config import load_config
+from zerodrift.export.golden import compute_golden
+from zerodrift.verify.certificate import certify
+from zerodrift.verify.firmware import write_artefacts
+from zerodrift.verify.vectors import draw_sequences
+
+MODEL = "front_end"
+"""Two inputs, a lag, a delay and a GRU whose kernels exist in every layout."""
+
+
+def write_firmware(directory: Path, name: str = MODEL, forced: tuple[str, ...] = ()) -> Path:
+    """Write a project whose firmware is a golden model's; return its directory."""
+    directory.mkdir(parents=True)
+    logs = '[logs]\ntrain = ["logs/train_*.csv"]\ntest = ["logs/test.csv"]\n'
+    (directory / "zerodrift.toml").write_text(
+        render_toml(logs + '\n[firmware]\nout = "firmware"\n')
+    )
+    (directory / "logs").mkdir()
+    for log in ("train_1", "train_2", "test"):
+        (directory / "logs" / f"{log}.csv").write_text(f"time_s\n{len(log)}\n")
+    model = load(name).model
+    code = generate(model)
+    golden = compute_golden(model, draw_sequences(model, 500)["walk"])
+    certificate = certify(model, code)
+    write_artefacts(load_config(directory), model, code, certificate, golden, forced=forced)
+    return directory
+
+
+@pytest.fixture(scope="session")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The project as it was written; not to be changed."""
+    return write_firmware(tmp_path_factory.mktemp("verify") / "project")
+
+
+@pytest.fixture
+def project(pristine: Path, tmp_path: Path) -> Path:
+    """A copy of the project that a test may spoil."""
+    return Path(shutil.copytree(pristine, tmp_path / "project"))
+
+
+Spoil = Callable[[Path], object]
