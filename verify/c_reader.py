@@ -17,7 +17,7 @@ DIRECTIVE = re.compile(
     r"|define ZD_QUIET\(on\)"
     r"|define [A-Z]\w*_SAVED_BYTES \(16u \+ sizeof\(\w+_state_t\)\)"
     r"|define ZD_CLAIM\(name, holds\) typedef char name\[\(holds\) \? 1 : -1\]"
-    r'|define (\w+) ("\w+"|-?\d+|UINT32_C\(\d+\)))'
+    r'|define (\w+) ("[\w.]+"|-?\d+|UINT32_C\(\d+\)))'
 )
 CONDITION = re.compile(
     r"#(if ZD_RUNTIME_FORMAT != \d+|ifndef (?:ZD_OBSERVE|\w+_H)"

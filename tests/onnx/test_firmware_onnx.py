@@ -189,6 +189,7 @@ def test_command_writes_checked_firmware(project: Path) -> None:
         "zd_gru_portable.h",
         "zd_signals.h",
         "certificate.json",
+        "manifest.json",
         "cell.dbc",
     }
     assert (project / "build" / "integer.onnx").is_file()
