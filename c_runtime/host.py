@@ -161,7 +161,7 @@ class HostModel:
         steps = codes.shape[0]
         drift = np.empty((steps, len(self.model.outputs)), dtype=np.int32)
         flags = np.empty(steps, dtype=np.uint32)
-        nodes = np.empty((steps, self._values), dtype=np.int32)
+        nodes = np.zeros((steps, self._values), dtype=np.int32)
         if restart:
             self._start(self._state, _pointer(codes), ctypes.c_int(int(settled)))
             if elapsed:

@@ -99,6 +99,7 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "recurrent_layers": _name_layers(layer),
         "bounds": bounds,
         "claims": claims,
+        "values": sum(max(node.width, 1) for node in model.nodes),
         "counts": any(n.kind == "counter" for n in model.nodes),
         "reads_inputs": any(n.kind in ("input", "load") for n in model.nodes),
         "code_type": f"{model.code_type.__name__}_t",

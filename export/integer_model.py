@@ -39,8 +39,13 @@ from zerodrift.operations.signal import (
 )
 from zerodrift.operations.total import IntegerSum
 
-FORMAT = 2
+FORMAT = 3
 """Version of the integer arithmetic; equals ZD_RUNTIME_FORMAT of the C runtime."""
+OLDER_FORMAT = 2
+"""Knows neither codes that mean no reading nor ranges of other inputs; a model that has none of
+either is written in it, and computes the same."""
+NEWER_FIELDS = ("no_reading", "ranges")
+"""Left out of a model's file where they are empty."""
 
 NODE_CLASSES: dict[str, type[IntegerNode]] = {
     cls.kind: cls
@@ -81,6 +86,18 @@ class Channel:
     """16 or 32: width of the code."""
     source: str = ""
     """Where a log has it: temperature_degC, measured:Fz or an input's name; empty for the name."""
+    no_reading: int | None = None
+    """The code that means that there is no reading; None: every code is one."""
+
+    @property
+    def least(self) -> int:
+        """The lowest code of the type."""
+        return -(1 << (self.bits - 1))
+
+    @property
+    def most(self) -> int:
+        """The highest code of the type."""
+        return (1 << (self.bits - 1)) - 1
 
 
 def code_type(channels: Sequence[Channel]) -> type[np.signedinteger[Any]]:
@@ -110,6 +127,8 @@ class Guards:
     """Codes; outside them the range flag is set."""
     rate_max: int
     """Codes per step; a larger change sets the rate flag."""
+    ranges: tuple[tuple[int, int, int], ...] = ()
+    """(channel, lowest, highest code) of other inputs; outside them their range flag is set."""
 
 
 FLAG_WARMING_UP = 1
@@ -117,6 +136,8 @@ FLAG_TEMPERATURE_RANGE = 2
 FLAG_RATE_RANGE = 4
 FLAG_CLAMPED = 8
 FLAG_DAMAGED = 16
+FLAG_INPUT_RANGE = 32
+FLAG_NO_READING = 64
 
 
 @dataclass(frozen=True)
@@ -148,6 +169,21 @@ class IntegerModel:
     def code_type(self) -> type[np.signedinteger[Any]]:
         """The narrowest type that holds the codes of every channel."""
         return code_type(self.channels)
+
+    @property
+    def optional(self) -> tuple[int, ...]:
+        """The channels that may have no reading."""
+        return tuple(i for i, c in enumerate(self.channels) if c.no_reading is not None)
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Those of them beside the thermometer: the state keeps the last reading of each."""
+        return tuple(i for i in self.optional if i != self.guards.temperature_channel)
+
+    @property
+    def format(self) -> int:
+        """The oldest version of the arithmetic that knows all that the model uses."""
+        return FORMAT if self.optional or self.guards.ranges else OLDER_FORMAT
 
     @property
     def recurrent(self) -> IntegerGruLayer | None:
@@ -183,7 +219,7 @@ class IntegerModel:
     def to_json(self) -> dict[str, Any]:
         """Return plain dicts, lists, numbers and strings."""
         return {
-            "format": FORMAT,
+            "format": self.format,
             "name": self.name,
             "sample_period_s": self.sample_period_s,
             "channels": [_plain(c) for c in self.channels],
@@ -217,7 +253,10 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.integer):
         return int(value)
     if hasattr(value, "__dataclass_fields__"):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+        values = {f.name: getattr(value, f.name) for f in fields(value)}
+        return {
+            k: _plain(v) for k, v in values.items() if k not in NEWER_FIELDS or v not in ((), None)
+        }
     if isinstance(value, tuple | list):
         return [_plain(v) for v in value]
     return value
@@ -254,7 +293,7 @@ def _typed(path: str, value: Any) -> Any:
 
 def _build(cls: type[Any], path: str, body: Any) -> Any:
     names = {f.name for f in fields(cls)}
-    if not isinstance(body, dict) or set(body) != names:
+    if not isinstance(body, dict) or not names - {*NEWER_FIELDS} <= set(body) <= names:
         found = sorted(body) if isinstance(body, dict) else type(body).__name__
         raise InputError(f"{path}: expected the fields {sorted(names)}, found {found}")
     return cls(**{k: _read_field(f"{path}.{k}", k, v) for k, v in body.items()})
@@ -302,9 +341,10 @@ def load_model(path: Path) -> IntegerModel:
         raise InputError(
             f"{path}: cannot be read as a model ({error}). Run `zerodrift export`."
         ) from error
-    if not isinstance(body, dict) or body.get("format") != FORMAT:
+    if not isinstance(body, dict) or body.get("format") not in (OLDER_FORMAT, FORMAT):
         raise InputError(
-            f"{path}: not an integer model of format {FORMAT}. Run `zerodrift export`."
+            f"{path}: not an integer model of format {OLDER_FORMAT} or {FORMAT}."
+            " Run `zerodrift export`."
         )
     claimed = body.pop("hash", None)
     try:

@@ -14,6 +14,8 @@ from onnx import TensorProto, helper
 from zerodrift.errors import CheckError
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
+    FLAG_INPUT_RANGE,
+    FLAG_NO_READING,
     FLAG_RATE_RANGE,
     FLAG_TEMPERATURE_RANGE,
     FLAG_WARMING_UP,
@@ -43,12 +45,18 @@ def list_state(model: IntegerModel) -> dict[str, tuple[int, ...]]:
     codes = np.zeros((1, len(model.channels)), dtype=np.int64)
     state = Reference(model).start(codes, settled=False)
     fields: dict[str, tuple[int, ...]] = {"steps": (), "previous": ()}
+    fields |= dict.fromkeys(_name_held(model), ())
     if model.feeds_back:
         fields[LAST_DRIFT] = (len(model.outputs),)
     for node, arrays in state.nodes.items():
         for key in sorted(arrays):
             fields[f"{node}.{key}"] = arrays[key].shape[1:]
     return fields
+
+
+def _name_held(model: IntegerModel) -> list[str]:
+    """Return the fields of the last readings of inputs beside the thermometer."""
+    return [f"previous.{channel}" for channel in model.held]
 
 
 def build_integer_onnx(model: IntegerModel, *, observe: bool = False) -> bytes:
@@ -84,7 +92,7 @@ def build_integer_onnx(model: IntegerModel, *, observe: bool = False) -> bytes:
 
     def body(carried: Sequence[str], slices: Sequence[str]) -> tuple[list[str], list[str]]:
         state = dict(zip(fields, carried, strict=True))
-        after, values, drift, flags = _write_step(w, model, state, slices[0])
+        after, values, drift, flags = _write_step(w, model, state, slices[0], shapes)
         rows = [
             w.op("Cast", drift, to=TensorProto.INT32),
             w.op("Cast", flags, to=TensorProto.UINT32),
@@ -143,9 +151,106 @@ def save_integer_onnx(model: IntegerModel, path: Path) -> None:
 
 
 def _write_step(
+    w: OnnxWriter,
+    model: IntegerModel,
+    state: Mapping[str, str],
+    codes: str,
+    shapes: Mapping[str, Shape],
+) -> tuple[dict[str, str], dict[str, str], str, str]:
+    """Write one step; return the next state, all nodes' values, drift [B, K] and flags [B].
+
+    The last reading stands for one that is missing; a new state waits for the first of all.
+    """
+    new = w.op("Equal", state["steps"], w.constant(0))
+    if not model.optional:
+        return _write_advance(w, model, _write_begin(w, model, state, codes, new, shapes), codes)
+    with w.label("readings"):
+        missing = _write_missing(w, model, codes)
+        no_reading = _write_any(w, missing)
+        held = w.op("Where", missing, _write_last(w, model, state, codes), codes)
+        waits = w.op("And", new, no_reading)
+        begins = w.op("And", new, w.op("Not", no_reading))
+    begun = _write_begin(w, model, state, held, begins, shapes)
+    after, values, drift, flags = _write_advance(w, model, begun, held)
+    with w.label("waiting"):
+        after = {
+            name: _write_where(w, waits, state[name], after[name], shapes[name]) for name in shapes
+        }
+        blank = w.constant(0)
+        wide = w.op("Unsqueeze", waits, w.constant([1]))
+        values = {
+            node.name: w.op("Where", wide if node.width else waits, blank, values[node.name])
+            for node in model.nodes
+        }
+        drift = w.op("Where", wide, blank, drift)
+        started = w.op("Where", waits, _write_start_flag(w, model, state), flags)
+        return after, values, drift, w.add(started, w.flag(no_reading, FLAG_NO_READING))
+
+
+def _write_missing(w: OnnxWriter, model: IntegerModel, codes: str) -> str:
+    """Write where codes [B, C] mean that there is no reading."""
+    optional = np.array([channel.no_reading is not None for channel in model.channels])
+    equal = w.op("Equal", codes, w.constant([c.no_reading or 0 for c in model.channels]))
+    if optional.all():
+        return equal
+    return w.op("And", equal, w.op("Cast", w.constant(optional), to=TensorProto.BOOL))
+
+
+def _write_any(w: OnnxWriter, conditions: str) -> str:
+    """Write whether any of the conditions [B, n] of a row holds."""
+    most = w.op("ReduceMax", w.flag(conditions), axes=[1], keepdims=0)
+    return w.op("Equal", most, w.constant(1))
+
+
+def _write_last(w: OnnxWriter, model: IntegerModel, state: Mapping[str, str], codes: str) -> str:
+    """Write the last readings [B, C]; the present code where none is kept."""
+    kept = {model.guards.temperature_channel: state["previous"]}
+    kept |= {i: state[f] for i, f in zip(model.held, _name_held(model), strict=True)}
+    columns = range(len(model.channels))
+    return w.stack([kept[i] if i in kept else w.column(codes, i) for i in columns])
+
+
+def _write_begin(
+    w: OnnxWriter,
+    model: IntegerModel,
+    state: Mapping[str, str],
+    codes: str,
+    begins: str,
+    shapes: Mapping[str, Shape],
+) -> dict[str, str]:
+    """Write the state, at rest at `codes` in the rows that begin (the network cold)."""
+    if_any = w.op("ReduceMax", w.flag(begins), keepdims=0)
+
+    def rest() -> list[str]:
+        rested = _write_rest(w, model, codes, list(shapes), settled=False)
+        pairs = zip(shapes, rested, strict=True)
+        return [_write_where(w, begins, value, state[name], shapes[name]) for name, value in pairs]
+
+    found = w.either(
+        w.op("Equal", if_any, w.constant(1)),
+        rest,
+        lambda: [state[name] for name in shapes],
+        list(shapes.values()),
+    )
+    return dict(zip(shapes, found, strict=True))
+
+
+def _write_where(w: OnnxWriter, rows: str, a: str, b: str, shape: Shape) -> str:
+    """Write a [B, ...] in the rows [B] where a condition holds, b in the others."""
+    for axis in range(1, len(shape)):
+        rows = w.op("Unsqueeze", rows, w.constant([axis]))
+    return w.op("Where", rows, a, b)
+
+
+def _write_start_flag(w: OnnxWriter, model: IntegerModel, state: Mapping[str, str]) -> str:
+    steps = w.constant(model.guards.warm_up_steps)
+    return w.flag(w.op("Less", state["steps"], steps), FLAG_WARMING_UP)
+
+
+def _write_advance(
     w: OnnxWriter, model: IntegerModel, state: Mapping[str, str], codes: str
 ) -> tuple[dict[str, str], dict[str, str], str, str]:
-    """Write one step; return the next state, all nodes' values, drift [B, K] and flags [B]."""
+    """Write what a step makes of readings: state, all nodes' values, drift [B, K], flags [B]."""
     values = {CODES: codes}
     if model.feeds_back:
         values[PREVIOUS_DRIFT] = state[LAST_DRIFT]
@@ -165,7 +270,7 @@ def _write_step(
         moved = w.op("Abs", w.sub(temperature, state["previous"]))
         differs = w.flag(w.op("Not", w.op("Equal", unlimited, drift)))
         flags = [
-            w.flag(w.op("Less", state["steps"], w.constant(guards.warm_up_steps)), FLAG_WARMING_UP),
+            _write_start_flag(w, model, state),
             w.flag(
                 w.op(
                     "Or",
@@ -177,15 +282,35 @@ def _write_step(
             w.flag(w.op("Greater", moved, w.constant(guards.rate_max)), FLAG_RATE_RANGE),
             w.mul(w.op("ReduceMax", differs, axes=[1], keepdims=0), w.constant(FLAG_CLAMPED)),
         ]
+        flags += _write_input_range(w, model, codes)
         total = flags[0]
         for flag in flags[1:]:
             total = w.add(total, flag)
         full = w.constant(max(guards.warm_up_steps, 1))
         after["steps"] = w.minimum(w.add(state["steps"], w.constant(1)), full)
         after["previous"] = temperature
+        for channel, name in zip(model.held, _name_held(model), strict=True):
+            after[name] = w.column(codes, channel)
         if model.feeds_back:
             after[LAST_DRIFT] = drift
     return after, values, drift, total
+
+
+def _write_input_range(w: OnnxWriter, model: IntegerModel, codes: str) -> list[str]:
+    """Write the flag of inputs beyond their range, where there are such."""
+    beyond = []
+    for channel, low, high in model.guards.ranges:
+        code = w.column(codes, channel)
+        beyond += [
+            w.op("Less", code, w.constant(low)),
+            w.op("Greater", code, w.constant(high)),
+        ]
+    if not beyond:
+        return []
+    total = beyond[0]
+    for condition in beyond[1:]:
+        total = w.op("Or", total, condition)
+    return [w.flag(total, FLAG_INPUT_RANGE)]
 
 
 def _fields_of(node: str, state: Mapping[str, str]) -> dict[str, str]:
@@ -200,27 +325,39 @@ def _fields_of(node: str, state: Mapping[str, str]) -> dict[str, str]:
 def _write_start(
     w: OnnxWriter, model: IntegerModel, codes: str, shapes: Mapping[str, Shape]
 ) -> list[str]:
-    """Write the state before the first step: the one given, or that of a start at codes[0]."""
+    """Write the state before the first step: the one given, at rest at codes[0], or a new one."""
 
     def restart() -> list[str]:
         first = w.op("Gather", codes, w.constant(0), axis=0)
         settled = w.flag(w.op("Equal", "start", w.constant(START_SETTLED)))
-        return _write_rest(w, model, first, settled, list(shapes))
+        if model.optional:
+            missing = w.flag(_write_any(w, _write_missing(w, model, first)))
+            settled = w.mul(settled, w.sub(w.constant(1), missing))
+        rested = _write_rest(w, model, first, list(shapes), settled=True)
+        rows = w.op(
+            "Equal", w.add(w.mul(w.column(first, 0), w.constant(0)), settled), w.constant(1)
+        )
+        return [
+            _write_where(w, rows, value, w.constant(0), shape)
+            for value, shape in zip(rested, shapes.values(), strict=True)
+        ]
 
     goes_on = w.op("Equal", "start", w.constant(START_GO_ON))
     return w.either(goes_on, lambda: list(shapes), restart, list(shapes.values()))
 
 
 def _write_rest(
-    w: OnnxWriter, model: IntegerModel, first: str, settled: str, fields: Sequence[str]
+    w: OnnxWriter, model: IntegerModel, first: str, fields: Sequence[str], *, settled: bool
 ) -> list[str]:
-    """Write the state at rest at codes `first` [B, C]; `settled` is 1 or, for `init`, 0."""
+    """Write the state at rest at codes `first` [B, C], the network too if `settled`."""
     zero = w.mul(w.column(first, 0), w.constant(0))
     full = max(model.guards.warm_up_steps, 1)
     state = {
-        "steps": w.add(zero, w.mul(settled, w.constant(full))),
+        "steps": w.add(zero, w.constant(full if settled else 0)),
         "previous": w.column(first, model.guards.temperature_channel),
     }
+    for channel, name in zip(model.held, _name_held(model), strict=True):
+        state[name] = w.column(first, channel)
     if not model.feeds_back:
         state |= _write_nodes_at_rest(w, model, {CODES: first}, settled)[0]
         return [state[name] for name in fields]
@@ -234,18 +371,15 @@ def _write_rest(
 
 
 def _write_nodes_at_rest(
-    w: OnnxWriter, model: IntegerModel, given: Mapping[str, str], settled: str
+    w: OnnxWriter, model: IntegerModel, given: Mapping[str, str], settled: bool
 ) -> tuple[dict[str, str], str]:
     """Write all nodes' states at rest; return them, and the drift there where it is needed."""
     values, state = dict(given), {}
     needed = _needed_at_rest(model)
     for node in model.nodes:
         with w.label(node.name):
-            own = RESTS[node.kind](w, node, values) if node.kind in RESTS else {}
-            if node.kind in SETTLES:
-                warm = SETTLES[node.kind](w, node, values)
-                is_settled = w.op("Equal", settled, w.constant(1))
-                own = {key: w.op("Where", is_settled, warm[key], own[key]) for key in own}
+            rests = SETTLES if settled and node.kind in SETTLES else RESTS
+            own = rests[node.kind](w, node, values) if node.kind in rests else {}
             state.update({f"{node.name}.{key}": name for key, name in own.items()})
             if node.name in needed:
                 _, values[node.name] = STEPS[node.kind](w, node, values, own)

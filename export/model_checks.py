@@ -34,6 +34,9 @@ def check_model(where: str, model: "IntegerModel") -> None:
         for channel in model.channels:
             if channel.bits not in (16, 32):
                 raise ValueError(f"channel '{channel.name}' has {channel.bits!r} bits")
+            code = channel.no_reading
+            if code is not None and not channel.least <= code <= channel.most:
+                raise ValueError(f"channel '{channel.name}': {code} is no code")
         for node in model.nodes:
             check_types(f"node '{node.name}'", node)
             _check_references(node, model)
@@ -137,8 +140,15 @@ def _check_whole(model: "IntegerModel") -> None:
         raise ValueError(f"the drift has rows for {sorted(lengths)} outputs; there are {count}")
     if not 0 <= guards.temperature_channel < len(model.channels):
         raise IndexError(f"guards: channel {guards.temperature_channel} of {len(model.channels)}")
-    if model.channels[guards.temperature_channel].bits != 16:
-        raise ValueError(f"guards: channel {guards.temperature_channel} is no 16-bit thermometer")
+    for channel, low, high in guards.ranges:
+        if not 0 <= channel < len(model.channels) or channel == guards.temperature_channel:
+            raise IndexError(f"guards: a range of channel {channel}")
+        if not model.channels[channel].least <= low <= high <= model.channels[channel].most:
+            raise ValueError(f"guards: channel {channel} from {low} to {high}")
+    thermometer = model.channels[guards.temperature_channel]
+    for code in (guards.temperature_low, guards.temperature_high):
+        if not -(2**31) <= code < 2**31:
+            raise ValueError(f"guards: {code} is no code of '{thermometer.name}'")
     if not (0 <= guards.warm_up_steps < 2**31 and 0 <= guards.rate_max < 2**31):
         raise ValueError(f"guards: {guards.warm_up_steps} steps, {guards.rate_max} codes a step")
     if any(output.lsb_per_unit < 1 for output in model.outputs) or model.sample_period_s <= 0:

@@ -73,6 +73,8 @@ class Calibration:
     warm_up_steps: int
     temperature_range: tuple[int, int] | None = None
     """Codes outside of which the temperature is flagged; None for its code limits."""
+    input_ranges: tuple[tuple[int, int, int], ...] = ()
+    """(channel, lowest, highest code) of the other inputs, outside of which they are flagged."""
     ranges: Mapping[Node, tuple[float, float]] = field(default_factory=dict)
     """Lowest and highest value of the graph's nodes, as far as known: results are limited where
     they could go far beyond, so that their formats suit what they are."""
@@ -119,6 +121,7 @@ def quantize(model: FloatModel, calibration: Calibration, weights: str = "int16"
             temperature_low=low,
             temperature_high=high,
             rate_max=calibration.rate_max,
+            ranges=calibration.input_ranges,
         ),
     )
     integer.prove()

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
+    FLAG_INPUT_RANGE,
+    FLAG_NO_READING,
     FLAG_RATE_RANGE,
     FLAG_TEMPERATURE_RANGE,
     FLAG_WARMING_UP,
@@ -28,29 +30,33 @@ Observer = Callable[[int, dict[str, IntArray]], None]
 
 @dataclass(frozen=True)
 class ModelState:
-    """The state of a batch of B running compensators."""
+    """The state of a batch of B running compensators; all zero where one is new."""
 
     nodes: dict[str, State]
-    steps: IntArray  # [B] steps since `init`, saturating at max(warm_up_steps, 1)
+    steps: IntArray
+    """[B] steps since `init`, saturating at max(warm_up_steps, 1); 0: new, no reading yet."""
     previous: IntArray  # [B] last temperature code
+    held: IntArray
+    """[B, H] last readings of the other inputs that may have none."""
     drift: IntArray
     """[B, K] drift of the last step where the model reads it, else [B, 0]."""
 
     def pack(self) -> IntArray:
-        """Return all of it as [B, n]: steps, previous, drift, then each node's fields in order.
+        """Return all of it as [B, n]: steps, previous, held, drift, then the nodes' fields.
 
         Delay lines and windows stand oldest first, whatever ring the C keeps them in.
         """
         batch = self.steps.size
-        columns = [self.steps[:, None], self.previous[:, None], self.drift]
+        columns = [self.steps[:, None], self.previous[:, None], self.held, self.drift]
         for state in self.nodes.values():
             columns += [state[key].reshape(batch, -1) for key in sorted(state)]
         return np.concatenate(columns, axis=1)
 
     def unpack(self, packed: IntArray) -> "ModelState":
         """Return the state that `pack` turned into `packed` [B, n]; self gives the layout."""
-        outputs = self.drift.shape[1]
-        batch, column = packed.shape[0], 2 + outputs
+        drift = 2 + self.held.shape[1]
+        batch, column = packed.shape[0], drift + self.drift.shape[1]
+        first_field = column
         nodes: dict[str, State] = {}
         for name, state in self.nodes.items():
             fields = {}
@@ -64,8 +70,13 @@ class ModelState:
             nodes=nodes,
             steps=packed[:, 0],
             previous=packed[:, 1],
-            drift=packed[:, 2 : 2 + outputs],
+            held=packed[:, 2:drift],
+            drift=packed[:, drift:first_field],
         )
+
+    def choose(self, rows: NDArray[np.bool_], other: "ModelState") -> "ModelState":
+        """Return the state whose rows [B] are those of another."""
+        return self.unpack(np.where(rows[:, None], other.pack(), self.pack()))
 
 
 @dataclass(frozen=True)
@@ -85,16 +96,25 @@ class Reference:
     def __init__(self, model: IntegerModel) -> None:
         self.model = model
         self._full = max(model.guards.warm_up_steps, 1)
+        self._optional = np.array([c.no_reading is not None for c in model.channels])
+        self._no_reading = np.array([c.no_reading or 0 for c in model.channels], dtype=np.int64)
 
     def start(self, codes: IntArray, *, settled: bool, elapsed: int = 0) -> ModelState:
         """Return the state before the first step, whose codes [B, C] are given.
 
         Args:
             codes: [B, C] raw input codes.
-            settled: True for `settle` (at rest at these codes), False for `init`, after which the
-                first step takes its linear parts to be at rest but the network to be cold.
+            settled: True for `settle` (at rest at these codes, or new where one is no reading),
+                False for `init` (new), after which the first step that has readings takes its
+                linear parts to be at rest but the network to be cold.
             elapsed: steps since power-on, for a log that starts later; 0 on the chip.
         """
+        state = self._begin(codes, settled=settled, elapsed=elapsed)
+        new = np.asarray(self._find_missing(codes).any(axis=1) | (not settled))
+        return state.choose(new, state.unpack(np.zeros_like(state.pack())))
+
+    def _begin(self, codes: IntArray, *, settled: bool, elapsed: int = 0) -> ModelState:
+        """Return the state at rest at codes [B, C], all of which are readings."""
         batch = codes.shape[0]
         drift = np.zeros((batch, len(self.model.outputs)), dtype=np.int64)
         for _ in range(START_PASSES if self.model.feeds_back else 0):
@@ -103,8 +123,20 @@ class Reference:
             nodes=self._rest(codes, drift, settled, elapsed)[0],
             steps=np.full(batch, self._full if settled else 0, dtype=np.int64),
             previous=codes[:, self.model.guards.temperature_channel].astype(np.int64),
+            held=codes[:, self.model.held].astype(np.int64),
             drift=drift if self.model.feeds_back else drift[:, :0],
         )
+
+    def _find_missing(self, codes: IntArray) -> NDArray[np.bool_]:
+        """Return where codes [B, C] mean that there is no reading."""
+        return np.asarray((codes == self._no_reading) & self._optional)
+
+    def _hold(self, state: ModelState, codes: IntArray, missing: NDArray[np.bool_]) -> IntArray:
+        """Return codes [B, C] with the last reading in the place of each that is none."""
+        last = codes.copy()
+        last[:, self.model.guards.temperature_channel] = state.previous
+        last[:, self.model.held] = state.held
+        return np.where(missing, last, codes)
 
     def _rest(
         self, codes: IntArray, drift: IntArray, settled: bool, elapsed: int
@@ -123,7 +155,32 @@ class Reference:
     def step(
         self, state: ModelState, codes: IntArray
     ) -> tuple[ModelState, dict[str, IntArray], IntArray, IntArray]:
-        """Return the next state, all nodes' values, drift [B, K] and flags [B]."""
+        """Return the next state, all nodes' values, drift [B, K] and flags [B].
+
+        While a state is new and an input has no reading, it stays new, and all values are 0.
+        """
+        missing = self._find_missing(codes)
+        no_reading, new = missing.any(axis=1), state.steps == 0
+        if no_reading.any():
+            codes = self._hold(state, codes, missing)
+        begins, waits = new & ~no_reading, new & no_reading
+        if begins.any():
+            state = state.choose(begins, self._begin(codes, settled=False))
+        after, values, drift, flags = self._advance(state, codes)
+        if waits.any():
+            after = after.choose(waits, state)
+            values = {
+                name: np.where(waits.reshape(-1, *(1,) * (x.ndim - 1)), 0, x)
+                for name, x in values.items()
+            }
+            drift = np.where(waits[:, None], 0, drift)
+            flags = np.where(waits, self._flag_start(state), flags)
+        return after, values, drift, np.asarray(flags + FLAG_NO_READING * no_reading)
+
+    def _advance(
+        self, state: ModelState, codes: IntArray
+    ) -> tuple[ModelState, dict[str, IntArray], IntArray, IntArray]:
+        """Return what a step makes of readings [B, C]: state, values, drift [B, K], flags [B]."""
         values: dict[str, IntArray] = {CODES: codes, PREVIOUS_DRIFT: state.drift}
         states: dict[str, State] = {}
         for node in self.model.nodes[:-1]:
@@ -137,16 +194,24 @@ class Reference:
             nodes=states,
             steps=np.minimum(state.steps + 1, self._full),
             previous=codes[:, self.model.guards.temperature_channel],
+            held=codes[:, self.model.held],
             drift=drift if self.model.feeds_back else state.drift,
         )
         return after, values, drift, flags
+
+    def _flag_start(self, state: ModelState) -> IntArray:
+        return np.asarray(FLAG_WARMING_UP * (state.steps < self.model.guards.warm_up_steps))
 
     def _flags(self, state: ModelState, codes: IntArray, clamped: NDArray[np.bool_]) -> IntArray:
         guards = self.model.guards
         temperature = codes[:, guards.temperature_channel]
         outside = (temperature < guards.temperature_low) | (temperature > guards.temperature_high)
+        beyond = np.zeros_like(outside)
+        for channel, low, high in guards.ranges:
+            beyond |= (codes[:, channel] < low) | (codes[:, channel] > high)
         return np.asarray(
-            FLAG_WARMING_UP * (state.steps < guards.warm_up_steps)
+            self._flag_start(state)
+            + FLAG_INPUT_RANGE * beyond
             + FLAG_TEMPERATURE_RANGE * outside
             + FLAG_RATE_RANGE * (np.abs(temperature - state.previous) > guards.rate_max)
             + FLAG_CLAMPED * clamped

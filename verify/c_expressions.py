@@ -45,6 +45,8 @@ class Expressions:
         self._stored: set[str] = set()
         self._called: set[str] = set()
         self._fields: dict[str, Any] = {}
+        self._unfilled: set[str] = set()
+        """Structs of inputs of this function's own that hold nothing yet."""
 
     def note(self, where: str, low: int, high: int, bits: int) -> None:
         """Note a bound that the C relies on; more than one visit widens it."""
@@ -165,7 +167,9 @@ class Expressions:
 
     def _read(self, token: str) -> Any:
         """Return the variable, constant or field whose name was taken, after its indices."""
-        if self._token == "->":
+        if token in self._unfilled:
+            raise NotUnderstoodError(f"{self.code.places[self._at - 1]}: '{token}' holds nothing")
+        if self._token in ("->", "."):
             self._take()
             name = self._take()
             value = self._narrow.get(name, self._fields[name])
@@ -204,6 +208,8 @@ class Expressions:
     def _call(self, name: str) -> Any:
         self._take("(")
         arguments = []
+        if name == f"{self.code.prefix}_hold":
+            self._unfilled.clear()
         while self._token != ")":
             arguments.append(self._expression())
             if self._token == ",":

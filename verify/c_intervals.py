@@ -121,13 +121,19 @@ class Machine(Expressions):
         given = arguments or [None, None, Array([Value(0, 0)] * outputs, outputs)]
         self._locals = {p[1]: a for p, a in zip(parameters, given, strict=False)}
         rest = name == f"{prefix}_rest"
-        self._stored = set() if rest else self._stored
+        stored = self._stored
+        self._stored = set() if rest or name == f"{prefix}_hold" else stored
         self._at = begin
         self._block()
         left = set(self.code.structs[f"{prefix}_state_t"]) - {"identity", "steps", "drift"}
         left -= self._stored
         if rest and left:
             self.fail(f"at rest the fields {sorted(left)} are not set")
+        if name == f"{prefix}_hold":
+            left = set(self.code.structs[f"{prefix}_input_t"]) - self._stored
+            if left:
+                self.fail(f"the inputs {sorted(left)} are not filled in")
+            self._stored = stored
         self._locals, self._at = kept, place
         return self._returned
 
@@ -159,6 +165,12 @@ class Machine(Expressions):
             return True
         elif token == "const" or token in TYPES:
             self._declare()
+        elif token == f"{self.code.prefix}_input_t":
+            self._take()
+            name = self._take()
+            self._locals[name] = None
+            self._unfilled.add(name)
+            self._take(";")
         elif self.code.tokens[self._at : self._at + 3] == ["(", "void", ")"]:
             self._at += 3
             if self.code.tokens[self._at + 1] == "(":

@@ -8,13 +8,18 @@ from zerodrift.operations.arithmetic import CodeArray
 
 RANDOM_SEED = 20250217
 """Only makes the sequences repeatable; any other would do."""
+MISSING_SHARE = 0.1
+"""Of the noise's codes, where a channel has one that means no reading."""
+EDGE_SHARE = 0.04
+"""Of the noise's codes, at either end of what is not flagged."""
 
 
 def draw_sequences(model: IntegerModel, steps: int) -> dict[str, CodeArray]:
     """Return sequences [T, C] of raw codes by name, `steps` in all.
 
-    Noise over everything that the input's type holds and within the calibrated range, jumps, the
-    rails, a slow walk through the calibrated range and beyond it, and a long dwell.
+    Noise over everything that the input's type holds and within the calibrated range, with codes
+    that mean no reading and those at which a flag changes; jumps, the rails, a slow walk through
+    the calibrated range and beyond it, and a long dwell.
 
     Args:
         model: gives the channels and their calibrated range.
@@ -28,6 +33,17 @@ def draw_sequences(model: IntegerModel, steps: int) -> dict[str, CodeArray]:
     noise = rng.integers(first, last + 1, size=(part, channels))
     within = rng.integers(low.astype(np.int64), high.astype(np.int64) + 1, size=(part, channels))
     noise = np.where(rng.random((part, 1)) < 0.5, noise, within)
+    none = np.array([channel.no_reading or 0 for channel in model.channels], dtype=np.int64)
+    for channel in model.optional:
+        lacks = rng.random(part) < MISSING_SHARE
+        lacks[:2] = True  # nothing to start from
+        noise[lacks, channel] = none[channel]
+    guards = model.guards
+    temperature = (guards.temperature_channel, guards.temperature_low, guards.temperature_high)
+    for channel, lowest, highest in (temperature, *guards.ranges):
+        at = rng.random(part) < EDGE_SHARE
+        edges = (lowest - 1, lowest, highest, highest + 1)
+        noise[at, channel] = rng.choice(edges, size=int(at.sum()))
     rails = np.where(rng.random((part, channels)) < 0.5, first, last)
     jumps = np.repeat(noise[:: max(part // 40, 1)], max(part // 40, 1), axis=0)[:part]
     span = high - low

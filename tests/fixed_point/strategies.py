@@ -35,6 +35,10 @@ def shapes(
     """Draw any shape the generator accepts."""
     inputs = draw(st.integers(1, most_inputs))
     outputs = draw(st.integers(1, most_outputs))
+    wide = draw(st.booleans())
+    lowest = -(2**31) if wide else -(2**15)
+    none = st.sampled_from((None, lowest, lowest, 7, 2**15 - 1))
+    low, high = draw(st.tuples(st.integers(-5000, 0), st.integers(1, 5000)))
     further = st.tuples(st.integers(1, 12), st.sampled_from(("tanh", "relu", "relu6")))
     return Shape(
         name=draw(names),
@@ -50,6 +54,9 @@ def shapes(
         code_limit=draw(st.sampled_from((32768, 12000, 300))),
         drift_limit=draw(st.sampled_from((1e9, 1e4, 20.0))),
         measured=tuple(draw(st.sampled_from(((), (0,), (0, outputs - 1) if outputs > 1 else ())))),
+        wide=tuple(range(inputs)) if wide else (),
+        no_reading=tuple(draw(st.lists(none, max_size=inputs))),
+        ranges=tuple((i, low, high) for i in range(1, inputs) if draw(st.booleans())),
         warm_up_steps=draw(st.sampled_from((0, 1, 40))),
         channel_names=tuple(draw(st.lists(names, min_size=inputs, max_size=inputs))),
         output_names=tuple(draw(st.lists(names, min_size=outputs, max_size=outputs))),

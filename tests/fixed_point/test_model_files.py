@@ -65,7 +65,7 @@ EDITS: dict[str, tuple[Edit, str]] = {
     "a guard": (lambda b: b["guards"].update(rate_max=1), "edited or damaged"),
     "another hash": (rehash, "edited or damaged"),
     "no hash": (lambda b: b.pop("hash"), "edited or damaged"),
-    "another format": (lambda b: b.update(format=99), f"format {FORMAT}"),
+    "another format": (lambda b: b.update(format=99), f"or {FORMAT}"),
     "unknown kind": (lambda b: find_node(b, "head").update(kind="heads"), "unknown kind 'heads'"),
     "field missing": (lambda b: find_node(b, "lowpass").pop("c_q24"), "expected the fields"),
     "field added": (lambda b: find_node(b, "lowpass").update(tau=1), "expected the fields"),

@@ -4,8 +4,8 @@
 
 #include "zd_runtime.h"
 
-#if ZD_RUNTIME_FORMAT != 2
-#error "front_end was generated for zerodrift runtime format 2: generate it again"
+#if ZD_RUNTIME_FORMAT != 3
+#error "front_end was generated for zerodrift runtime format 3: generate it again"
 #endif
 
 #ifndef ZD_OBSERVE /* the host's test harness looks at the nodes through this */

@@ -1,6 +1,6 @@
 """Models of any shape for the proofs: a float compensator drawn from a seed, then quantized."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,12 @@ class Shape:
     """Inputs are limited to +- this code."""
     drift_limit: float = 1e6
     warm_up_steps: int = 5
+    no_reading: tuple[int | None, ...] = ()
+    """Per channel the code that means none; left out: every code is a reading."""
+    ranges: tuple[tuple[int, int, int], ...] = ()
+    """(channel, lowest, highest code) of the inputs that are flagged beyond."""
+    wide: tuple[int, ...] = ()
+    """Inputs whose codes have 32 bits."""
     measured: tuple[int, ...] = ()
     """Outputs whose raw value is an input of 32 bits; "load" needs one."""
     channel_names: tuple[str, ...] = ()
@@ -76,7 +82,10 @@ def draw_float_model(shape: Shape, seed: int) -> tuple[FloatModel, Calibration]:
     draw = Draw(seed)
     ops = GraphOperations(SAMPLE_PERIOD_S)
     names = shape.channel_names or tuple(f"in{i}" for i in range(shape.inputs))
-    channels = tuple(Channel(name, "degC", 2.0**-7, 1.5 * i) for i, name in enumerate(names))
+    channels = tuple(
+        Channel(name, "degC", 2.0**-7, 1.5 * i, bits=32 if i in shape.wide else 16)
+        for i, name in enumerate(names)
+    )
     sources = {f"source{i}": i for i in range(shape.inputs)}
     inputs = [ops.input(source) for source in sources]
     full = shape.code_limit / 128.0
@@ -85,6 +94,8 @@ def draw_float_model(shape: Shape, seed: int) -> tuple[FloatModel, Calibration]:
         sources[f"load:out{k}"] = len(channels)
         lsb = 10.0 ** -(k % 4)
         channels = (*channels, Channel(f"measured{k}", "N", lsb, bits=32))
+    none = (*shape.no_reading, *(None for _ in channels))[: len(channels)]
+    channels = tuple(replace(c, no_reading=n) for c, n in zip(channels, none, strict=True))
     taps: list[tuple[Node, float]] = [(node, full) for node in inputs]
     taps += _draw_front_end(ops, inputs, loads, full, shape, draw)
     outputs = tuple(
@@ -118,6 +129,7 @@ def draw_float_model(shape: Shape, seed: int) -> tuple[FloatModel, Calibration]:
         drift_high=np.full(shape.outputs, shape.drift_limit * 0.75),
         rate_max=1000,
         warm_up_steps=shape.warm_up_steps,
+        input_ranges=shape.ranges,
         ranges={node: (-largest, largest) for node, largest in taps if node.op != "exp2"},
     )
     return model, calibration

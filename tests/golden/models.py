@@ -54,6 +54,24 @@ def steps_of_load(draw: Draw, channels: int) -> Codes:
     return codes
 
 
+LOWEST, HIGHEST, LOWEST_WIDE = -32768, 32767, -(2**31)
+"""Codes that mean no reading in the case of that name."""
+
+
+def gaps(draw: Draw, channels: int) -> Codes:
+    """Return steps of load and jumps of a wide thermometer, with codes that mean no reading.
+
+    The first two steps have none of something; then every input lacks some on its own.
+    """
+    codes = steps_of_load(draw, channels)
+    codes[60:66, 0] = [LOWEST_WIDE + 1, 2**31 - 1, 0, -(2**31) + 1, 40000, -40000]
+    none = np.array([LOWEST_WIDE, HIGHEST, codes[0, 2], LOWEST_WIDE])
+    lacks = draw.uniform(0.0, 1.0, STEPS, channels) < 0.12
+    lacks[0], lacks[1], lacks[2] = [True, False, False, False], [False, True, False, True], False
+    lacks[:, 2] = False
+    return np.where(lacks, none, codes).astype(np.int32)
+
+
 CASES: dict[str, Case] = {
     "ordinary": Case(Shape(front_end=("lowpass",), update_bias=-2.0, code_limit=10000), walk),
     "rails": Case(Shape(hidden=8, outputs=2), rails),
@@ -78,6 +96,22 @@ CASES: dict[str, Case] = {
         ),
         steps_of_load,
         settled=False,
+    ),
+    "no_reading": Case(
+        Shape(
+            inputs=3,
+            hidden=5,
+            outputs=2,
+            front_end=("lowpass", "delay", "play", "load"),
+            code_limit=12000,
+            drift_limit=1e4,
+            measured=(1,),
+            wide=(0,),
+            no_reading=(LOWEST_WIDE, HIGHEST, None, LOWEST_WIDE),
+            ranges=((1, 2000, 6000), (2, LOWEST, 4000), (3, -3_000_000, 3_000_000)),
+        ),
+        gaps,
+        settled=True,
     ),
     "front_end": Case(
         Shape(

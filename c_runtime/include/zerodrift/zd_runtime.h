@@ -56,7 +56,7 @@
 #endif
 
 /* A model generated for another format must be regenerated: its constants mean something else. */
-#define ZD_RUNTIME_FORMAT 2
+#define ZD_RUNTIME_FORMAT 3
 
 #if defined(ZD_SMALL)
 #define ZD_TANH_HALF_LINES 178 /* the assembly knows it too */
