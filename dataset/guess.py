@@ -67,15 +67,18 @@ def guess_project(logs: Sequence[Path]) -> Guess:
     """
     sources = [open_source(path, str(path), {}) for path in logs]
     first = sources[0]
-    common = [name for name in first.names if all(name in source.names for source in sources)]
+    shared = set.intersection(*(set(source.names) for source in sources))
+    common = [name for name in first.names if name in shared]
     checks = []
-    if left := [name for source in sources for name in source.names if name not in common]:
+    if left := [name for source in sources for name in source.names if name not in shared]:
         names = ", ".join(dict.fromkeys(left))
         checks.append(f"not every log has these columns, which were left out: {names}")
     sample = first.scan().select(common).select(pl.all().cast(pl.String)).head(1000).collect()
     if sample.height == 0:
         raise InputError(f"{first.label}: there is a header but no row; expected one per sample.")
-    numeric = [name for name in common if _holds_numbers(sample[name])]
+    numeric = _list_numeric(sample)
+    known = {*numeric, RUN_COLUMN}
+    texts = [name for name in common if name not in known]
     time, clock = _guess_time(first, numeric)
     temperatures = _guess_temperatures(first, [name for name in numeric if name != time])
     inputs = {"clock": clock} if clock else {}
@@ -94,12 +97,7 @@ def guess_project(logs: Sequence[Path]) -> Guess:
         checks.append(f"'{time}' seems not to be in seconds; zerodrift wants seconds")
     if len(temperatures) > 1:
         checks.append(f"'{temperatures[0]}' was taken as the chip's own thermometer")
-    groups = {
-        name: values
-        for name in common
-        if name not in numeric and name != RUN_COLUMN
-        if 1 < len(values := _list_values(first, name)) <= 32
-    }
+    groups = {name: values for name in texts if 1 < len(values := _list_values(first, name)) <= 32}
     for name, values in groups.items():
         named = ", ".join(values[:3]) + (", ..." if len(values) > 3 else "")
         checks.append(
@@ -122,11 +120,16 @@ def guess_project(logs: Sequence[Path]) -> Guess:
     )
 
 
-def _holds_numbers(column: pl.Series) -> bool:
-    values = column.drop_nulls().str.strip_chars()
-    if values.len() == 0:
-        return False
-    return values.cast(pl.Float64, strict=False).drop_nulls().len() >= 0.9 * values.len()
+def _list_numeric(sample: pl.DataFrame) -> list[str]:
+    """Return the columns of text of which nine in ten values, and at least one, are numbers."""
+    bare = sample.select(pl.all().str.strip_chars().cast(pl.Float64, strict=False))
+    counts = zip(sample.null_count().row(0), bare.null_count().row(0), strict=True)
+    rows = sample.height
+    return [
+        name
+        for name, (empty, unread) in zip(sample.columns, counts, strict=True)
+        if empty < rows and rows - unread >= 0.9 * (rows - empty)
+    ]
 
 
 def _guess_time(source: Source, numeric: Sequence[str]) -> tuple[str, str | None]:
@@ -182,7 +185,7 @@ def _guess_outputs(
             f"{source.label}:1: no column looks like a quantity that drifts (found: "
             f"{', '.join(free)}); expected names with units, such as Fz_N. Rename them."
         )
-    spans = _measure_spans(source, measured)
+    spans = _measure_spans(source, measured[:MAX_OUTPUTS])
     outputs: list[GuessedOutput] = []
     for name in measured[:MAX_OUTPUTS]:
         match = _match_reference(name, references, len(measured))

@@ -23,7 +23,7 @@ from zerodrift.dataset.naming import RunKey, name_runs, refuse_overlaps
 from zerodrift.dataset.oddities import find_oddities
 from zerodrift.dataset.resample import COARSEST, MIN_STEPS, Stretch, plan_stretches
 from zerodrift.dataset.runs import Array, Dataset, Run
-from zerodrift.dataset.selectors import Selection, expand_selectors
+from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
 from zerodrift.dataset.tables import Table, open_source, read_table
 from zerodrift.dataset.units import are_alike, read_unit
 from zerodrift.errors import InputError, nearest
@@ -66,6 +66,7 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
         pieces[use] = []
         for selection in expand_selectors(config, use):
             pieces[use] += _load_selection(config, selection, skip_invalid, notes)
+        pieces[use].sort(key=lambda piece: _order(piece.key, config.directory))
     learnt_or_tested = pieces["train"] + pieces["test"]
     refuse_overlaps([piece.key for piece in learnt_or_tested if piece.part == 0])
     names = name_runs([piece.key for use in USES for piece in pieces[use]], config.directory)
@@ -227,6 +228,7 @@ def _plan_run(
     time_s = table.columns[config.time_column]
     span_s = (0.0, math.inf)
     start_s = float(time_s[start])
+    place = 0 if table.run_of_row is None else int(table.run_of_row[start])
     if selection.cut is not None:
         span_s = selection.cut.to_span(float(time_s[stop - 1] - time_s[start]))
         cut = selection.cut.find_rows(time_s[start:stop])
@@ -249,7 +251,7 @@ def _plan_run(
             f"{config.sample_period_s:g} s"
         )
     cut_text = selection.cut.text if selection.cut else ""
-    key = RunKey(selection.path, run, cut_text, span_s, selection.where, start_s)
+    key = RunKey(selection.path, run, cut_text, span_s, selection.where, start_s, place)
     return [_allocate(config, key, part, stretch) for part, stretch in enumerate(long_enough)]
 
 
@@ -325,6 +327,11 @@ def _finish(piece: _Piece, names: dict[RunKey, str], config: Config) -> Run:
         inputs={name: piece.inputs[name] for name in config.inputs},
         start_s=piece.key.start_s,
     )
+
+
+def _order(key: RunKey, directory: Path) -> tuple[tuple[str, ...], int, float, float, str]:
+    """Return what runs are sorted by before anything is fitted: file, place in it, part."""
+    return order_path(key.path, directory), key.place, *key.span_s, key.cut
 
 
 def _link(runs: Iterable[Run]) -> tuple[Run, ...]:

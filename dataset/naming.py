@@ -24,6 +24,8 @@ class RunKey:
     """Place in zerodrift.toml, for messages."""
     start_s: float = 0.0
     """The log's clock at the run's first row, before any cut."""
+    place: int = 0
+    """Position of the run among those of its file, in the order of appearance."""
 
     def name(self, detail: int, directory: Path) -> str:
         """Return a name: by run or stem (0), by stem and run (1), by path and run (2)."""

@@ -2,6 +2,7 @@
 
 import fnmatch
 import glob
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,7 +74,7 @@ class Selection:
 
 
 def expand_selectors(config: Config, use: str) -> tuple[Selection, ...]:
-    """Return the files that `[logs] use` selects, sorted within each glob.
+    """Return the files that `[logs] use` selects, sorted by name whatever the selectors' order.
 
     Args:
         config: the project.
@@ -84,11 +85,17 @@ def expand_selectors(config: Config, use: str) -> tuple[Selection, ...]:
     """
     selectors: tuple[str, ...] = getattr(config, f"{use}_logs")
     where = locate_key(config.path, "logs", use)
-    return tuple(
+    found = [
         selection
         for text in selectors
         for selection in _expand_selector(config.directory, text, f"{where}: [logs] {use}")
-    )
+    ]
+    return tuple(sorted(found, key=lambda each: order_path(each.path, config.directory)))
+
+
+def order_path(path: Path, directory: Path) -> tuple[str, ...]:
+    """Return what logs are sorted by: their place within the project, wherever that lies."""
+    return Path(os.path.relpath(path, directory)).parts
 
 
 def _expand_selector(directory: Path, text: str, where: str) -> list[Selection]:

@@ -5,6 +5,7 @@ a second time, by `zerodrift.dataset.locate`, for the line and the text of the o
 """
 
 import csv
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from zerodrift.dataset.quotes import check_quotes
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.selectors import PARQUET_SUFFIXES
 from zerodrift.errors import InputError, nearest
+from zerodrift.files import name_kind
 
 RUN_COLUMN = "run"
 BATCH_ROWS = 100_000
@@ -141,11 +143,12 @@ def open_source(path: Path, label: str, where: Mapping[str, str]) -> Source:
             f"{label}:1: the first line holds numbers ({text[:40]}); expected the columns' names. "
             "Add a header line, with units in the names, such as time_s,temperature_degC,Fz_N."
         )
-    for name in names:
-        if name and names.count(name) > 1:
+    counts = Counter(names)
+    for name, count in counts.items():
+        if name and count > 1:
             raise InputError(
-                f"{label}:1: the header names column '{name}' {names.count(name)} times; expected "
-                "each name once. Rename one of them."
+                f"{label}:1: the header names column '{name}' {count} times; expected each name "
+                "once. Rename one of them."
             )
     unique = tuple(name or f"\0unnamed{index}" for index, name in enumerate(names))
     return Source(path, label, unique, separator, where, _count_head_lines(head))
@@ -222,6 +225,12 @@ def _guess_rows(source: Source) -> int:
 
 
 def _read_head(path: Path, label: str) -> bytes:
+    if path.exists() and not path.is_file():
+        # A named pipe would be waited for, for ever.
+        raise InputError(
+            f"{label}: is {name_kind(path)}; expected a log, an ordinary file. Name the file that "
+            "holds the rows."
+        )
     try:
         with path.open("rb") as file:
             head = file.read(_MAX_HEADER_BYTES)

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from zerodrift.errors import InputError
+from zerodrift.files import name_kind
 from zerodrift.fleet_config import FleetConfig, read_fleet
 from zerodrift.toml_lines import find_line, index_lines
 from zerodrift.toml_table import LARGEST, TomlTable
@@ -131,6 +132,12 @@ def load_config(path_or_directory: Path) -> Config:
             f"{path}: there is no such file. `zerodrift init LOG...` writes a {FILE_NAME} guessed "
             "from your logs; `-C DIR` names the directory it lies in."
         )
+    if not path.is_file():
+        # A named pipe would be waited for, for ever.
+        raise InputError(
+            f"{path}: is {name_kind(path)}; expected a file, the project's configuration. Remove "
+            f"it, and run `zerodrift init LOG...`, or name another directory by -C."
+        )
     try:
         # The mark that some editors put in front of UTF-8 text is not part of it.
         text = path.read_text(encoding="utf-8-sig")
@@ -199,6 +206,8 @@ def parse_config(text: str, path: Path) -> Config:
 def locate_key(path: Path, *key: str) -> str:
     """Return `zerodrift.toml:LINE` for a key, or the path alone when the file cannot be read."""
     try:
+        if not path.is_file():
+            return str(path)
         lines = _index_lines(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError):
         return str(path)

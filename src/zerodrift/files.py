@@ -2,6 +2,7 @@
 
 import errno
 import os
+import stat
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -20,6 +21,14 @@ _REMEDIES = {
     errno.ENAMETOOLONG: "Choose a shorter name",
 }
 """What a disk answers when it does not take a file, and what helps."""
+_KINDS = {
+    stat.S_IFREG: "a file",
+    stat.S_IFDIR: "a directory",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -85,6 +94,12 @@ def explain_write(path: Path | str, error: OSError) -> InputError:
         f" that this user may write to. {remedy}, or name another by -C. Nothing was left"
         " half-written."
     )
+
+
+def name_kind(path: Path) -> str:
+    """Return what lies at a path, with its article: `a directory`, `a named pipe`, ..."""
+    kind = stat.S_IFMT(path.stat().st_mode)
+    return _KINDS.get(kind, "no ordinary file")
 
 
 def is_refused_write(error: OSError) -> bool:

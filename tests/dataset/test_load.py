@@ -137,7 +137,7 @@ def test_load_names_equal_runs_of_two_files_by_file(two_units):
     text = (two_units.directory / "log.csv").read_text()
     (two_units.directory / "late.csv").write_text(text)
     runs = two_units.load(train_logs=("log.csv#r1", "late.csv#r[12]")).train
-    assert list_names(runs) == ["log:r1", "late:r1", "r2"]
+    assert list_names(runs) == ["late:r1", "r2", "log:r1"]
 
 
 def test_load_cuts_a_run_by_share_and_by_seconds(project, rows):

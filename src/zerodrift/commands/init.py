@@ -10,7 +10,7 @@ import click
 from zerodrift.commands.common import directory_option, json_option, print_json, write_text
 from zerodrift.config import FILE_NAME, parse_config
 from zerodrift.dataset.guess import Guess, GuessedOutput, guess_project
-from zerodrift.dataset.selectors import CSV_SUFFIXES, PARQUET_SUFFIXES
+from zerodrift.dataset.selectors import CSV_SUFFIXES, PARQUET_SUFFIXES, order_path
 from zerodrift.errors import InputError
 
 #: Use -> words in a log's name that suggest it.
@@ -122,22 +122,22 @@ def _write_key(key: str) -> str:
 
 
 def find_logs(logs: Sequence[Path], directory: Path) -> list[Path]:
-    """Return the files named, those of a directory sorted by name."""
+    """Return the files named, and those of each directory named, sorted by name."""
     paths: list[Path] = []
     for log in logs:
         place = log if log.exists() else directory / log
         if place.is_dir():
-            found = sorted(
+            found = [
                 path
                 for path in place.iterdir()
                 if path.suffix.lower() in CSV_SUFFIXES + PARQUET_SUFFIXES
-            )
+            ]
             if not found:
                 raise InputError(f"{place}: holds no log; expected CSV or Parquet files.")
             paths += found
         else:
             paths.append(place)
-    return list(dict.fromkeys(paths))
+    return sorted(set(paths), key=lambda path: order_path(path, directory))
 
 
 def _sort_by_use(paths: Sequence[Path]) -> dict[str, list[Path]]:
