@@ -131,6 +131,9 @@ class Guards:
     """(channel, lowest, highest code) of other inputs; outside them their range flag is set."""
 
 
+FORCED = "forced"
+"""Note of a model that was written although the gate refused it: the refusals, line by line."""
+
 FLAG_WARMING_UP = 1
 FLAG_TEMPERATURE_RANGE = 2
 FLAG_RATE_RANGE = 4

@@ -99,8 +99,7 @@ def _scratch(beside: Path) -> tempfile.TemporaryDirectory[str]:
         InputError: it cannot be made there.
     """
     try:
-        # absolute: what a browser is given must not depend on where it runs
-        return tempfile.TemporaryDirectory(prefix=".report-", dir=beside.absolute())
+        return tempfile.TemporaryDirectory(prefix=".report-", dir=beside)
     except OSError as error:
         raise InputError(
             f"{beside}: cannot be written ({error.strerror}); expected a directory that this user "

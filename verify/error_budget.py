@@ -37,6 +37,7 @@ from zerodrift.train.compensator import Compensator
 from zerodrift.verify.mismatch import label_columns
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 LONGEST_RUN_STEPS = 20_000
 DECADES = (100, 1000, 10_000, 100_000, 1_000_000)
@@ -86,6 +87,8 @@ def measure_budget(
     host: HostModel,
     runs: Sequence[Run],
     steps: int = DECADES[-1],
+    *,
+    plain: Sequence[Mask] | None = None,
 ) -> ErrorBudget:
     """Return the error budget of a quantized compensator.
 
@@ -96,7 +99,12 @@ def measure_budget(
         host: the integer model's C, built to be observed and shown equal to the reference.
         runs: measurements, preferably held out.
         steps: length of the run that is followed over time.
+        plain: [n] per run: rows that count, those on which nothing but rounding separates the two
+            models; None: all.
     """
+    masks = plain or [np.ones(len(run), dtype=np.bool_) for run in runs]
+    there = np.concatenate([mask[:LONGEST_RUN_STEPS] for mask in masks])
+    longest = max((_take_longest(*pair) for pair in zip(runs, masks, strict=True)), key=len)
     runs = [run.at_rest().take(slice(LONGEST_RUN_STEPS)) for run in runs]  # as the C is started
     levels = _Levels(described, calibration, host.model)
     traces = [_observe(host, run) for run in runs]
@@ -104,6 +112,7 @@ def measure_budget(
     answers = [
         np.concatenate(parts) for parts in zip(*levels.answer_all(inputs, traces), strict=True)
     ]
+    answers = [answer[there] for answer in answers]
     costs = [after - before for before, after in itertools.pairwise(answers)]
     kinds = {node.name: node.kind for node in host.model.nodes}
     return ErrorBudget(
@@ -112,8 +121,20 @@ def measure_budget(
             NodeCost(name, kinds[name], _rms(cost))
             for name, cost in zip(levels.order, costs, strict=True)
         ),
-        over_time=follow_over_time(compensator, host, max(runs, key=len), steps),
+        over_time=follow_over_time(compensator, host, longest, steps),
     )
+
+
+def _take_longest(run: Run, mask: Mask) -> Run:
+    """Return the longest stretch of a run's rows that count, begun at rest."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    begins, ends = edges[::2], edges[1::2]
+    if not begins.size:
+        return run.at_rest().take(slice(0))
+    longest = int(np.argmax(ends - begins))
+    first = int(begins[longest])
+    last = min(int(ends[longest]), first + LONGEST_RUN_STEPS)
+    return run.at_rest().take(slice(first, last))
 
 
 def follow_over_time(

@@ -1,13 +1,16 @@
 """The main job's second half: quantize, generate, check bit for bit, tell the errors, write."""
 
+import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.footprint import Footprint, measure_footprint
 from zerodrift.c_runtime.host import HostModel, render_sources, write_sources
-from zerodrift.c_runtime.scratch import open_scratch
 from zerodrift.codegen.application import render_dbc
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
@@ -27,7 +30,7 @@ from zerodrift.export.compose_import import (
 )
 from zerodrift.export.fine_tune import load_or_tune, load_or_tune_imported
 from zerodrift.export.golden import GoldenVectors, compute_golden
-from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx
 from zerodrift.files import make_directory, write_all
 from zerodrift.operations.arithmetic import CodeArray
@@ -36,9 +39,11 @@ from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import Outcome, check_certificate
 from zerodrift.verify.chip_check import ChipCheck, check_chip
+from zerodrift.verify.chip_error import Replay
 from zerodrift.verify.error_budget import ErrorBudget, measure_budget
 from zerodrift.verify.errors_told import OutputError, tell_errors
 from zerodrift.verify.firmware_check import FirmwareCheck, check_firmware
+from zerodrift.verify.gate import GateVerdict, judge_firmware
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import write_manifest
 from zerodrift.verify.vectors import draw_sequences
@@ -75,7 +80,12 @@ class Firmware:
     """On the emulated core; None where unicorn is not installed."""
     certificate: Outcome
     """What the independent check of the certificate says."""
+    gate: GateVerdict
+    """Whether the firmware is any good on held-out runs."""
+    forced: tuple[str, ...]
+    """What the gate refused and `--force` wrote all the same."""
     files: tuple[Path, ...]
+    """Written beside the C; empty where the gate refused."""
 
 
 def build_firmware(
@@ -85,8 +95,10 @@ def build_firmware(
     progress: Progress = lambda _: None,
     *,
     network: tuple[Path, ...] = (),
+    force: bool = False,
 ) -> Firmware:
-    """Build the firmware of a trained compensator and write it, if and only if all bits agree.
+    """Build the firmware of a trained compensator and write it, if all bits agree and the gate lets
+    it pass.
 
     Args:
         config: the project; says where the C goes.
@@ -94,6 +106,10 @@ def build_firmware(
         compensator: the trained model, or a network from an ONNX file.
         progress: is told what is being done.
         network: the ONNX file that the network comes from.
+        force: write what the gate refuses, and mark the C with it.
+
+    Returns:
+        What was built; without files where the gate refused.
 
     Raises:
         CheckError: no safe format, the C differs from the reference, or the certificate does not
@@ -105,12 +121,17 @@ def build_firmware(
     sequences = list_sequences(model, dataset)
     build = config.build_directory
     build.mkdir(parents=True, exist_ok=True)
-    with open_scratch(build, ".firmware-") as scratch:
+    with tempfile.TemporaryDirectory(prefix=".firmware-", dir=build) as scratch:
         check = check_firmware(model, code, sequences, Path(scratch), progress).require()
         progress(f"running on an emulated {CORE}")
         chip = check_chip(CORE, code, check.host, sequences, Path(scratch) / "chip")
         progress("measuring errors and sizes")
         runs = dataset.test or dataset.train
+        gate, replay = judge_firmware(compensator, check.host, dataset)
+        forced = tuple(statement.text for statement in gate.refused) if force else ()
+        if forced:
+            model = replace(model, notes={**model.notes, FORCED: "\n".join(forced)})
+            code = generate(model)
         errors = tell_errors(compensator, check.host, runs)
         untuned: tuple[OutputError, ...] = ()
         if rounded is not None:
@@ -122,14 +143,21 @@ def build_firmware(
         else:
             described = describe_compensator(compensator, config, dataset.train)
             calibration = calibrate(compensator, described, dataset.train)
-        budget = measure_budget(described, calibration, compensator, check.observed, runs)
+        plain_runs, plain = find_plain(replay, dataset)
+        budget = measure_budget(
+            described, calibration, compensator, check.observed, plain_runs, plain=plain
+        )
         footprint = measure_footprint(code, CORE)
         progress("checking the certificate")
         certificate = certify(model, code)
         outcome = recheck(code, certificate, Path(scratch))
-    progress("writing")
-    golden = compute_golden(model, next(iter(sequences.values()))[:GOLDEN_STEPS])
-    files = write_artefacts(config, model, code, certificate, golden, network=network)
+    files: tuple[Path, ...] = ()
+    if gate.passes or force:
+        progress("writing")
+        golden = compute_golden(model, next(iter(sequences.values()))[:GOLDEN_STEPS])
+        files = write_artefacts(
+            config, model, code, certificate, golden, forced=forced, network=network
+        )
     return Firmware(
         model=model,
         code=code,
@@ -143,8 +171,20 @@ def build_firmware(
         footprint=footprint,
         chip=chip,
         certificate=outcome,
+        gate=gate,
+        forced=forced,
         files=files,
     )
+
+
+def find_plain(
+    replay: Replay, dataset: Dataset
+) -> tuple[tuple[Run, ...], tuple[NDArray[np.bool_], ...] | None]:
+    """Return the runs, and rows of them, on which nothing but rounding costs anything."""
+    plain = replay.list_plain_rows()
+    if any(mask.any() for mask in plain):
+        return tuple(replayed.run for replayed in replay.runs), plain
+    return dataset.train, None  # which is inside by definition
 
 
 def _compose(

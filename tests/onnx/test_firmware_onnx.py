@@ -167,7 +167,7 @@ def invoke(*arguments: object) -> Result:
 def test_command_writes_checked_firmware(project: Path) -> None:
     network = project.parent / "net.onnx"
     network.write_bytes(scale_inputs(NETWORKS["torch, window, two layers, relu"]))
-    result = invoke("firmware", "-C", project, "--json", "--onnx", network)
+    result = invoke("firmware", "-C", project, "--json", "--force", "--onnx", network)
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
     assert told["bit_exact"] and told["vectors"] >= 100_000

@@ -16,6 +16,7 @@ from zerodrift.commands.common import (
 )
 from zerodrift.commands.console import open_console, open_table, show_progress
 from zerodrift.commands.onnx_option import OnnxRequest, onnx_options, open_import
+from zerodrift.errors import CheckError
 
 FILE_NAME = "firmware.json"
 """In build/: what the last firmware achieved."""
@@ -28,14 +29,24 @@ BUDGET_ROWS = 5
 @directory_option
 @json_option
 @skip_invalid_option
+@click.option(
+    "--force",
+    is_flag=True,
+    help="Write what the gate refuses; header and manifest say so.",
+)
 @onnx_options
-def command(directory: Path, as_json: bool, skip_invalid: bool, request: OnnxRequest) -> None:
+def command(
+    directory: Path, as_json: bool, skip_invalid: bool, force: bool, request: OnnxRequest
+) -> None:
     """Train if needed, quantize, generate C, and check it bit for bit on this host.
 
     Writes <out>/<sensor>.h and .c with runtime, certificate.json and manifest.json beside them,
     build/model.json, integer.onnx and golden.npz, and prints the errors in physical units with
     flash, RAM and stack. Nothing is written unless every compared bit is equal and every bound of
     the certificate is derived again from the C.
+
+    Nor is it where the chip is worse on held-out runs than no compensation, than the physical model
+    alone, or than the float model by more than rounding explains: exit code 1, unless --force.
 
     With --onnx FILE the network comes from any program that exports ONNX, and takes the same road;
     --calibrate LOG... names the logs that set the ranges of the integers.
@@ -57,13 +68,21 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, request: OnnxReq
         compensator = train_project(config, dataset, console)
     with show_progress("quantizing") as say:
         network = (request.path.absolute(),) if request and request.path else ()
-        firmware = build_firmware(config, dataset, compensator, say, network=network)
+        firmware = build_firmware(config, dataset, compensator, say, force=force, network=network)
     result = describe(firmware, config.directory)
-    keep(result, config.build_directory)
+    written = bool(firmware.files)
+    if written:
+        keep(result, config.build_directory)
     if as_json:
         print_json(result)
-        return
-    _print(firmware, config.directory)
+    else:
+        _print(firmware, config.directory)
+    if not written:
+        raise CheckError(
+            f"{firmware.gate.explain()}\nNothing was written to"
+            f" {show_path(config.firmware_out, config.directory)}/. Mend what is named, or write it"
+            " all the same with --force."
+        )
 
 
 def describe(firmware: Any, directory: Path) -> dict[str, Any]:
@@ -105,6 +124,15 @@ def describe(firmware: Any, directory: Path) -> dict[str, Any]:
         "runs": list(firmware.error_runs),
         "model_hash": firmware.model.hash,
         "certificate": {"claims": firmware.certificate.holds},
+        "gate": firmware.gate.method,
+        "chip_error": {
+            e.name: split.to_dict()
+            for e, split in zip(firmware.errors, firmware.gate.chip_error, strict=True)
+        },
+        "warnings": [statement.to_dict() for statement in firmware.gate.warnings],
+        "refused": [statement.to_dict() for statement in firmware.gate.refused],
+        "forced": bool(firmware.forced),
+        "written": bool(firmware.files),
         "files": [show_path(path, directory) for path in firmware.files],
     }
 
@@ -193,6 +221,7 @@ def _print(firmware: Any, directory: Path) -> None:
             f" measurements is up to {max(losses[1::2]):.2g} % larger than the float model's;"
             f" only rounded it would be {max(losses[::2]):.2g} %."
         )
+    _print_gate(firmware, console)
     _print_budget(firmware, console)
     size = firmware.footprint
     console.print(
@@ -219,12 +248,31 @@ def _print(firmware: Any, directory: Path) -> None:
         console.print(f"wrote {show_path(folder, directory)}/: {names}")
 
 
+def _print_gate(firmware: Any, console: Any) -> None:
+    """Print what separates chip and float model by cause, and what the gate says."""
+    gate = firmware.gate
+    table = open_table(
+        "Integer minus float model by cause, RMS",
+        ("output", "unit"),
+        ("rounding", "out of range", "clamped", "saturated"),
+    )
+    for e, split in zip(firmware.errors, gate.chip_error, strict=True):
+        table.add_row(e.name, e.unit, *(f"{x:.2g}" for x in split.to_dict().values()))
+    console.print(table)
+    for statement in gate.warnings:
+        console.print(f"warning: {statement.text}")
+    if firmware.forced:
+        console.print("FORCED: written although it is refused:")
+        for text in firmware.forced:
+            console.print(f"  {text}")
+
+
 def _print_budget(firmware: Any, console: Any) -> None:
     """Print what quantization costs, node by node, and over time."""
     from zerodrift.operations.signal import IntegerInput
 
     table = open_table(
-        "What quantization costs, RMS of integer minus float model",
+        "What quantization costs inside the calibrated ranges, RMS of integer minus float model",
         ("",),
         [f"{e.name} {e.unit}" for e in firmware.errors],
     )

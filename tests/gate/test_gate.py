@@ -1,0 +1,134 @@
+"""Wrong firmware is refused and right firmware is not, each case as a user met it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.gate.sensors import TESTS, TRAIN, Program, ask_gate, list_kinds, write_sensor
+from tests.main_job.conftest import invoke
+
+from zerodrift.verify.gate import contrast_errors, measure_correlation
+
+
+def heat(program: Program) -> Program:
+    """Return a run at 220 to 380 degC."""
+    low, high = (
+        220.0 + (end - 10.0) * 160.0 / 30.0 for end in (program.low_degC, program.high_degC)
+    )
+    return replace(program, low_degC=low, high_degC=high)
+
+
+@pytest.mark.parametrize("network", ["none", "lag_bank"])
+def test_clean_sensor_passes_without_a_word(network: str, tmp_path: Path) -> None:
+    verdict = ask_gate(write_sensor(tmp_path, (*TRAIN, *TESTS), network=network))
+    assert verdict.passes and not verdict.warnings
+    (split,) = verdict.chip_error
+    assert 0.0 < split.rounding < 1e-4
+    assert (split.out_of_range, split.clamped, split.saturated) == (0.0, 0.0, 0.0)
+
+
+def test_sensor_beyond_the_codes_is_refused_and_the_codes_are_named(tmp_path: Path) -> None:
+    programs = [heat(program) for program in (*TRAIN, *TESTS)]
+    verdict = ask_gate(write_sensor(tmp_path, programs, span_degC=80.0))
+    assert "worse_than_float" in list_kinds(verdict)
+    text = next(s.text for s in verdict.refused if s.kind == "worse_than_float")
+    assert "temperature from -256 to 255.992 degC" in text
+    (split,) = verdict.chip_error
+    assert split.saturated > 100.0 * split.rounding
+
+
+def test_test_log_in_kelvin_is_refused(tmp_path: Path) -> None:
+    kelvin = replace(TESTS[2], logged_add=273.15)
+    verdict = ask_gate(write_sensor(tmp_path, (*TRAIN, *TESTS[:2], kelvin)))
+    assert list_kinds(verdict) == {"worse_beyond_range"}
+    assert "test_3" in verdict.refused[0].text and "subtract 273.15" in verdict.refused[0].text
+
+
+def test_hotter_test_log_is_told_with_run_time_and_remedy(tmp_path: Path) -> None:
+    hotter = replace(TESTS[2], high_degC=52.0)
+    verdict = ask_gate(write_sensor(tmp_path, (*TRAIN, *TESTS[:2], hotter)))
+    assert verdict.passes  # far better than no compensation even so
+    (warning,) = verdict.warnings
+    assert warning.kind == "out_of_range"
+    assert warning.text.startswith("test_3 leaves the calibrated range by 12 K from ")
+    assert warning.text.endswith("record up to 52 degC.")
+    (split,) = verdict.chip_error
+    assert split.out_of_range > 100.0 * split.rounding
+
+
+def test_training_run_in_another_unit_is_refused(tmp_path: Path) -> None:
+    train = (*TRAIN[:3], replace(TRAIN[3], logged_times=1000.0))
+    verdict = ask_gate(write_sensor(tmp_path, (*train, *TESTS)))
+    assert list_kinds(verdict) == {"worse_than_none"}
+    assert "without compensation it is 0.17 bar (3 runs, 2700 rows)" in verdict.refused[0].text
+
+
+def test_full_scale_far_too_large_is_refused_and_named(tmp_path: Path) -> None:
+    verdict = ask_gate(write_sensor(tmp_path, (*TRAIN, *TESTS), full_scale=1e7))
+    assert "worse_than_float" in list_kinds(verdict)
+    assert "full_scale = 1e+07 bar is too large" in verdict.refused[0].text
+
+
+def test_firmware_refuses_keeps_what_was_there_and_writes_when_forced(tmp_path: Path) -> None:
+    project = write_sensor(tmp_path / "p", (*TRAIN, *TESTS), full_scale=1e7)
+    out = project / "firmware"
+    result = invoke("firmware", "-C", str(project), "--json")
+    assert result.exit_code == 1
+    assert "the firmware is refused" in str(result.exception)
+    body = json.loads(result.stdout)
+    assert body["written"] is False and body["forced"] is False and body["files"] == []
+    assert [r["kind"] for r in body["refused"]] == ["worse_than_float"]
+    assert body["chip_error"]["p"]["rounding"] > 0.1
+    assert not out.exists() and not (project / "build" / "model.json").exists()
+
+    forced = invoke("firmware", "-C", str(project), "--json", "--force")
+    assert forced.exit_code == 0, forced.output
+    body = json.loads(forced.stdout)
+    assert body["written"] is True and body["forced"] is True
+    header = (out / "p10.h").read_text()
+    assert "#define P10_FORCED 1" in header
+    assert "FORCED: written although" in header and "the chip errs by" in header
+    assert invoke("verify", "-C", str(project)).exit_code == 0
+    assert invoke("verify", "-C", str(project), "--certificate").exit_code == 0
+
+
+def draw(
+    rng: np.random.Generator, scale: float, runs: int = 4, rows: int = 500
+) -> list[np.ndarray]:
+    return [rng.normal(0.0, scale, rows) for _ in range(runs)]
+
+
+def test_larger_error_in_every_run_counts_and_in_one_of_them_is_chance() -> None:
+    rng = np.random.default_rng(0)
+    theirs = draw(rng, 1.0)
+    assert contrast_errors([1.2 * e for e in theirs], theirs).counts
+    assert not contrast_errors([1.02 * e for e in theirs], theirs).worse
+    one_bad = [2.0 * theirs[0], *(0.99 * e for e in theirs[1:])]
+    contrast = contrast_errors(one_bad, theirs)
+    assert contrast.worse and contrast.beyond_chance is False and not contrast.counts
+
+
+def test_few_runs_are_judged_by_blocks_longer_than_the_correlation() -> None:
+    rng = np.random.default_rng(0)
+    theirs = draw(rng, 1.0, runs=1, rows=2000)
+    assert contrast_errors([1.2 * theirs[0]], theirs).counts
+    burst = theirs[0].copy()
+    burst[:20] *= 6.0  # one event
+    contrast = contrast_errors([burst], theirs)
+    assert contrast.worse and contrast.beyond_chance is not None
+    slow = np.sin(np.linspace(0.0, 3.0, 2000))
+    alone = contrast_errors([1.2 * slow], [slow])
+    assert alone.beyond_chance is None and alone.counts
+
+
+def test_correlation_is_that_of_a_first_order_process() -> None:
+    rng = np.random.default_rng(1)
+    x = np.zeros(200_000)
+    noise = rng.normal(size=x.size)
+    for i in range(1, x.size):
+        x[i] = 0.9 * x[i - 1] + noise[i]
+    # 2 (1 + 2 sum of 0.9**k, up to where it falls below 0.05)
+    assert measure_correlation(x) == pytest.approx(2.0 * (1.0 + 2.0 * 0.95 * 9.0), rel=0.1)
+    assert measure_correlation(noise) <= 3

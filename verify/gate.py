@@ -1,0 +1,421 @@
+"""The gate: whether the firmware does on held-out runs what the float model does, and any good.
+
+Per output, on rows inside the calibrated ranges, the integer model must not be worse than no
+compensation, than the physical model alone, or than the float model by more than rounding explains;
+over all rows it must not be worse than no compensation. What fails is not written.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.c_runtime.host import HostModel
+from zerodrift.dataset.bridges import predict_all
+from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.export.compose import predict_on_chip
+from zerodrift.export.compose_import import ImportedCompensator
+from zerodrift.physics.run_errors import FindUsable
+from zerodrift.verify.chip_error import AnyCompensator, ChipError, Replay, replay_runs
+from zerodrift.verify.excursions import Excursion, list_excursions
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+WORSE = 0.05
+"""Share by which the squared error may exceed that of no compensation, or of physics alone."""
+STANDARD_ERRORS = 2.0
+"""And the difference must be beyond this many of its standard errors."""
+WORSE_THAN_FLOAT = 0.10
+"""Share by which it may exceed the float model's and the budgeted rounding's together."""
+FEWEST_RUNS = 3
+"""Runs, or blocks, from which a standard error is taken."""
+UNCORRELATED = 0.05
+"""The residual's correlation is summed up to the lag at which it falls below this."""
+
+TEST_LOGS = "test logs"
+LEFT_OUT = "leave one run out"
+NOT_JUDGED = "not judged"
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Something that the gate says."""
+
+    kind: str
+    """worse_than_none | worse_than_physics | worse_than_float | worse_beyond_range for a refusal;
+    out_of_range | few_blocks | not_judged for a warning."""
+    text: str
+    output: str = ""
+    """The output it is about; "" where it is about runs."""
+
+    def to_dict(self) -> dict[str, str]:
+        """Return it as JSON values."""
+        about = {"output": self.output} if self.output else {}
+        return {"kind": self.kind, **about, "text": self.text}
+
+
+@dataclass(frozen=True)
+class GateVerdict:
+    """What the gate found."""
+
+    method: str
+    """test logs | leave one run out | not judged."""
+    refused: tuple[Statement, ...]
+    """Why the firmware is not to be written; empty: it may be."""
+    warnings: tuple[Statement, ...]
+    chip_error: tuple[ChipError, ...]
+    """Of each output, over all replayed rows."""
+    excursions: tuple[Excursion, ...]
+    rows: int
+    """Rows that were judged, those inside the calibrated ranges."""
+
+    @property
+    def passes(self) -> bool:
+        """Whether nothing speaks against writing the firmware."""
+        return not self.refused
+
+    def explain(self) -> str:
+        """Return the refusals as one message."""
+        lines = "\n  ".join(statement.text for statement in self.refused)
+        return f"the firmware is refused:\n  {lines}"
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What several models predict for the same runs, beside the chip."""
+
+    chip: Sequence[Array]
+    """[n, K] per run."""
+    floating: Sequence[Array]
+    physics: Sequence[Array] | None
+    """Of the physical model alone; None where nothing was learnt beside it."""
+
+
+@dataclass(frozen=True)
+class _Pool:
+    """Errors of one output by run, on rows that count."""
+
+    groups: tuple[str, ...]
+    chip: tuple[Array, ...]
+    """[n] per run."""
+    none: tuple[Array, ...]
+    physics: tuple[Array, ...] | None
+    floating: tuple[Array, ...]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return sum(part.size for part in self.chip)
+
+
+def judge_firmware(
+    compensator: AnyCompensator, host: HostModel, dataset: Dataset
+) -> tuple[GateVerdict, Replay]:
+    """Return whether the firmware may be written, and the rows that say so.
+
+    Args:
+        compensator: the float model.
+        host: the integer model's C, shown equal to the reference.
+        dataset: its logs; the test runs are the held-out ones.
+    """
+    runs = dataset.test or dataset.train
+    replay = replay_runs(compensator, host, runs)
+    if not dataset.test:
+        return leave_unjudged(replay, "no test logs are configured"), replay
+    answers = Answers(
+        [r.chip for r in replay.runs],
+        [r.floating for r in replay.runs],
+        _predict_by_physics(compensator, runs),
+    )
+    physics = compensator.physics
+    verdict = judge(
+        replay,
+        list_excursions(replay, dataset.train),
+        answers,
+        list(zip(dataset.outputs, dataset.units, strict=True)),
+        method=TEST_LOGS,
+        tared=compensator.tared,
+        find_usable=None if physics is None else physics.find_usable,
+    )
+    return verdict, replay
+
+
+def _predict_by_physics(compensator: AnyCompensator, runs: Sequence[Run]) -> list[Array] | None:
+    """Return the answers of the physical model alone, if something was learnt beside it."""
+    if isinstance(compensator, ImportedCompensator):
+        return None
+    if compensator.network is None and compensator.bank is None:
+        return None
+    alone = replace(compensator, front_end=None, network=None, bank=None)
+    return predict_all(lambda run: predict_on_chip(alone, run), runs)
+
+
+def judge(
+    replay: Replay,
+    excursions: Sequence[Excursion],
+    answers: Answers,
+    names: Sequence[tuple[str, str]],
+    *,
+    method: str,
+    tared: bool,
+    find_usable: FindUsable | None = None,
+) -> GateVerdict:
+    """Return whether the firmware may be written.
+
+    Args:
+        replay: integer and float model over the held-out runs.
+        excursions: where these leave the calibrated ranges.
+        answers: what is judged: `replay`'s own answers, or those of models that left a run out.
+        names: name and unit of each output.
+        method: what the runs are.
+        tared: each log has an offset of its own, which is taken off every error.
+        find_usable: run -> [n, K] samples that count; None: all.
+    """
+    runs = [replayed.run for replayed in replay.runs]
+    usable = [
+        np.ones(run.drift.shape, np.bool_) if find_usable is None else find_usable(run)
+        for run in runs
+    ]
+    inside = [u & r.inside for u, r in zip(usable, replay.runs, strict=True)]
+    split = replay.split()
+    refused: list[Statement] = []
+    warnings = [Statement("out_of_range", f"{excursion}.") for excursion in excursions]
+    for k, (name, unit) in enumerate(names):
+        pool = _collect(runs, answers, inside, k, tared)
+        if pool.rows == 0:
+            warnings.append(
+                Statement(
+                    "not_judged",
+                    f"{name}: no row of the held-out runs lies inside the calibrated ranges.",
+                    name,
+                )
+            )
+        else:
+            found, told = _judge_inside(pool, name, unit, float(replay.budget[k]), split[k], replay)
+            refused += found
+            warnings += told
+        if excursions:
+            refused += _judge_all(_collect(runs, answers, usable, k, tared), name, unit, excursions)
+    return GateVerdict(
+        method=method,
+        refused=tuple(refused),
+        warnings=tuple(dict.fromkeys(warnings)),
+        chip_error=split,
+        excursions=tuple(excursions),
+        rows=max((int(sum(m[:, k].sum() for m in inside)) for k in range(len(names))), default=0),
+    )
+
+
+def leave_unjudged(replay: Replay, why: str) -> GateVerdict:
+    """Return the verdict where no run was held out: chip against float, and a warning."""
+    statement = Statement("not_judged", f"not judged on held-out runs: {why}")
+    return GateVerdict(NOT_JUDGED, (), (statement,), replay.split(), (), 0)
+
+
+def _collect(
+    runs: Sequence[Run], answers: Answers, counts: Sequence[Mask], k: int, tared: bool
+) -> _Pool:
+    """Return the errors of output k on the rows that count, without each run's own offset."""
+    groups = tuple(dict.fromkeys(run.group for run in runs))
+
+    def gather(predictions: Sequence[Array] | None) -> dict[str, Array]:
+        parts: dict[str, list[Array]] = {}
+        for i, run in enumerate(runs):
+            answer = 0.0 if predictions is None else predictions[i][:, k]
+            error = (run.drift[:, k] - answer)[counts[i][:, k]]
+            parts.setdefault(run.group, []).append(error)
+        whole = {group: np.concatenate(own) for group, own in parts.items()}
+        return {g: e - e.mean() if tared and e.size else e for g, e in whole.items()}
+
+    chip = gather(answers.chip)
+    kept = tuple(group for group in groups if chip[group].size)
+
+    def pick(errors: Mapping[str, Array]) -> tuple[Array, ...]:
+        return tuple(errors[group] for group in kept)
+
+    return _Pool(
+        kept,
+        pick(chip),
+        pick(gather(None)),
+        None if answers.physics is None else pick(gather(answers.physics)),
+        pick(gather(answers.floating)),
+    )
+
+
+def _judge_inside(
+    pool: _Pool, name: str, unit: str, budget: float, split: ChipError, replay: Replay
+) -> tuple[list[Statement], list[Statement]]:
+    """Return refusals and warnings for the rows inside the calibrated ranges."""
+    refused, warnings = [], []
+    own = _rms(pool.chip)
+    others = [("worse_than_none", "without compensation it is", pool.none)]
+    if pool.physics is not None:
+        others.append(("worse_than_physics", "the physical model alone leaves", pool.physics))
+    for kind, words, other in others:
+        contrast = contrast_errors(pool.chip, other)
+        if contrast.beyond_chance is None:
+            warnings.append(
+                Statement(
+                    "few_blocks",
+                    f"{name}: too few independent stretches to tell chance: judged by"
+                    f" {100 * WORSE:g} % alone. Record {FEWEST_RUNS} test runs or more.",
+                    name,
+                )
+            )
+        if not contrast.counts:
+            continue
+        refused.append(
+            Statement(
+                kind,
+                f"{name}: on rows inside the calibrated ranges the chip's error is {own:.3g} {unit}"
+                f" RMS, {words} {_rms(other):.3g} {unit} ({_count(pool)})."
+                " Look at the logs (`zerodrift compare`), or record more runs.",
+                name,
+            )
+        )
+    floating = _rms(pool.floating)
+    if own**2 > (1.0 + WORSE_THAN_FLOAT) * (floating**2 + budget**2):
+        refused.append(
+            Statement(
+                "worse_than_float",
+                f"{name}: on rows inside the calibrated ranges the chip errs by {own:.3g} {unit}"
+                f" RMS, the float model by {floating:.3g} {unit}; rounding is budgeted with"
+                f" {budget:.2g} {unit}. {_name_cause(split, name, unit, replay)}",
+                name,
+            )
+        )
+    return refused, warnings
+
+
+def _judge_all(
+    pool: _Pool, name: str, unit: str, excursions: Sequence[Excursion]
+) -> list[Statement]:
+    """Return the refusal where all rows together are worse off than without compensation."""
+    if not pool.rows:
+        return []
+    own, none = _rms(pool.chip), _rms(pool.none)
+    if own**2 <= (1.0 + WORSE) * none**2:
+        return []
+    reasons = "; ".join(str(excursion) for excursion in excursions)
+    return [
+        Statement(
+            "worse_beyond_range",
+            f"{name}: over all rows, those outside the calibrated ranges among them, the chip's"
+            f" error is {own:.3g} {unit} RMS, without compensation it is {none:.3g} {unit}:"
+            f" {reasons}.",
+            name,
+        )
+    ]
+
+
+def _name_cause(split: ChipError, name: str, unit: str, replay: Replay) -> str:
+    """Return what the largest part of the difference is, and what to do about it."""
+    parts = split.to_dict()
+    parts.pop("out_of_range")
+    worst = max(parts, key=lambda part: parts[part])
+    k = [output.name for output in replay.model.outputs].index(name)
+    output = replay.model.outputs[k]
+    if worst == "rounding":
+        if 1.0 / output.lsb_per_unit > replay.budget[k]:
+            return (
+                f"One count of the output is {1.0 / output.lsb_per_unit:g} {unit}: full_scale ="
+                f" {output.full_scale:g} {unit} is too large, or its unit is."
+            )
+        return f"Rounding costs {split.rounding:.2g} {unit}: use 16-bit weights, or fewer effects."
+    if worst == "clamped":
+        return (
+            f"The correction stands at its limit ({split.clamped:.2g} {unit} of it): the training"
+            " runs drift less than these."
+        )
+    ends = [
+        f"{channel.name} from {channel.offset - channel.lsb * 2 ** (channel.bits - 1):g} to"
+        f" {channel.offset + channel.lsb * (2 ** (channel.bits - 1) - 1):g} {channel.unit}"
+        for i, channel in enumerate(replay.model.channels)
+        if any(r.rail[:, i].any() for r in replay.runs)
+    ]
+    if ends:
+        return (
+            f"Codes stand at the end of their type ({split.saturated:.2g} {unit} of it): they hold"
+            f" {', '.join(ends)}, and these runs go beyond."
+        )
+    return f"Operations stand at their limits ({split.saturated:.2g} {unit} of it)."
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """Two models' errors on the same rows."""
+
+    worse: bool
+    """Whether our squared error is larger by more than WORSE."""
+    beyond_chance: bool | None
+    """Whether it is larger by more than two standard errors; None: too few parts to tell."""
+
+    @property
+    def counts(self) -> bool:
+        """Whether this speaks against us; the share alone decides where chance is not known."""
+        return self.worse and self.beyond_chance is not False
+
+
+def contrast_errors(ours: Sequence[Array], theirs: Sequence[Array]) -> Contrast:
+    """Return whether our squared error is larger, and whether by more than chance.
+
+    The standard error is taken over runs, or over blocks longer than the residual's correlation
+    where there are fewer than three runs.
+
+    Args:
+        ours: errors [n] per run.
+        theirs: errors [n] of the same rows.
+    """
+    square = sum(float(np.sum(e**2)) for e in ours)
+    worse = square > (1.0 + WORSE) * sum(float(np.sum(e**2)) for e in theirs)
+    parts = [a**2 - b**2 for a, b in zip(ours, theirs, strict=True)]
+    if len(parts) < FEWEST_RUNS:
+        parts = [
+            block
+            for own, part in zip(ours, parts, strict=True)
+            for block in _cut(part, measure_correlation(own))
+        ]
+    if len(parts) < FEWEST_RUNS:
+        return Contrast(worse, None)
+    sums = np.array([part.sum() for part in parts])
+    sizes = np.array([part.size for part in parts], dtype=np.float64)
+    mean = sums.sum() / sizes.sum()
+    left = sums - mean * sizes
+    count = len(parts)
+    error = math.sqrt(count / (count - 1.0) * float(left @ left)) / sizes.sum()
+    return Contrast(worse, bool(mean > STANDARD_ERRORS * error))
+
+
+def measure_correlation(residual: Array) -> int:
+    """Return a length in samples beyond which a residual [n] no longer knows of itself.
+
+    It is twice the sum of the autocorrelation on both sides, up to where that is lost in noise.
+    """
+    x = residual - residual.mean()
+    count = x.size
+    power = float(x @ x)
+    if count < 2 or power == 0.0:
+        return max(int(count), 1)
+    spectrum = np.fft.rfft(x, 2 * count)
+    lags = np.fft.irfft(spectrum * np.conj(spectrum))[:count] / power
+    below = np.flatnonzero(lags < UNCORRELATED)
+    end = int(below[0]) if below.size else count
+    return min(int(count), math.ceil(2.0 * (1.0 + 2.0 * float(lags[1:end].sum()))))
+
+
+def _cut(part: Array, length: int) -> list[Array]:
+    """Return equal blocks of at least `length` samples; fewer samples than two blocks are one."""
+    return [np.asarray(x) for x in np.array_split(part, max(1, part.size // max(length, 1)))]
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    count = sum(part.size for part in parts)
+    return math.sqrt(sum(float(np.sum(part**2)) for part in parts) / max(count, 1))
+
+
+def _count(pool: _Pool) -> str:
+    many = len(pool.groups)
+    return f"{many} run{'s' if many > 1 else ''}, {pool.rows} rows"
