@@ -6,6 +6,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,7 +44,12 @@ class Compiler:
             CheckError: the compiler failed; carries what it said.
         """
         done = subprocess.run(
-            [*self.command, *arguments], capture_output=True, text=True, check=False
+            [*self.command, *arguments],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            check=False,
+            env=make_environment(),
         )
         if done.returncode != 0:
             raise CheckError(
@@ -58,6 +64,22 @@ class Compiler:
         )
         lines = done.stdout.splitlines()
         return lines[0].strip() if lines else self.name
+
+
+def make_environment() -> dict[str, str]:
+    """Return the environment that compilers run in: this process's, and a cache for zig.
+
+    zig keeps what it compiles below the user's home. Where there is none that can be written, as
+    under cron and in containers, it is given a folder among the temporary files.
+    """
+    environment = dict(os.environ)
+    if "ZIG_GLOBAL_CACHE_DIR" in environment:
+        return environment
+    home = environment.get("XDG_CACHE_HOME") or environment.get("HOME", "")
+    if os.name == "posix" and not (home and os.access(home, os.W_OK)):
+        cache = Path(tempfile.gettempdir()) / f"zerodrift-zig-{os.getuid()}"
+        environment["ZIG_GLOBAL_CACHE_DIR"] = str(cache)
+    return environment
 
 
 def find_compilers() -> list[Compiler]:

@@ -13,6 +13,8 @@ LOG_SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
 _SUFFIX = re.compile(r"(#[^#/]+)?(@[^@#/]*:[^@#/]*)?$")
 _GLOB = re.compile(r"\[!?\]?[^\]]*\]|.", re.DOTALL)
 FOLDERS_SHOWN = 3
+RESERVED = frozenset({"runtime", "report.json", "report.csv", "report.md"})
+"""What lies beside the sensors' folders, on disks that do not tell capitals apart too."""
 
 
 def list_selectors(config: Config, use: str) -> tuple[str, ...]:
@@ -111,6 +113,11 @@ def configure_sensor(config: Config, sensor: str) -> Config:
         raise InputError(
             f"sensor {sensor!r}: a sensor's name has none of # @ {{ }}, which mean something else"
             " in the selectors of [logs]. Rename its folder or logs."
+        )
+    if sensor.casefold() in RESERVED:
+        raise InputError(
+            f"sensor {sensor!r}: the fleet keeps files of its own under this name; expected any"
+            f" other than {', '.join(sorted(RESERVED))}. Rename its folder or logs."
         )
     literal = glob.escape(sensor)
     logs = {

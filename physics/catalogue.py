@@ -149,9 +149,9 @@ def _load_file(path: Path, effects: dict[str, Effect]) -> None:
     with _declare(where, effects):
         try:
             loader.exec_module(module)
-        except InputError:
+        except (InputError, KeyboardInterrupt, MemoryError):
             raise
-        except Exception as error:
+        except BaseException as error:  # a user's file may raise anything, SystemExit too
             line = line_in(error, where)
             raise InputError(
                 f"{path}{line}: the file of effects raised {type(error).__name__}: {error}. "

@@ -99,7 +99,8 @@ def _scratch(beside: Path) -> tempfile.TemporaryDirectory[str]:
         InputError: it cannot be made there.
     """
     try:
-        return tempfile.TemporaryDirectory(prefix=".report-", dir=beside)
+        # absolute: what a browser is given must not depend on where it runs
+        return tempfile.TemporaryDirectory(prefix=".report-", dir=beside.absolute())
     except OSError as error:
         raise InputError(
             f"{beside}: cannot be written ({error.strerror}); expected a directory that this user "

@@ -1,6 +1,5 @@
 """The main job's second half: quantize, generate, check bit for bit, tell the errors, write."""
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.footprint import Footprint, measure_footprint
 from zerodrift.c_runtime.host import HostModel, render_sources, write_sources
+from zerodrift.c_runtime.scratch import open_scratch
 from zerodrift.codegen.application import render_dbc
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
@@ -121,7 +121,7 @@ def build_firmware(
     sequences = list_sequences(model, dataset)
     build = config.build_directory
     build.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".firmware-", dir=build) as scratch:
+    with open_scratch(build, ".firmware-") as scratch:
         check = check_firmware(model, code, sequences, Path(scratch), progress).require()
         progress(f"running on an emulated {CORE}")
         chip = check_chip(CORE, code, check.host, sequences, Path(scratch) / "chip")

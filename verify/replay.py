@@ -1,11 +1,11 @@
 """Replays a project's golden vectors on the reference and on the C as it lies in its folder."""
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from zerodrift.c_runtime.scratch import open_scratch
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
 from zerodrift.errors import CheckError, InputError
@@ -61,7 +61,7 @@ def replay(config: Config, progress: Progress = lambda _: None) -> Replay:
         return Replay(len(golden.codes), ("reference",), model.hash, failure)
     code = read_code(model, config.firmware_out)
     sequences = {"golden": golden.codes, **draw_sequences(model, RANDOM_STEPS)}
-    with tempfile.TemporaryDirectory(prefix=".verify-", dir=config.build_directory) as scratch:
+    with open_scratch(config.build_directory, ".verify-") as scratch:
         check = check_firmware(model, code, sequences, Path(scratch), progress)
     return Replay(check.vectors, check.backends, model.hash, check.failure)
 

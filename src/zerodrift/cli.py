@@ -8,7 +8,8 @@ import tempfile
 import click
 
 from zerodrift import __version__
-from zerodrift.errors import ZerodriftError
+from zerodrift.errors import InputError, ZerodriftError
+from zerodrift.surroundings import describe_memory_limit, explain_memory, prepare_streams
 from zerodrift.threads import use_one_thread
 
 #: Command name -> one-line help. The command itself is `zerodrift.commands.<name>:command`.
@@ -30,6 +31,7 @@ COMMANDS: dict[str, str] = {
     "fleet": "Many sensors of one design: all of the above for each, and the yield.",
     "twin": "Write simulated logs of the six-axis sensor.",
     "paper": "The paper's tables and its fit figure, from the twin.",
+    "doctor": "What this machine has and lacks for all of this.",
     "calibrate": "The calibration matrix from converter codes and test weights.",
 }
 
@@ -72,11 +74,43 @@ def cli() -> None:
     """Turn a sensor's temperature logs into fixed-point drift-compensation firmware."""
 
 
+def run() -> None:
+    """Run the command that the arguments name.
+
+    Raises:
+        InputError: code that is not zerodrift's, such as a file of effects, asked for the end of
+            the process in the midst of a command, which is then not done.
+    """
+    try:
+        cli.main(standalone_mode=False)
+        sys.stdout.flush()
+    except SystemExit as ended:
+        if is_own_exit(ended):
+            raise
+        raise InputError(
+            f"something that this command ran called sys.exit({ended.code!r}), so that the command"
+            " was not done; expected a file of effects, or an installed one, that only declares"
+            " effects. Take the call out."
+        ) from ended
+
+
+def is_own_exit(ended: SystemExit) -> bool:
+    """Tell whether one of zerodrift's own commands ended the process, after all was done."""
+    trace = ended.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    raised_in = trace.tb_frame.f_globals.get("__name__", "") if trace is not None else ""
+    return str(raised_in).startswith(("zerodrift.commands.", "zerodrift.workbench."))
+
+
 def main() -> None:
     """Run the command line; a user's error becomes one message on stderr and its exit code."""
     use_one_thread()
+    prepare_streams()
+    if note := describe_memory_limit():
+        click.echo(f"note: {note}", err=True)
     try:
-        cli.main(standalone_mode=False)
+        run()
     except ZerodriftError as error:
         click.echo(f"error: {error}", err=True)
         sys.exit(error.exit_code)
@@ -84,12 +118,15 @@ def main() -> None:
         # who reads our output has gone; nothing more can be said to them
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    except MemoryError:
+        click.echo(f"error: {explain_memory()}", err=True)
+        sys.exit(2)
     except OSError as error:
         from zerodrift.files import explain_write, is_refused_write
 
         if not is_refused_write(error):
             raise
-        place = error.filename or tempfile.gettempdir()
+        place = error.filename or f"standard output, or {tempfile.gettempdir()}"
         click.echo(f"error: {explain_write(place, error)}", err=True)
         sys.exit(2)
     except click.ClickException as error:

@@ -18,6 +18,8 @@ FILE_NAME = "zerodrift.toml"
 USES = ("train", "test", "dwell")
 """What `[logs]` selects runs for."""
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
+MOST = {"starts": 1000, "epochs": 1_000_000}
+"""Trainings from different weights, and passes over the logs, that are still meant."""
 MODEL_TABLES = ("effect", "network", "quantization", "firmware", "plugins", "fleet")
 NETWORK_KINDS = ("lag_bank", "gru", "mlp", "mlp_seq", "tcn", "none")
 WINDOWED_KINDS = ("mlp_seq", "tcn")
@@ -197,6 +199,7 @@ def parse_config(text: str, path: Path) -> Config:
         ),
     )
     _refuse_shared_columns(config, root)
+    _refuse_file_as_build(config)
     return config
 
 
@@ -287,7 +290,7 @@ def _read_network(table: TomlTable) -> NetworkConfig:
     options: dict[str, float | int | str | bool] = {}
     for key in ("starts", "epochs"):
         if key in table.values:
-            options[key] = table.integer(key, 1)
+            options[key] = table.integer(key, 1, MOST[key])
     if "form" in table.values:
         options["form"] = table.choice("form", GRU_FORMS, "")
     for key in ("learning_rate", "spacing_s"):
@@ -340,6 +343,16 @@ def _read_where(logs: TomlTable) -> dict[str, str]:
         if isinstance(value, bool) or not isinstance(value, str | int):
             raise table.expect(column, "text in quotes or a whole number")
     return {column: str(value) for column, value in table.values.items()}
+
+
+def _refuse_file_as_build(config: Config) -> None:
+    """Refuse a file where the folders have to be that the commands write into."""
+    for folder in (config.build_directory, config.firmware_out):
+        if folder.exists() and not folder.is_dir():
+            raise InputError(
+                f"{folder}: is a file; expected a folder, or nothing, where zerodrift keeps what it"
+                " makes. Move the file away or give it another name."
+            )
 
 
 def _refuse_shared_columns(config: Config, root: TomlTable) -> None:

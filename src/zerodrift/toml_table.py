@@ -73,6 +73,8 @@ class TomlTable:
         value = self.values.get(key)
         if not isinstance(value, str) or not value.strip():
             raise self.expect(key, "text in quotes, not empty")
+        if "\0" in value:
+            raise self.expect(key, "text without a NUL character")
         return value
 
     def texts(self, key: str, optional: bool = False) -> tuple[str, ...]:
@@ -81,7 +83,7 @@ class TomlTable:
         if value is None and optional:
             return ()
         items = value if isinstance(value, list) else []
-        if not items or not all(isinstance(item, str) and item.strip() for item in items):
+        if not items or not all(isinstance(i, str) and i.strip() and "\0" not in i for i in items):
             raise self.expect(key, 'a list of texts, not empty, such as ["logs/chamber_*.csv"]')
         return tuple(items)
 

@@ -1,6 +1,7 @@
 """Options that the commands share, and how each of them prints."""
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
@@ -38,9 +39,26 @@ def skip_invalid_option(function: Command) -> Command:
     )(function)
 
 
+def trust_option(function: Command) -> Command:
+    """Add `--trust`, passed on as `trust: bool`."""
+    return click.option(
+        "--trust",
+        is_flag=True,
+        help="Run the project's own files of effects ([plugins]) without asking.",
+    )(function)
+
+
 def print_json(value: object) -> None:
-    """Print one JSON object on stdout; NaN and infinity, which JSON lacks, are refused."""
-    click.echo(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+    """Print one JSON object on stdout; NaN and infinity, which JSON lacks, are refused.
+
+    Where stdout's encoding lacks a character, all but ASCII is written as JSON's own escapes.
+    """
+    text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:
+        text = json.dumps(value, indent=2, allow_nan=False)
+    click.echo(text)
 
 
 def print_notes(notes: tuple[str, ...]) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from zerodrift.config import Config, load_config
 from zerodrift.dataset.runs import Dataset
 from zerodrift.errors import InputError
+from zerodrift.trust import remember
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,6 +25,7 @@ def open_project(directory: Path, skip_invalid: bool = False) -> tuple[Config, D
 
     ensure_example_logs(directory)
     config = load_config(directory)
+    remember(config.plugin_files)
     return config, load_dataset(config, skip_invalid)
 
 

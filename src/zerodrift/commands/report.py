@@ -12,6 +12,7 @@ from zerodrift.commands.common import (
     print_json,
     print_notes,
     skip_invalid_option,
+    trust_option,
     write_text,
 )
 from zerodrift.commands.console import show_progress
@@ -51,6 +52,7 @@ FORMATS = ("html", "pdf", "png")
     is_flag=True,
     help="Do not diagnose; a diagnosis of these very logs that is kept in build/ is shown.",
 )
+@trust_option
 @json_option
 @skip_invalid_option
 def command(
@@ -59,6 +61,7 @@ def command(
     out: Path | None,
     datasheet: bool,
     no_diagnose: bool,
+    trust: bool,
     as_json: bool,
     skip_invalid: bool,
 ) -> None:
@@ -68,9 +71,12 @@ def command(
     files give the same bytes.
     """
     from zerodrift.commands.survey import describe_survey, survey_project
+    from zerodrift.config import load_config
     from zerodrift.report.browser import find_browser
     from zerodrift.report.datasheet import measure_datasheet
+    from zerodrift.trust import require_trust
 
+    require_trust(load_config(directory).plugin_files, trusted=trust)
     target = out or directory / {"html": "report.html", "pdf": "report.pdf"}.get(
         kind, "report_figures"
     )

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import click
 
-from zerodrift.commands.common import directory_option, skip_invalid_option
+from zerodrift.commands.common import directory_option, skip_invalid_option, trust_option
+from zerodrift.config import FILE_NAME, load_config
 from zerodrift.errors import InputError
+from zerodrift.trust import require_trust
 
 
 @click.command()
@@ -16,8 +18,9 @@ from zerodrift.errors import InputError
     "--port", type=click.IntRange(0, 65535), default=0, help="Port (default: any that is free)."
 )
 @click.option("--no-browser", is_flag=True, help="Print the address only; open no browser.")
+@trust_option
 @skip_invalid_option
-def command(directory: Path, port: int, no_browser: bool, skip_invalid: bool) -> None:
+def command(directory: Path, port: int, no_browser: bool, trust: bool, skip_invalid: bool) -> None:
     """Open a page on DIR: measurement, model and residual, the verdict, Add, Undo, firmware.
 
     The page runs the commands of this command line and shows what they print. It is served on
@@ -30,6 +33,7 @@ def command(directory: Path, port: int, no_browser: bool, skip_invalid: bool) ->
         raise InputError(
             f"the workbench needs the package '{error.name}'; install it with: pip install dash"
         ) from error
+    require_trust(_list_plugins(directory), trusted=trust)
     bench = Workbench(directory, port, skip_invalid=skip_invalid)
     click.echo(f"Workbench on {bench.place.directory}: {bench.url}")
     click.echo("Ctrl-C ends it.")
@@ -39,3 +43,11 @@ def command(directory: Path, port: int, no_browser: bool, skip_invalid: bool) ->
         bench.serve()
     bench.close()
     click.echo("ended")
+
+
+def _list_plugins(directory: Path) -> tuple[Path, ...]:
+    """Return the project's files of effects; none where the page has yet to say what is wrong."""
+    try:
+        return load_config(directory).plugin_files if (directory / FILE_NAME).is_file() else ()
+    except InputError:
+        return ()

@@ -1,0 +1,56 @@
+"""What surrounds a run of the command line: output streams, memory limits, code that ends us."""
+
+import io
+import os
+import sys
+from pathlib import Path
+
+LEAST_ADDRESS_SPACE = 2_500_000_000
+"""Bytes below which the numerical libraries may stop the process without a message of theirs."""
+
+
+def prepare_streams() -> None:
+    """Make stdout and stderr able to take any text, whatever the locale and the caller left.
+
+    A closed stream becomes one that is read by nobody. Characters that the stream's encoding lacks
+    are written as escapes such as \\xe4.
+    """
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - stays open
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def describe_memory_limit() -> str:
+    """Return a note on a limit of the address space under which libraries fail, or nothing."""
+    limit = read_address_space()
+    if limit is None or limit >= LEAST_ADDRESS_SPACE:
+        return ""
+    return (
+        f"this process may use {limit / 1e9:.1f} GB of address space (ulimit -v); expected"
+        f" {LEAST_ADDRESS_SPACE / 1e9:.1f} GB or more. Below that a numerical library or the"
+        " compiler may stop without a message of zerodrift's. Raise the limit if that happens."
+    )
+
+
+def read_address_space() -> int | None:
+    """Return the limit of this process's address space in bytes; None = none, or not known."""
+    try:
+        import resource
+    except ImportError:  # there is no such limit on Windows
+        return None
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if soft == resource.RLIM_INFINITY else soft
+
+
+def explain_memory() -> str:
+    """Return the message for a run that needed more memory than there is."""
+    limit = read_address_space()
+    allowed = f" (the limit is {limit / 1e9:.1f} GB, ulimit -v)" if limit is not None else ""
+    return (
+        f"not enough memory{allowed}; expected room for the logs, three times over. Close other"
+        " programs, raise the limit, or name fewer or shorter logs in [logs]. The files in the"
+        " project are as they were."
+    )

@@ -1,0 +1,151 @@
+"""What this machine has to build and check with, and what a project's folder holds besides."""
+
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from zerodrift import __version__
+from zerodrift.c_runtime.compilers import find_compilers
+from zerodrift.c_runtime.cores import CORES, GCC_CORES, find_cross_compilers
+from zerodrift.errors import InputError
+
+PACKAGES: dict[str, str] = {
+    "numpy": "arithmetic",
+    "scipy": "fits",
+    "polars": "reads logs",
+    "onnx": "reads and writes networks",
+    "onnxruntime": "runs the integer model as ONNX",
+    "torch": "trains networks other than the lag bank",
+    "unicorn": "emulates cores",
+    "ziglang": "compiles for every core",
+    "plotly": "draws the report and the page",
+    "dash": "serves the page",
+    "ray": "spreads a fleet over machines",
+}
+"""What zerodrift uses, and for what."""
+PROGRAMS: dict[str, tuple[tuple[str, ...], str]] = {
+    "Chromium": (("chromium", "chromium-browser", "google-chrome"), "report as PDF and PNG"),
+    "QEMU for Arm": (("qemu-system-arm",), "boards as a second opinion on the cores"),
+    "QEMU for RISC-V": (("qemu-system-riscv32",), "boards as a second opinion on the cores"),
+}
+STRAYS = (".firmware-*", ".verify-*", ".report-*")
+"""Scratch folders that a killed command may leave behind."""
+LEAST_FREE_BYTES = 200_000_000
+
+
+@dataclass(frozen=True)
+class Item:
+    """One line of the findings."""
+
+    group: str
+    name: str
+    state: str
+    """A version or a place; `missing`; or what is wrong."""
+    use: str
+    """What it is for, or what to do."""
+    is_missing: bool = False
+
+
+@dataclass(frozen=True)
+class Machine:
+    """All that was found."""
+
+    items: tuple[Item, ...]
+
+    @property
+    def can_check(self) -> bool:
+        """Whether firmware can be built and checked here on the host and on a core."""
+        there = {item.name for item in self.items if not item.is_missing}
+        return "host compiler" in there and {"unicorn", "ziglang"} <= there
+
+
+def examine_machine() -> Machine:
+    """Return what of zerodrift's surroundings is there and what is not."""
+    return Machine(
+        (
+            Item("zerodrift", "zerodrift", __version__, ""),
+            Item("zerodrift", "Python", platform.python_version(), sys.executable),
+            Item("zerodrift", "system", f"{platform.system()} {platform.machine()}", ""),
+            *_list_packages(),
+            *_list_compilers(),
+            *_list_programs(),
+        )
+    )
+
+
+def examine_project(directory: Path, folders: Sequence[Path]) -> tuple[Item, ...]:
+    """Return what a project's folder says of its state: room on the disk, and strays.
+
+    Args:
+        directory: of zerodrift.toml.
+        folders: where zerodrift writes, existing or not.
+    """
+    free = shutil.disk_usage(directory).free
+    short = free < LEAST_FREE_BYTES
+    items = [
+        Item(
+            "project",
+            "free on its disk",
+            f"{free / 1e9:.1f} GB",
+            "make room: a build needs some 200 MB" if short else "",
+            is_missing=short,
+        )
+    ]
+    strays = sorted(
+        stray
+        for folder in {directory, *folders}
+        if folder.is_dir()
+        for pattern in STRAYS
+        for stray in folder.glob(pattern)
+    )
+    remedy = (
+        "left by a command that was killed, or of one that runs now; may be deleted if none does"
+    )
+    items += [
+        Item("project", "scratch folder", os.path.relpath(stray, directory), remedy)
+        for stray in strays
+    ]
+    return tuple(items)
+
+
+def _list_packages() -> list[Item]:
+    items = []
+    for name, use in PACKAGES.items():
+        if importlib.util.find_spec(name) is None:
+            remedy = f"{use}; pip install {name}"
+            items.append(Item("packages", name, "missing", remedy, is_missing=True))
+        else:
+            items.append(Item("packages", name, importlib.metadata.version(name), use))
+    return items
+
+
+def _list_compilers() -> list[Item]:
+    try:
+        hosts = find_compilers()
+    except InputError as error:
+        hosts, problem = [], str(error)
+    else:
+        problem = "install gcc, or `pip install ziglang`"
+    names = ", ".join(compiler.name for compiler in hosts)
+    items = [
+        Item("compilers", "host compiler", names or "missing", "" if hosts else problem, not hosts)
+    ]
+    for core in {**CORES, **GCC_CORES}:
+        found = ", ".join(compiler.name for compiler in find_cross_compilers(core))
+        remedy = "" if found else "`pip install ziglang`, or the GNU cross-compiler"
+        items.append(Item("compilers", core, found or "missing", remedy, not found))
+    return items
+
+
+def _list_programs() -> list[Item]:
+    items = []
+    for name, (programs, use) in PROGRAMS.items():
+        place = next((path for p in programs if (path := shutil.which(p))), None)
+        items.append(Item("programs", name, place or "missing", use, place is None))
+    return items
