@@ -41,7 +41,7 @@ def load_subject(way: str, name: str) -> Subject:
 @cache
 def load_oracle(way: str, name: str) -> Oracle:
     """Return who judges a subject's mutants, once per process."""
-    return load_subject(way, name).make_oracle()
+    return load_subject(way, name).make_oracle(kept=ROOT / "unchanged")
 
 
 def work(task: tuple[str, str, int, int, str | None]) -> str:
@@ -49,7 +49,8 @@ def work(task: tuple[str, str, int, int, str | None]) -> str:
     way, name, seed, number, known = task
     subject = load_subject(way, name)
     if known is None:
-        record = judge_mutant(subject, load_oracle(way, name), seed, number)
+        oracle = load_oracle(way, name)
+        record = judge_mutant(subject, oracle, seed, number, bit_suffices=way == "verify")
         told = try_mutant(subject, seed, number, way) if record.finding.kind in BAD[way] else None
         return to_line(record, told)
     line = json.loads(known)

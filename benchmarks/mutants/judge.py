@@ -126,10 +126,12 @@ class Record:
     diff: str
 
 
-def judge_mutant(subject: Subject, oracle: Oracle, seed: int, number: int) -> Record:
+def judge_mutant(
+    subject: Subject, oracle: Oracle, seed: int, number: int, *, bit_suffices: bool
+) -> Record:
     """Ask the oracle of one mutant."""
     mutant = draw_mutant(subject, seed, number)
-    finding = oracle.judge(mutant.file, mutant.text, mutant.lines)
+    finding = oracle.judge(mutant.file, mutant.text, mutant.lines, bit_suffices=bit_suffices)
     diff = mutant.diff(subject.files[mutant.file])
     return Record(subject.name, number, mutant.kind, mutant.file, mutant.line, finding, diff)
 

@@ -1,5 +1,8 @@
 """Says of C what it does: traps, leaves a claimed bound, changes a bit, and in which build."""
 
+import hashlib
+import os
+import pickle
 import re
 import shutil
 import subprocess
@@ -119,6 +122,17 @@ class Finding:
     detail: str = ""
 
 
+@dataclass(frozen=True)
+class Base:
+    """What the unchanged C does in one build."""
+
+    verdict: Verdict
+    active: frozenset[tuple[str, int]]
+    """(file, line) of all that the preprocessor lets through."""
+    text: str
+    """What the preprocessor makes of it."""
+
+
 class Oracle:
     """Judges changes of one model's files.
 
@@ -126,57 +140,81 @@ class Oracle:
         files: name -> text, as shipped.
         driver: the program of `driver.render_driver`.
         chips: whether to run on emulated cores too.
+        kept: a folder where what the unchanged C does is kept for other processes.
     """
 
-    def __init__(self, files: dict[str, str], driver: str, *, chips: bool = True) -> None:
-        self.files, self.driver = files, driver
-        self.builds: list[Build] = []
-        self.base: dict[str, Verdict] = {}
-        self._active: dict[str, set[tuple[str, int]]] = {}
-        self._texts: dict[str, str] = {}
+    def __init__(
+        self,
+        files: dict[str, str],
+        driver: str,
+        *,
+        chips: bool = True,
+        kept: Path | None = None,
+    ) -> None:
+        self.files, self.driver, self._kept = files, driver, kept
+        self.builds = (*HOST_BUILDS, *(CHIP_BUILDS if chips else ()))
+        self._base: dict[str, Base] = {}
+
+    def find_base(self, build: Build) -> Base:
+        """Return what the unchanged C does in a build, worked out once."""
+        if build.name not in self._base:
+            self._base[build.name] = self._read_base(build)
+        return self._base[build.name]
+
+    def _read_base(self, build: Build) -> Base:
+        state = repr((sorted(self.files.items()), self.driver, build.name, build.command))
+        key = hashlib.sha256(state.encode()).hexdigest()[:16]
+        path = self._kept / f"{key}.pickle" if self._kept else None
+        if path and path.is_file():
+            base = pickle.loads(path.read_bytes())  # noqa: S301 - written below
+            assert isinstance(base, Base)
+            return base
         with tempfile.TemporaryDirectory() as name:
-            folder = self._write(Path(name), files)
-            for build in (*HOST_BUILDS, *(CHIP_BUILDS if chips else ())):
-                verdict = build.judge(folder)
-                if verdict.kind != "ran":
-                    raise SystemExit(
-                        f"the unchanged C {verdict.kind} as {build.name}: {verdict.detail}"
-                    )
-                self.builds.append(build)
-                self.base[build.name] = verdict
-                text = build.preprocess(folder)
-                self._active[build.name] = list_active_lines(text)
-                self._texts[build.name] = drop_markers(text)
+            folder = self._write(Path(name), self.files)
+            verdict = build.judge(folder)
+            if verdict.kind != "ran":
+                raise SystemExit(
+                    f"the unchanged C {verdict.kind} as {build.name}: {verdict.detail}"
+                )
+            text = build.preprocess(folder)
+        base = Base(verdict, frozenset(list_active_lines(text)), drop_markers(text))
+        if path:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            whole = path.with_suffix(f".{os.getpid()}")
+            whole.write_bytes(pickle.dumps(base))
+            whole.replace(path)
+        return base
 
     def _write(self, folder: Path, files: dict[str, str]) -> Path:
         for name, text in {**files, "judge.c": self.driver}.items():
             (folder / name).write_text(text, encoding="utf-8")
         return folder
 
-    def judge(self, name: str, text: str, lines: range) -> Finding:
+    def judge(self, name: str, text: str, lines: range, *, bit_suffices: bool = False) -> Finding:
         """Say what the change of one file's lines does.
 
         Args:
             name: of the file.
             text: its changed text.
             lines: the lines that were touched; of a preprocessor's line, all builds are looked at.
+            bit_suffices: look no further for a trap once a bit has changed.
         """
         original = self.files[name].split("\n")
         touched = [original[n - 1] for n in lines if n <= len(original)]
         directive = any(line.lstrip().startswith("#") or line.endswith("\\") for line in touched)
-        found = [
-            build
-            for build in self.builds
-            if directive or any((name, line) in self._active[build.name] for line in lines)
-        ]
-        on_host = [build for build in found if build.chip is None]
-        if on_host and not directive:
-            found = on_host  # what a sanitizer can see is not asked of a core that has none
+        found = list(self.builds)
+        if not directive:
+            found = self._list_reading(name, lines, [b for b in self.builds if b.chip is None])
+            if len(found) == len(HOST_BUILDS):  # what all share need not be asked of all
+                found = [build for build in found if build.name in ("columns", "portable", "small")]
+            if not found:  # what a sanitizer can see is not asked of a core that has none
+                chips = [build for build in self.builds if build.chip]
+                found = self._list_reading(name, lines, chips)
         changed, unbuilt = None, None
         with tempfile.TemporaryDirectory() as place:
             folder = self._write(Path(place), {**self.files, name: text})
             for build in found:
-                if directive and drop_markers(build.preprocess(folder)) == self._texts[build.name]:
+                if directive and self._reads_the_same(build, folder):
                     continue
                 verdict = build.judge(folder)
                 if verdict.kind == "does not compile":
@@ -184,17 +222,26 @@ class Oracle:
                 elif verdict.kind in ("traps", "leaves"):
                     kind = "traps" if verdict.kind == "traps" else "leaves a bound"
                     return Finding(kind, build.name, "bound", verdict.detail)
-                elif changed is None and verdict.hashes != self.base[build.name].hashes:
-                    pairs = zip(PHASES, verdict.hashes, self.base[build.name].hashes, strict=True)
+                elif changed is None and verdict.hashes != self.find_base(build).verdict.hashes:
+                    before = self.find_base(build).verdict.hashes
+                    pairs = zip(PHASES, verdict.hashes, before, strict=True)
                     phases = [phase for phase, new, old in pairs if new != old]
                     changed = Finding("changes a bit", build.name, " ".join(phases))
                 for file in folder.glob("judge_*"):
                     file.unlink() if file.is_file() else shutil.rmtree(file)
-                if unbuilt:
+                if unbuilt or (bit_suffices and changed):
                     break
         if unbuilt and changed is None:
             return unbuilt
         return changed or Finding("equivalent")
+
+    def _reads_the_same(self, build: Build, folder: Path) -> bool:
+        """Say whether the preprocessor makes the same of a folder."""
+        return drop_markers(build.preprocess(folder)) == self.find_base(build).text
+
+    def _list_reading(self, name: str, lines: range, builds: list[Build]) -> list[Build]:
+        """Return the builds that compile one of a file's lines."""
+        return [b for b in builds if any((name, n) in self.find_base(b).active for n in lines)]
 
 
 def list_active_lines(text: str) -> set[tuple[str, int]]:

@@ -49,13 +49,13 @@ class Subject:
     project: Path | None = None
     """The directory of zerodrift.toml, if it is a whole project."""
 
-    def make_oracle(self, *, chips: bool = True) -> Oracle:
+    def make_oracle(self, *, chips: bool = True, kept: Path | None = None) -> Oracle:
         """Return who says what a change of these files does."""
         header, source = f"{self.prefix}.h", f"{self.prefix}.c"
         driver = render_driver(
             self.files[header], self.files[source], self.prefix, self.certificate, _STEPS
         )
-        return Oracle(self.files, driver, chips=chips)
+        return Oracle(self.files, driver, chips=chips, kept=kept)
 
 
 def read_subject(name: str, folder: Path, project: Path | None = None) -> Subject:

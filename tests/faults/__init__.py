@@ -1,0 +1,1 @@
+"""Every writing command with its n-th system call failing, or killed there."""
