@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, WARNINGS, Compiler, find_compiler
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.files import write_all
 from zerodrift.operations.arithmetic import CodeArray
 
 SAVED_EXTRA_BYTES = 16
@@ -178,9 +177,10 @@ class HostModel:
 
 
 def write_sources(code: GeneratedCode, directory: Path) -> list[Path]:
-    """Write model and runtime into `directory`, all or none; return their paths."""
+    """Write model and runtime into a `directory` for the time being; return their paths."""
     contents = {directory / name: text.encode() for name, text in render_sources(code).items()}
-    write_all(contents)
+    for path, content in contents.items():
+        path.write_bytes(content)
     return list(contents)
 
 

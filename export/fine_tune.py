@@ -202,8 +202,7 @@ def load_or_tune(
 
     tuned, _ = tune_for_int8(compensator, config, runs, tell(progress))
     tuned = replace(tuned, trained_from=mark)
-    folder.mkdir(parents=True, exist_ok=True)
-    tuned.save(folder)
+    tuned.save(config.directory, folder)
     return tuned
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.outliers import Outlier, find_outliers
 from zerodrift.fleet.result import Outcome, SensorResult
-from zerodrift.train.checkpoint import write_whole
+from zerodrift.journal import write_all
 
 FORMAT = 1
 NAME = "report"
@@ -143,12 +143,9 @@ def write_report(design: Design, report: FleetReport) -> tuple[Path, ...]:
         "csv": render_csv(report),
         "md": render_markdown(report),
     }
-    paths = []
-    for suffix, text in contents.items():
-        path = design.build / f"{NAME}.{suffix}"
-        write_whole(path, text.encode())
-        paths.append(path)
-    return tuple(paths)
+    files = {design.build / f"{NAME}.{suffix}": t.encode() for suffix, t in contents.items()}
+    write_all(design.directory, files)
+    return tuple(files)
 
 
 def describe_report(report: FleetReport) -> dict[str, Any]:

@@ -3,14 +3,13 @@
 import hashlib
 import json
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from zerodrift.errors import InputError
-from zerodrift.files import telling_of_writes
+from zerodrift.journal import write_all
 
 FORMAT = 1
 """Of result.json; another one is computed anew."""
@@ -154,20 +153,32 @@ def _to_json(value: Any) -> Any:
 
 
 def save_result(
-    folder: Path, project: Path, result: SensorResult, files: list[Path]
+    folder: Path, project: Path, result: SensorResult, files: Mapping[Path, bytes | None]
 ) -> SensorResult:
-    """Write result.json, last of a sensor's files, and return the result with their hashes.
+    """Write a sensor's files and result.json as one change; return the result with their hashes.
+
+    The disk is not waited for: what a power failure leaves does not have the hash that result.json
+    names, or is no result.json, and the sensor is computed anew.
 
     Args:
         folder: the sensor's own folder below build/.
-        project: the folder of zerodrift.toml, which the names in the result are relative to.
+        project: the folder of zerodrift.toml, which the names in the result are relative to; held
+            by the command whose worker this is.
         result: what to write.
-        files: the sensor's files, already written.
+        files: the sensor's other files.
+
+    Raises:
+        InputError: they cannot be written; the old ones are as they were.
     """
-    hashes = {_name(path, project): hash_file(path) for path in files}
+    hashes = {
+        _name(path, project): hashlib.sha256(content).hexdigest()
+        for path, content in files.items()
+        if content is not None
+    }
     whole = replace(result, files=hashes)
     text = json.dumps(whole.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    write_fast(folder / RESULT, text.encode())
+    contents = {**files, folder / RESULT: text.encode()}
+    write_all(project, contents, durable=False, under_lock=True)
     return whole
 
 
@@ -182,26 +193,6 @@ def load_result(folder: Path, project: Path, mark: str) -> SensorResult | None:
     except (InputError, OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
     return result if whole and result.mark == mark else None
-
-
-def write_fast(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all, without waiting for the disk.
-
-    What a power failure leaves of it does not have the hash that result.json names, or is no
-    result.json, and the sensor is computed anew.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with telling_of_writes(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary.write_bytes(content)
-            temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
 
 
 def hash_file(path: Path) -> str:

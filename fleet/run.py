@@ -10,7 +10,7 @@ from zerodrift.fleet.design import RUNTIME, Design
 from zerodrift.fleet.executors import Batch, Executor
 from zerodrift.fleet.result import RESULT, Outcome, SensorResult, load_result
 from zerodrift.fleet.sensors import configure_sensor, find_sensors
-from zerodrift.train.checkpoint import write_whole
+from zerodrift.journal import write_all
 
 BATCH = 32
 """Sensors in a batch: compiled together, and with a network trained together."""
@@ -91,8 +91,10 @@ def find_kept(design: Design, sensor: str) -> SensorResult | None:
 def write_runtime(design: Design) -> None:
     """Write the C that all sensors share, where it differs from what is there."""
     folder = design.config.firmware_out / RUNTIME
-    for path in RUNTIME_FILES:
-        content = path.read_bytes()
-        target = folder / path.name
-        if not target.is_file() or target.read_bytes() != content:
-            write_whole(target, content)
+    contents = {folder / path.name: path.read_bytes() for path in RUNTIME_FILES}
+    changed = {
+        target: content
+        for target, content in contents.items()
+        if not target.is_file() or target.read_bytes() != content
+    }
+    write_all(design.directory, changed)

@@ -21,10 +21,9 @@ from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.fleet.assess import assess, describe_parameters
 from zerodrift.fleet.design import Design
-from zerodrift.fleet.result import Outcome, SensorResult, save_result, write_fast
+from zerodrift.fleet.result import Outcome, SensorResult, save_result
 from zerodrift.fleet.sensors import configure_sensor
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
-from zerodrift.train.compensator import DESCRIPTION, NETWORK
 from zerodrift.train.scores import Trained
 from zerodrift.train.together import train_together
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
@@ -236,7 +235,7 @@ def _finish(
         vectors=vectors,
         model_hash=job.model.hash if job.model is not None else "",
     )
-    files = _write(design, job, result, certificate)
+    files = _render(design, job, result, certificate)
     batch.outcomes[job.sensor] = Outcome(
         job.sensor, save_result(design.build_folder(job.sensor), design.directory, result, files)
     )
@@ -262,30 +261,24 @@ def _recheck(code: GeneratedCode, certificate: str, scratch: Path) -> None:
         )
 
 
-def _write(design: Design, job: _Job, result: SensorResult, certificate: str) -> list[Path]:
-    """Write a sensor's files, each atomically; return their paths."""
+def _render(
+    design: Design, job: _Job, result: SensorResult, certificate: str
+) -> dict[Path, bytes | None]:
+    """Return a sensor's files; None for those that are removed."""
     assert job.trained is not None
     compensator = replace(job.trained.compensator, trained_from=job.mark)
     build = design.build_folder(job.sensor)
-    compensator.save(build)
-    files = [build / DESCRIPTION]
-    if compensator.network is not None:
-        files.append(build / NETWORK)
-    text = json.dumps(describe_sensor(design, result, compensator.to_dict()), indent=1)
-    contents = {build / PARAMETERS: text + "\n"}
+    files = compensator.render(build)
+    text = json.dumps(describe_sensor(design, result, compensator.to_dict()), indent=1) + "\n"
+    files[build / PARAMETERS] = text.encode()
     if job.code is not None and job.model is not None:
         out = design.firmware_folder(job.sensor)
-        contents = {
-            out / PARAMETERS: text + "\n",
-            out / job.code.header_name: job.code.header,
-            out / job.code.source_name: job.code.source,
-            out / CERTIFICATE: certificate,
-        }
-        job.model.save(build / "model.json")
-        files.append(build / "model.json")
-    for path, content in contents.items():
-        write_fast(path, content.encode())
-    return [*files, *contents]
+        files[build / "model.json"] = job.model.to_text().encode()
+        files[out / PARAMETERS] = text.encode()
+        files[out / job.code.header_name] = job.code.header.encode()
+        files[out / job.code.source_name] = job.code.source.encode()
+        files[out / CERTIFICATE] = certificate.encode()
+    return files
 
 
 def describe_sensor(

@@ -11,8 +11,8 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift import files
 from zerodrift.errors import InputError
-from zerodrift.files import make_directory, write_all
 
 VALUES = "values"
 """Entry of the npz that holds everything but arrays, as JSON."""
@@ -32,8 +32,8 @@ def write_whole(path: Path, content: bytes) -> None:
     Raises:
         InputError: the folder cannot be made or written.
     """
-    make_directory(path.parent)
-    write_all({path: content})
+    files.make_directory(path.parent)
+    files.write_whole(path, content)
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.runs import Run
 from zerodrift.errors import InputError
+from zerodrift.journal import write_all
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import list_nodes
 from zerodrift.operations.gru import FloatGru
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.train.checkpoint import write_whole
 from zerodrift.train.front_end import FrontEnd
 from zerodrift.train.lag_bank.model import LagBank
 from zerodrift.train.onnx_export import read_onnx_gru, read_onnx_layers, read_onnx_weights
@@ -235,19 +235,27 @@ class Compensator:
             "notes": list(self.notes),
         }
 
-    def save(self, directory: Path) -> None:
-        """Write compensator.json and network.onnx; the same compensator gives the same bytes.
+    def render(self, directory: Path) -> dict[Path, bytes | None]:
+        """Return compensator.json and network.onnx; None for the latter where there is no network.
 
-        The description is written last and names the network's hash, so that an interruption
-        between the two files is noticed when they are loaded.
+        The same compensator gives the same bytes. The description names the network's hash.
         """
-        network = directory / NETWORK
-        if self.network is not None:
-            write_whole(network, self.network)
         text = json.dumps(self.to_dict(), indent=1, sort_keys=True, allow_nan=False) + "\n"
-        write_whole(directory / DESCRIPTION, text.encode())
-        if self.network is None:
-            network.unlink(missing_ok=True)
+        return {directory / NETWORK: self.network, directory / DESCRIPTION: text.encode()}
+
+    def save(self, project: Path, directory: Path, *, done_with: Sequence[Path] = ()) -> None:
+        """Write both files, as one change.
+
+        Args:
+            project: the folder of zerodrift.toml.
+            directory: where the files lie.
+            done_with: files of the training that are removed with the same change.
+
+        Raises:
+            InputError: they cannot be written; the old ones are as they were.
+        """
+        forgotten: dict[Path, bytes | None] = dict.fromkeys(p for p in done_with if p.exists())
+        write_all(project, self.render(directory) | forgotten, at_once=True)
 
     @classmethod
     def load(cls, directory: Path, catalogue: Catalogue | None = None) -> "Compensator":

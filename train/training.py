@@ -36,6 +36,11 @@ WINDOW_EPOCHS = 24
 REHEARSAL, PERFORMANCE = "rehearsal.npz", "performance.npz"
 
 
+def list_checkpoints(config: Config) -> tuple[Path, ...]:
+    """Return where trainings keep their state, which is removed with the result's arrival."""
+    return tuple(config.build_directory / name for name in (REHEARSAL, PERFORMANCE))
+
+
 def read_settings(
     network: NetworkConfig, epochs: int | None = None, starts: int | None = None
 ) -> Settings:
@@ -111,7 +116,6 @@ def train(
     result = None
     if is_worth_its_flash(rehearsal):
         result = course.perform(stages, dataset.train, rehearsal)
-    course.forget()
     prepared = Prepared(alone, split, rehearsed, stages)
     return conclude(config, dataset, prepared, rehearsal, result)
 
@@ -234,11 +238,6 @@ class _Course:
 
         sequences = stages.make_sequences(runs)
         return self._train(stages, settings, PERFORMANCE, tell, sequences, ())
-
-    def forget(self) -> None:
-        """Remove the checkpoints of a training that is complete."""
-        for name in (REHEARSAL, PERFORMANCE):
-            (self._directory / name).unlink(missing_ok=True)
 
     def _train(
         self,

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.footprint import Footprint, measure_footprint
 from zerodrift.c_runtime.host import HostModel, render_sources, write_sources
-from zerodrift.c_runtime.scratch import open_scratch
 from zerodrift.codegen.application import render_dbc
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
@@ -32,8 +31,10 @@ from zerodrift.export.fine_tune import load_or_tune, load_or_tune_imported
 from zerodrift.export.golden import GoldenVectors, compute_golden
 from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx
-from zerodrift.files import make_directory, write_all
+from zerodrift.journal import write_all
 from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.ownership import refuse_foreign
+from zerodrift.scratch import make_scratch
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify
@@ -119,12 +120,10 @@ def build_firmware(
     model, rounded = _compose(config, dataset, compensator, progress)
     code = generate(model)
     sequences = list_sequences(model, dataset)
-    build = config.build_directory
-    build.mkdir(parents=True, exist_ok=True)
-    with open_scratch(build, ".firmware-") as scratch:
-        check = check_firmware(model, code, sequences, Path(scratch), progress).require()
+    with make_scratch(config.directory) as scratch:
+        check = check_firmware(model, code, sequences, scratch, progress).require()
         progress(f"running on an emulated {CORE}")
-        chip = check_chip(CORE, code, check.host, sequences, Path(scratch) / "chip")
+        chip = check_chip(CORE, code, check.host, sequences, scratch / "chip")
         progress("measuring errors and sizes")
         runs = dataset.test or dataset.train
         gate, replay = judge_firmware(compensator, check.host, dataset)
@@ -135,7 +134,7 @@ def build_firmware(
         errors = tell_errors(compensator, check.host, runs)
         untuned: tuple[OutputError, ...] = ()
         if rounded is not None:
-            host = HostModel(rounded, generate(rounded), Path(scratch) / "rounded")
+            host = HostModel(rounded, generate(rounded), scratch / "rounded")
             untuned = tell_errors(compensator, host, runs)
         if isinstance(compensator, ImportedCompensator):
             described = describe_imported(compensator, config, dataset.train)
@@ -150,7 +149,7 @@ def build_firmware(
         footprint = measure_footprint(code, CORE)
         progress("checking the certificate")
         certificate = certify(model, code)
-        outcome = recheck(code, certificate, Path(scratch))
+        outcome = recheck(code, certificate, scratch)
     files: tuple[Path, ...] = ()
     if gate.passes or force:
         progress("writing")
@@ -254,8 +253,7 @@ def write_artefacts(
 ) -> tuple[Path, ...]:
     """Write model, C, certificate and manifest, all or none; return the files beside the C.
 
-    Files are complete beside their places before the first is put there, so that a full disk leaves
-    the old ones.
+    They change together, whenever the process ends or the disk refuses.
 
     Args:
         config: the project.
@@ -287,8 +285,9 @@ def write_artefacts(
         config, model.hash, firmware, artefacts, compiler, forced=forced, network=network
     )
     firmware[MANIFEST] = manifest.encode()
-    for directory in (out, build):
-        make_directory(directory)
     files = {out / name: content for name, content in firmware.items()}
-    write_all(files | {build / name: content for name, content in artefacts.items()})
+    refuse_foreign(files, out)
+    write_all(
+        config.directory, files | {build / name: content for name, content in artefacts.items()}
+    )
     return tuple(files)

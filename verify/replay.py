@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.c_runtime.scratch import open_scratch
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
 from zerodrift.errors import CheckError, InputError
 from zerodrift.export.golden import GoldenVectors, load_golden
 from zerodrift.export.integer_model import IntegerModel, load_model
 from zerodrift.export.reference import Reference
+from zerodrift.scratch import make_scratch
 from zerodrift.verify.firmware_check import Failure, Progress, check_firmware
 from zerodrift.verify.mismatch import find_mismatch
 from zerodrift.verify.vectors import draw_sequences
@@ -61,8 +61,8 @@ def replay(config: Config, progress: Progress = lambda _: None) -> Replay:
         return Replay(len(golden.codes), ("reference",), model.hash, failure)
     code = read_code(model, config.firmware_out)
     sequences = {"golden": golden.codes, **draw_sequences(model, RANDOM_STEPS)}
-    with open_scratch(config.build_directory, ".verify-") as scratch:
-        check = check_firmware(model, code, sequences, Path(scratch), progress)
+    with make_scratch(config.directory) as scratch:
+        check = check_firmware(model, code, sequences, scratch, progress)
     return Replay(check.vectors, check.backends, model.hash, check.failure)
 
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from zerodrift.commands.common import write_text
 from zerodrift.config import FILE_NAME
 from zerodrift.errors import InputError
+from zerodrift.journal import write_all
 from zerodrift.physics.history import FILE_NAME as HISTORY
 
 
@@ -43,7 +43,7 @@ def take_snapshot(directory: Path) -> Snapshot:
 
 
 def take_back(directory: Path, last: Undo) -> None:
-    """Put the files back, each whole or not at all.
+    """Put the files back, both or neither.
 
     Raises:
         InputError: zerodrift.toml was edited since, or a file cannot be written.
@@ -59,10 +59,6 @@ def take_back(directory: Path, last: Undo) -> None:
             "Remove."
         )
     try:
-        write_text(toml, last.before.text.decode("utf-8"))
-        if last.before.history is None:
-            history.unlink(missing_ok=True)
-        else:
-            write_text(history, last.before.history.decode("utf-8"))
+        write_all(directory, {toml: last.before.text, history: last.before.history})
     except (OSError, InputError) as error:
         raise InputError(f"Undo failed: {error}") from error

@@ -1,15 +1,13 @@
 """Writes a simulation as a user would have it: logs, zerodrift.toml, and the truth apart."""
 
 import json
-import os
-import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import polars as pl
 
 from zerodrift.errors import InputError
+from zerodrift.journal import write_all
 from zerodrift.physics.twin.logger import SimulatedRun
 from zerodrift.physics.twin.project import CHANNEL_COLUMNS, name_outputs, render_config
 from zerodrift.physics.twin.simulate import Simulation
@@ -63,34 +61,14 @@ def render_project(simulation: Simulation) -> dict[str, bytes]:
 
 
 def replace_files(directory: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
-    """Write files below a directory; all are complete before the first one is put in place.
+    """Write files below a directory, as one change.
 
     Raises:
-        InputError: the directory cannot be written.
+        InputError: the directory cannot be written; the old files are as they were.
     """
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=".twin-", dir=directory))
-    except OSError as error:
-        raise InputError(
-            f"{directory}: cannot be written ({error.strerror}); name another directory by -C."
-        ) from error
-    try:
-        for number, content in enumerate(files.values()):
-            (staging / str(number)).write_bytes(content)
-        written = []
-        for number, name in enumerate(files):
-            path = directory / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(staging / str(number), path)  # noqa: PTH105 - the atomic call by its name
-            written.append(path)
-    except OSError as error:
-        raise InputError(
-            f"{directory}: writing failed ({error.strerror}); make room or name another directory."
-        ) from error
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-    return tuple(written)
+    contents = {directory / name: content for name, content in files.items()}
+    write_all(directory, contents)
+    return tuple(contents)
 
 
 def write_logs(

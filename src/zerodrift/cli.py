@@ -122,12 +122,12 @@ def main() -> None:
         click.echo(f"error: {explain_memory()}", err=True)
         sys.exit(2)
     except OSError as error:
-        from zerodrift.files import explain_write, is_refused_write
+        from zerodrift.files import NOTHING_HALF, explain_write, is_refused_write
 
         if not is_refused_write(error):
             raise
         place = error.filename or f"standard output, or {tempfile.gettempdir()}"
-        click.echo(f"error: {explain_write(place, error)}", err=True)
+        click.echo(f"error: {explain_write(place, error, NOTHING_HALF)}", err=True)
         sys.exit(2)
     except click.ClickException as error:
         error.show()

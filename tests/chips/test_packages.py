@@ -64,9 +64,14 @@ def test_command_writes_a_package_and_replaces_it(tmp_path: Path) -> None:
         assert done.exit_code == 0, done.output
         told = json.loads(done.stdout)
         assert all((tmp_path / name).is_file() for name in told["files"])
-        (place / "left_over").write_text("")
+        (place / "notes.txt").write_text("of the user")
+    manifest = json.loads((place / "manifest.json").read_text())
+    manifest["firmware"]["src/of_an_earlier_name.c"] = ""
+    (place / "manifest.json").write_text(json.dumps(manifest))
+    (place / "src" / "of_an_earlier_name.c").write_text("")
     assert CliRunner().invoke(cli, ["package", "cmake", "-C", str(tmp_path)]).exit_code == 0
-    assert not (place / "left_over").exists()
+    assert not (place / "src" / "of_an_earlier_name.c").exists()
+    assert (place / "notes.txt").read_text() == "of the user"
     assert [path.name for path in place.parent.iterdir()] == ["cmake"]
 
 

@@ -135,7 +135,7 @@ def compare(
 def test_saved_compensator_predicts_the_same(kind: str, tmp_path: Path) -> None:
     compensator, _ = train_network(kind, tmp_path, epochs=60)
     run = add_drift(draw_runs(1, LENGTH)[0], loaded=False)
-    compensator.save(tmp_path / "build")
+    compensator.save(tmp_path, tmp_path / "build")
     again = Compensator.load(tmp_path / "build")
     assert np.array_equal(again.predict(run), compensator.predict(run))
     assert (again.parameters, again.macs_per_step) == (

@@ -1,11 +1,12 @@
 """`add` and `remove`: what earns its place is written, all else leaves every file as it was."""
 
+import errno
 import json
+import os
 import tomllib
+from pathlib import Path
 
 import pytest
-
-from zerodrift.errors import InputError
 
 
 def test_add_of_the_missing_effect_reaches_the_floor_and_says_so_in_json(project, zerodrift):
@@ -176,27 +177,25 @@ def test_damaged_history_is_refused_and_left_alone(content, words, project, zero
 
 
 def test_failure_between_the_two_files_restores_the_first(project, zerodrift, monkeypatch):
-    from zerodrift.commands import revise
+    def fail_on_toml(source, target):
+        if Path(target).name == "zerodrift.toml" and str(source).endswith(".zd-new"):
+            raise OSError(errno.ENOSPC, "the disk is full")
+        replace(source, target)
 
+    replace = os.replace
     before = project.read_all()
-    write = revise.write_text
-
-    def fail_on_toml(path, text):
-        if path.name == "zerodrift.toml":
-            raise InputError(f"{path}: the disk is full.")
-        write(path, text)
-
-    monkeypatch.setattr(revise, "write_text", fail_on_toml)
-    result = zerodrift("add", "thermal_lag", "-C", project.directory)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", fail_on_toml)
+        result = zerodrift("add", "thermal_lag", "-C", project.directory)
     assert result.code == 2
     assert project.read_all() == before
-    monkeypatch.setattr(revise, "write_text", write)
     assert zerodrift("add", "thermal_lag", "-C", project.directory).code == 0
     before = project.read_all()
-    monkeypatch.setattr(revise, "write_text", fail_on_toml)
-    result = zerodrift("remove", "thermal_lag", "-C", project.directory)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", fail_on_toml)
+        result = zerodrift("remove", "thermal_lag", "-C", project.directory)
     assert result.code == 2
-    assert "the disk is full" in result.err
+    assert "the disk is full" in result.err and "Every file is as it was" in result.err
     assert project.read_all() == before
 
 

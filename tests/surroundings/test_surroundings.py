@@ -14,7 +14,7 @@ from tests.surroundings.conftest import (
     write_project,
 )
 
-from zerodrift.c_runtime.scratch import open_scratch
+from zerodrift.scratch import make_scratch
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX only")
 ODD_NAMES = ["a%b", "tab\tb", "new\nline", 'quote"b', "back\\slash", "a'b", "dollar$b", "ä b"]
@@ -43,9 +43,9 @@ def test_firmware_is_built_below_an_odd_path(name: str, tmp_path: Path, run: Run
 def test_compilers_work_in_folders_with_plain_names(name: str, tmp_path: Path) -> None:
     odd = tmp_path / name
     odd.mkdir()
-    with open_scratch(odd, ".firmware-") as scratch:
-        assert not set("%\\\"'$\t\n") & set(scratch)
-        assert Path(scratch).is_dir()
+    with make_scratch(odd) as scratch:
+        assert not set("%\\\"'$\t\n") & set(str(scratch))
+        assert scratch.is_dir()
     assert not list(odd.iterdir())
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from zerodrift.commands.common import (
+    changes_project,
     directory_option,
     json_option,
     print_json,
@@ -70,6 +71,7 @@ def _split(texts: tuple[str, ...], option: str, example: str) -> dict[str, str]:
 @click.option("--force", is_flag=True, help="Keep the effect even if it does not help.")
 @json_option
 @skip_invalid_option
+@changes_project
 def command(
     effect: str,
     directory: Path,
@@ -113,7 +115,7 @@ def command(
         open_history(config)
         say(f"fitting without and with {effect}")
         revision = revise_best(config, dataset, catalogue, changes)
-    text = texts_after[changes.index(revision.change)]
+    text_after = texts_after[changes.index(revision.change)]
     print_notes(dataset.notes)
     if revision.change.action == CHANGE and not held and not revision.helps and not force:
         raise InputError(
@@ -123,7 +125,7 @@ def command(
         )
     is_kept = revision.helps or force
     if is_kept:
-        write_revision(config, text, revision)
+        write_revision(config, text, text_after, revision)
     if as_json:
         print_json({**describe_revision(revision), "added": is_kept})
     else:

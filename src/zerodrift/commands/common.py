@@ -1,5 +1,6 @@
 """Options that the commands share, and how each of them prints."""
 
+import functools
 import json
 import sys
 from collections.abc import Callable
@@ -9,20 +10,43 @@ from typing import TypeVar
 import click
 
 from zerodrift.files import write_whole
+from zerodrift.journal import hold_project, settle_project, write_all
 
 Command = TypeVar("Command", bound=Callable[..., object])
+Result = TypeVar("Result")
 
 
 def directory_option(function: Command) -> Command:
-    """Add `-C DIR`: the project directory, passed on as `directory: Path`."""
+    """Add `-C DIR`: the project directory, passed on as `directory: Path`.
+
+    A change of its files that a kill cut off is ended, or taken back, before the command begins.
+    """
     return click.option(
         "-C",
         "directory",
         type=click.Path(exists=True, file_okay=False, path_type=Path),
         default=Path(),
         metavar="DIR",
+        callback=_settle,
         help="The directory of zerodrift.toml (default: the current one).",
     )(function)
+
+
+def _settle(context: click.Context, _: click.Parameter, directory: Path) -> Path:
+    if not context.resilient_parsing:
+        settle_project(directory)
+    return directory
+
+
+def changes_project(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Hold the project against other writers for as long as the command runs."""
+
+    @functools.wraps(function)
+    def hold(*arguments: object, directory: Path, **options: object) -> Result:
+        with hold_project(directory):
+            return function(*arguments, directory=directory, **options)
+
+    return hold
 
 
 def json_option(function: Command) -> Command:
@@ -67,10 +91,18 @@ def print_notes(notes: tuple[str, ...]) -> None:
         click.echo(f"note: {note}", err=True)
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str, project: Path | None = None) -> None:
     """Write a file whole or not at all, in UTF-8 with line feeds.
+
+    Args:
+        path: the file.
+        text: what it is to hold.
+        project: the folder of zerodrift.toml, where the file is the project's own.
 
     Raises:
         InputError: the directory is missing, may not be written to, or has no room.
     """
-    write_whole(path, text.encode())
+    if project is None:
+        write_whole(path, text.encode())
+    else:
+        write_all(project, {path: text.encode()})

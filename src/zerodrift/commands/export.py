@@ -5,12 +5,12 @@ from pathlib import Path
 import click
 
 from zerodrift.commands.common import (
+    changes_project,
     directory_option,
     json_option,
     print_json,
     print_notes,
     skip_invalid_option,
-    write_text,
 )
 
 
@@ -18,6 +18,7 @@ from zerodrift.commands.common import (
 @directory_option
 @json_option
 @skip_invalid_option
+@changes_project
 def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     """Write build/: network.onnx (float), model.json, integer.onnx, golden.npz, certificate.json.
 
@@ -30,7 +31,8 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     from zerodrift.export.compose import compose_integer_model, encode_inputs
     from zerodrift.export.fine_tune import load_or_tune
     from zerodrift.export.golden import compute_golden
-    from zerodrift.export.integer_onnx import save_integer_onnx
+    from zerodrift.export.integer_onnx import build_integer_onnx
+    from zerodrift.journal import write_all
     from zerodrift.verify.certificate import certify
 
     console = Console(stderr=True)
@@ -43,10 +45,13 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
         run = (dataset.test or dataset.train)[0]
         golden = compute_golden(model, encode_inputs(model, run)[:2000])
     build = config.build_directory
-    model.save(build / "model.json")
-    save_integer_onnx(model, build / "integer.onnx")
-    golden.save(build / "golden.npz")
-    write_text(build / "certificate.json", certify(model, generate(model)))
+    contents = {
+        build / "model.json": model.to_text().encode(),
+        build / "integer.onnx": build_integer_onnx(model),
+        build / "golden.npz": golden.to_bytes(),
+        build / "certificate.json": certify(model, generate(model)).encode(),
+    }
+    write_all(config.directory, contents)
     files = ["build/network.onnx"] if compensator.network is not None else []
     files += [
         "build/compensator.json",

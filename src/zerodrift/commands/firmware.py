@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from zerodrift.commands.common import (
+    changes_project,
     directory_option,
     json_option,
     print_json,
@@ -16,7 +17,9 @@ from zerodrift.commands.common import (
 )
 from zerodrift.commands.console import open_console, open_table, show_progress
 from zerodrift.commands.onnx_option import OnnxRequest, onnx_options, open_import
+from zerodrift.config import Config
 from zerodrift.errors import CheckError
+from zerodrift.journal import change_together
 
 FILE_NAME = "firmware.json"
 """In build/: what the last firmware achieved."""
@@ -35,6 +38,7 @@ BUDGET_ROWS = 5
     help="Write what the gate refuses; header and manifest say so.",
 )
 @onnx_options
+@changes_project
 def command(
     directory: Path, as_json: bool, skip_invalid: bool, force: bool, request: OnnxRequest
 ) -> None:
@@ -66,13 +70,16 @@ def command(
             config, dataset = open_project(directory, skip_invalid)
         print_notes(dataset.notes)
         compensator = train_project(config, dataset, console)
-    with show_progress("quantizing") as say:
-        network = (request.path.absolute(),) if request and request.path else ()
-        firmware = build_firmware(config, dataset, compensator, say, force=force, network=network)
-    result = describe(firmware, config.directory)
-    written = bool(firmware.files)
-    if written:
-        keep(result, config.build_directory)
+    with change_together(config.directory):
+        with show_progress("quantizing") as say:
+            network = (request.path.absolute(),) if request and request.path else ()
+            firmware = build_firmware(
+                config, dataset, compensator, say, force=force, network=network
+            )
+        result = describe(firmware, config.directory)
+        written = bool(firmware.files)
+        if written:
+            keep(result, config)
     if as_json:
         print_json(result)
     else:
@@ -175,10 +182,10 @@ def describe_budget(firmware: Any) -> dict[str, Any]:
     }
 
 
-def keep(result: dict[str, Any], build: Path) -> None:
+def keep(result: dict[str, Any], config: Config) -> None:
     """Write the command's JSON to build/firmware.json, for the report."""
     text = json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    write_text(build / FILE_NAME, text)
+    write_text(config.build_directory / FILE_NAME, text, config.directory)
 
 
 def show_path(path: Path, directory: Path) -> str:

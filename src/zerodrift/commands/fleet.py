@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from zerodrift.commands.common import (
+    changes_project,
     directory_option,
     json_option,
     print_json,
@@ -62,6 +63,7 @@ DEVICES = ("auto", "cpu", "cuda")
     default=None,
     help="Of a running cluster, such as auto or 10.0.0.5:6379; implies --ray.",
 )
+@changes_project
 def command(
     directory: Path,
     as_json: bool,

@@ -1,22 +1,23 @@
 """`zerodrift package`: the model as a package of a build system."""
 
-import shutil
-import tempfile
-from collections.abc import Mapping
 from pathlib import Path
 
 import click
 
-from zerodrift.commands.common import directory_option, json_option, print_json
-from zerodrift.files import make_directory, telling_of_writes
+from zerodrift.commands.common import changes_project, directory_option, json_option, print_json
+from zerodrift.journal import write_all
+from zerodrift.ownership import MANIFEST, list_own, refuse_foreign, render_manifest
 
 
 @click.command()
 @click.argument("kind", type=click.Choice(["cmake", "zephyr", "arduino", "platformio"]))
 @directory_option
 @json_option
+@changes_project
 def command(kind: str, directory: Path, as_json: bool) -> None:
-    """Write the model as a package into <out>/packages/KIND, in place of what lies there.
+    """Write the model as a package into <out>/packages/KIND, in place of the one that lies there.
+
+    Files that zerodrift did not write stay, and are never replaced.
 
     Takes build/model.json, which `zerodrift firmware` writes once every compared bit is equal.
     """
@@ -31,35 +32,17 @@ def command(kind: str, directory: Path, as_json: bool) -> None:
     runtime = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
     files = render_package(kind, model, runtime)
     place = config.firmware_out / "packages" / kind
-    make_directory(place.parent)
-    with telling_of_writes(place):
-        replace_folder(place, files)
+    contents = {name: text.encode() for name, text in files.items()}
+    contents[MANIFEST] = render_manifest(contents, package=kind, model=model.hash)
+    refuse_foreign((place / name for name in contents), place)
+    changes: dict[Path, bytes | None] = {
+        place / name: None for name in list_own(place) if name not in contents
+    }
+    changes |= {place / name: content for name, content in contents.items()}
+    write_all(config.directory, changes)
     shown = show_path(place, config.directory)
-    written = [f"{shown}/{name}" for name in sorted(files)]
+    written = [f"{shown}/{name}" for name in sorted(contents)]
     if as_json:
         print_json({"package": kind, "model_hash": model.hash, "files": written})
         return
     click.echo("wrote " + ", ".join(written))
-
-
-def replace_folder(place: Path, files: Mapping[str, str]) -> None:
-    """Put a folder with these files in the place of the one that lies there, whole or not at all.
-
-    Args:
-        place: the folder; the one above it exists.
-        files: name below the folder -> text.
-    """
-    staging = Path(tempfile.mkdtemp(prefix=".staging-", dir=place.parent))
-    old, new = staging / "old", staging / "new"
-    try:
-        for name, text in files.items():
-            path = new / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-        if place.exists():
-            place.replace(old)
-        new.replace(place)
-    finally:
-        if old.exists() and not place.exists():
-            old.replace(place)
-        shutil.rmtree(staging, ignore_errors=True)

@@ -34,7 +34,7 @@ def train_project(config: Config, dataset: Dataset, console: "Console") -> "Comp
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.train.compensator import Compensator
     from zerodrift.train.progress import show_progress
-    from zerodrift.train.training import mark_inputs, train
+    from zerodrift.train.training import list_checkpoints, mark_inputs, train
 
     catalogue = load_catalogue(config.plugin_files)
     mark = mark_inputs(config, dataset)
@@ -48,5 +48,7 @@ def train_project(config: Config, dataset: Dataset, console: "Console") -> "Comp
     config.build_directory.mkdir(parents=True, exist_ok=True)
     with show_progress("training") as report:
         trained = train(config, dataset, catalogue=catalogue, report=report)
-    trained.compensator.save(config.build_directory)
+    trained.compensator.save(
+        config.directory, config.build_directory, done_with=list_checkpoints(config)
+    )
     return trained.compensator

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from zerodrift.commands.common import (
+    changes_project,
     directory_option,
     json_option,
     print_json,
@@ -26,6 +27,7 @@ from zerodrift.errors import InputError
 )
 @json_option
 @skip_invalid_option
+@changes_project
 def command(
     effect: str, directory: Path, options: tuple[str, ...], as_json: bool, skip_invalid: bool
 ) -> None:
@@ -46,12 +48,13 @@ def command(
         config, dataset = open_project(directory, skip_invalid)
         catalogue = load_catalogue(config.plugin_files)
         change = propose_removal(config, effect, signal)
-        text = remove_effect(read_text(config.path), change.place, path=config.path)
+        text = read_text(config.path)
+        text_after = remove_effect(text, change.place, path=config.path)
         open_history(config)
         say(f"fitting with and without {effect}")
         revision = revise(config, dataset, catalogue, change)
     print_notes(dataset.notes)
-    write_revision(config, text, revision)
+    write_revision(config, text, text_after, revision)
     if as_json:
         print_json({**describe_revision(revision), "removed": True})
         return

@@ -3,10 +3,10 @@
 import os
 from pathlib import Path
 
-from zerodrift.commands.common import write_text
 from zerodrift.commands.console import open_console, open_table
 from zerodrift.config import Config, parse_config
 from zerodrift.errors import InputError
+from zerodrift.journal import write_all
 from zerodrift.physics.changes import name_effect
 from zerodrift.physics.history import FILE_NAME, Entry, load_history, record, render_history
 from zerodrift.physics.revision import (
@@ -40,11 +40,18 @@ def open_history(config: Config) -> tuple[Path, tuple[Entry, ...]]:
     return path, load_history(path)
 
 
-def write_revision(config: Config, text: str, revision: Revision) -> None:
+def write_revision(config: Config, before: str, text: str, revision: Revision) -> None:
     """Write zerodrift.toml and append to the history, both or neither.
 
+    Args:
+        config: the project.
+        before: the text of zerodrift.toml that the revision was computed from.
+        text: its new text.
+        revision: what was computed.
+
     Raises:
-        InputError: one of them cannot be written; both are as they were.
+        InputError: one of them cannot be written, or zerodrift.toml was edited meanwhile; both
+            are as they were.
     """
     # The edited text must say what was fitted, not only parse.
     written = [
@@ -56,30 +63,14 @@ def write_revision(config: Config, text: str, revision: Revision) -> None:
             f"{config.path}: its layout is not understood well enough to edit it; expected "
             "[[effect]] tables with one key to a line. Edit the effects by hand."
         )
-    path, entries = open_history(config)
-    kept = path.with_name(f".{path.name}.kept")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
+    if read_text(config.path) != before:
         raise InputError(
-            f"{path.parent}: cannot be made ({error.strerror}); expected a directory for what is "
-            "built. Make the project's directory writable."
-        ) from error
-    had_history = path.exists()
-    if had_history:
-        # A copy of its own, so that going back needs no room on a full disk.
-        write_text(kept, path.read_text(encoding="utf-8"))
-    try:
-        write_text(path, render_history([*entries, record(revision)]))
-        write_text(config.path, text)
-    except BaseException:
-        if had_history:
-            kept.replace(path)
-        else:
-            path.unlink(missing_ok=True)
-        raise
-    finally:
-        kept.unlink(missing_ok=True)
+            f"{config.path}: was edited while this command computed; expected it to stay as it was"
+            " read. Nothing was written; run the command again."
+        )
+    path, entries = open_history(config)
+    history = render_history([*entries, record(revision)])
+    write_all(config.directory, {path: history.encode(), config.path: text.encode()})
 
 
 def print_revision(revision: Revision) -> None:

@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -13,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift import __version__
-from zerodrift.commands.common import write_text
 from zerodrift.commands.compare import describe_patterns, explain_figures
 from zerodrift.commands.diagnose import explain_verdict
 from zerodrift.commands.effects import describe_effect
@@ -25,6 +25,7 @@ from zerodrift.commands.verdict import explain_others, find_verdict, list_comman
 from zerodrift.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.errors import InputError
+from zerodrift.journal import write_all
 from zerodrift.physics.advice import advise
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.fit import fit_config
@@ -225,11 +226,9 @@ def diagnose_once(
         "sentences": [*sentences, *explain_others(told)],
     }
     text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, text)
-    except (OSError, InputError):
-        pass  # a project that can only be read is diagnosed anew each time
+    # A project that can only be read, or is being changed, is diagnosed anew each time.
+    with suppress(InputError):
+        write_all(config.directory, {path: text.encode()}, patient=False)
     return found
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from zerodrift.commands.common import (
+    changes_project,
     directory_option,
     json_option,
     print_json,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     default=True,
     help="Take up an interrupted training (default), or begin again.",
 )
+@changes_project
 def command(
     directory: Path,
     as_json: bool,
@@ -50,12 +52,14 @@ def command(
     from zerodrift.commands.project import open_project
     from zerodrift.physics.advice import advise
     from zerodrift.train.progress import show_progress
-    from zerodrift.train.training import train
+    from zerodrift.train.training import list_checkpoints, train
 
     config, dataset = open_project(directory, skip_invalid)
     with show_progress("training") as report:
         trained = train(config, dataset, epochs=epochs, starts=starts, resume=resume, report=report)
-    trained.compensator.save(config.build_directory)
+    trained.compensator.save(
+        config.directory, config.build_directory, done_with=list_checkpoints(config)
+    )
     advice = advise(config, dataset)
     if as_json:
         told = {"advice": advice.to_dict() if advice is not None else None}
