@@ -17,6 +17,9 @@ INCLUDE_DIRECTORY = RUNTIME_DIRECTORY / "include" / "zerodrift"
 RUNTIME_FILES = (
     INCLUDE_DIRECTORY / "zd_runtime.h",
     INCLUDE_DIRECTORY / "zd_signals.h",
+    INCLUDE_DIRECTORY / "zd_exp2.h",
+    INCLUDE_DIRECTORY / "zd_network.h",
+    INCLUDE_DIRECTORY / "zd_tanh_table.h",
     INCLUDE_DIRECTORY / "zd_gru_portable.h",
     INCLUDE_DIRECTORY / "zd_gru_pairs.h",
     INCLUDE_DIRECTORY / "zd_gru_rows.h",

@@ -1,15 +1,25 @@
-"""Writes the runtime's one generated file, src/zd_runtime.c, with the reference's tables."""
+"""Writes the runtime's tables, as the reference has them, and its identity into all of its files.
+
+The identity is a hash of the runtime's text: `make golden` after every change of one of its files.
+"""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.c_runtime.compilers import RUNTIME_DIRECTORY
+from zerodrift.c_runtime.compilers import INCLUDE_DIRECTORY, RUNTIME_FILES
 from zerodrift.codegen.generate import make_environment
 from zerodrift.codegen.layouts import crc_of_words
 from zerodrift.operations.exp2 import OCTAVE_Q29
 from zerodrift.operations.tables import STEP_BITS, tanh_nodes
 
-RUNTIME_SOURCE = RUNTIME_DIRECTORY / "src" / "zd_runtime.c"
+GENERATED = ("zd_tanh_table.h", "zd_exp2.h")
+"""Headers made of a template of the same name in codegen/templates."""
+NO_IDENTITY = "@IDENTITY@"
 
 
 def compute_lines() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -42,24 +52,53 @@ def compute_half() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return offset[: last + 1], slope[: last + 1]
 
 
-def render_runtime_source() -> str:
-    """Return zd_runtime.c with the tables that the reference uses."""
-    template = make_environment().get_template("zd_runtime.c.j2")
+def render_runtime() -> dict[Path, str]:
+    """Return the runtime as it has to be: path -> text, with its tables and its identity."""
+    texts = {path: path.read_text(encoding="utf-8") for path in RUNTIME_FILES if path.exists()}
+    before = re.search(
+        r"#define ZD_RUNTIME_ID 0x(\w{8})", texts[INCLUDE_DIRECTORY / "zd_runtime.h"]
+    )
+    assert before is not None
+    texts = {path: text.replace(before[1], NO_IDENTITY) for path, text in texts.items()}
+    texts |= _render_tables()
+    identity = compute_identity({path.name: text for path, text in texts.items()})
+    return {path: text.replace(NO_IDENTITY, identity) for path, text in texts.items()}
+
+
+def compute_identity(texts: Mapping[str, str]) -> str:
+    """Return eight hexadecimal digits of a hash over files, name -> text without an identity."""
+    digest = hashlib.sha256()
+    for name in sorted(texts):
+        digest.update(f"{name}\0{texts[name]}\0".encode())
+    return digest.hexdigest()[:8]
+
+
+def _render_tables() -> dict[Path, str]:
+    """Return the generated headers, without an identity."""
+    environment = make_environment()
     offset, slope = compute_lines()
     half_offset, half_slope = compute_half()
     slopes = [*slope.tolist(), 0]
-    return template.render(
-        half_offsets=half_offset.tolist(),
-        half_slopes=half_slope.tolist(),
-        half_crc=crc_of_words([*half_offset.tolist(), *half_slope.tolist(), *OCTAVE_Q29]),
-        offsets=offset.tolist(),
-        slopes=slopes,
-        lines_crc=crc_of_words([*offset.tolist(), *slopes, *OCTAVE_Q29]),
-        octave=OCTAVE_Q29,
-    )
+    context = {
+        "id": NO_IDENTITY,
+        "half_offsets": half_offset.tolist(),
+        "half_slopes": half_slope.tolist(),
+        "half_crc": crc_of_words([*half_offset.tolist(), *half_slope.tolist()]),
+        "offsets": offset.tolist(),
+        "slopes": slopes,
+        "lines_crc": crc_of_words([*offset.tolist(), *slopes]),
+        "octave": OCTAVE_Q29,
+        "octave_crc": crc_of_words(OCTAVE_Q29),
+    }
+    return {
+        INCLUDE_DIRECTORY / name: environment.get_template(f"{name}.j2").render(context)
+        for name in GENERATED
+    }
 
 
 if __name__ == "__main__":
-    temporary = RUNTIME_SOURCE.with_suffix(".part")
-    temporary.write_text(render_runtime_source(), encoding="utf-8")
-    temporary.replace(RUNTIME_SOURCE)
+    for path, text in render_runtime().items():
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            temporary = path.with_name(f".{path.name}.part")
+            temporary.write_text(text, encoding="utf-8")
+            temporary.replace(path)

@@ -15,6 +15,7 @@ from zerodrift.codegen.identifiers import (
     sanitize_identifiers,
     sanitize_prefix,
 )
+from zerodrift.codegen.identity import PLACEHOLDER, identify, read_runtime_identity
 from zerodrift.codegen.layouts import (
     crc_of_words,
     has_fast_kernels,
@@ -72,11 +73,17 @@ def generate(model: IntegerModel) -> GeneratedCode:
     settle_nodes = [n for n in model.nodes if layer and n.name in _ancestors(model, [layer])]
     selftest_low, selftest_high = limits_of(model)
     tables = list_tables(model)
+    uses_tanh = any(_reads_tanh(node) for node in model.nodes)
+    uses_exp2 = any(node.kind == "exp2" for node in model.nodes)
     prefix = sanitize_prefix(model.name)
     context = {
         "model": model,
         "version": __version__,
         "format": FORMAT,
+        "code_id": PLACEHOLDER,
+        "runtime_id": read_runtime_identity(),
+        "uses_tanh": uses_tanh,
+        "uses_exp2": uses_exp2,
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "title": sanitize_comment(model.name),
@@ -96,7 +103,12 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "selftest_high": selftest_high,
         "tables": tables,
         "tables_crc": crc_of_tables(tables),
-        "recurrent_layers": _name_layers(layer),
+        "checks": [
+            *(f"{name}_is_sound" for name in _name_layers(layer)),
+            *([f"{prefix}_tables_are_sound"] if tables else []),
+            *(["zd_tanh_is_sound"] if uses_tanh else []),
+            *(["zd_exp2_is_sound"] if uses_exp2 else []),
+        ],
         "bounds": bounds,
         "claims": claims,
         "values": sum(max(node.width, 1) for node in model.nodes),
@@ -111,12 +123,21 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "relax_reads_inputs": any(n.kind in ("input", "load") for n in settle_nodes),
     }
     environment = make_environment()
+    header, source = identify(
+        environment.get_template("model.h.j2").render(context),
+        environment.get_template("model.c.j2").render(context),
+    )
     return GeneratedCode(
         prefix=prefix,
-        header=environment.get_template("model.h.j2").render(context),
-        source=environment.get_template("model.c.j2").render(context),
+        header=header,
+        source=source,
         harness=environment.get_template("harness.c.j2").render(context),
     )
+
+
+def _reads_tanh(node: IntegerNode) -> bool:
+    """Return whether a node's step reads the runtime's table of tanh."""
+    return isinstance(node, IntegerGruLayer) or getattr(node, "activation", "") == "tanh"
 
 
 def _name_layers(layer: IntegerGruLayer | None) -> list[str]:

@@ -10,6 +10,8 @@ from typing import Any
 
 TYPES = {f"int{n}_t": (-(2 ** (n - 1)), 2 ** (n - 1) - 1) for n in (8, 16, 32, 64)}
 TYPES |= {f"uint{n}_t": (0, 2**n - 1) for n in (8, 16, 32, 64)}
+TABLES = ("zd_tanh_table.h", "zd_exp2.h", "zd_runtime.c")
+"""Files with the runtime's tables; older runtimes have them in the last one."""
 TOKEN = re.compile(r'\d+u?|[A-Za-z_]\w*|"[^"]*"|->|\+\+|<<|>>|&&|\|\||[-+*/&|<>=!]=|\S', re.ASCII)
 DIRECTIVE = re.compile(
     r'#\s*(include "\w+\.h"|include <std\w+\.h>|error .*'
@@ -20,7 +22,8 @@ DIRECTIVE = re.compile(
     r'|define (\w+) ("[\w.]+"|-?\d+|UINT32_C\(\d+\)))'
 )
 CONDITION = re.compile(
-    r"#(if ZD_RUNTIME_FORMAT != \d+|ifndef (?:ZD_OBSERVE|\w+_H)"
+    r"#(if ZD_RUNTIME_FORMAT != \d+|if ZD_RUNTIME_ID != 0x\w{8}"
+    r"|if \w+_CODE_ID != UINT32_C\(\d+\)|ifndef (?:ZD_OBSERVE|\w+_H)"
     r"|(?:el)?if ZD_KERNEL == (ZD_KERNEL_[A-Z]+)"
     r"|if \(ZD_KERNEL == ZD_KERNEL_PAIRS\) && defined\(ZD_GRU_ASSEMBLY\)"
     r"|if ZD_GRU_ASSEMBLY == 6|if defined\((?:ZD_GRU_ASSEMBLY|ZD_SMALL|ZD_UNALIGNED)\)|else|endif)"
@@ -128,7 +131,7 @@ class Code:
         self.functions: dict[str, tuple[list[tuple[str, str]], int]] = {}
         """Name -> parameters (type, name) and where its body begins."""
         self.structs: dict[str, dict[str, tuple[str, list[int]]]] = {}
-        runtime = re.sub(r"/\*.*?\*/", "", texts["zd_runtime.c"], flags=re.S)
+        runtime = re.sub(r"/\*.*?\*/", "", "".join(texts.get(n, "") for n in TABLES), flags=re.S)
         self.tables = {
             name: [int(n) for n in numbers.split(",")]
             for name, numbers in re.findall(r"(\w+)\[[\w +]+\] = \{([-\d,\s]*)\}", runtime)

@@ -2,7 +2,7 @@
  * over every input (tests/fixed_point/test_kernels.py). */
 #include <stdint.h>
 
-#include "zd_runtime.h"
+#include "zd_network.h"
 
 void zk_tanh_q30(const int32_t *t_q16, int32_t *out, uint32_t n);
 void zk_sigmoid_q31(const int32_t *t_q16, int32_t *out, uint32_t n);

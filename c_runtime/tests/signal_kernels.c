@@ -2,7 +2,7 @@
  * reference (tests/fixed_point/test_signal_kernels.py). */
 #include <stdint.h>
 
-#include "zd_runtime.h"
+#include "zd_exp2.h"
 
 void zk_exp2(const int32_t *t_q24, int32_t top, int32_t *out, uint32_t n);
 void zk_power(const int32_t *octave, uint32_t terms, int32_t low, int32_t high,

@@ -1,6 +1,6 @@
 /* tanh and sigmoid over every input of the table, and far beyond its ends. */
 #include "check.h"
-#include "zd_runtime.h"
+#include "zd_network.h"
 
 #define BEYOND 5000
 #define END 524288                  /* 8 in Q3.16 */

@@ -2,7 +2,7 @@
  *   k     0      1      2      3      4
  *   T     0  16381  32729  49014  65205 */
 #include "check.h"
-#include "zd_runtime.h"
+#include "zd_network.h"
 
 #define HALF_Q30 (1 << 29) /* h = 0.5: h_q15 = 16384 */
 

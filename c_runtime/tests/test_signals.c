@@ -1,6 +1,6 @@
 /* The signals of effects, worked by hand. */
 #include "check.h"
-#include "zd_runtime.h"
+#include "zd_exp2.h"
 
 #define OCTAVE (1 << 24) /* one doubling in t_q24 */
 

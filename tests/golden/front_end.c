@@ -3,9 +3,16 @@
 #include "front_end.h"
 
 #include "zd_runtime.h"
+#include "zd_network.h"
 
+#if FRONT_END_CODE_ID != UINT32_C(3991810052)
+#error "front_end.h is not of the same generation as front_end.c: copy all files again"
+#endif
 #if ZD_RUNTIME_FORMAT != 3
 #error "front_end was generated for zerodrift runtime format 3: generate it again"
+#endif
+#if ZD_RUNTIME_ID != 0x2bcd63a7
+#error "zd_runtime.h is not the one that front_end.c was generated with: copy all files again"
 #endif
 
 #ifndef ZD_OBSERVE /* the host's test harness looks at the nodes through this */
@@ -268,7 +275,7 @@ ZD_CLAIM(front_end_claim_69, (INT64_C(-199415192505932288) >= INT64_MIN) && (INT
  * alignment, and uses 96 bytes of it. */
 static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x, int32_t u_keep)
     __attribute__((naked, noinline, used));
-static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x, int32_t u_keep) {
+static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD_IN_REGISTER, const int16_t *x ZD_IN_REGISTER, int32_t u_keep ZD_IN_REGISTER) {
     __asm volatile(
         ".syntax unified\n"
         ".set zd_stack_gru_assembly, 96\n"
@@ -509,13 +516,13 @@ static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x
         ".align 2\n"
         "9:\n"
 #if defined(ZD_SMALL)
-        ".word zd_tanh_half_slope_q19\n"
+        ".word " ZD_TANH_HALF_SLOPE_NAME "\n"
         "10:\n"
-        ".word zd_tanh_half_offset_q30\n"
+        ".word " ZD_TANH_HALF_OFFSET_NAME "\n"
 #else
-        ".word zd_tanh_slope_q19 + 512\n"
+        ".word " ZD_TANH_SLOPE_NAME " + 512\n"
         "10:\n"
-        ".word zd_tanh_offset_q30 + 1024\n"
+        ".word " ZD_TANH_OFFSET_NAME " + 1024\n"
 #endif
     );
 }
@@ -524,7 +531,7 @@ static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x
  * the stack's alignment, and uses 80 bytes of it. */
 static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x, int32_t u_keep)
     __attribute__((naked, noinline, used));
-static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x, int32_t u_keep) {
+static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD_IN_REGISTER, const int16_t *x ZD_IN_REGISTER, int32_t u_keep ZD_IN_REGISTER) {
     __asm volatile(
         ".syntax unified\n"
         ".set zd_stack_gru_assembly, 80\n"
@@ -532,17 +539,17 @@ static void gru_assembly(const int32_t *stream, int32_t *h_q30, const int16_t *x
         "sub sp, sp, #44\n"
         "add r4, r1, #32\n" /* where the state ends */
 #if defined(ZD_SMALL)
-        "movw r5, #:lower16:(zd_tanh_half_offset_q30 - 312)\n"
-        "movt r5, #:upper16:(zd_tanh_half_offset_q30 - 312)\n"
-        "movw r6, #:lower16:(zd_tanh_half_slope_q19 - 156)\n"
-        "movt r6, #:upper16:(zd_tanh_half_slope_q19 - 156)\n"
+        "movw r5, #:lower16:(" ZD_TANH_HALF_OFFSET_NAME " - 312)\n"
+        "movt r5, #:upper16:(" ZD_TANH_HALF_OFFSET_NAME " - 312)\n"
+        "movw r6, #:lower16:(" ZD_TANH_HALF_SLOPE_NAME " - 156)\n"
+        "movt r6, #:upper16:(" ZD_TANH_HALF_SLOPE_NAME " - 156)\n"
         "mov r7, #78\n"
         "and r8, r3, #2097152\n"
 #else
-        "movw r5, #:lower16:(zd_tanh_offset_q30 + 1024)\n"
-        "movt r5, #:upper16:(zd_tanh_offset_q30 + 1024)\n"
-        "movw r6, #:lower16:(zd_tanh_slope_q19 + 512)\n"
-        "movt r6, #:upper16:(zd_tanh_slope_q19 + 512)\n"
+        "movw r5, #:lower16:(" ZD_TANH_OFFSET_NAME " + 1024)\n"
+        "movt r5, #:upper16:(" ZD_TANH_OFFSET_NAME " + 1024)\n"
+        "movw r6, #:lower16:(" ZD_TANH_SLOPE_NAME " + 512)\n"
+        "movt r6, #:upper16:(" ZD_TANH_SLOPE_NAME " + 512)\n"
         "mov r8, r3\n"
 #endif
         "stm sp, {r4-r8}\n"
@@ -914,7 +921,7 @@ uint32_t front_end_selftest(void) {
     int32_t drift[FRONT_END_OUTPUTS];
     uint32_t seed = UINT32_C(1592598103);
     uint32_t crc = 0;
-    if ((gru_is_sound() == 0u) || (front_end_tables_are_sound() == 0u) || (zd_tables_are_sound() == 0u)) {
+    if ((gru_is_sound() == 0u) || (front_end_tables_are_sound() == 0u) || (zd_tanh_is_sound() == 0u)) {
         return FRONT_END_FAULT_TABLES; /* nothing is proven of other numbers: they are not used */
     }
     for (uint32_t k = 0; k < 65u; k++) {

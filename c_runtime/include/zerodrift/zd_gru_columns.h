@@ -7,6 +7,10 @@
 #ifndef ZD_GRU_COLUMNS_H
 #define ZD_GRU_COLUMNS_H
 
+#if ZD_RUNTIME_ID != 0x2bcd63a7
+#error "zd_gru_columns.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
+#endif
+
 /* Constants of one layer. */
 typedef struct {
     const int32_t *stream; /* [ceil(H/8)][4 + 3 (X + R)][8]; X pairs of features, R of the state */

@@ -7,6 +7,11 @@
 #ifndef ZD_GRU_COLUMNS_SSE2_H
 #define ZD_GRU_COLUMNS_SSE2_H
 
+#if ZD_RUNTIME_ID != 0x2bcd63a7
+#error                                                                                             \
+    "zd_gru_columns_sse2.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
+#endif
+
 #include <emmintrin.h>
 
 static inline __m128i zd_load4(const int32_t *from) {

@@ -8,6 +8,10 @@
 #ifndef ZD_GRU_PAIRS_H
 #define ZD_GRU_PAIRS_H
 
+#if ZD_RUNTIME_ID != 0x2bcd63a7
+#error "zd_gru_pairs.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
+#endif
+
 /* Constants of one layer. */
 typedef struct {
     const int32_t *stream; /* [H][4 + 3 (X + R)]; X pairs of features, R pairs of the state */

@@ -7,6 +7,11 @@
 #ifndef ZD_GRU_PORTABLE_H
 #define ZD_GRU_PORTABLE_H
 
+#if ZD_RUNTIME_ID != 0x2bcd63a7
+#error                                                                                             \
+    "zd_gru_portable.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
+#endif
+
 /* Constants of one layer. Rows are stored unit by unit, and within a unit r, u, n. */
 typedef struct {
     const int16_t *w_x;          /* [H][3][I] */
@@ -59,13 +64,6 @@ static inline int32_t zd_gru_update_q31(int32_t half_t_q16, int32_t u_keep) {
 /* h + u (n - h). Since |n|, |h| <= 2^30 - 2^15 + 1 the difference fits 32 bits, and |h| stays. */
 static inline int32_t zd_gru_move(int32_t h_q30, int32_t n_q30, int32_t u_q31) {
     return h_q30 + (2 * zd_mul_high(n_q30 - h_q30, u_q31));
-}
-
-/* The int16 copy of the state that the dot products read; |h_q15| <= 32767 by the invariant. */
-static inline void zd_gru_copy_state(const int32_t *h_q30, int16_t *h_q15, uint32_t hidden) {
-    for (uint32_t j = 0; j < hidden; j++) {
-        h_q15[j] = (int16_t)zd_asr32(h_q30[j] + ((int32_t)1 << 14), 15);
-    }
 }
 
 /* One step, reset gate after the recurrent product.

@@ -8,6 +8,10 @@
 #ifndef ZD_GRU_ROWS_H
 #define ZD_GRU_ROWS_H
 
+#if ZD_RUNTIME_ID != 0x2bcd63a7
+#error "zd_gru_rows.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
+#endif
+
 #include <arm_mve.h>
 
 /* Constants of one layer. U = H filled up to a multiple of 4. */

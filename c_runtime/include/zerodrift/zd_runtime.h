@@ -21,8 +21,7 @@
 /* How a GRU with 16-bit weights and its reset gate after the product is computed. All ways give the
  * same bits; the target's own macros choose, -DZD_KERNEL=... overrides (docs/reference/kernels.md).
  * ZD_SMALL trades speed for 2 KB of flash: a compiler that is told to optimise for size (-Os)
- * takes it, unless ZD_FAST is defined. All files of a build must do the same; otherwise it does not
- * link. */
+ * takes it, unless ZD_FAST is defined. */
 #if defined(__OPTIMIZE_SIZE__) && !defined(ZD_SMALL) && !defined(ZD_FAST)
 #define ZD_SMALL
 #endif
@@ -30,7 +29,7 @@
 #define ZD_KERNEL_PAIRS 1   /* Cortex-M with a dual 16-bit multiplier, or without a high product */
 #define ZD_KERNEL_ROWS 2    /* Arm MVE: Cortex-M55, M85 */
 #define ZD_KERNEL_COLUMNS 3 /* SSE2 or AVX2 */
-#if defined(__thumb__) && defined(__GNUC__) && !defined(ZD_NO_ASSEMBLY)
+#if defined(__thumb__) && defined(__GNUC__) && defined(__ELF__) && !defined(ZD_NO_ASSEMBLY)
 #if defined(__ARM_ARCH_6M__) || defined(__ARM_ARCH_8M_BASE__)
 #define ZD_GRU_ASSEMBLY 6 /* of the pairs kernel: Armv6-M's instructions */
 #elif defined(__ARM_FEATURE_DSP) && defined(__thumb2__) && defined(__ARM_ARCH_PROFILE)
@@ -58,41 +57,31 @@
 /* A model generated for another format must be regenerated: its constants mean something else. */
 #define ZD_RUNTIME_FORMAT 3
 
-#if defined(ZD_SMALL)
-#define ZD_TANH_HALF_LINES 178 /* the assembly knows it too */
-#else
-#define ZD_TANH_LINES 512
-#endif
+/* Of the runtime's text, written by `make golden`: its files belong together, and so do a model and
+ * the runtime beside which it was generated. Every other file asks for it. */
+#define ZD_RUNTIME_ID 0x2bcd63a7
+
 #define ZD_LOWPASS_FRACTION 24
 #define ZD_GRU_RELAX_STEPS 64
 #define ZD_GRU_H_LIMIT_Q30 1073709057 /* 2^30 - 2^15 + 1: |h| never exceeds it */
 
-/* The table of the specification, 4.1, in one of two forms. An undefined reference to one of these
- * means that ZD_SMALL was defined for a part of the build only. */
-#if defined(ZD_SMALL)
-/* Line i of 178, between i / 32 and the next: its rise in Q0.19 and where it cuts the axis in
- * Q0.30. The last one is level and holds beyond it. At -t the slope is the same, the offset its
- * negative. */
-extern const int32_t zd_tanh_half_offset_q30[ZD_TANH_HALF_LINES];
-extern const int16_t zd_tanh_half_slope_q19[ZD_TANH_HALF_LINES];
+/* What the runtime gives to the linker bears the runtime's identity in its name, so that several
+ * firmwares, each with a runtime of its own, link into one: equal runtimes share what they have,
+ * different ones do not meet. Other compilers than these get tables for each model, and need equal
+ * runtimes' zd_runtime.c once. */
+#if defined(__GNUC__) && defined(__ELF__)
+#define ZD_SHARED __attribute__((weak, used)) /* used: assembly names it */
+#define ZD_SHARED_CODE __attribute__((weak))
 #else
-/* Line i - 256 of 512, between (i - 256) / 32 and the next, as above on both sides of 0. One more
- * slope, so that a vector unit may read 32 bits at the last one. */
-extern const int32_t zd_tanh_offset_q30[ZD_TANH_LINES];
-extern const int16_t zd_tanh_slope_q19[ZD_TANH_LINES + 1];
+#define ZD_SHARED static
+#define ZD_SHARED_CODE
 #endif
-
-#if defined(ZD_SMALL)
-#define ZD_TANH_OFFSET_Q30 (&zd_tanh_half_offset_q30[0])
-#define ZD_TANH_SLOPE_Q19 (&zd_tanh_half_slope_q19[0])
-#else
-#define ZD_TANH_OFFSET_Q30 (&zd_tanh_offset_q30[256])
-#define ZD_TANH_SLOPE_Q19 (&zd_tanh_slope_q19[256])
-#endif
-
-/* 2^f = sum c[i] f^i for 0 <= f <= 1 in Q2.29. */
-#define ZD_EXP2_TERMS 7u
-extern const int32_t zd_exp2_octave_q29[ZD_EXP2_TERMS];
+#define zd_crc32 zd_crc32_2bcd63a7
+#define zd_crc32_word zd_crc32_word_2bcd63a7
+#define zd_crc32_i16 zd_crc32_i16_2bcd63a7
+#define zd_crc32_i32 zd_crc32_i32_2bcd63a7
+#define zd_save zd_save_2bcd63a7
+#define zd_restore zd_restore_2bcd63a7
 
 /* CRC-32 (reflected 0xEDB88320) of n bytes, continued from crc; start with 0. */
 uint32_t zd_crc32(uint32_t crc, const uint8_t *bytes, uint32_t n);
@@ -103,9 +92,6 @@ uint32_t zd_crc32_word(uint32_t crc, uint32_t x);
 /* Continues the CRC-32 with each of n numbers as a 32-bit word. */
 uint32_t zd_crc32_i16(uint32_t crc, const int16_t *values, uint32_t n);
 uint32_t zd_crc32_i32(uint32_t crc, const int32_t *values, uint32_t n);
-
-/* 1 if the tables of tanh and of 2^f are what they were written as. */
-uint32_t zd_tables_are_sound(void);
 
 /* A state's copy: version, model, size, the bytes, CRC-32; ZD_SAVED_EXTRA bytes more than the
  * state. For the same build of a firmware: the bytes lie as the compiler laid them out. */
@@ -175,65 +161,6 @@ static inline int64_t zd_clamp64(int64_t x, int64_t low, int64_t high) {
     return (x < low) ? low : ((x > high) ? high : x);
 }
 
-/* --- Activations ------------------------------------------------------------------------------ */
-
-/* t limited to 20 bits, -2^19 .. 2^19 - 1; without a branch on every core. */
-static inline int32_t zd_saturate20(int32_t t) {
-#if defined(__ARM_FEATURE_SAT)
-    return __ssat(t, 20);
-#elif defined(__riscv) || defined(__ARM_ARCH_6M__) || defined(__ARM_ARCH_8M_BASE__)
-    const int32_t sign = zd_asr32(t, 31);
-    int32_t inside = -(zd_asr32(t, 19) ^ sign); /* 0 if t has 20 bits, negative otherwise */
-    ZD_FORGET_NUMBER(inside);
-    return t ^ ((t ^ sign ^ 524287) & zd_asr32(inside, 31));
-#else
-    return zd_clamp32(t, -524288, 524287);
-#endif
-}
-
-/* Where the table lies: kept in registers by a kernel that reads it often. */
-typedef struct {
-    const int32_t *offset_q30; /* of the line from 0 on */
-    const int16_t *slope_q19;
-} zd_table_t;
-
-static inline void zd_find_table(zd_table_t *table) {
-    const int32_t *offset = ZD_TANH_OFFSET_Q30;
-    const int16_t *slope = ZD_TANH_SLOPE_Q19;
-    ZD_FORGET(offset);
-    ZD_FORGET(slope);
-    table->offset_q30 = offset;
-    table->slope_q19 = slope;
-}
-
-/* tanh in Q0.30 of t in Q3.16, any int32: outside -8 .. 8 the ends hold. |result| <= 2^30 - 2^15.
- * |slope * t| < 2^29: where a line is steep, t is small. */
-static inline int32_t zd_read_q30(int32_t t_q16, const zd_table_t *table) {
-#if defined(ZD_SMALL)
-    const int32_t sign = zd_asr32(t_q16, 31);
-    const int32_t distance = zd_asr32(t_q16, 11) ^ sign; /* in lines, from 0 on either side */
-    const int32_t rest = (ZD_TANH_HALF_LINES - 1) - distance;
-    int32_t beyond = zd_asr32(rest, 31); /* -1 beyond the last line, otherwise 0 */
-    ZD_FORGET_NUMBER(beyond);
-    const int32_t line = distance + (rest & beyond);
-    return ((table->offset_q30[line] ^ sign) - sign) + (table->slope_q19[line] * t_q16);
-#else
-    const int32_t position = zd_saturate20(t_q16);
-    const int32_t line = zd_asr32(position, 11);
-    return table->offset_q30[line] + (table->slope_q19[line] * position);
-#endif
-}
-
-static inline int32_t zd_tanh_q30(int32_t t_q16) {
-    const zd_table_t table = {ZD_TANH_OFFSET_Q30, ZD_TANH_SLOPE_Q19};
-    return zd_read_q30(t_q16, &table);
-}
-
-/* sigmoid in Q0.31 of twice t in Q3.16: 2^15 .. 2^31 - 2^15. */
-static inline int32_t zd_sigmoid_q31(int32_t half_t_q16) {
-    return zd_tanh_q30(half_t_q16) + ((int32_t)1 << 30);
-}
-
 /* --- Dot products: the caller's proof bounds the sum of absolute products by 2^31 - 1. -------- */
 
 /* No partial sum can overflow, so the order of the terms is free: every variant gives the same
@@ -247,7 +174,7 @@ static inline int32_t zd_sigmoid_q31(int32_t half_t_q16) {
 #endif
 #endif
 
-#if (ZD_LANES == 1u) && defined(__GNUC__) && !defined(__clang__)
+#if (ZD_LANES == 1u) && defined(__GNUC__) && !defined(__clang__) && (__GNUC__ >= 8)
 #define ZD_ROLLED _Pragma("GCC unroll 1") /* or gcc -O3 unrolls the loop before vectorising it */
 #else
 #define ZD_ROLLED
@@ -256,7 +183,10 @@ static inline int32_t zd_sigmoid_q31(int32_t half_t_q16) {
 #if ZD_LANES == 1u
 #define ZD_UNROLLED ZD_ROLLED
 #define ZD_IN_ORDER(pointer)
-#elif defined(__GNUC__) && (!defined(__clang__) || defined(__riscv)) && !defined(__OPTIMIZE_SIZE__)
+#elif defined(__clang__) && !defined(__riscv)
+#define ZD_UNROLLED
+#define ZD_IN_ORDER(pointer)
+#elif defined(__GNUC__) && ((__GNUC__ >= 8) || defined(__clang__)) && !defined(__OPTIMIZE_SIZE__)
 #define ZD_UNROLLED _Pragma("GCC unroll 16")
 #define ZD_IN_ORDER(pointer) ZD_FORGET(pointer)
 #else
@@ -341,16 +271,14 @@ static inline void zd_dot3_i8(const int8_t *w, const int16_t *x, uint32_t n, int
     acc[2] = c;
 }
 
+/* The int16 copy of a state in Q1.30 that the dot products read; |h_q15| <= 32767 by the invariant.
+ */
+static inline void zd_gru_copy_state(const int32_t *h_q30, int16_t *h_q15, uint32_t hidden) {
+    for (uint32_t j = 0; j < hidden; j++) {
+        h_q15[j] = (int16_t)zd_asr32(h_q30[j] + ((int32_t)1 << 14), 15);
+    }
+}
+
 #include "zd_signals.h"
-
-#include "zd_gru_portable.h"
-
-#if ZD_KERNEL == ZD_KERNEL_PAIRS
-#include "zd_gru_pairs.h"
-#elif ZD_KERNEL == ZD_KERNEL_ROWS
-#include "zd_gru_rows.h"
-#elif ZD_KERNEL == ZD_KERNEL_COLUMNS
-#include "zd_gru_columns.h"
-#endif
 
 #endif /* ZD_RUNTIME_H */

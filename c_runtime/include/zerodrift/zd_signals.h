@@ -7,6 +7,10 @@
 #ifndef ZD_SIGNALS_H
 #define ZD_SIGNALS_H
 
+#if ZD_RUNTIME_ID != 0x2bcd63a7
+#error "zd_signals.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
+#endif
+
 /* --- Low-pass: v has ZD_LOWPASS_FRACTION more fractional bits than x (specification, 3.4). ---- */
 
 static inline int64_t zd_lowpass_rest(int32_t x, int32_t c_q24) {
@@ -48,14 +52,6 @@ static inline int32_t zd_polynomial(const int32_t *c, uint32_t count, int32_t f_
         sum = c[i - 1u] + (int32_t)zd_round_shift64((int64_t)sum * f_q31, 31u);
     }
     return sum;
-}
-
-/* 2^t for t in Q7.24, in units of 2^(top - 27): at most 2^28. t < (top + 1) 2^24. */
-static inline int32_t zd_exp2(int32_t t_q24, int32_t top) {
-    const int32_t shift = (top + 2) - zd_asr32(t_q24, 24u);
-    const int32_t f_q31 = (int32_t)(((uint32_t)t_q24 & 0xFFFFFFu) << 7);
-    const int32_t mantissa = zd_polynomial(zd_exp2_octave_q29, ZD_EXP2_TERMS, f_q31);
-    return (int32_t)zd_round_shift64(mantissa, (unsigned)((shift < 31) ? shift : 31));
 }
 
 /* Constants of x^p for one p that is not whole. */
