@@ -15,6 +15,7 @@ SHIPPED = {
     *("front_end.h", "front_end.c", "front_end.dbc", "certificate.json"),
     *("zd_runtime.h", "zd_runtime.c", "zd_signals.h", "zd_gru_portable.h", "zd_gru_pairs.h"),
     *("zd_gru_rows.h", "zd_gru_columns.h", "zd_gru_columns_sse2.h", "zd_gru_columns_avx2.h"),
+    *("zd_exp2.h", "zd_network.h", "zd_tanh_table.h"),
 }
 BUILT = {"model.json", "integer.onnx", "golden.npz", "certificate.json"}
 
