@@ -84,7 +84,8 @@ def test_any_number_of_any_table_changed_is_noticed(name: str, tmp_path: Path) -
         changed[table] = len(places)
     assert library.zd_selftest() == 0
     assert {table.name for table in list_tables(draw_model(shape, 7))} <= set(changed)
-    assert "zd_exp2_octave_q29" in changed and any(t.startswith("zd_tanh") for t in changed)
+    assert ("zd_exp2_octave_q29" in changed) == ("exp2" in shape.front_end)
+    assert any(t.startswith("zd_tanh") for t in changed)
     recurrent = [t for t in changed if t.startswith("gru")]
     assert len(recurrent) >= (1 if name == "pairs" or name.startswith("columns") else 3)
 
