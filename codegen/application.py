@@ -8,7 +8,7 @@ from zerodrift.codegen.identifiers import (
     sanitize_identifiers,
     sanitize_prefix,
 )
-from zerodrift.export.compose import MEASURED
+from zerodrift.dataset.chip_codes import MEASURED, TEMPERATURE_LSB_DEGC
 from zerodrift.export.integer_model import IntegerModel
 
 FIRST_FRAME_ID = 0x100
@@ -50,9 +50,13 @@ def render_dbc(model: IntegerModel) -> str:
 
 
 def render_application(model: IntegerModel) -> str:
-    """Return the C of an application: thermometer, other inputs, step, CAN frames."""
+    """Return the C of an application: thermometer, other inputs, step, CAN frames.
+
+    A thermometer whose codes are not a TMP117's is read as the board's other channels are.
+    """
     prefix = sanitize_prefix(model.name)
     names = name_outputs(model)
+    thermometer = model.channels[model.guards.temperature_channel]
     of_outputs = {f"{MEASURED}{output.name}": k for k, output in enumerate(model.outputs)}
     return (
         make_environment()
@@ -72,5 +76,6 @@ def render_application(model: IntegerModel) -> str:
                 if channel.source in of_outputs
             },
             guards=model.guards,
+            is_tmp117=thermometer.bits == 16 and thermometer.lsb == TEMPERATURE_LSB_DEGC,
         )
     )

@@ -1,7 +1,7 @@
 """Checks of a log's values: vectorised first, the offending line only after one has failed."""
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from zerodrift.dataset.units import read_unit
 from zerodrift.errors import InputError
 
 Mask = NDArray[np.bool_]
+Limits = tuple[float, float]
+"""Lowest and highest value."""
 
 UNREADY_DEGC = -256.0
 """What a TMP117 reports before its first conversion (code 0x8000; datasheet, table 7-2)."""
@@ -25,42 +27,49 @@ MIXED_RATIO = 1.5
 _SKIP = "or pass --skip-invalid to drop"
 
 
-def find_invalid_rows(table: Table, temperatures: Iterable[str]) -> Mask | None:
+def widen_plausible(stated: tuple[float, float] | None) -> Limits:
+    """Return the plausible temperatures, or more where a range is stated for the sensor."""
+    low, high = stated or (COLDEST_DEGC, HOTTEST_DEGC)
+    return min(low, COLDEST_DEGC), max(high, HOTTEST_DEGC)
+
+
+def find_invalid_rows(table: Table, temperatures: Mapping[str, Limits]) -> Mask | None:
     """Return the rows with a value that is no finite number or no temperature; None = none.
 
     Args:
         table: the parsed log.
-        temperatures: columns in degC, checked for plausibility too.
+        temperatures: columns in degC -> lowest and highest plausible value.
     """
     invalid: Mask | None = None
     for column in table.columns:
-        wrong = find_invalid_values(table.columns[column], column in set(temperatures))
+        wrong = find_invalid_values(table.columns[column], temperatures.get(column))
         if wrong is not None:
             invalid = wrong if invalid is None else invalid | wrong
     return invalid
 
 
-def find_invalid_values(values: Array, is_temperature: bool) -> Mask | None:
+def find_invalid_values(values: Array, temperature: Limits | None) -> Mask | None:
     """Return where a column is invalid; None, without making a mask, when it is nowhere."""
-    if not is_temperature:
+    if temperature is None:
         # One pass without a mask: no value is larger than the root of the sum of squares.
         with np.errstate(over="ignore", invalid="ignore"):
             if np.dot(values, values) <= LARGEST**2:
                 return None
-    low, high = (COLDEST_DEGC, HOTTEST_DEGC) if is_temperature else (-LARGEST, LARGEST)
-    if is_temperature and values.min() >= low and values.max() <= high:
+    low, high = temperature or (-LARGEST, LARGEST)
+    if temperature is not None and values.min() >= low and values.max() <= high:
         return None
     invalid = ~(np.isfinite(values) & (values >= low) & (values <= high))
     return invalid if invalid.any() else None
 
 
-def explain_invalid_row(table: Table, invalid: Mask, temperatures: Iterable[str]) -> InputError:
+def explain_invalid_row(
+    table: Table, invalid: Mask, temperatures: Mapping[str, Limits]
+) -> InputError:
     """Return the error for the first invalid row, with its line and its text."""
     row = int(np.argmax(invalid))
     place = locate_row(table.source, table.position(row))
     for column, values in table.columns.items():
-        is_temperature = column in set(temperatures)
-        if find_invalid_values(values[row : row + 1], is_temperature) is not None:
+        if find_invalid_values(values[row : row + 1], temperatures.get(column)) is not None:
             break
     count = int(invalid.sum())
     rows = "this row" if count == 1 else f"the {count} such rows"
@@ -82,7 +91,7 @@ def explain_invalid_row(table: Table, invalid: Mask, temperatures: Iterable[str]
             f"{place.text}: column '{column}' is {text.strip()}; expected a finite number. "
             f"Correct the row, {_SKIP} {rows}."
         )
-    if column not in set(temperatures):
+    if column not in temperatures:
         return InputError(
             f"{place.text}: column '{column}' is {text.strip()}; expected a measured value, within "
             f"{LARGEST:g} of 0. Correct the row, {_SKIP} {rows}."
@@ -92,10 +101,12 @@ def explain_invalid_row(table: Table, invalid: Mask, temperatures: Iterable[str]
             f"{place.text}: {column} is -256 degC; the chip reports that before its first "
             f"conversion; expected a measured temperature. Drop the row, {_SKIP} {rows}."
         )
+    low, high = temperatures[column]
     hint = guess_temperature_unit(column, values[np.isfinite(values)])
     return InputError(
-        f"{place.text}: {column} is {value:g} degC; expected {COLDEST_DEGC:g} to "
-        f"{HOTTEST_DEGC:g} degC.{hint} Correct the unit or the row, {_SKIP} {rows}."
+        f"{place.text}: {column} is {value:g} degC; expected {low:g} to {high:g} degC.{hint} "
+        f"Correct the unit or the row, {_SKIP} {rows}; a sensor that measures beyond says so by "
+        f'{{ column = "{column}", range = [low, high] }}.'
     )
 
 

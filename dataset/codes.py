@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.dataset.checks import explain_invalid_row, find_invalid_rows
+from zerodrift.dataset.checks import explain_invalid_row, find_invalid_rows, widen_plausible
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.tables import Source, open_source, read_table
@@ -69,7 +69,7 @@ def read_calibration_log(
     if temperature is not None:
         needed[temperature] = "the temperature"
     table = read_table(source, needed, run_column=False)
-    temperatures = () if temperature is None else (temperature,)
+    temperatures = {} if temperature is None else {temperature: widen_plausible(None)}
     invalid = find_invalid_rows(table, temperatures)
     dropped = 0
     if invalid is not None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from zerodrift.column_config import CodesConfig
 from zerodrift.config import Config, locate_key
 from zerodrift.dataset.checks import (
     check_period,
@@ -17,6 +18,7 @@ from zerodrift.dataset.checks import (
     find_invalid_rows,
     find_late_rows,
     guess_temperature_unit,
+    widen_plausible,
 )
 from zerodrift.dataset.locate import find_blank_rows, locate_row
 from zerodrift.dataset.naming import RunKey, name_runs, refuse_overlaps
@@ -24,7 +26,7 @@ from zerodrift.dataset.oddities import find_oddities
 from zerodrift.dataset.resample import COARSEST, MIN_STEPS, Stretch, plan_stretches
 from zerodrift.dataset.runs import Array, Dataset, Run
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
-from zerodrift.dataset.tables import Table, open_source, read_table
+from zerodrift.dataset.tables import Table, label_log, open_source, read_table
 from zerodrift.dataset.units import are_alike, read_unit
 from zerodrift.errors import InputError, nearest
 
@@ -104,7 +106,7 @@ def _load_selection(
     config: Config, selection: Selection, skip_invalid: bool, notes: list[str]
 ) -> list[_Piece]:
     """Read one file and plan its stretches; resample column by column to keep the memory low."""
-    label = _label(selection.path, config.directory)
+    label = label_log(selection.path, config.directory)
     source = open_source(selection.path, label, config.where)
     table = read_table(source, list_columns(config))
     _keep_selected_runs(table, selection)
@@ -114,11 +116,6 @@ def _load_selection(
         pieces += _plan_run(config, table, selection, span, notes)
     _fill(config, table, pieces)
     return pieces
-
-
-def _label(path: Path, directory: Path) -> str:
-    """Return how messages name a log: relative to the project where it lies within."""
-    return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
 
 
 def _keep_selected_runs(table: Table, selection: Selection) -> None:
@@ -144,12 +141,11 @@ def _keep_selected_runs(table: Table, selection: Selection) -> None:
 
 def _check_values(config: Config, table: Table, skip_invalid: bool, notes: list[str]) -> None:
     """Drop blank lines; raise for rows with invalid values, or drop them too."""
-    temperatures = {config.temperature_column}
-    temperatures |= {
-        column
-        for name, column in config.inputs.items()
-        if "temperature" in name or column.endswith("degC")
-    }
+    temperatures = {config.temperature_column: widen_plausible(config.temperature_codes.range)}
+    for name, column in config.inputs.items():
+        if "temperature" in name or column.endswith("degC"):
+            stated = config.input_codes.get(name, CodesConfig())
+            temperatures[column] = widen_plausible(stated.range)
     invalid = find_invalid_rows(table, temperatures)
     if invalid is not None:
         blank = find_blank_rows(table.source)
@@ -361,6 +357,7 @@ def _check_training(config: Config, train: Sequence[Run], notes: list[str]) -> N
         )
     medians = np.array([np.median(run.temperature_degC) for run in train])
     hint = guess_temperature_unit(config.temperature_column, medians)
+    hint = "" if config.temperature_codes.range else hint  # who says the range means degC
     if hint and (low > 0 or read_unit(config.temperature_column) not in ("", "degC")):
         notes.append(f"'{config.temperature_column}' is read as degC.{hint}")
     for index, output in enumerate(config.outputs):

@@ -112,6 +112,11 @@ class Table:
         return row if self.kept is None else int(self.kept[row])
 
 
+def label_log(path: Path, directory: Path) -> str:
+    """Return how messages name a log: relative to the project where it lies within."""
+    return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
+
+
 def open_source(path: Path, label: str, where: Mapping[str, str]) -> Source:
     """Read a log's column names.
 

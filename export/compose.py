@@ -10,12 +10,23 @@ from numpy.typing import NDArray
 
 from zerodrift.config import Config
 from zerodrift.dataset.bridges import predict_along
+from zerodrift.dataset.chip_codes import (
+    CLOCK,
+    FLAG_MARGIN_K,
+    MEASURED,
+    RANGE_MARGIN,
+    TEMPERATURE,
+    ChipCodes,
+    choose_codes,
+    read_source,
+    refuse_outside,
+)
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.errors import InputError
 from zerodrift.export.feedback import predict_fed_back
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.formats import RANGE_SPANS
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat, code_type
-from zerodrift.export.lowering import RANGE_MARGIN
 from zerodrift.export.onnx_reader import read_network_bytes
 from zerodrift.export.quantize import Calibration, FloatModel, quantize
 from zerodrift.export.reference import Reference
@@ -30,14 +41,10 @@ if TYPE_CHECKING:  # torch is not needed to read what training left
 
 Array = NDArray[np.float64]
 
-TEMPERATURE_LSB_DEGC = 0.0078125
-"""One count of the TMP117, 2**-7 K (Texas Instruments, TMP117 data sheet, temperature register)."""
 OUTPUT_STEPS = 1e6
 """One count of an output is the power of ten at or below full scale / 1e6."""
-FLAG_MARGIN_K = 2.0
-"""The temperature is flagged when it is further than this from the calibrated range."""
-LOAD, MEASURED, CLOCK = "load:", "measured:", "clock"
-"""What names of graph signals and of channels' sources begin with, and the clock's input."""
+LOAD = "load:"
+"""What names of the graph's signals of loads begin with."""
 WARM_SHARE = 1e-3
 """The model is warm when starts from cold and from rest differ by less than this share of the
 correction's range, for good."""
@@ -53,14 +60,26 @@ def compose_integer_model(
 
     Raises:
         CheckError: an effect has no fixed-point form, or no safe format exists.
+        InputError: a log leaves what the codes can say.
     """
     model = describe_compensator(compensator, config, dataset.train)
+    refuse_logs_outside(config, model, dataset)
     calibration = calibrate(compensator, model, dataset.train)
     cold = quantize(model, calibration, config.weights)
     if compensator.physics.plan.starts_at_first_row:
         cold = replace(cold, notes={**cold.notes, POWER_ON: FIRST_ROW})
     steps = measure_warm_up(cold, dataset.train)
     return replace(cold, guards=replace(cold.guards, warm_up_steps=steps))
+
+
+def refuse_logs_outside(config: Config, model: FloatModel, dataset: Dataset) -> None:
+    """Refuse logs with a value that no code of the firmware's inputs stands for.
+
+    Raises:
+        InputError: names file and line, run, value, what the codes hold, and what to do.
+    """
+    codes = [choose_codes(config, c.source, dataset.train, c.lsb) for c in model.channels]
+    refuse_outside(config, codes, [*dataset.train, *dataset.test, *dataset.dwell])
 
 
 def describe_compensator(
@@ -92,7 +111,7 @@ def describe_compensator(
         OutputFormat(o.name, o.unit, choose_lsb_per_unit(o.full_scale), o.full_scale)
         for o in config.outputs
     )
-    channels, sources = list_channels([*features, *taps], runs, outputs)
+    channels, sources = list_channels([*features, *taps], config, runs, outputs)
     return FloatModel(
         name=config.sensor_name,
         sample_period_s=config.sample_period_s,
@@ -121,16 +140,19 @@ def _read_network(compensator: "Compensator") -> FloatNetwork | FloatFeedForward
 
 
 def list_channels(
-    roots: Sequence[Node], runs: Sequence[Run], outputs: Sequence[OutputFormat]
+    roots: Sequence[Node],
+    config: Config,
+    runs: Sequence[Run],
+    outputs: Sequence[OutputFormat],
 ) -> tuple[tuple[Channel, ...], dict[str, int]]:
     """Return the raw inputs that the graph needs; the temperature is always the first."""
-    channels = [Channel("temperature", "degC", TEMPERATURE_LSB_DEGC, source="temperature_degC")]
-    sources = {"temperature_degC": 0}
-    places = {channels[0].source: 0}
+    channels = [_make_channel(choose_codes(config, TEMPERATURE, runs, 0.0))]
+    sources = {TEMPERATURE: 0}
+    places = {TEMPERATURE: 0}
     for node in list_nodes(roots):
         if node.op != "input" or node.source in sources:
             continue
-        channel = _describe_channel(node.source, runs, outputs)
+        channel = _describe_channel(node.source, config, runs, outputs)
         if channel is None:
             continue
         if channel.source not in places:
@@ -141,27 +163,29 @@ def list_channels(
 
 
 def _describe_channel(
-    source: str, runs: Sequence[Run], outputs: Sequence[OutputFormat]
+    source: str, config: Config, runs: Sequence[Run], outputs: Sequence[OutputFormat]
 ) -> Channel | None:
     """Return the raw input behind a signal of the graph, or None where it needs none."""
     if source.startswith(LOAD):
         name = source.removeprefix(LOAD)
         output = next(o for o in outputs if o.name == name)
         lsb = 1.0 / output.lsb_per_unit
-        return Channel(f"measured_{name}", output.unit, lsb, bits=32, source=f"{MEASURED}{name}")
+        return _make_channel(choose_codes(config, f"{MEASURED}{name}", runs, lsb))
     name = CLOCK if source == "clock_s" else source
     if not all(name in run.inputs for run in runs):
         return None
-    low, high = _find_span([run.inputs[name] for run in runs])
-    largest = max(abs(low), abs(high), 1e-30)
-    if name == CLOCK:  # whole seconds, as a real-time clock counts them
-        lsb = 2.0 ** max(0, math.ceil(math.log2(largest / 2.0**30)) - 1)
-        return Channel(name, "s", lsb, bits=32, source=name)
-    return Channel(name, "as logged", 2.0 ** math.ceil(math.log2(largest / 16384.0)), source=name)
+    return _make_channel(choose_codes(config, name, runs, 0.0))
 
 
-def _find_span(arrays: Sequence[Array]) -> tuple[float, float]:
-    return min(float(a.min()) for a in arrays), max(float(a.max()) for a in arrays)
+def _make_channel(codes: ChipCodes) -> Channel:
+    return Channel(
+        name=codes.name,
+        unit=codes.unit,
+        lsb=codes.lsb,
+        bits=codes.bits,
+        source=codes.source,
+        no_reading=codes.no_reading,
+    )
 
 
 def choose_lsb_per_unit(full_scale: float) -> int:
@@ -171,19 +195,28 @@ def choose_lsb_per_unit(full_scale: float) -> int:
 
 
 def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> CodeArray:
-    """Return the raw codes [n, C] that the hardware would have given for a run."""
+    """Return the raw codes [n, C] that the hardware would have given for a run.
+
+    Raises:
+        InputError: no code stands for a value.
+    """
     names = [output.name for output in model.outputs]
     columns = []
     for channel in model.channels:
-        if channel.source == "temperature_degC":
-            values = run.temperature_degC
-        elif channel.source.startswith(MEASURED):
-            values = run.measured[:, names.index(channel.source.removeprefix(MEASURED))]
-        else:
-            values = run.inputs[channel.source]
+        values = read_source(names, channel.source, run)
         codes = np.round((values - channel.offset) / channel.lsb)
-        limit = 2 ** (channel.bits - 1)
-        columns.append(np.clip(codes, -limit, limit - 1))
+        outside = ~((codes >= channel.least) & (codes <= channel.most))
+        outside |= codes == channel.no_reading
+        if outside.any():
+            row = int(outside.argmax())
+            low, high = (c * channel.lsb + channel.offset for c in (channel.least, channel.most))
+            raise InputError(
+                f"{run.source}: run '{run.name}', at {run.time_s[row]:g} s: '{channel.name}' is "
+                f"{values[row]:.10g}; its codes hold {low:.10g} to {high:.10g} and one of them may "
+                "mean no reading. Correct the log, or give the column a table with a range in "
+                "zerodrift.toml, and build the firmware again."
+            )
+        columns.append(codes)
     return np.stack(columns, axis=1).astype(code_type(model.channels))
 
 
@@ -214,16 +247,18 @@ def predict_on_chip(compensator: "Compensator | ImportedCompensator", run: Run) 
 
 def calibrate(compensator: "Compensator", model: FloatModel, runs: Sequence[Run]) -> Calibration:
     """Return the ranges that the training runs showed, with their margins."""
-    limits = []
+    limits, ranges = [], []
     names = [output.name for output in model.outputs]
     codes = [encode_inputs(model, run).astype(np.int64) for run in runs]
     for index, channel in enumerate(model.channels):
         columns = [c[:, index] for c in codes]
+        spans = RANGE_SPANS if channel.source == CLOCK else RANGE_MARGIN
+        if index:
+            ranges.append((index, *find_flagged(channel, columns, spans)))
         if channel.source.startswith(MEASURED):  # the limits are those of the load
             k = names.index(channel.source.removeprefix(MEASURED))
             columns = [np.round(r.reference[:, k] / channel.lsb).astype(np.int64) for r in runs]
         low, high = min(int(c.min()) for c in columns), max(int(c.max()) for c in columns)
-        spans = RANGE_SPANS if channel.source == CLOCK else RANGE_MARGIN
         margin = spans * (high - low) + 1
         limits.append(widen(low, high, margin, channel.bits))
     span = (min(int(c[:, 0].min()) for c in codes), max(int(c[:, 0].max()) for c in codes))
@@ -241,11 +276,28 @@ def calibrate(compensator: "Compensator", model: FloatModel, runs: Sequence[Run]
         feature_max=largest,
         drift_low=low_drift - margin_drift,
         drift_high=high_drift + margin_drift,
-        rate_max=min(math.ceil(rate * (1.0 + RANGE_MARGIN)) + 2, 65535),
+        rate_max=limit_rate(model.channels[0], rate),
         warm_up_steps=0,
-        temperature_range=widen(*span, FLAG_MARGIN_K / model.channels[0].lsb),
+        input_ranges=tuple(ranges),
+        temperature_range=widen(
+            *span, FLAG_MARGIN_K / model.channels[0].lsb, model.channels[0].bits
+        ),
         ranges=measure_ranges(compensator, model, runs),
     )
+
+
+def find_flagged(
+    channel: Channel, columns: Sequence[NDArray[np.int64]], spans: float
+) -> tuple[int, int]:
+    """Return the codes beyond which an input is flagged; there is one beyond on either side."""
+    low, high = min(int(c.min()) for c in columns), max(int(c.max()) for c in columns)
+    margin = round(spans * (high - low)) + 1
+    return max(low - margin, channel.least + 2), min(high + margin, channel.most - 2)
+
+
+def limit_rate(thermometer: Channel, largest: int) -> int:
+    """Return the codes that the temperature may move in a step, from the largest that it did."""
+    return min(math.ceil(largest * (1.0 + RANGE_MARGIN)) + 2, 2 * thermometer.most + 1, 2**31 - 1)
 
 
 def measure_ranges(
@@ -264,7 +316,7 @@ def measure_ranges(
     }
 
 
-def widen(low: int, high: int, margin: float, bits: int = 16) -> tuple[int, int]:
+def widen(low: int, high: int, margin: float, bits: int) -> tuple[int, int]:
     """Return the codes low - margin .. high + margin, as far as they fit."""
     limit = 2 ** (bits - 1)
     return max(low - round(margin), -limit), min(high + round(margin), limit - 1)

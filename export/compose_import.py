@@ -1,6 +1,5 @@
 """From a network that another program trained, and logs to calibrate on, to the integer model."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -9,19 +8,21 @@ from numpy.typing import NDArray
 
 from zerodrift.config import LONGEST_WINDOW, Config
 from zerodrift.dataset.bridges import predict_along
+from zerodrift.dataset.chip_codes import FLAG_MARGIN_K, RANGE_MARGIN
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.errors import InputError, nearest
 from zerodrift.export.compose import (
-    FLAG_MARGIN_K,
     choose_lsb_per_unit,
     encode_inputs,
+    find_flagged,
+    limit_rate,
     list_channels,
     measure_warm_up,
+    refuse_logs_outside,
     widen,
 )
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import IntegerModel, OutputFormat
-from zerodrift.export.lowering import RANGE_MARGIN
 from zerodrift.export.onnx_reader import ImportedNetwork
 from zerodrift.export.quantize import Calibration, FloatModel, quantize
 from zerodrift.operations.graph import GraphOperations
@@ -182,8 +183,10 @@ def compose_imported_model(
 
     Raises:
         CheckError: no safe format exists.
+        InputError: a log leaves what the codes can say.
     """
     model = describe_imported(compensator, config, dataset.train)
+    refuse_logs_outside(config, model, dataset)
     calibration = calibrate_imported(compensator, model, dataset.train)
     if layers is not None and isinstance(model.network, FloatNetwork):
         model = replace(model, network=model.network.with_layers(layers))
@@ -205,7 +208,7 @@ def describe_imported(
         OutputFormat(o.name, o.unit, choose_lsb_per_unit(o.full_scale), o.full_scale)
         for o in config.outputs
     )
-    channels, sources = list_channels(taps, runs, outputs)
+    channels, sources = list_channels(taps, config, runs, outputs)
     return FloatModel(
         name=config.sensor_name,
         sample_period_s=config.sample_period_s,
@@ -228,9 +231,11 @@ def calibrate_imported(
 ) -> Calibration:
     """Return the ranges that the calibration runs showed, with their margins."""
     codes = np.concatenate([encode_inputs(model, run).astype(np.int64) for run in runs])
-    limits = []
-    for column, channel in zip(codes.T, model.channels, strict=True):
+    limits, ranges = [], []
+    for index, (column, channel) in enumerate(zip(codes.T, model.channels, strict=True)):
         low, high = int(column.min()), int(column.max())
+        if index:
+            ranges.append((index, *find_flagged(channel, [column], RANGE_MARGIN)))
         limits.append(widen(low, high, RANGE_MARGIN * (high - low) + 1, channel.bits))
     steps = [np.abs(np.diff(encode_inputs(model, run)[:, 0].astype(np.int64))) for run in runs]
     rate = max(int(step.max(initial=0)) for step in steps)
@@ -244,7 +249,10 @@ def calibrate_imported(
         feature_max=np.abs(features).max(axis=0),
         drift_low=low_drift - margin,
         drift_high=high_drift + margin,
-        rate_max=min(math.ceil(rate * (1.0 + RANGE_MARGIN)) + 2, 65535),
+        rate_max=limit_rate(model.channels[0], rate),
         warm_up_steps=0,
-        temperature_range=widen(low, high, FLAG_MARGIN_K / model.channels[0].lsb),
+        input_ranges=tuple(ranges),
+        temperature_range=widen(
+            low, high, FLAG_MARGIN_K / model.channels[0].lsb, model.channels[0].bits
+        ),
     )

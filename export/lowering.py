@@ -35,9 +35,6 @@ from zerodrift.operations.signal import (
 
 INPUT_SHIFT = 12
 """Fractional bits given to a 16-bit code: 2**-19 K for the TMP117's 2**-7 K."""
-RANGE_MARGIN = 0.25
-"""Share of the calibrated span by which inputs may go beyond it before they are limited. A little
-extrapolation beats none; a lot of it is worth nothing."""
 LARGEST_WHOLE_POWER = 16
 POWER_DEGREE = 8
 """Degree of the polynomial of a power on one octave; within 2**-27 of it."""

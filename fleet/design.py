@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -62,6 +62,7 @@ class Design:
             [c.sensor_name, c.time_column, c.temperature_column, c.sample_period_s],
             [[o.name, o.measured, o.reference, o.unit, o.full_scale] for o in c.outputs],
             [dict(c.inputs), dict(c.where), c.weights, self._name(c.firmware_out)],
+            [asdict(c.temperature_codes), {n: asdict(v) for n, v in c.input_codes.items()}],
             [[getattr(c, f"{use}_logs") for use in USES], c.fleet.folder],
             [[e.kind, dict(e.held), dict(e.options)] for e in c.effects],
             [c.network.kind, c.network.hidden, c.network.memory, c.network.seed],

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from zerodrift.config import Config, NetworkConfig
+from zerodrift.dataset.chip_codes import refuse_unsayable
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
@@ -98,8 +99,10 @@ def train(
         catalogue: the known effects; by default the built-ins and the project's own.
 
     Raises:
-        InputError: an effect cannot be fitted, or a setting of the network is out of range.
+        InputError: an effect cannot be fitted, a setting of the network is out of range, or a log
+            leaves what the chip's codes can say.
     """
+    refuse_unsayable(config, dataset)
     catalogue = catalogue or load_catalogue(config.plugin_files)
     settings = read_settings(config.network, epochs, starts)
     physics = fit_physics(config, dataset, dataset.train, catalogue)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.dataset.chip_codes import MEASURED
 from zerodrift.dataset.runs import Run
-from zerodrift.export.compose import MEASURED
 from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.verify.chip_error import RATE, Replay
 

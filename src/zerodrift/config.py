@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
+from zerodrift.column_config import CodesConfig, read_column
 from zerodrift.errors import InputError
 from zerodrift.files import name_kind
 from zerodrift.fleet_config import FleetConfig, read_fleet
@@ -106,6 +107,10 @@ class Config:
     """`[logs] where`: column -> the value that a row must have there to be read."""
     fleet: FleetConfig = field(default_factory=FleetConfig)
     """`[fleet]`: for `zerodrift fleet` alone."""
+    temperature_codes: CodesConfig = field(default_factory=CodesConfig)
+    """What the chip is given of the thermometer."""
+    input_codes: Mapping[str, CodesConfig] = field(default_factory=dict)
+    """Channel name -> what the chip is given of it."""
 
     @property
     def directory(self) -> Path:
@@ -177,14 +182,16 @@ def parse_config(text: str, path: Path) -> Config:
     firmware = root.table("firmware", ("out",), optional=True)
     outputs = _read_outputs(root)
     inputs = root.table("inputs", None, optional=True)
+    temperature_column, temperature_codes = read_column(sensor, "temperature")
+    columns = {name: read_column(inputs, name) for name in inputs.values}
     config = Config(
         path=path,
         sensor_name=sensor.text("name"),
         time_column=sensor.text("time"),
-        temperature_column=sensor.text("temperature"),
+        temperature_column=temperature_column,
         sample_period_s=sensor.positive("sample_period_s"),
         outputs=outputs,
-        inputs={name: inputs.text(name) for name in inputs.values},
+        inputs={name: column for name, (column, _) in columns.items()},
         train_logs=logs.texts("train"),
         test_logs=logs.texts("test", optional=True),
         dwell_logs=logs.texts("dwell", optional=True),
@@ -197,6 +204,8 @@ def parse_config(text: str, path: Path) -> Config:
         fleet=read_fleet(
             root.table("fleet", None, optional=True), tuple(output.name for output in outputs)
         ),
+        temperature_codes=temperature_codes,
+        input_codes={name: codes for name, (_, codes) in columns.items()},
     )
     _refuse_shared_columns(config, root)
     _refuse_file_as_build(config)
@@ -359,11 +368,12 @@ def _refuse_shared_columns(config: Config, root: TomlTable) -> None:
     """Refuse a column in two roles: the mark of a table copied and not edited."""
     sensor = root.table("sensor", None)
     roles = {config.time_column: sensor.label("time")}
-    uses = [(sensor, "temperature")]
+    uses = [(sensor, "temperature", config.temperature_column)]
     outputs = root.table("outputs", None)
-    uses += [(outputs.table(output.name, None), "measured") for output in config.outputs]
-    for table, key in uses:
-        column = table.text(key)
+    uses += [
+        (outputs.table(output.name, None), "measured", output.measured) for output in config.outputs
+    ]
+    for table, key, column in uses:
         if column in roles:
             raise table.error(
                 key,
@@ -371,7 +381,7 @@ def _refuse_shared_columns(config: Config, root: TomlTable) -> None:
                 "expected a column of its own for each.",
             )
         roles[column] = table.label(key)
-    for table, _ in uses[1:]:
+    for table, _, _ in uses[1:]:
         if table.values.get("reference") == table.values["measured"]:
             raise table.error(
                 "reference",

@@ -121,9 +121,9 @@ def render_applied(
         label = _label(path, directory)
         source = open_source(path, label, {})
         table = read_table(source, dict.fromkeys(fitted.channels, "--adc"), run_column=False)
-        invalid = find_invalid_rows(table, ())
+        invalid = find_invalid_rows(table, {})
         if invalid is not None:
-            raise explain_invalid_row(table, invalid, ())
+            raise explain_invalid_row(table, invalid, {})
         codes = np.stack([table.columns[name] for name in fitted.channels], axis=1)
         for name, column in zip(fitted.channels, codes.T, strict=True):
             if find_saturated_row(column) is not None:

@@ -1,0 +1,296 @@
+"""What the chip is given of each input: codes that hold its logs, or the row that they do not."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zerodrift.column_config import CodesConfig
+from zerodrift.config import Config, locate_key
+from zerodrift.dataset.checks import guess_temperature_unit
+from zerodrift.dataset.locate import locate_row
+from zerodrift.dataset.runs import Array, Dataset, Run
+from zerodrift.dataset.tables import label_log, open_source, read_table
+from zerodrift.errors import InputError
+
+TEMPERATURE, MEASURED, CLOCK = "temperature_degC", "measured:", "clock"
+"""Sources of codes: the thermometer, `measured:Fz` of an output, or an input; one is the clock."""
+TEMPERATURE_LSB_DEGC = 0.0078125
+"""One count of the TMP117, 2**-7 K (Texas Instruments, TMP117 data sheet, temperature register)."""
+FLAG_MARGIN_K = 2.0
+"""The temperature is flagged when it is further than this from the calibrated range."""
+RANGE_MARGIN = 0.25
+"""Share of the calibrated span by which other inputs may go beyond it before they are flagged, and
+all inputs before they are limited. A little extrapolation beats none; a lot is worth nothing."""
+AS_LOGGED = "as logged"
+"""Unit of an input that has none of its own."""
+FILLED = {16: 2.0**14, 32: 2.0**30}
+"""Bits of a code -> the code that the largest logged value is given, at most; twice it is held."""
+
+
+@dataclass(frozen=True)
+class ChipCodes:
+    """The codes of one input: value = code * lsb."""
+
+    name: str
+    """`temperature`, `measured_Fz`, or the input's name."""
+    source: str
+    """`temperature_degC`, `measured:Fz`, or the input's name."""
+    column: str
+    """Of the logs."""
+    unit: str
+    bits: int
+    lsb: float
+    no_reading: int | None
+    """The code that means that there is none."""
+    remedy: str
+    """What a user changes where a log leaves these codes."""
+
+    @property
+    def codes(self) -> tuple[int, int]:
+        """The lowest and highest code that is a reading."""
+        low, high = -(1 << (self.bits - 1)), (1 << (self.bits - 1)) - 1
+        return low + (self.no_reading == low), high - (self.no_reading == high)
+
+    def holds(self, low: float, high: float) -> bool:
+        """Tell whether codes stand for both values, with one to spare on either side."""
+        lowest, highest = self.codes
+        return lowest < round(low / self.lsb) and round(high / self.lsb) < highest
+
+    def find_outside(self, values: Array) -> int | None:
+        """Return the first position of values [n] that no code stands for; None: there is none."""
+        codes = np.round(values / self.lsb)
+        lowest, highest = self.codes
+        outside = ~((codes >= lowest) & (codes <= highest)) | (codes == self.no_reading)
+        return int(outside.argmax()) if outside.any() else None
+
+    def explain(self, place: str, run: Run, value: float) -> InputError:
+        """Return the error about a value of a run that no code stands for."""
+        held = hint = ""
+        if self.source == TEMPERATURE:
+            hint = guess_temperature_unit(self.column, run.temperature_degC)
+        if round(value / self.lsb) == self.no_reading:
+            held = f", and {self.no_reading} means no reading"
+        return InputError(
+            f"{place}: run '{run.name}': {self.column} is {self.show(value)}; {self.describe()}"
+            f"{held}.{hint} {self.remedy}"
+        )
+
+    def describe(self) -> str:
+        """Return in words what the codes hold."""
+        low, high = (self.show(code * self.lsb) for code in self.codes)
+        kind = f"int{self.bits}, {self.show(self.lsb)} each"
+        return f"the codes of '{self.name}' ({kind}) hold {low} to {high}"
+
+    def show(self, value: float) -> str:
+        """Return a value with its unit."""
+        return f"{value:.10g}" if self.unit == AS_LOGGED else f"{value:.10g} {self.unit}"
+
+
+def choose_codes(config: Config, source: str, runs: Sequence[Run], lsb: float) -> ChipCodes:
+    """Return the codes of any input of the firmware.
+
+    Args:
+        config: the project.
+        source: `temperature_degC`, `measured:Fz`, or the input's name.
+        runs: of the training logs.
+        lsb: of a raw output, in its unit.
+
+    Raises:
+        InputError: what the project says does not hold its logs, or its own range.
+    """
+    if source == TEMPERATURE:
+        return choose_temperature_codes(config, runs)
+    if not source.startswith(MEASURED):
+        return choose_input_codes(config, source, runs)
+    output = next(o for o in config.outputs if o.name == source.removeprefix(MEASURED))
+    remedy = f"Correct the row, or [outputs.{output.name}] full_scale, of which a code is a part."
+    name = f"measured_{output.name}"
+    return ChipCodes(name, source, output.measured, output.unit, 32, lsb, -(2**31), remedy)
+
+
+def choose_temperature_codes(config: Config, runs: Sequence[Run]) -> ChipCodes:
+    """Return the thermometer's codes: those of a TMP117, wider where these do not hold the logs.
+
+    Args:
+        config: the project; says what it wants of the codes, if it does.
+        runs: of the training logs.
+
+    Raises:
+        InputError: what the project says does not hold its logs, or its own range.
+    """
+    stated = config.temperature_codes
+    spans = [(float(r.temperature_degC.min()), float(r.temperature_degC.max())) for r in runs]
+    low, high = _join(spans, stated)
+    options = _list_options(stated, TEMPERATURE_LSB_DEGC)
+    if stated.bits == 16 and stated.lsb is None:  # coarser, as it may not be wider
+        options = [(16, TEMPERATURE_LSB_DEGC * 2.0**step) for step in range(64)]
+    found = [
+        _make(config, TEMPERATURE, bits, lsb) for bits, lsb in options if _fits_type(stated, bits)
+    ]
+    margin = FLAG_MARGIN_K
+    return _choose(config, found, runs, (low - margin, high + margin), "2 degC on either side")
+
+
+def choose_input_codes(config: Config, name: str, runs: Sequence[Run]) -> ChipCodes:
+    """Return the codes of one of `[inputs]`: as many as fill 15 of 16 bits, or as it is stated.
+
+    A clock counts whole seconds in 32 bits.
+
+    Raises:
+        InputError: as `choose_temperature_codes`.
+    """
+    stated = config.input_codes.get(name, CodesConfig())
+    spans = [(float(r.inputs[name].min()), float(r.inputs[name].max())) for r in runs]
+    low, high = _join(spans, stated)
+    largest = max(abs(low), abs(high), 1e-30)
+    if name == CLOCK:
+        second = 2.0 ** max(0, math.ceil(math.log2(largest / 2.0**30)) - 1)
+        options = [(stated.bits or 32, stated.lsb or second)]
+        need = (low, high)  # its limits are far beyond what was logged, and beyond the codes
+    else:
+        bits = stated.bits or 16
+        options = _list_options(stated, 2.0 ** math.ceil(math.log2(largest / FILLED[bits])))
+        margin = RANGE_MARGIN * (max(s[1] for s in spans) - min(s[0] for s in spans))
+        need = (low - margin, high + margin)
+    found = [_make(config, name, *option) for option in options if _fits_type(stated, option[0])]
+    return _choose(config, found, runs, need, "a quarter of the span on either side")
+
+
+def _join(spans: Sequence[tuple[float, float]], stated: CodesConfig) -> tuple[float, float]:
+    """Return the lowest and highest value of logs and stated range."""
+    every = [*spans, *([stated.range] if stated.range else [])]
+    return min(low for low, _ in every), max(high for _, high in every)
+
+
+def _list_options(stated: CodesConfig, usual: float) -> list[tuple[int, float]]:
+    """Return bits and lsb in the order of preference."""
+    lsb = stated.lsb or usual
+    return [(bits, lsb) for bits in ((stated.bits,) if stated.bits else (16, 32))]
+
+
+def _fits_type(stated: CodesConfig, bits: int) -> bool:
+    """Tell whether the stated code of no reading is one of so many bits."""
+    code = stated.no_reading or 0
+    return -(1 << (bits - 1)) <= code < 1 << (bits - 1)
+
+
+def _make(config: Config, source: str, bits: int, lsb: float) -> ChipCodes:
+    is_temperature = source == TEMPERATURE
+    stated = config.temperature_codes if is_temperature else config.input_codes.get(source)
+    stated = stated or CodesConfig()
+    column = config.temperature_column if is_temperature else config.inputs.get(source, source)
+    none = -(1 << (bits - 1)) if stated.no_reading is None else stated.no_reading
+    key = ("sensor", "temperature") if is_temperature else ("inputs", source)
+    way = f'{key[1]} = {{ column = "{column}", {_show_way(stated, lsb)} }}'
+    return ChipCodes(
+        name="temperature" if is_temperature else source,
+        source=source,
+        column=column,
+        unit="degC" if is_temperature else "s" if source == CLOCK else AS_LOGGED,
+        bits=bits,
+        lsb=lsb,
+        no_reading=None if stated.always_read else none,
+        remedy=f"Correct the row, or write {way} at {locate_key(config.path, *key)}.",
+    )
+
+
+def _show_way(stated: CodesConfig, lsb: float) -> str:
+    """Return the keys of the table in the remedy."""
+    if stated.bits == 16:
+        return f'raw = "int32", lsb = {lsb:.10g}'
+    if stated.lsb:
+        return f"lsb = {4.0 * lsb:.10g}"
+    return "range = [LOWEST, HIGHEST]"
+
+
+def _choose(
+    config: Config,
+    options: Sequence[ChipCodes],
+    runs: Sequence[Run],
+    need: tuple[float, float],
+    margin: str,
+) -> ChipCodes:
+    """Return the first codes that hold what is needed."""
+    for codes in options:
+        if codes.holds(*need):
+            return codes
+    widest = options[-1]
+    refuse_outside(config, [widest], runs)
+    low, high = map(widest.show, need)
+    raise InputError(
+        f"{_locate(config, widest)}: {widest.describe()}; expected {low} to {high}: the training "
+        f'logs and the range, with {margin} for the flags. Take a larger lsb or raw = "int32", '
+        "or correct the range."
+    )
+
+
+def _locate(config: Config, codes: ChipCodes) -> str:
+    is_temperature = codes.source == TEMPERATURE
+    return locate_key(config.path, "sensor" if is_temperature else "inputs", codes.name)
+
+
+def read_source(outputs: Sequence[str], source: str, run: Run) -> Array:
+    """Return the values [n] of a run that codes stand for.
+
+    Args:
+        outputs: their names, in the order of the run.
+        source: `temperature_degC`, `measured:Fz`, or the input's name.
+        run: any.
+    """
+    if source == TEMPERATURE:
+        return run.temperature_degC
+    if source.startswith(MEASURED):
+        return np.asarray(run.measured[:, list(outputs).index(source.removeprefix(MEASURED))])
+    return run.inputs[source]
+
+
+def refuse_outside(config: Config, codes: Sequence[ChipCodes], runs: Sequence[Run]) -> None:
+    """Refuse runs with a value that no code stands for.
+
+    Raises:
+        InputError: names file and line, run, value, what the codes hold, and what to do.
+    """
+    outputs = [output.name for output in config.outputs]
+    for run in runs:
+        for one in codes:
+            row = one.find_outside(read_source(outputs, one.source, run))
+            if row is not None:
+                raise _explain_row(config, one, run, row)
+
+
+def refuse_unsayable(config: Config, dataset: Dataset) -> None:
+    """Refuse logs that the codes of thermometer and stated inputs cannot say, before any training.
+
+    Raises:
+        InputError: as `refuse_outside`.
+    """
+    codes = [choose_temperature_codes(config, dataset.train)]
+    stated = [name for name, given in config.input_codes.items() if given != CodesConfig()]
+    codes += [choose_input_codes(config, name, dataset.train) for name in stated]
+    refuse_outside(config, codes, [*dataset.train, *dataset.test, *dataset.dwell])
+
+
+def _explain_row(config: Config, codes: ChipCodes, run: Run, row: int) -> InputError:
+    """Return the error about a run's value, at the row of its log that no code stands for."""
+    source = open_source(run.source, label_log(run.source, config.directory), config.where)
+    columns = {config.time_column: "[sensor] time", codes.column: "a channel of the chip"}
+    table = read_table(source, columns)
+    values, time_s = table.columns[codes.column], table.columns[config.time_column]
+    raw = np.round(values / codes.lsb)
+    lowest, highest = codes.codes
+    outside = (raw < lowest) | (raw > highest) | (raw == codes.no_reading)
+    # among a run's rows, the one beside the step that no code stands for
+    away = np.where(outside, np.abs(time_s - run.time_s[row]), np.inf)
+    if table.run_of_row is not None:
+        own = [i for i, name in enumerate(table.runs) if run.group.endswith(name)]
+        others = ~np.isin(table.run_of_row, own)
+        away = np.where(others & outside, away + float(np.ptp(time_s)) + 1.0, away)
+    if not outside.any():  # a mean of rows that codes stand for
+        place = f"{source.label}: at {run.time_s[row]:g} s"
+        outputs = [output.name for output in config.outputs]
+        return codes.explain(place, run, float(read_source(outputs, codes.source, run)[row]))
+    nearest = int(np.nanargmin(away))
+    place = locate_row(source, table.position(nearest)).text
+    return codes.explain(place, run, float(values[nearest]))
