@@ -30,6 +30,9 @@ RUNTIME_FILES = (
 )
 """What has to lie beside a generated model."""
 
+HOST_MVE_DIRECTORY = RUNTIME_DIRECTORY / "host_mve"
+"""Holds arm_mve.h for a host, by which the rows kernel runs there."""
+
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror")
 
 

@@ -18,6 +18,7 @@ from unicorn import (
 )
 from unicorn.arm_const import (
     UC_ARM_REG_LR,
+    UC_ARM_REG_PC,
     UC_ARM_REG_R0,
     UC_ARM_REG_SP,
     UC_CPU_ARM_CORTEX_M0,
@@ -26,14 +27,20 @@ from unicorn.arm_const import (
     UC_CPU_ARM_CORTEX_M7,
     UC_CPU_ARM_CORTEX_M33,
 )
-from unicorn.riscv_const import UC_RISCV_REG_A0, UC_RISCV_REG_RA, UC_RISCV_REG_SP
+from unicorn.riscv_const import (
+    UC_RISCV_REG_A0,
+    UC_RISCV_REG_PC,
+    UC_RISCV_REG_RA,
+    UC_RISCV_REG_SP,
+)
 
 from zerodrift.c_runtime.compilers import Compiler
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.errors import InputError
+from zerodrift.errors import CheckError, InputError
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.operations.layers import IntegerGruStack
 
@@ -44,8 +51,10 @@ _ARM_CPUS = {
     "cortex-m7": UC_CPU_ARM_CORTEX_M7,
     "cortex-m33": UC_CPU_ARM_CORTEX_M33,
 }
-_BATCH = 256  # steps per call into the chip
+_BATCH = 256  # steps per call into the chip, at most
+_ROOM = 65_536  # numbers of the states after the steps of one call
 _PAGE = 4096
+_LONGEST_US = 120_000_000  # of one call, by the host's clock
 _STACK, _STACK_BYTES, _STOP = 0x8000_0000, 0x8000, 0x9000_0000
 _UNTOUCHED = 0xA5
 _MAIN = """
@@ -72,6 +81,14 @@ void chip_start(int settled) {{ zd_start(&chip_state, chip_codes, settled); }}
 void chip_run(uint32_t steps) {{
     zd_run(&chip_state, chip_codes, steps, chip_drift, chip_flags, NULL);
 }}
+int64_t chip_states[{batch} * {width}];
+void chip_trace(uint32_t steps) {{
+    for (uint32_t t = 0; t < steps; t++) {{
+        zd_run(&chip_state, &chip_codes[t * {channels}u], 1u, &chip_drift[t * {outputs}u],
+               &chip_flags[t], NULL);
+        (void)zd_pack(&chip_state, &chip_states[t * {width}u]);
+    }}
+}}
 void chip_step(void) {{ (void){prefix}_step(&chip_state, &chip_input, chip_drift); }}
 void chip_settle(void) {{ {prefix}_settle(&chip_state, &chip_input); }}
 uint32_t chip_selftest(void) {{ return {prefix}_selftest(); }}
@@ -84,6 +101,7 @@ void _start(void) {{
     chip_layer();
     chip_save();
     chip_run(chip_selftest() + chip_restore());
+    chip_trace(1);
     chip_settle();
     chip_step();
 }}
@@ -125,6 +143,8 @@ class EmulatedModel:
         compiler: Compiler | None = None,
     ) -> None:
         self._outputs = len(model.outputs)
+        self._width = _count_state(model)
+        self._batch = _choose_batch(self._width)
         self._code_type = np.dtype(model.code_type).newbyteorder("<")
         fields = [(f"c{k}", f"<i{c.bits // 8}") for k, c in enumerate(model.channels)]
         self._input_type = np.dtype(fields, align=True)  # as the compilers lay the struct out
@@ -160,13 +180,40 @@ class EmulatedModel:
         if restart:
             self._write("chip_codes", codes[:1])
             self._call("chip_start", int(settled))
-        for first in range(0, len(codes), _BATCH):
-            part = codes[first : first + _BATCH]
+        for first in range(0, len(codes), self._batch):
+            part = codes[first : first + self._batch]
             self._write("chip_codes", part)
             self._call("chip_run", len(part))
             drift.append(self._read("chip_drift", "<i4", len(part) * self._outputs))
             flags.append(self._read("chip_flags", "<u4", len(part)))
         return np.concatenate(drift).reshape(len(codes), -1), np.concatenate(flags)
+
+    def trace(
+        self, codes: CodeArray, *, settled: bool = True
+    ) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.int64]]:
+        """Return drift [T, K], flags [T] and the state after each step [T, n], as packed.
+
+        Args:
+            codes: raw input codes.
+            settled: start from `settle` rather than `init`.
+        """
+        parts = []
+        self._write("chip_codes", codes[:1])
+        self._call("chip_start", int(settled))
+        for first in range(0, len(codes), self._batch):
+            part = codes[first : first + self._batch]
+            self._write("chip_codes", part)
+            self._call("chip_trace", len(part))
+            steps = len(part)
+            drift = self._read("chip_drift", "<i4", steps * self._outputs)
+            flags = self._read("chip_flags", "<u4", steps)
+            states = self._read("chip_states", "<i8", steps * self._width)
+            parts.append((drift.reshape(steps, -1), flags, states.reshape(steps, -1)))
+        return (
+            np.concatenate([drift for drift, _, _ in parts]),
+            np.concatenate([flags for _, flags, _ in parts]),
+            np.concatenate([states for _, _, states in parts]),
+        )
 
     def selftest(self) -> int:
         """Return what the model's own self-test returns on this chip."""
@@ -270,7 +317,13 @@ class EmulatedModel:
         self._chip.reg_write(result, argument)
         self._chip.reg_write(stack, _STACK + _STACK_BYTES)
         self._chip.reg_write(link, _STOP | self._arm)
-        self._chip.emu_start(self._symbols[function] | self._arm, _STOP)
+        try:
+            self._chip.emu_start(self._symbols[function] | self._arm, _STOP, timeout=_LONGEST_US)
+        except unicorn.UcError as error:
+            raise CheckError(f"{function} is stopped by the core: {error}") from error
+        pc = UC_ARM_REG_PC if self._arm else UC_RISCV_REG_PC
+        if int(self._chip.reg_read(pc)) & ~1 != _STOP:
+            raise CheckError(f"{function} does not return within {_LONGEST_US // 10**6} s")
         return int(self._chip.reg_read(result))
 
     def _write(self, symbol: str, codes: CodeArray) -> None:
@@ -283,8 +336,18 @@ class EmulatedModel:
         self._chip.mem_write(self._symbols["chip_input"], packed.tobytes())
 
     def _read(self, symbol: str, kind: str, count: int) -> NDArray[Any]:
-        raw = self._chip.mem_read(self._symbols[symbol], 4 * count)
+        raw = self._chip.mem_read(self._symbols[symbol], np.dtype(kind).itemsize * count)
         return np.frombuffer(bytes(raw), dtype=kind)
+
+
+def _count_state(model: IntegerModel) -> int:
+    """Return how many numbers a packed state has."""
+    codes = np.zeros((1, len(model.channels)), dtype=np.int64)
+    return int(Reference(model).start(codes, settled=False).pack().shape[1])
+
+
+def _choose_batch(width: int) -> int:
+    return max(1, min(_BATCH, _ROOM // width))
 
 
 def _find(core: str) -> Compiler:
@@ -307,7 +370,8 @@ def _build(
     text = _MAIN.format(
         prefix=code.prefix,
         PREFIX=code.prefix.upper(),
-        batch=_BATCH,
+        batch=_choose_batch(_count_state(model)),
+        width=_count_state(model),
         channels=len(model.channels),
         outputs=len(model.outputs),
         code_type=f"{np.dtype(model.code_type).name}_t",

@@ -37,6 +37,7 @@ class HostModel:
         compiler: host compiler; the preferred one if None.
         flags: optimisation and other compiler flags.
         observe: record every node's value; False compiles the source exactly as it is flashed.
+        warnings: what the compiler shall refuse; C of another version or hand is not ours to blame.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class HostModel:
         flags: tuple[str, ...] = ("-O2",),
         *,
         observe: bool = True,
+        warnings: tuple[str, ...] = WARNINGS,
     ) -> None:
         compiler = compiler or find_compiler()
         directory.mkdir(parents=True, exist_ok=True)
@@ -55,7 +57,7 @@ class HostModel:
         harness = directory / f"{code.prefix}_harness.c"
         harness.write_text(code.harness, encoding="utf-8")
         arguments = [
-            *WARNINGS,
+            *warnings,
             *flags,
             *(() if observe else ("-DZD_PLAIN",)),
             "-shared",
@@ -65,7 +67,8 @@ class HostModel:
             str(directory / "zd_runtime.c"),
         ]
         # The loader takes a library for the one it has already loaded under the same name.
-        build = [code.header, code.source, *compiler.command, *arguments]
+        texts = [*render_sources(code).values(), code.harness]
+        build = [*texts, *compiler.command, *arguments]
         digest = hashlib.sha256("\0".join(build).encode()).hexdigest()[:16]
         library = directory / f"{code.prefix}_{digest}.so"
         library.unlink(missing_ok=True)
@@ -110,6 +113,11 @@ class HostModel:
         self._state = ctypes.create_string_buffer(self._size() + 16)
 
     @property
+    def values(self) -> int:
+        """How many nodes' values a step records; 0 if not observed."""
+        return self._values
+
+    @property
     def state_bytes(self) -> int:
         """Size of the state struct on this host."""
         return int(self._size())
@@ -131,6 +139,10 @@ class HostModel:
         function = self._lib[f"{self._prefix}_restore"]
         function.restype = ctypes.c_uint32
         return int(function(self._state, saved))
+
+    def overwrite(self, content: bytes) -> None:
+        """Put bytes over the beginning of the state, as a stray pointer does."""
+        ctypes.memmove(self._state, content, min(len(content), self.state_bytes))
 
     def pack(self, length: int) -> NDArray[np.int64]:
         """Return the state as `length` numbers, in the order of `ModelState.pack`."""
@@ -186,7 +198,9 @@ def write_sources(code: GeneratedCode, directory: Path) -> list[Path]:
 
 def render_sources(code: GeneratedCode) -> dict[str, str]:
     """Return model and runtime by the name of the file."""
-    runtime = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    runtime = code.runtime
+    if runtime is None:
+        runtime = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
     return {code.header_name: code.header, code.source_name: code.source, **runtime}
 
 

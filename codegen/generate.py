@@ -1,6 +1,6 @@
 """Renders an integer model as one C header and one C source, deterministic to the byte."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -39,13 +39,15 @@ STATEFUL = ("lowpass", "delay", "play", "counter", "gru", "gru_stack")
 
 @dataclass(frozen=True)
 class GeneratedCode:
-    """File names and texts of one model; the runtime's own files are added by the command."""
+    """File names and texts of one model."""
 
     prefix: str
     header: str
     source: str
     harness: str
     """A host program's source that includes the model and runs it; never flashed."""
+    runtime: Mapping[str, str] | None = None
+    """The runtime's files beside it, by name; None for those of this version of zerodrift."""
 
     @property
     def header_name(self) -> str:

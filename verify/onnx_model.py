@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
+from onnxruntime.capi import onnxruntime_pybind11_state
 
+from zerodrift.errors import CheckError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.integer_onnx import (
     START_COLD,
@@ -15,6 +17,17 @@ from zerodrift.export.integer_onnx import (
     list_state,
 )
 from zerodrift.operations.arithmetic import CodeArray, IntArray
+
+REFUSALS: tuple[type[Exception], ...] = (
+    ValueError,
+    RuntimeError,
+    *(
+        kind
+        for kind in vars(onnxruntime_pybind11_state).values()
+        if isinstance(kind, type) and issubclass(kind, Exception)
+    ),
+)
+"""What onnxruntime raises where a file is damaged or is another model's."""
 
 
 @dataclass(frozen=True)
@@ -35,18 +48,29 @@ class OnnxModel:
     Args:
         model: the integer model.
         observe: record every node's value; False runs the file exactly as it is written for users.
+        content: the file to run, without its nodes' values; made anew if None.
+
+    Raises:
+        CheckError: onnxruntime does not take the file.
     """
 
-    def __init__(self, model: IntegerModel, *, observe: bool = True) -> None:
+    def __init__(
+        self, model: IntegerModel, *, observe: bool = True, content: bytes | None = None
+    ) -> None:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 3
         self.model = model
-        self._session = onnxruntime.InferenceSession(
-            build_integer_onnx(model, observe=observe),
-            options,
-            providers=["CPUExecutionProvider"],
-        )
+        if content is None:
+            content = build_integer_onnx(model, observe=observe)
+        elif observe:
+            raise ValueError("a file as it lies there has no nodes to observe")
+        try:
+            self._session = onnxruntime.InferenceSession(
+                content, options, providers=["CPUExecutionProvider"]
+            )
+        except REFUSALS as error:
+            raise CheckError(f"onnxruntime does not take the file: {error}") from error
         self._fields = list_state(model)
         self._observed = [f"node:{node.name}" for node in model.nodes] if observe else []
 
@@ -72,7 +96,10 @@ class OnnxModel:
             feed[name] = part.reshape((batch, *shape)).astype(np.int64)
             column += size
         ends = [f"{name}.next" for name in self._fields]
-        results = self._session.run(["drift", "flags", *ends, *self._observed], feed)
+        try:
+            results = self._session.run(["drift", "flags", *ends, *self._observed], feed)
+        except REFUSALS as error:
+            raise CheckError(f"onnxruntime cannot run the file: {error}") from error
         drift, flags = results[:2]
         after = [end.reshape(batch, -1) for end in results[2 : 2 + len(ends)]]
         nodes = [value.reshape(steps, batch, -1) for value in results[2 + len(ends) :]]

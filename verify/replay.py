@@ -1,98 +1,232 @@
-"""Replays a project's golden vectors on the reference and on the C as it lies in its folder."""
+"""`verify`: what lies in a project's firmware folder and in build/, held against the model."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from zerodrift.c_runtime.scratch import open_scratch
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
-from zerodrift.errors import CheckError, InputError
+from zerodrift.errors import CheckError, InputError, nearest
 from zerodrift.export.golden import GoldenVectors, load_golden
 from zerodrift.export.integer_model import IntegerModel, load_model
-from zerodrift.export.reference import Reference
-from zerodrift.scratch import make_scratch
-from zerodrift.verify.firmware_check import Failure, Progress, check_firmware
+from zerodrift.verify.expected import Expected, expect
+from zerodrift.verify.firmware_check import Failure, Progress
+from zerodrift.verify.folder_check import FolderCheck, check_folder
+from zerodrift.verify.header import HeaderFinding
+from zerodrift.verify.manifest import Finding, ManifestCheck, NotChecked, check_manifest
 from zerodrift.verify.mismatch import find_mismatch
 from zerodrift.verify.vectors import draw_sequences
 
 RANDOM_STEPS = 20_000
+COLD_STEPS = 200
+"""Of the golden vectors, after init rather than settle."""
+BEYOND = ("cortex-m55",)
+"""Cores whose kernel runs lane by lane on the host only: nothing installed here emulates them."""
+AGAIN = "Run `zerodrift firmware` again."
 
 
 @dataclass(frozen=True)
 class Replay:
-    """What was replayed, and the first failure if there was one."""
+    """What was checked, what was found, and what could not be checked."""
 
     vectors: int
+    """Steps compared on the host."""
     backends: tuple[str, ...]
+    """What ran and agreed, the reference first."""
     model_hash: str
-    failure: Failure | None
+    failures: tuple[str, ...]
+    """Back ends that differ, do not compile or do not run."""
+    header: tuple[HeaderFinding, ...]
+    """Names in the header whose values are not the model's."""
+    findings: tuple[Finding, ...]
+    """What is not as the manifest says."""
+    forced: tuple[str, ...]
+    """What had been found against this firmware when it was built, and was overridden."""
+    not_checked: tuple[NotChecked, ...]
 
-    def require(self) -> "Replay":
+    @property
+    def bit_exact(self) -> bool:
+        """Whether everything that ran gave the reference's bits, and something of the C did."""
+        return not self.failures and bool({*self.backends} - {"reference", "onnx"})
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Everything that was found, a line each."""
+        header = (f"header: {finding}" for finding in self.header)
+        return (*(f.text for f in self.findings), *header, *self.failures)
+
+    def require(self, wanted: Iterable[str] = ()) -> "Replay":
         """Return self.
 
+        Args:
+            wanted: back ends, cores or `manifest` that must have been checked.
+
         Raises:
-            CheckError: a back end differs; names step, place, expected and actual value.
+            CheckError: something was found, or is wanted and was not checked.
         """
-        if self.failure is not None:
-            raise CheckError(f"bits differ: {self.failure}. Run `zerodrift firmware` again.")
-        return self
+        missing = [
+            f"{name}: is required and was not checked ({self._why(name)})"
+            for name in wanted
+            if name not in self._checked()
+        ]
+        lines = [*self.problems, *missing]
+        if not lines:
+            return self
+        if any(f.is_stale for f in self.findings) and len(lines) == len(self.findings):
+            head = "the firmware is stale"
+        else:
+            head = "bits differ" if self.failures else "the firmware is not what was built"
+        raise CheckError("\n  ".join([f"{head}:", *lines]) + f"\n{AGAIN}")
+
+    def _checked(self) -> set[str]:
+        done = {*self.backends}
+        return done if any(n.what == "manifest" for n in self.not_checked) else done | {"manifest"}
+
+    def _why(self, name: str) -> str:
+        found = [n.why for n in self.not_checked if n.what == name]
+        return found[0] if found else "it did not get that far"
 
 
-def replay(config: Config, progress: Progress = lambda _: None) -> Replay:
-    """Replay build/golden.npz and random sequences on everything that the project has built.
+def replay(
+    config: Config, progress: Progress = lambda _: None, required: Iterable[str] = ()
+) -> Replay:
+    """Check everything that a project has built, as it lies there.
 
     Args:
         config: the project.
         progress: is told what is being done.
+        required: names that the caller will ask for; unknown ones are refused here.
 
     Raises:
-        InputError: nothing was built yet, or a file is damaged or belongs to another model.
+        InputError: nothing was built yet, a file is damaged or belongs to another model, or a
+            required name is unknown.
     """
+    refuse_unknown(required)
+    progress("comparing the files with the manifest")
+    files = check_manifest(config)
+    try:
+        model, golden, code, onnx = _read(config)
+    except (InputError, CheckError) as error:
+        if not files.findings:
+            raise
+        return _conclude(files, FolderCheck(backends=[]), "", (str(error),))
+    progress("running the reference over the golden vectors")
+    expected, failure = check_golden(model, golden)
+    if failure is not None:
+        return _conclude(files, FolderCheck(), model.hash, (str(failure),))
+    cold = expect(model, golden.codes[:COLD_STEPS], settled=False)
+    sequences = draw_sequences(model, RANDOM_STEPS)
+    with open_scratch(config.build_directory, ".verify-") as folder:
+        scratch = Path(folder)
+        check = check_folder(model, code, (expected, cold), sequences, onnx, scratch, progress)
+    return _conclude(files, check, model.hash)
+
+
+def refuse_unknown(required: Iterable[str]) -> None:
+    """Refuse names that can never be checked.
+
+    Raises:
+        InputError: which, and the nearest known one.
+    """
+    from zerodrift.c_runtime.cores import CORES
+
+    known = ["manifest", "host", "onnx", *CORES, *BEYOND]
+    for name in required:
+        if name not in known:
+            raise InputError(
+                f"--require {name}: is unknown{nearest(name, known)}; known are {', '.join(known)}"
+            )
+
+
+def _conclude(
+    files: ManifestCheck, check: FolderCheck, model_hash: str, more: tuple[str, ...] = ()
+) -> Replay:
+    beyond = [
+        NotChecked(
+            core,
+            "no emulator of its vector extension is used here; its kernel ran lane"
+            " by lane on the host",
+        )
+        for core in BEYOND
+        if any("rows" in b for b in check.backends)
+    ]
+    return Replay(
+        vectors=check.vectors,
+        backends=tuple(check.backends),
+        model_hash=model_hash,
+        failures=(*more, *check.failures),
+        header=tuple(check.header),
+        findings=files.findings,
+        forced=files.manifest.forced if files.manifest else (),
+        not_checked=(*files.not_checked, *check.not_checked, *beyond),
+    )
+
+
+def _read(config: Config) -> tuple[IntegerModel, GoldenVectors, GeneratedCode, bytes]:
+    """Return model, golden vectors, C and ONNX as they lie there."""
     model = load_model(config.build_directory / "model.json")
-    golden = load_golden(config.build_directory / "golden.npz")
+    path = config.build_directory / "golden.npz"
+    golden = load_golden(path)
     if golden.model_hash != model.hash:
         raise InputError(
-            f"{config.build_directory / 'golden.npz'}: belongs to model {golden.model_hash[:12]},"
-            f" model.json is {model.hash[:12]}. Run `zerodrift firmware`."
+            f"{path}: belongs to model {golden.model_hash[:12]}, model.json is {model.hash[:12]}."
+            f" {AGAIN}"
         )
-    failure = check_golden(model, golden)
-    if failure is not None:
-        return Replay(len(golden.codes), ("reference",), model.hash, failure)
-    code = read_code(model, config.firmware_out)
-    sequences = {"golden": golden.codes, **draw_sequences(model, RANDOM_STEPS)}
-    with make_scratch(config.directory) as scratch:
-        check = check_firmware(model, code, sequences, scratch, progress)
-    return Replay(check.vectors, check.backends, model.hash, check.failure)
+    widths = golden.codes.shape[1], golden.drift.shape[1]
+    if widths != (len(model.channels), len(model.outputs)):
+        raise InputError(
+            f"{path}: has {widths[0]} inputs and {widths[1]} outputs, model.json has"
+            f" {len(model.channels)} and {len(model.outputs)}. {AGAIN}"
+        )
+    return (
+        model,
+        golden,
+        read_code(model, config.firmware_out),
+        _read_bytes(config.build_directory / "integer.onnx"),
+    )
 
 
-def check_golden(model: IntegerModel, golden: GoldenVectors) -> Failure | None:
-    """Return where the reference differs from the golden vectors, or None."""
-    trace = Reference(model).run(golden.codes[None])
+def check_golden(model: IntegerModel, golden: GoldenVectors) -> tuple[Expected, Failure | None]:
+    """Return what the reference computes for the golden codes, and where the vectors differ."""
+    expected = expect(model, golden.codes)
     labels = [f"drift[{k}]" for k in range(len(model.outputs))] + ["flags"]
     labels += [f"gru[{j}]" for j in range(golden.hidden.shape[1])]
-    expected = np.column_stack([golden.drift, golden.flags.astype(np.int64), golden.hidden])
-    actual = np.column_stack([trace.drift[0], trace.flags[0].astype(np.int64), trace.hidden[0]])
-    mismatch = find_mismatch(model, expected.astype(np.int64), actual.astype(np.int64), labels)
-    return None if mismatch is None else Failure("reference", "golden", mismatch)
+    written = np.column_stack([golden.drift, golden.flags.astype(np.int64), golden.hidden])
+    found = np.column_stack([expected.drift, expected.flags.astype(np.int64), expected.hidden])
+    if written.shape != found.shape:
+        raise InputError(f"golden.npz has {golden.hidden.shape[1]} states; {found.shape}. {AGAIN}")
+    mismatch = find_mismatch(model, written.astype(np.int64), found.astype(np.int64), labels)
+    return expected, None if mismatch is None else Failure("reference", "golden", mismatch)
 
 
 def read_code(model: IntegerModel, folder: Path) -> GeneratedCode:
-    """Return the C that lies in `folder`, with the harness that the model needs.
+    """Return the C and the runtime that lie in `folder`, with the harness that the model needs.
 
     Raises:
-        InputError: a file is missing.
+        InputError: the model's header or source is missing, or a file is no UTF-8 text.
     """
     fresh = generate(model)
-    texts = {}
-    for name in (fresh.header_name, fresh.source_name):
-        path = folder / name
-        try:
-            texts[name] = path.read_text(encoding="utf-8")
-        except OSError as error:
-            raise InputError(
-                f"{path}: cannot be read ({error}). Run `zerodrift firmware`."
-            ) from error
-    return GeneratedCode(
-        fresh.prefix, texts[fresh.header_name], texts[fresh.source_name], fresh.harness
-    )
+    names = {path.name for path in folder.glob("zd_*.[ch]")}
+    texts = {
+        name: _read_text(folder / name)
+        for name in sorted({*names, fresh.header_name, fresh.source_name})
+    }
+    header, source = texts.pop(fresh.header_name), texts.pop(fresh.source_name)
+    return GeneratedCode(fresh.prefix, header, source, fresh.harness, texts)
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return _read_bytes(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is no UTF-8 text ({error.reason}). {AGAIN}") from error
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}). {AGAIN}") from error

@@ -1,27 +1,43 @@
-"""`zerodrift verify`: the C that lies in the firmware folder, against the reference."""
+"""`zerodrift verify`: what lies in the firmware folder and in build/, against the model."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from zerodrift.commands.common import directory_option, json_option, print_json
 from zerodrift.errors import CheckError, InputError
 
+if TYPE_CHECKING:
+    from zerodrift.verify.replay import Replay
+
 
 @click.command()
 @directory_option
 @json_option
 @click.option(
+    "--require",
+    "required",
+    metavar="CORE",
+    multiple=True,
+    help="Fail unless this was checked: a core such as cortex-m4, host, onnx or manifest."
+    " May be given more than once.",
+)
+@click.option(
     "--certificate",
     is_flag=True,
     help="Instead, derive every bound of certificate.json again from the C alone.",
 )
-def command(directory: Path, as_json: bool, certificate: bool) -> None:
-    """Replay the golden vectors on every back end there is.
+def command(directory: Path, as_json: bool, required: tuple[str, ...], certificate: bool) -> None:
+    """Build and run what lies in the firmware folder, and hold it against the model.
 
-    Takes build/model.json, build/golden.npz and the C in the firmware folder as they lie there, so
-    a file that was edited by hand is found out. Exit code 1 when a bit differs, or with
-    --certificate when a claim does not hold.
+    Every file is compared with firmware/manifest.json; the folder's own C and runtime are compiled
+    in each of their layouts, for this host and for emulated cores, and run with build/integer.onnx
+    over the golden vectors; names in the header are compared with the model. What cannot run here
+    is told as not checked.
+
+    Exit code 1: a file was changed, is missing or stale, a bit or a name in the header differs, a
+    core of --require was not checked, or with --certificate a claim does not hold.
     """
     from zerodrift.commands.console import show_progress
     from zerodrift.config import load_config
@@ -30,24 +46,49 @@ def command(directory: Path, as_json: bool, certificate: bool) -> None:
     if certificate:
         _check_certificate(load_config(directory).firmware_out, as_json)
         return
-    with show_progress("replaying the golden vectors") as say:
-        outcome = replay(load_config(directory), say)
+    with show_progress("verifying") as say:
+        outcome = replay(load_config(directory), say, required)
     if as_json:
-        print_json(
-            {
-                "bit_exact": outcome.failure is None,
-                "vectors": outcome.vectors,
-                "backends": list(outcome.backends),
-                "model_hash": outcome.model_hash,
-            }
-        )
-    if outcome.failure is not None:
-        outcome.require()
+        print_json(describe(outcome))
+    outcome.require(required)
     if not as_json:
+        _print(outcome)
+
+
+def describe(outcome: "Replay") -> dict[str, Any]:
+    """Return the command's JSON."""
+    return {
+        "bit_exact": outcome.bit_exact,
+        "vectors": outcome.vectors,
+        "backends": list(outcome.backends),
+        "model_hash": outcome.model_hash,
+        "failures": list(outcome.failures),
+        "header": [
+            {"name": f.name, "found": f.found, "expected": f.expected} for f in outcome.header
+        ],
+        "changed": [
+            {"kind": f.kind, "name": f.name, "text": f.text}
+            for f in outcome.findings
+            if not f.is_stale
+        ],
+        "stale": [
+            {"kind": f.kind, "name": f.name, "text": f.text} for f in outcome.findings if f.is_stale
+        ],
+        "forced": list(outcome.forced),
+        "not_checked": [{"what": n.what, "why": n.why} for n in outcome.not_checked],
+    }
+
+
+def _print(outcome: "Replay") -> None:
+    if outcome.bit_exact:
         click.echo(
-            f"bit-exact: {outcome.vectors} steps on {' = '.join(outcome.backends)}, every node,"
-            f" state and flag, 0 LSB (model {outcome.model_hash[:12]})"
+            f"bit-exact: {outcome.vectors} steps on the host, the golden vectors on"
+            f" {' = '.join(outcome.backends)}, 0 LSB (model {outcome.model_hash[:12]})"
         )
+    for text in outcome.forced:
+        click.echo(f"FORCED when it was built: {text}")
+    for missing in outcome.not_checked:
+        click.echo(f"NOT CHECKED: {missing.what}: {missing.why}")
 
 
 def _check_certificate(folder: Path, as_json: bool) -> None:

@@ -1,0 +1,270 @@
+"""Builds the C of a firmware folder, and nothing else, in every way there is, and runs it."""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from zerodrift.c_runtime.compilers import Compiler, find_compilers
+from zerodrift.c_runtime.cores import CORES, find_cross_compilers
+from zerodrift.c_runtime.host import HostModel
+from zerodrift.codegen.generate import GeneratedCode
+from zerodrift.errors import CheckError
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.verify.behaviour import check_behaviour
+from zerodrift.verify.expected import Expected
+from zerodrift.verify.header import HeaderFinding, add_questions, check_header, has_avx2
+from zerodrift.verify.host_check import check_host
+from zerodrift.verify.manifest import NotChecked
+from zerodrift.verify.onnx_check import check_onnx
+from zerodrift.verify.onnx_model import OnnxModel
+from zerodrift.verify.trial import try_host
+from zerodrift.verify.ways import (
+    HOST,
+    Way,
+    is_x86_64,
+    list_core_ways,
+    list_host_ways,
+    why_no_emulator,
+)
+
+Progress = Callable[[str], None]
+
+STANDARD = ("-std=c99",)
+"""What any C of a firmware is compiled by; warnings are the generator's matter."""
+COLD_STEPS = 2000
+"""Of each random sequence, after init rather than settle."""
+AT_ONCE = 2
+"""Compilers that run at the same time."""
+
+
+@dataclass
+class FolderCheck:
+    """What ran, what differed, what could not run; filled in as it goes."""
+
+    vectors: int = 0
+    """Steps compared on the host, each with all nodes, states, flags and drifts."""
+    backends: list[str] = field(default_factory=lambda: ["reference"])
+    failures: list[str] = field(default_factory=list)
+    header: list[HeaderFinding] = field(default_factory=list)
+    not_checked: list[NotChecked] = field(default_factory=list)
+
+
+def check_folder(
+    model: IntegerModel,
+    code: GeneratedCode,
+    golden: tuple[Expected, ...],
+    sequences: Mapping[str, CodeArray],
+    onnx: bytes,
+    scratch: Path,
+    progress: Progress = lambda _: None,
+) -> FolderCheck:
+    """Hold the C of a folder, and an integer ONNX, against the reference.
+
+    Args:
+        model: the integer model.
+        code: the folder's C with its runtime, and the model's harness.
+        golden: what every way has to give.
+        sequences: name -> raw codes [T, C], for host and ONNX.
+        onnx: the file.
+        scratch: an empty folder for sources and programs.
+        progress: is told what is being done.
+    """
+    check = FolderCheck()
+    plain = _check_host(check, model, code, golden, sequences, scratch, progress)
+    _check_onnx(check, model, onnx, golden, sequences, plain, progress)
+    if plain is not None or not find_compilers():  # what already fails here is told once
+        _check_cores(check, model, code, golden, scratch, progress)
+    return check
+
+
+def _check_host(
+    check: FolderCheck,
+    model: IntegerModel,
+    code: GeneratedCode,
+    golden: tuple[Expected, ...],
+    sequences: Mapping[str, CodeArray],
+    scratch: Path,
+    progress: Progress,
+) -> HostModel | None:
+    """Run every layout on the host; return the build as it is flashed, if it is sound."""
+    compilers = find_compilers()
+    if not compilers:
+        why = "no C compiler was found ($CC, gcc, clang, cc, ziglang)"
+        check.not_checked += [NotChecked(HOST, why), NotChecked("header", why)]
+        return None
+    compiler = compilers[0]
+    progress(f"compiling for the host with {compiler.name}")
+    asking = replace(code, harness=add_questions(model, code))
+    try:
+        observed, plain = (
+            _build(model, asking, scratch / f"host{observe}", compiler, (), observe=observe)
+            for observe in (True, False)
+        )
+    except CheckError as error:
+        check.failures.append(f"host: does not compile. {error}")
+        return None
+    check.header += check_header(model, code.prefix, plain.library)
+    for name, host in ((HOST, observed), ("host as flashed", plain)):
+        if not _holds(check, name, host, golden):
+            return None
+    progress("comparing random sequences")
+    for name, codes in sequences.items():
+        for settled in (True, False):
+            part = codes if settled else codes[:COLD_STEPS]
+            for backend, host in ((HOST, observed), ("host as flashed", plain)):
+                mismatch = check_host(host, part, settled=settled).mismatch
+                if mismatch is not None:
+                    check.failures.append(f"{backend}, sequence '{name}', {mismatch}")
+                    return None
+            check.vectors += len(part)
+    check.failures += (f"host: {what}" for what in check_behaviour(plain, golden[0].codes))
+    check.backends.append(HOST)
+    ways = [way for way in list_host_ways(model) if _can_run(check, way, observed)]
+
+    def build(way: Way) -> HostModel | CheckError:
+        try:
+            return _build(model, code, scratch / way.name, compiler, way.flags)
+        except CheckError as error:
+            return error
+
+    progress(f"compiling {len(ways)} other layouts for the host")
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        for way, built in zip(ways, pool.map(build, ways), strict=True):
+            if isinstance(built, CheckError):
+                check.failures.append(f"{way.name}: does not compile. {built}")
+            elif _holds(check, way.name, built, golden):
+                check.backends.append(way.name)
+    return plain
+
+
+def _build(
+    model: IntegerModel,
+    code: GeneratedCode,
+    folder: Path,
+    compiler: Compiler,
+    flags: tuple[str, ...],
+    *,
+    observe: bool = True,
+) -> HostModel:
+    flags = ("-O1", *flags)
+    return HostModel(model, code, folder, compiler, flags, observe=observe, warnings=STANDARD)
+
+
+def _can_run(check: FolderCheck, way: Way, host: HostModel) -> bool:
+    """Tell whether this host runs a way; what it does not is noted."""
+    if way.needs and not is_x86_64():
+        check.not_checked.append(NotChecked(way.name, "this host is no x86-64"))
+        return False
+    if way.needs == "avx2" and not has_avx2(host.library):
+        check.not_checked.append(NotChecked(way.name, "this host's processor has no AVX2"))
+        return False
+    return True
+
+
+def _holds(check: FolderCheck, name: str, host: HostModel, golden: tuple[Expected, ...]) -> bool:
+    """Compare a host build with the reference on the golden vectors; note what differs."""
+    for expected in golden:
+        ended = try_host(host, expected.codes, settled=expected.settled)
+        if ended:
+            check.failures.append(f"{name}, sequence 'golden': the program {ended}")
+            return False
+        trace = host.run(expected.codes, settled=expected.settled)
+        nodes = trace.nodes if host.observes else None
+        mismatch = expected.compare(trace.drift, trace.flags, nodes)
+        if mismatch is not None:
+            check.failures.append(f"{name}, sequence 'golden', {mismatch}")
+            return False
+    if host.selftest() != 0:
+        check.failures.append(f"{name}: the self-test fails")
+        return False
+    return True
+
+
+def _check_onnx(
+    check: FolderCheck,
+    model: IntegerModel,
+    content: bytes,
+    golden: tuple[Expected, ...],
+    sequences: Mapping[str, CodeArray],
+    plain: HostModel | None,
+    progress: Progress,
+) -> None:
+    """Run build/integer.onnx as it lies there."""
+    progress("running the integer ONNX")
+    try:
+        runtime = OnnxModel(model, observe=False, content=content)
+        for expected in golden:
+            trace = runtime.run(expected.codes[None], settled=expected.settled)
+            mismatch = expected.compare(trace.drift[0], trace.flags[0])
+            if mismatch is not None:
+                check.failures.append(f"onnx, sequence 'golden', {mismatch}")
+                return
+        for name, codes in sequences.items():
+            outcome = check_onnx(runtime, plain, codes) if plain is not None else None
+            if outcome is not None and outcome.mismatch is not None:
+                check.failures.append(f"onnx, sequence '{name}', {outcome.mismatch}")
+                return
+    except CheckError as error:
+        check.failures.append(f"onnx: {error}")
+        return
+    check.backends.append("onnx")
+
+
+def _check_cores(
+    check: FolderCheck,
+    model: IntegerModel,
+    code: GeneratedCode,
+    golden: tuple[Expected, ...],
+    scratch: Path,
+    progress: Progress,
+) -> None:
+    """Run every layout on the cores that can be emulated."""
+    why = why_no_emulator()
+    if why:
+        check.not_checked += [NotChecked(core, why) for core in CORES]
+        return
+    ways = list_core_ways(model)
+    for core in CORES:
+        if not find_cross_compilers(core):
+            check.not_checked.append(NotChecked(core, "no compiler for it: ziglang or GNU"))
+            ways = tuple(way for way in ways if way.core != core)
+
+    def run(way: Way) -> list[str]:
+        progress(f"running on an emulated {way.name}")
+        return _run_core(model, code, way, golden, scratch / way.name)
+
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        for way, failures in zip(ways, pool.map(run, ways), strict=True):
+            check.failures += failures
+            if not failures:
+                check.backends.append(way.name)
+
+
+def _run_core(
+    model: IntegerModel,
+    code: GeneratedCode,
+    way: Way,
+    golden: tuple[Expected, ...],
+    folder: Path,
+) -> list[str]:
+    """Return what differs on one emulated core; drift, flags and states after every step."""
+    from zerodrift.c_runtime.emulator import EmulatedModel
+
+    folder.mkdir()
+    try:
+        chip = EmulatedModel(model, code, way.core, folder, ("-O2", *way.flags))
+    except CheckError as error:
+        return [f"{way.name}: does not compile. {error}"]
+    try:
+        for expected in golden:
+            drift, flags, states = chip.trace(expected.codes, settled=expected.settled)
+            mismatch = expected.compare(drift, flags, states=states)
+            if mismatch is not None:
+                return [f"{way.name}, sequence 'golden', {mismatch}"]
+        if chip.selftest() != 0:
+            return [f"{way.name}: the self-test fails"]
+    except CheckError as error:
+        return [f"{way.name}: {error}"]
+    return []

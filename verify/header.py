@@ -1,0 +1,152 @@
+"""What a header says and no comparison of bits sees: units per LSB, sample period, indices, flags.
+
+The harness compiles the header's own macros and hands their values over, so that what is compared
+is what an application gets, whatever the text looks like.
+"""
+
+import ctypes
+from dataclasses import dataclass
+from pathlib import Path
+
+from zerodrift.codegen.generate import GeneratedCode
+from zerodrift.codegen.identifiers import RESERVED_OUTPUTS, sanitize_identifiers
+from zerodrift.export.integer_model import (
+    FLAG_CLAMPED,
+    FLAG_DAMAGED,
+    FLAG_INPUT_RANGE,
+    FLAG_NO_READING,
+    FLAG_RATE_RANGE,
+    FLAG_TEMPERATURE_RANGE,
+    FLAG_WARMING_UP,
+    FORMAT,
+    IntegerModel,
+)
+
+FLAGS = {
+    "WARMING_UP": FLAG_WARMING_UP,
+    "TEMPERATURE_RANGE": FLAG_TEMPERATURE_RANGE,
+    "RATE_RANGE": FLAG_RATE_RANGE,
+    "CLAMPED": FLAG_CLAMPED,
+    "DAMAGED": FLAG_DAMAGED,
+}
+FAULTS = {"REPLAY": 1, "TABLES": 2}
+_MISSING = -(2**63)
+"""Stands for a macro that is not there; none has this value."""
+_SAVED_EXTRA_BYTES = 16
+_LONGEST_TEXT = 256
+
+
+@dataclass(frozen=True)
+class HeaderFinding:
+    """A name in the header whose value is not the model's."""
+
+    name: str
+    found: int | str | None
+    """None where there is no such name."""
+    expected: int | str
+
+    def __str__(self) -> str:
+        found = "is missing" if self.found is None else f"is {self.found}"
+        return f"{self.name} {found}; the model gives {self.expected}"
+
+
+def list_expected(model: IntegerModel, prefix: str) -> dict[str, int | str]:
+    """Return every name that an application reads of the header -> what the model says of it."""
+    upper = prefix.upper()
+    outputs = sanitize_identifiers((o.name for o in model.outputs), "output", RESERVED_OUTPUTS)
+    expected: dict[str, int | str] = {
+        "FORMAT": FORMAT,
+        "MODEL_HASH": model.hash,
+        "MODEL_ID": model.identity,
+        "CHANNELS": len(model.channels),
+        "OUTPUTS": len(model.outputs),
+    }
+    if model.sample_period_s * 1e6 < 2**32 - 1:
+        expected["SAMPLE_PERIOD_US"] = round(model.sample_period_s * 1e6)
+    for index, (name, output) in enumerate(zip(outputs, model.outputs, strict=True)):
+        expected[name.upper()] = index
+        expected[f"{name.upper()}_LSB_PER_UNIT"] = output.lsb_per_unit
+    expected |= {f"FLAG_{name}": value for name, value in FLAGS.items()}
+    if model.guards.ranges:
+        expected["FLAG_INPUT_RANGE"] = FLAG_INPUT_RANGE
+    if model.optional:
+        expected["FLAG_NO_READING"] = FLAG_NO_READING
+    expected |= {f"FAULT_{name}": value for name, value in FAULTS.items()}
+    return {f"{upper}_{name}": value for name, value in expected.items()}
+
+
+def render_questions(model: IntegerModel, prefix: str) -> str:
+    """Return C, to stand behind the harness, that tells the values of `list_expected`, in order."""
+    names = list(list_expected(model, prefix))
+    numbers = [name for name in names if not name.endswith("_MODEL_HASH")]
+    lines = ["", "/* What the header says, for the comparison with the model. */"]
+    lines.append(f"int64_t zd_told_numbers[{len(numbers) + 2 + len(model.channels)}] = {{")
+    for name in numbers:
+        lines += [f"#ifdef {name}", f"    (int64_t)({name}),", "#else", "    INT64_MIN,", "#endif"]
+    lines += [
+        f"    (int64_t)({prefix.upper()}_SAVED_BYTES),",
+        f"    (int64_t)sizeof({prefix}_state_t),",
+    ]
+    for channel in sanitize_identifiers((c.name for c in model.channels), "input"):
+        lines.append(f"    (int64_t)sizeof((({prefix}_input_t *)0)->{channel}),")
+    lines += [
+        "};",
+        f"const char zd_told_hash[] = {prefix.upper()}_MODEL_HASH;",
+        "uint32_t zd_told_hash_bytes(void) { return (uint32_t)sizeof(zd_told_hash); }",
+        "uint32_t zd_has_avx2(void) {",
+        "#if defined(__x86_64__) && defined(__GNUC__)",
+        '    return __builtin_cpu_supports("avx2") ? 1u : 0u;',
+        "#else",
+        "    return 0u;",
+        "#endif",
+        "}",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def add_questions(model: IntegerModel, code: GeneratedCode) -> str:
+    """Return a model's harness with the questions behind it."""
+    return code.harness + render_questions(model, code.prefix)
+
+
+def has_avx2(library: Path) -> bool:
+    """Tell whether this host runs AVX2, as a build with the questions says."""
+    return bool(ctypes.CDLL(str(library))["zd_has_avx2"]())
+
+
+def check_header(model: IntegerModel, prefix: str, library: Path) -> tuple[HeaderFinding, ...]:
+    """Return what a header says otherwise than the model.
+
+    Args:
+        model: the integer model.
+        prefix: of the C names.
+        library: a host build whose harness has the questions.
+    """
+    expected = list_expected(model, prefix)
+    loaded = ctypes.CDLL(str(library))
+    numbers = [name for name in expected if not name.endswith("_MODEL_HASH")]
+    widths = sanitize_identifiers((c.name for c in model.channels), "input")
+    count = len(numbers) + 2 + len(widths)
+    told = list((ctypes.c_int64 * count).in_dll(loaded, "zd_told_numbers"))
+    size = min(int(loaded["zd_told_hash_bytes"]()), _LONGEST_TEXT)
+    text = bytes((ctypes.c_char * size).in_dll(loaded, "zd_told_hash")).rstrip(b"\0")
+    values: dict[str, int | str | None] = {
+        name: None if value == _MISSING else value
+        for name, value in zip(numbers, told, strict=False)
+    }
+    values[f"{prefix.upper()}_MODEL_HASH"] = text.decode("ascii", "replace")
+    saved, state = told[len(numbers) : len(numbers) + 2]
+    values[f"{prefix.upper()}_SAVED_BYTES"] = saved
+    expected[f"{prefix.upper()}_SAVED_BYTES"] = state + _SAVED_EXTRA_BYTES
+    for name, channel, width in zip(widths, model.channels, told[-len(widths) :], strict=True):
+        values[f"bits of {prefix}_input_t.{name}"] = 8 * width
+        expected[f"bits of {prefix}_input_t.{name}"] = channel.bits
+    form = f"{prefix.upper()}_FORMAT"
+    if values[form] in range(model.format, FORMAT):  # of an older version, which its runtime shares
+        expected[form] = values[form] or 0
+    return tuple(
+        HeaderFinding(name, values[name], value)
+        for name, value in expected.items()
+        if values[name] != value
+    )
