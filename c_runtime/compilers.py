@@ -60,7 +60,7 @@ class Compiler:
         if done.returncode != 0:
             raise CheckError(
                 f"{shlex.join([*self.command, *arguments])} failed with exit code"
-                f" {done.returncode}:\n{done.stderr[-4000:]}"
+                f" {done.returncode}:\n{done.stderr[:4000]}"
             )
 
     def describe(self) -> str:

@@ -1,5 +1,6 @@
 """Builds the C of a firmware folder, and nothing else, in every way there is, and runs it."""
 
+import re
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -103,7 +104,7 @@ def _check_host(
             for observe in (True, False)
         )
     except CheckError as error:
-        check.failures.append(f"host: does not compile. {error}")
+        check.failures.append(f"host: {_tell_compiler(error, scratch)}")
         return None
     check.header += check_header(model, code.prefix, plain.library)
     for name, host in ((HOST, observed), ("host as flashed", plain)):
@@ -133,7 +134,7 @@ def _check_host(
     with ThreadPoolExecutor(AT_ONCE) as pool:
         for way, built in zip(ways, pool.map(build, ways), strict=True):
             if isinstance(built, CheckError):
-                check.failures.append(f"{way.name}: does not compile. {built}")
+                check.failures.append(f"{way.name}: {_tell_compiler(built, scratch)}")
             elif _holds(check, way.name, built, golden):
                 check.backends.append(way.name)
     return plain
@@ -150,6 +151,13 @@ def _build(
 ) -> HostModel:
     flags = ("-O1", *flags)
     return HostModel(model, code, folder, compiler, flags, observe=observe, warnings=STANDARD)
+
+
+def _tell_compiler(error: CheckError, scratch: Path) -> str:
+    """Return the compiler's first complaint, files named as in the firmware's folder."""
+    lines = str(error).splitlines()
+    told = next((line for line in lines[1:] if "error" in line), lines[-1])
+    return "does not compile: " + re.sub(rf"{re.escape(str(scratch))}/(host\w+/|[^/]+/)?", "", told)
 
 
 def _can_run(check: FolderCheck, way: Way, host: HostModel) -> bool:
@@ -256,7 +264,7 @@ def _run_core(
     try:
         chip = EmulatedModel(model, code, way.core, folder, ("-O2", *way.flags))
     except CheckError as error:
-        return [f"{way.name}: does not compile. {error}"]
+        return [f"{way.name}: {_tell_compiler(error, folder)}"]
     try:
         for expected in golden:
             drift, flags, states = chip.trace(expected.codes, settled=expected.settled)

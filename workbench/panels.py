@@ -199,7 +199,12 @@ def show_outcome(outcome: Mapping[str, Any]) -> list[Any]:
     if name == "verify":
         equal = "equal in every bit" if told["bit_exact"] else "DIFFERENT"
         backends = " = ".join(told["backends"])
-        return [html.P(f"Verified: {equal} over {told['vectors']} steps on {backends}.")]
+        lines = [f"Verified: {equal} over {told['vectors']} steps on {backends}."]
+        lines += [finding["text"] for finding in (*told["changed"], *told["stale"])]
+        lines += [f"{f['name']} in the header is not the model's." for f in told["header"]]
+        lines += told["failures"]
+        lines += [f"Not checked: {n['what']} ({n['why']})." for n in told["not_checked"]]
+        return [html.P(line) for line in lines]
     if name == "firmware":
         return [
             html.P(
