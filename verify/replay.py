@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.c_runtime.scratch import open_scratch
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.config import Config
 from zerodrift.errors import CheckError, InputError, nearest
 from zerodrift.export.golden import GoldenVectors, load_golden
 from zerodrift.export.integer_model import IntegerModel, load_model
+from zerodrift.scratch import make_scratch
 from zerodrift.verify.expected import Expected, expect
 from zerodrift.verify.firmware_check import Failure, Progress
 from zerodrift.verify.folder_check import FolderCheck, check_folder
@@ -119,8 +119,7 @@ def replay(
         return _conclude(files, FolderCheck(), model.hash, (str(failure),))
     cold = expect(model, golden.codes[:COLD_STEPS], settled=False)
     sequences = draw_sequences(model, RANDOM_STEPS)
-    with open_scratch(config.build_directory, ".verify-") as folder:
-        scratch = Path(folder)
+    with make_scratch(config.directory) as scratch:
         check = check_folder(model, code, (expected, cold), sequences, onnx, scratch, progress)
     return _conclude(files, check, model.hash)
 

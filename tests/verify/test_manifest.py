@@ -7,15 +7,14 @@ from pathlib import Path
 import pytest
 from tests.verify.conftest import write_firmware
 
+from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.config import load_config
 from zerodrift.errors import CheckError
 from zerodrift.verify.manifest import Finding, check_manifest, load_manifest
 
 SHIPPED = {
     *("front_end.h", "front_end.c", "front_end.dbc", "certificate.json"),
-    *("zd_runtime.h", "zd_runtime.c", "zd_signals.h", "zd_gru_portable.h", "zd_gru_pairs.h"),
-    *("zd_gru_rows.h", "zd_gru_columns.h", "zd_gru_columns_sse2.h", "zd_gru_columns_avx2.h"),
-    *("zd_exp2.h", "zd_network.h", "zd_tanh_table.h"),
+    *(path.name for path in RUNTIME_FILES),
 }
 BUILT = {"model.json", "integer.onnx", "golden.npz", "certificate.json"}
 

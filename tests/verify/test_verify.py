@@ -228,11 +228,11 @@ def test_weights_that_another_kernel_reads_are_run(
         ("zd_gru_pairs.h", r"\(\(int32_t\)1 << 14\)", "host: pairs"),
         ("zd_gru_columns_avx2.h", r"set1_epi32\(\(int32_t\)1 << 14\)", "host: columns with AVX2"),
         (
-            "zd_runtime.c",
+            "zd_tanh_table.h",
             r"zd_tanh_half_slope_q19\[ZD_TANH_HALF_LINES\] = \{\s*\d+",
             "cortex-m4: ZD_SMALL",
         ),
-        ("zd_runtime.h", r"return __ssat\(t, 20\)", "cortex-m3"),
+        ("zd_network.h", r"return __ssat\(t, 20\)", "cortex-m3"),
     ],
 )
 def test_constants_of_kernels_that_this_host_does_not_take_are_seen(
