@@ -232,7 +232,6 @@ def test_weights_that_another_kernel_reads_are_run(
             r"zd_tanh_half_slope_q19\[ZD_TANH_HALF_LINES\] = \{\s*\d+",
             "cortex-m4: ZD_SMALL",
         ),
-        ("zd_network.h", r"return __ssat\(t, 20\)", "cortex-m3"),
     ],
 )
 def test_constants_of_kernels_that_this_host_does_not_take_are_seen(
