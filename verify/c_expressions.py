@@ -1,233 +1,483 @@
 """The expressions of a generated model's C, with intervals in place of numbers.
 
-Shares no code with the generator and needs the standard library only.
+C's own rules give every literal and every operation its type. Shares no code with the generator and
+needs the standard library only.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from zerodrift.verify.c_reader import TYPES, Array, Code, NotUnderstoodError, Value
+from zerodrift.verify.c_parser import Node, Program
+from zerodrift.verify.c_reader import LIMITS
+from zerodrift.verify.c_values import (
+    BITS,
+    TYPES,
+    Address,
+    Block,
+    FaultError,
+    NotUnderstoodError,
+    Pointer,
+    Struct,
+    Value,
+    is_signed,
+)
 
-PRECEDENCE = {"||": 1, "&&": 2, "|": 3, "&": 4, "==": 5, "!=": 5, "<": 6, ">": 6, "<=": 6, ">=": 6}
-PRECEDENCE |= {"+": 8, "-": 8, "*": 9}
-RANKS = ["int32_t", "uint32_t", "int64_t", "uint64_t"]
+MOST_WORK = 2_000_000
+"""Expressions and statements that are looked at before a model is taken to have no end."""
+MIRRORED = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "==": "==", "!=": "!="}
+OPPOSITE = {"<": ">=", ">": "<=", "<=": ">", ">=": "<", "==": "!=", "!=": "=="}
 
 
 class Expressions:
-    """Evaluates expressions from a place in the C on, and notes what they reach."""
+    """Evaluates expressions, and notes what they reach."""
 
-    def __init__(self, code: Code, rules: Mapping[str, Callable[..., Any]]) -> None:
-        """Stand before the first token.
+    def __init__(self, program: Program, known: Mapping[str, int], int_bits: int) -> None:
+        """Prepare for a program.
 
         Args:
-            code: what the model's files declare.
-            rules: what the runtime's functions do with intervals, by name.
+            program: what the model's files declare.
+            known: macros of the runtime that are numbers.
+            int_bits: of C's int, 16 or 32.
         """
-        self.code, self._rules = code, rules
+        self.program, self.known = program, known
+        self.int, self.unsigned = f"int{int_bits}_t", f"uint{int_bits}_t"
+        self.packed = int_bits == 16
+        """Whether structs are laid out without gaps."""
         self.bounds: dict[str, tuple[int, int, int]] = {}
         """Name -> lowest, highest, bits that hold them."""
         self.shifts: dict[str, int] = {}
-        self.recurrent: set[tuple[str, tuple[Value, ...]]] = set()
-        """The recurrent layers that were stepped, and under which features."""
         self.failures: list[str] = []
-        self._at = 0
-        self._locals: dict[str, Any] = {}
-        self._narrow: dict[str, Value] = {}  # field -> what it can be in this branch
-        self._compared: tuple[str, str, int] | None = None
         self.pending: dict[str, tuple[int, int, int]] = {}
         """Bounds of the node that is being computed, by their last name."""
         self.shift: int | None = None
         """The shift of the node that is being computed."""
         self.row_of = ""
         """The node whose weights were multiplied last."""
-        self._returned: Any = None
-        self._stored: set[str] = set()
-        self._called: set[str] = set()
-        self._fields: dict[str, Any] = {}
-        self._unfilled: set[str] = set()
-        """Structs of inputs of this function's own that hold nothing yet."""
+        self.inputs: set[int] = set()
+        """The blocks that hold codes of the inputs."""
+        self.variables: dict[str, Any] = {}
+        self.constants: dict[str, Any] = {}
+        self._at, self._work = 0, 0
+
+    # --- what is found
 
     def note(self, where: str, low: int, high: int, bits: int) -> None:
         """Note a bound that the C relies on; more than one visit widens it."""
         before = self.bounds.get(where, (low, high, bits))
-        self.bounds[where] = (min(low, before[0]), max(high, before[1]), bits)
+        self.bounds[where] = (min(low, before[0]), max(high, before[1]), max(bits, before[2]))
         if low < -(1 << (bits - 1)) or high >= 1 << (bits - 1):
-            self.failures.append(f"{where}: reaches {low} .. {high}; it does not fit {bits} bits")
+            self.fail(f"{where}: reaches {low} .. {high}; it does not fit {bits} bits")
+
+    def note_shift(self, where: str, amount: int) -> None:
+        """Note by how much something is shifted; it cannot be two amounts."""
+        if self.shifts.setdefault(where, amount) != amount:
+            self.fail(f"{where}: {amount} here, {self.shifts[where]} elsewhere")
 
     def fail(self, what: str) -> None:
         """Note what is wrong where the machine stands."""
-        self.failures.append(
-            f"{self.code.places[min(self._at, len(self.code.places) - 1)]}: {what}"
-        )
+        text = f"{self.program.place(self._at)}: {what}"
+        if text not in self.failures:
+            self.failures.append(text)
 
-    @property
-    def _token(self) -> str:
-        return self.code.tokens[self._at]
+    def stand_at(self, at: int) -> None:
+        """Remember where in the C this is; stop where there is no end to it."""
+        self._at, self._work = at, self._work + 1
+        if self._work > MOST_WORK:
+            raise NotUnderstoodError(f"{self.program.place(at)}: no end after {MOST_WORK} steps")
 
-    def _take(self, expected: str = "") -> str:
-        token = self._token
-        if expected and token != expected:
-            place = self.code.places[self._at]
-            raise NotUnderstoodError(f"{place}: '{token}' where '{expected}' was expected")
-        self._at += 1
-        return token
+    def not_understood(self, what: str) -> NotUnderstoodError:
+        """Return what to raise where there is no rule."""
+        return NotUnderstoodError(f"{self.program.place(self._at)}: {what}")
+
+    # --- types
 
     def convert(self, value: Value, kind: str) -> Value:
-        """Return a value in a C type, which must hold it and every partial sum behind it."""
+        """Return a value in a C type: a signed one must hold it, an unsigned one wraps."""
         low, high = TYPES[kind]
-        if value.low < low or value.high > high:
+        if low <= value.low and value.high <= high:
+            if value.type == kind:
+                return value
+            return Value(value.low, value.high, kind, value.reach, value.copy_of)
+        if is_signed(kind):
             self.fail(f"{value.low} .. {value.high} does not fit {kind}")
             return Value(low, high, kind)
-        return Value(value.low, value.high, kind, value.reach)
+        if value.exact is not None:
+            wrapped = value.low % (high + 1)
+            return Value(wrapped, wrapped, kind)
+        return Value(low, high, kind)
 
-    def _expression(self, floor: int = 0) -> Any:
-        left = self._unary()
-        while PRECEDENCE.get(self._token, 0) > floor:
-            operator = self._take()
-            left = self.combine(operator, left, self._expression(PRECEDENCE[operator]))
-        if floor == 0 and self._token == "?":
-            compared = self._compared
-            self._take()
-            first = self._expression()
-            self._take(":")
-            if compared and compared[1] == "==" and compared[2] == self._fields[compared[0]].high:
-                self._assume(compared[0], below=compared[2])
-            left = first.join(self._expression())
-            self._narrow.clear()
-        return left
+    def promote(self, kind: str) -> str:
+        """Return the type in which C calculates with one."""
+        if BITS[kind] > BITS[self.int]:
+            return kind
+        return self.unsigned if kind == self.unsigned else self.int
 
-    def _assume(self, name: str, below: int) -> None:
-        """Know a field to be less than `below` until this branch ends."""
-        known = self._fields[name]
-        self._narrow[name] = replace(known, high=min(known.high, below - 1), reach=0)
+    def common(self, a: str, b: str) -> str:
+        """Return the type in which C calculates with two."""
+        a, b = self.promote(a), self.promote(b)
+        if BITS[a] != BITS[b]:
+            return a if BITS[a] > BITS[b] else b
+        return b if is_signed(a) else a
 
-    def combine(self, operator: str, a: Value, b: Value) -> Value:
-        """Return a operator b in the type that C gives it, which must hold the result."""
-        kind = max((v.type if v.type in RANKS else "int32_t" for v in (a, b)), key=RANKS.index)
-        self._compared = None
-        if operator in ("+", "-"):
-            b = b if operator == "+" else Value(-b.high, -b.low, b.type, b.reach)
-            result = Value(a.low + b.low, a.high + b.high, kind, a.reach + b.reach)
-        elif operator == "*":
-            if "code" in self.pending:
-                self.pending["code"] = (a.low, a.high, 32)
-            ends = [x * y for x in (a.low, a.high) for y in (b.low, b.high)]
-            result = Value(min(ends), max(ends), kind, a.reach * b.reach)
-        elif operator in ("|", "&"):
-            return Value(0, TYPES["uint32_t"][1], "uint32_t")
+    def size_of(self, of: Any) -> int:
+        """Return a struct's or number's size: without gaps, or each field aligned to itself."""
+        if isinstance(of, str) and of in TYPES:
+            return BITS[of] // 8
+        fields = self.program.structs.get(of)
+        if fields is None:
+            raise self.not_understood(f"the size of {of}")
+        size, widest = 0, 1
+        for variable in fields:
+            width, count = BITS[variable.type.name] // 8, 1
+            for length in variable.sizes:
+                count *= self.constant(length)
+            if not self.packed:
+                size, widest = -(-size // width) * width, max(widest, width)
+            size += width * count
+        return size if self.packed else -(-size // widest) * widest
+
+    def constant(self, node: Node) -> int:
+        """Return the number of an expression that has to be one."""
+        value = self.evaluate(node)
+        if not isinstance(value, Value) or value.exact is None:
+            raise self.not_understood("a number that is not known")
+        return value.exact
+
+    # --- evaluation
+
+    def evaluate(self, node: Node) -> Any:
+        """Return a Value, a Pointer or an Address; None for a call that returns nothing."""
+        self.stand_at(node.at)
+        found = getattr(self, f"_on_{node.kind}")(*node.parts)
+        if isinstance(found, Pointer) and not found.sizes:
+            return self.load(found)
+        self._at = node.at
+        return found
+
+    def number(self, node: Node) -> Value:
+        """Return the value of an expression that has to be a number."""
+        value = self.evaluate(node)
+        if not isinstance(value, Value):
+            raise self.not_understood("something that is no number")
+        return value
+
+    def load(self, pointer: Pointer) -> Value:
+        """Return what one element can be."""
+        block = pointer.block
+        if pointer.first.exact is None:
+            value, copy_of = pointer.values(1)[0], None
         else:
-            self._compared = (a.place, operator, b.low) if a.place and b.low == b.high else None
-            if operator == "<" and (a.high < b.low or a.low >= b.high):
-                answer = int(a.high < b.low)
-                return Value(answer, answer)
-            return Value(0, 1)
-        return self.convert(result, kind)
-
-    def _unary(self) -> Any:
-        token = self._take()
-        if token == "(":
-            if self._token in TYPES and self.code.tokens[self._at + 1] == ")":
-                kind = self._take()
-                self._take(")")
-                value = self._unary()
-                if kind == "int32_t" and value.type == "int64_t":
-                    self.note_plain_sum(value)
-                return self.convert(value, kind)
-            value = self._expression()
-            self._take(")")
+            value, copy_of = block.value(pointer.first.low), None
+            if block.count == 1:
+                copy_of = (id(block), block.version)
+        if value.copy_of == copy_of:
             return value
-        if token == "-":
-            value = self._unary()
-            return Value(-value.high, -value.low, value.type, value.reach)
-        if token == "&":
-            name = self._token
-            if self.code.tokens[self._at + 1] == "[":  # the rest of an array from an element on
-                self._take()
-                array = self._locals[name] if name in self._locals else self.code.constants[name]
-                first = self._take_size()
-                try:
-                    return array.rest(first)
-                except IndexError as error:
-                    self.fail(str(error))
-                    return array
-            return self._unary()
-        if token[0].isdigit():
-            number = int(token.rstrip("u"))
-            kind = "uint32_t" if token.endswith("u") else "int32_t"
-            return Value(number, number, kind if number <= TYPES[kind][1] else "int64_t")
-        if self._token == "(":
-            return self._call(token)
-        return self._read(token)
+        return Value(value.low, value.high, value.type, value.reach, copy_of)
+
+    def locate(self, node: Node) -> Any:
+        """Return where a variable, field or element lies: a Pointer; or a Struct or Address."""
+        self.stand_at(node.at)
+        if node.kind == "name":
+            return self._on_name(*node.parts)
+        if node.kind == "field":
+            return self._on_field(*node.parts)
+        if node.kind == "index":
+            return self._on_index(*node.parts)
+        if node.kind == "unary" and node.parts[0] == "*":
+            found = self.evaluate(node.parts[1])
+            if isinstance(found, Address):
+                return found
+        raise self.not_understood("this is not a variable, a field or an element")
+
+    def _on_integer(self, token: str, number: int, unsigned: bool, longs: int) -> Value:
+        """C99 6.4.4.1: the first type of its list that holds the literal."""
+        kinds = [self.int, self.unsigned, "int32_t", "uint32_t", "int64_t", "uint64_t"]
+        if longs:  # long has 32 bits or 64; a literal must not rest on which
+            kinds = kinds[2:] if longs == 1 else kinds[4:]
+        decimal = token[0] != "0" or number == 0
+        for kind in kinds:
+            if unsigned and is_signed(kind):
+                continue
+            if not unsigned and decimal and not is_signed(kind):
+                continue
+            if number <= TYPES[kind][1]:
+                return Value(number, number, kind)
+        raise self.not_understood(f"{token} has no type")
+
+    def _on_name(self, name: str) -> Any:
+        found = self.variables.get(name)
+        if found is None:
+            found = self.constants.get(name)
+        if isinstance(found, Block):
+            zero = Value(0, 0)
+            return Pointer(found, zero, found.sizes, found.constant)
+        if found is not None:
+            return found
+        number = self.known.get(name, LIMITS.get(name))
+        if number is None:
+            raise self.not_understood(f"'{name}' is not known")
+        if name in LIMITS:
+            kind = self.promote(f"{name.split('_', maxsplit=1)[0].lower()}_t")
+        else:
+            kind = self._on_integer(str(number), number, False, 0).type
+        return Value(number, number, kind)
+
+    def _on_field(self, of: Node, operator: str, name: str) -> Pointer:
+        holder = self.evaluate(of) if operator == "->" else self.locate(of)
+        if isinstance(holder, Address) and operator == "->" and not holder.bytes:
+            struct, constant = holder.struct, holder.constant
+        elif isinstance(holder, Struct) and operator == ".":
+            struct, constant = holder, False
+        else:
+            raise self.not_understood(f"{operator}{name}")
+        if (table := struct.tables.get(name)) is not None:
+            return table
+        if name not in struct.fields:
+            raise self.not_understood(f"{struct.type} has no {name}")
+        block = struct.fields[name]
+        return Pointer(block, Value(0, 0), block.sizes, constant or block.constant)
+
+    def _on_index(self, of: Node, at: Node) -> Pointer:
+        array, index = self.evaluate(of), self.number(at)
+        if not isinstance(array, Pointer):
+            raise self.not_understood("an index into something that is no array")
+        size, *inner = array.sizes
+        if index.low < 0 or index.high >= size:
+            raise FaultError(
+                f"index {index.low} .. {index.high} of {array.block.name}, which has {size} there"
+            )
+        stride = 1
+        for length in inner:
+            stride *= length
+        first = Value(array.first.low + index.low * stride, array.first.high + index.high * stride)
+        step = (
+            array.step
+            if index.exact is not None
+            else math.gcd(stride, array.first.width and array.step)
+        )
+        return replace(array, first=first, sizes=tuple(inner), step=step)
+
+    def _on_unary(self, operator: str, of: Node) -> Any:
+        if operator == "&":
+            return self._address(of)
+        if operator == "*":
+            raise self.not_understood("a * outside of an assignment")
+        value = self.number(of)
+        kind = self.promote(value.type)
+        value = self.convert(value, kind)
+        if operator == "+":
+            return value
+        if operator == "-":
+            return self.convert(Value(-value.high, -value.low, kind, value.reach), kind)
+        if operator == "~":
+            ends = (-value.high - 1, -value.low - 1)
+            return self.convert(Value(*ends, kind), kind)
+        return self._truth(value.high == value.low == 0, not value.low <= 0 <= value.high)
+
+    def _address(self, of: Node) -> Any:
+        if of.kind == "index":
+            array, index = self.evaluate(of.parts[0]), self.number(of.parts[1])
+            if not isinstance(array, Pointer) or len(array.sizes) != 1:
+                raise self.not_understood("an address in something that is no row of numbers")
+            if index.low < 0 or index.high >= array.sizes[0]:
+                raise FaultError(
+                    f"the address of element {index.low} .. {index.high} of {array.block.name},"
+                    f" which has {array.sizes[0]} there"
+                )
+            first = Value(array.first.low + index.low, array.first.high + index.high)
+            return replace(array, first=first, sizes=(array.sizes[0] - index.high,), step=1)
+        found = self.locate(of)
+        if isinstance(found, Struct):
+            return Address(found)
+        if isinstance(found, Pointer) and not found.sizes:
+            return replace(found, sizes=(1,))
+        raise self.not_understood("an address")
+
+    def _on_sizeof(self, of: Any) -> Value:
+        if not isinstance(of, str):
+            found = self.locate(of)
+            if not isinstance(found, Address | Struct):
+                raise self.not_understood("a size")
+            of = found.struct.type if isinstance(found, Address) else found.type
+        size = self.size_of(of)
+        return Value(size, size, "uint64_t" if not self.packed else self.unsigned)
+
+    def _on_cast(self, kind: Any, of: Node) -> Any:
+        value = self.evaluate(of)
+        if kind.pointer:
+            if isinstance(value, Address) and kind.name == "uint8_t":
+                if value.constant and not kind.constant:
+                    raise FaultError("a cast that takes const away")
+                return Address(value.struct, kind.constant, True)
+            raise self.not_understood("a cast of a pointer")
+        if not isinstance(value, Value) or kind.name not in TYPES:
+            raise self.not_understood("a cast")
+        if kind.name == "int32_t" and value.type == "int64_t":
+            self.note_plain_sum(value)
+        return self.convert(value, kind.name)
 
     def note_plain_sum(self, value: Value) -> None:
         """A node's 64-bit value that went through no shift is a sum."""
         if self.shift is None and not self.pending:
             self.pending["sum"] = (-value.reach, value.reach, 64)
 
-    def _read(self, token: str) -> Any:
-        """Return the variable, constant or field whose name was taken, after its indices."""
-        if token in self._unfilled:
-            raise NotUnderstoodError(f"{self.code.places[self._at - 1]}: '{token}' holds nothing")
-        if self._token in ("->", "."):
-            self._take()
-            name = self._take()
-            value = self._narrow.get(name, self._fields[name])
-        elif token in self._locals:
-            value = self._locals[token]
-        elif token in self.code.macros:
-            return Value(self.code.macros[token], self.code.macros[token])
-        elif token in self.code.constants:
-            value = self.code.constants[token]
+    def _truth(self, true: bool, false: bool) -> Value:
+        return Value(int(true), int(not false), self.int)
+
+    def _on_binary(self, operator: str, left: Node, right: Node) -> Value:
+        if operator in ("&&", "||"):
+            return self._both(operator, left, right)
+        return self.combine(operator, self.number(left), self.number(right))
+
+    def _both(self, operator: str, left: Node, right: Node) -> Value:
+        """&& and ||: the second is looked at only where the first does not decide."""
+        value = self.number(left)
+        decided = Value(int(operator == "||"), int(operator == "||"), self.int)
+        open_, zero = value.low <= 0 <= value.high, value.exact == 0
+        if not open_ or zero:
+            if zero == (operator == "&&"):
+                return decided
+            return self._as_truth(self.number(right))
+        if holds_call(right):
+            if self.choose(2) == 0:
+                return decided
+            return self._as_truth(self.number(right))
+        return self._as_truth(self.number(right)).join(decided)
+
+    def _as_truth(self, value: Value) -> Value:
+        return self._truth(not value.low <= 0 <= value.high, value.exact == 0)
+
+    def _on_choose(self, condition: Node, first: Node, second: Node) -> Value:
+        test = self._as_truth(self.number(condition))
+        results = []
+        for truth, branch in ((True, first), (False, second)):
+            if test.exact == int(not truth):
+                continue
+            kept = self.assume(condition, truth)
+            results.append(self.number(branch))
+            for block, cells in kept:
+                block.cells = cells
+        kind = self.common(results[0].type, results[-1].type)
+        if len(results) == 1:
+            return self.convert(results[0], kind)
+        return self.convert(results[0], kind).join(self.convert(results[1], kind))
+
+    def combine(self, operator: str, a: Value, b: Value) -> Value:
+        """Return a operator b in the type that C gives it, which must hold the result."""
+        if operator in ("<<", ">>"):
+            return self._shift(operator, a, b)
+        kind = self.common(a.type, b.type)
+        a, b = self.convert(a, kind), self.convert(b, kind)
+        if operator in MIRRORED:
+            return self._compare(operator, a, b)
+        if operator in ("&", "|", "^"):
+            return self._on_bits(operator, a, b, kind)
+        if operator in ("/", "%"):
+            if a.exact is None or b.exact is None or b.exact <= 0 or a.exact < 0:
+                raise self.not_understood("a division")
+            number = a.exact // b.exact if operator == "/" else a.exact % b.exact
+            return Value(number, number, kind)
+        if operator == "*":
+            if "code" in self.pending:
+                self.pending["code"] = (a.low, a.high, 32)
+            ends = [x * y for x in (a.low, a.high) for y in (b.low, b.high)]
+            low, high, reach = min(ends), max(ends), a.reach * b.reach
+        elif operator == "+":
+            low, high, reach = a.low + b.low, a.high + b.high, a.reach + b.reach
         else:
-            raise NotUnderstoodError(f"{self.code.places[self._at - 1]}: '{token}' is not known")
-        while self._token == "[":
-            value = self._index(value)
-        return value
+            low, high, reach = a.low - b.high, a.high - b.low, a.reach + b.reach
+        return self.convert(Value(low, high, kind, reach), kind)
 
-    def _index(self, array: Array) -> Any:
-        self._take("[")
-        index = self._expression()
-        self._take("]")
-        try:
-            cells = [array.cells[i] for i in array.at(index)]
-        except IndexError as error:
-            self.fail(str(error))
-            return array.cells[0]
-        value = cells[0]
-        for cell in cells[1:]:
-            value = value.join(cell)
-        return value
+    def _compare(self, operator: str, a: Value, b: Value) -> Value:
+        if operator in (">", ">="):
+            operator, a, b = MIRRORED[operator], b, a
+        if operator == "<":
+            return self._truth(a.high < b.low, a.low >= b.high)
+        if operator == "<=":
+            return self._truth(a.high <= b.low, a.low > b.high)
+        same = a.exact is not None and a.exact == b.exact
+        apart = a.high < b.low or b.high < a.low
+        return self._truth(same, apart) if operator == "==" else self._truth(apart, same)
 
-    def _take_size(self) -> int:
-        self._take("[")
-        size = self._expression()
-        self._take("]")
-        return int(size.low)
+    def _on_bits(self, operator: str, a: Value, b: Value, kind: str) -> Value:
+        if min(a.low, b.low) < 0:
+            raise self.not_understood(f"{operator} of a negative number")
+        if a.exact is not None and b.exact is not None:
+            both = {"&": a.exact & b.exact, "|": a.exact | b.exact, "^": a.exact ^ b.exact}
+            return Value(both[operator], both[operator], kind)
+        if operator == "&":
+            return Value(0, min(a.high, b.high), kind)
+        top = (1 << max(a.high, b.high).bit_length()) - 1
+        return Value(max(a.low, b.low) if operator == "|" else 0, top, kind)
 
-    def _call(self, name: str) -> Any:
-        self._take("(")
-        arguments = []
-        if name == f"{self.code.prefix}_hold":
-            self._unfilled.clear()
-        while self._token != ")":
-            arguments.append(self._expression())
-            if self._token == ",":
-                self._take()
-        self._take(")")
-        if name == "INT64_C":
-            return replace(arguments[0], type="int64_t")
-        self._called.add(name)
-        if name in self._rules:
-            return self._rules[name](self, *arguments)
-        if name == f"{self.code.prefix}_state_is_sound":
-            return Value(0, 1)
-        if name == f"{self.code.prefix}_init":
-            return None
-        if name in self.code.functions:
-            return self._call_function(name, arguments)
-        raise NotUnderstoodError(f"{self.code.places[self._at - 1]}: there is no rule for {name}")
+    def _shift(self, operator: str, a: Value, b: Value) -> Value:
+        kind = self.promote(a.type)
+        a = self.convert(a, kind)
+        if b.exact is None or not 0 <= b.exact < BITS[kind]:
+            raise FaultError(f"a shift of {BITS[kind]} bits by {b.low} .. {b.high}")
+        if a.low < 0:
+            raise self.not_understood("a shift of a negative number")
+        if operator == "<<":
+            return self.convert(Value(a.low << b.exact, a.high << b.exact, kind), kind)
+        return Value(a.low >> b.exact, a.high >> b.exact, kind)
 
-    def _call_function(self, name: str, arguments: list[Any]) -> Any:
-        """Run a function of the model."""
+    # --- what a condition says of variables
+
+    def assume(self, node: Node, truth: bool) -> list[tuple[Block, list[Any]]]:
+        """Narrow the variables that a condition compares; return what they were."""
+        if node.kind != "binary":
+            return []
+        operator, left, right = node.parts
+        if operator in ("&&", "||"):
+            if truth != (operator == "&&"):
+                return []
+            return self.assume(left, truth) + self.assume(right, truth)
+        if operator not in MIRRORED:
+            return []
+        operator = operator if truth else OPPOSITE[operator]
+        return self._narrow(left, operator, right) + self._narrow(right, MIRRORED[operator], left)
+
+    def _narrow(self, node: Node, operator: str, other: Node) -> list[tuple[Block, list[Any]]]:
+        if node.kind not in ("name", "field") or holds_call(other):
+            return []
+        place = self.locate(node)
+        if not isinstance(place, Pointer) or place.sizes or place.block.constant:
+            return []
+        value, limit = place.block.value(0), self.number(other)
+        if min(value.low, limit.low) < 0 and not is_signed(self.common(value.type, limit.type)):
+            return []
+        low, high = value.low, value.high
+        if operator in ("<", "<="):
+            high = min(high, limit.high - (operator == "<"))
+        elif operator in (">", ">="):
+            low = max(low, limit.low + (operator == ">"))
+        elif operator == "==":
+            low, high = max(low, limit.low), min(high, limit.high)
+        elif limit.exact is not None:
+            low, high = low + (low == limit.exact), high - (high == limit.exact)
+        if low > high:
+            return []
+        kept = [(place.block, place.block.cells)]
+        place.block.cells = [Value(low, high, value.type)]
+        return kept
+
+    # --- what a model adds
+
+    def choose(self, ways: int) -> int:
+        """Return which of some ways to go; all are gone, one after the other."""
         raise NotImplementedError
+
+    def _on_call(self, name: str, arguments: tuple[Node, ...]) -> Any:
+        raise NotImplementedError
+
+
+def holds_call(node: Any) -> bool:
+    """Return whether an expression calls anything."""
+    if isinstance(node, tuple):
+        return any(map(holds_call, node))
+    return isinstance(node, Node) and (node.kind == "call" or any(map(holds_call, node.parts)))
+
+
+Rule = Callable[..., Any]

@@ -9,42 +9,76 @@ from collections.abc import Callable
 from typing import Any
 
 from zerodrift.verify.c_intervals import Machine
-from zerodrift.verify.c_reader import Array, Value
+from zerodrift.verify.c_values import TYPES, FaultError, Pointer, Struct, Value
+
+MOST = 1 << 16
+"""Units and inputs that are looked at; a generated model has some hundreds at most."""
 
 
 def shift_right(machine: Machine, x: Value, shift: Value, most: int) -> Value:
     """Return x >> shift, which C must define."""
-    if shift.low != shift.high or not 0 <= shift.low <= most:
-        machine.fail(f"a shift by {shift.low} .. {shift.high} bits; C defines 0 .. {most}")
-    machine.shift = shift.low
-    return Value(x.low >> shift.low, x.high >> shift.low, x.type)
+    if shift.exact is None or not 0 <= shift.exact <= most:
+        raise FaultError(f"a shift by {shift.low} .. {shift.high} bits; C defines 0 .. {most}")
+    machine.shift = shift.exact
+    return Value(x.low >> shift.exact, x.high >> shift.exact, x.type)
 
 
 Rows = tuple[list[int], list[int], list[int]]
 """w_x [H][3][I], w_h [H][3][H] and bias [H][4] of a layer."""
 
 
-def run_portable(machine: Machine, after: bool, layer: Array, *given: Any) -> None:
+def run_portable(machine: Machine, after: bool, layer: Struct, *given: Any) -> None:
     """Step a layer whose weights lie unit by unit; `after` tells where the reset gate acts."""
-    constants = machine.code.constants
-    tables = [
-        [v.low for v in constants[t].flat()] if isinstance(t, str) else [] for t in layer.cells[:5]
-    ]
-    w_x, w_16, w_8, multiplier, bias = tables
+    _check_sizes(given[0], given[1], given[-1])
+    names = ("w_x", "w_h16", "w_h8", "multiplier", "bias")
+    w_x, w_16, w_8, multiplier, bias = (machine.table_of(layer, name) for name in names)
+    if bool(w_16) == bool(w_8) or bool(multiplier) != bool(w_8):
+        raise FaultError(f"{layer.name}: weights of 16 bits, or of 8 bits and their multipliers")
     for scratch in given[4:-1]:
         scratch.hold(given[1].low)
+    _require_apart(given[4:-1], given[3])
     _gru(machine, after, layer, (w_x, w_16 or w_8, bias), multiplier, *given)
+    for scratch in given[4:-1]:
+        _leave_unknown(scratch, given[1].low)
 
 
-def run_packed(machine: Machine, packing: "Packing", layer: Array, *given: Any) -> None:
+def run_packed(machine: Machine, packing: "Packing", layer: Struct, *given: Any) -> None:
     """Step a layer whose weights lie in another order."""
+    _check_sizes(given[0], given[1], given[-1])
     unpack, sizes = packing
     inputs, hidden = given[0].low, given[1].low
-    for scratch, size in zip(given[4:-1], sizes(inputs, hidden), strict=True):
+    for scratch, size in zip(given[4:-1], sizes(machine, inputs, hidden), strict=True):
         scratch.hold(size)
-    constants = machine.code.constants
-    tables = [[v.low for v in constants[t].flat()] for t in layer.cells if isinstance(t, str)]
-    _gru(machine, True, layer, unpack(*tables, inputs, hidden), [], *given)
+        _leave_unknown(scratch, size)
+    _require_apart(given[4:-1], given[3])
+    tables = [
+        machine.table_of(layer, n) for n in ("stream", "weights", "bias") if n in layer.tables
+    ]
+    try:
+        rows = unpack(*tables, inputs, hidden)
+    except (StopIteration, IndexError, ValueError) as error:
+        raise FaultError(f"{layer.name}: its table is short or not filled up: {error}") from None
+    _gru(machine, True, layer, rows, [], *given)
+
+
+def _check_sizes(inputs: Value, hidden: Value, u_keep: Value) -> None:
+    for value, what in ((inputs, "inputs"), (hidden, "units")):
+        if value.exact is None or not 0 < value.exact <= MOST:
+            raise FaultError(f"{value.low} .. {value.high} {what}")
+    if u_keep.exact not in (-1, 0):
+        raise FaultError(f"u_keep is {u_keep.low} .. {u_keep.high}; -1 and 0 are allowed")
+
+
+def _require_apart(scratches: Any, state: Pointer) -> None:
+    blocks = [state.block, *(scratch.block for scratch in scratches)]
+    if len({id(block) for block in blocks}) != len(blocks):
+        raise FaultError("state and scratch lie on each other")
+
+
+def _leave_unknown(scratch: Pointer, count: int) -> None:
+    """Nothing but the kernel may rely on what it leaves in its scratch."""
+    low, high = TYPES[scratch.block.type]
+    scratch.fill([Value(low, high, scratch.block.type)] * count)
 
 
 def _halves(words: list[int]) -> list[int]:
@@ -104,11 +138,11 @@ def unpack_rows(numbers: list[int], biases: list[int], inputs: int, hidden: int)
     return rows
 
 
-Packing = tuple[Callable[..., Rows], Callable[[int, int], list[int]]]
+Packing = tuple[Callable[..., Rows], Callable[[Machine, int, int], list[int]]]
 """How to read the tables of a kernel, and what its scratch arrays have to hold, in order."""
-PAIRS: Packing = unpack_pairs, lambda i, h: [-(-i // 2) - (-h // 2)]
-ROWS: Packing = unpack_rows, lambda i, h: [8 * (-(-i // 8) - (-h // 8))]
-COLUMNS: Packing = unpack_columns, lambda i, h: [8 * -(-h // 8), -(-i // 2) + 4 * -(-h // 8)]
+PAIRS: Packing = unpack_pairs, lambda m, i, h: [m.per_pair * (-(-i // 2) - (-h // 2))]
+ROWS: Packing = unpack_rows, lambda m, i, h: [8 * (-(-i // 8) - (-h // 8))]
+COLUMNS: Packing = unpack_columns, lambda m, i, h: [8 * -(-h // 8), -(-i // 2) + 4 * -(-h // 8)]
 
 
 def _trim(row: list[int], count: int) -> list[int]:
@@ -121,37 +155,39 @@ def _trim(row: list[int], count: int) -> list[int]:
 def _gru(
     machine: Machine,
     after: bool,
-    layer: Array,
+    layer: Struct,
     rows: Rows,
     multiplier: list[int],
     inputs: Value,
     hidden: Value,
-    features: Array,
-    h: Array,
+    features: Pointer,
+    h: Pointer,
     *_: Any,
 ) -> None:
     """Every accumulator by the sum of its terms' sizes, hence in whatever order they are added."""
-    (w_x, w_h, bias), limit, x = rows, machine.h_limit, features.flat()
-    h.hold(hidden.low)
-    name = re.sub(r"_(\d+)$", r".\1", layer.place)  # a layer of a stack
-    if any(abs(v.low) > limit or abs(v.high) > limit for v in h.flat()):
+    (w_x, w_h, bias), limit = rows, machine.h_limit
+    n_x, n_h, h_q15 = inputs.low, hidden.low, (limit + (1 << 14)) >> 15
+    x = features.values(n_x)
+    name = re.sub(r"_(\d+)$", r".\1", layer.name)  # a layer of a stack
+    if any(abs(v.low) > limit or abs(v.high) > limit for v in h.values(n_h)):
         machine.fail(f"{name}: the state is not known to be within {limit} before the step")
-    h.fill(Value(-limit, limit), hidden.low)
+    h.fill([Value(-limit, limit)] * n_h)
     if (name, tuple(x)) in machine.recurrent:
         return
-    vectors = [[v.low for v in cell.flat()] for cell in layer.cells if isinstance(cell, Array)]
-    shifts, multiplier_shifts = vectors[0], vectors[-1]
-    n_x, n_h, h_q15 = inputs.low, hidden.low, (limit + (1 << 14)) >> 15
-    if (len(w_x), len(w_h), len(bias)) != (3 * n_h * n_x, 3 * n_h * n_h, 4 * n_h) or len(x) != n_x:
-        machine.fail(f"{name}: tables do not have the size of {n_h} units and {n_x} inputs")
-        return
+    shifts = [layer.fields["shift"].value(g).low for g in range(3)]
+    if multiplier:
+        multiplier_shifts = [layer.fields["multiplier_shift"].value(g).low for g in range(3)]
+    if (len(w_x), len(w_h), len(bias)) != (3 * n_h * n_x, 3 * n_h * n_h, 4 * n_h):
+        raise FaultError(f"{name}: tables do not have the size of {n_h} units and {n_x} inputs")
+    if multiplier and len(multiplier) != 3 * n_h:
+        raise FaultError(f"{name}: {len(multiplier)} multipliers of {n_h} units")
     for g, gate in enumerate("run"):
         shift_right(machine, Value(0, 0), Value(shifts[g], shifts[g]), 31)
-        machine.shifts[f"{name}.{gate}.shift"] = shifts[g]
+        machine.note_shift(f"{name}.{gate}.shift", shifts[g])
         if multiplier:
             both = Value(multiplier_shifts[g], multiplier_shifts[g])
             shift_right(machine, Value(0, 0), both, 62)
-            machine.shifts[f"{name}.{gate}.multiplier_shift"] = multiplier_shifts[g]
+            machine.note_shift(f"{name}.{gate}.multiplier_shift", multiplier_shifts[g])
     sizes = [max(abs(v.low), abs(v.high)) for v in x]
     for row in range(3 * n_h):
         j, g = divmod(row, 3)

@@ -1,22 +1,87 @@
-"""What the runtime's functions do with intervals.
+"""What the runtime's functions ask of their arguments, and what they do with intervals.
 
 Written from docs/reference/integer-arithmetic.md, section 3. Shares no code with the generator and
 needs the standard library only.
 """
 
+import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from zerodrift.verify.c_gru import COLUMNS, PAIRS, ROWS, run_packed, run_portable, shift_right
 from zerodrift.verify.c_intervals import Machine
-from zerodrift.verify.c_reader import TYPES, Array, Value
+from zerodrift.verify.c_values import (
+    TYPES,
+    Address,
+    FaultError,
+    Pointer,
+    Struct,
+    Value,
+    anything,
+)
+
+SAVED_EXTRA = 16
+"""Bytes that a saved state has more than the state."""
+Action = Callable[..., Any]
+"""(machine, *arguments) -> what the function returns."""
+
+
+def _typed(types: str, action: Action, result: str = "") -> Action:
+    """Return a rule that first holds the arguments against the function's parameters.
+
+    Args:
+        types: of the parameters: a number's type; `const T *` or `T *`, of which the second is
+            written to; `&S`, a struct of the runtime.
+        action: what it does with them.
+        result: the type of what it returns.
+    """
+    kinds = [kind.strip() for kind in types.split(",")] if types else []
+
+    def rule(machine: Machine, *arguments: Any) -> Any:
+        if len(arguments) != len(kinds):
+            raise FaultError(f"{len(arguments)} arguments where {len(kinds)} are expected")
+        given = [_check(machine, k, a) for k, a in zip(kinds, arguments, strict=True)]
+        found = action(machine, *given)
+        return replace(found, type=result, copy_of=None) if result else None
+
+    return rule
+
+
+def _check(machine: Machine, kind: str, argument: Any) -> Any:
+    """Return an argument as the parameter holds it."""
+    if kind in TYPES:
+        value = machine.as_number(argument)
+        return machine.convert(value, kind)
+    if kind[0] == "&":
+        if not isinstance(argument, Address) or argument.struct.type != kind[1:] or argument.bytes:
+            raise FaultError(f"another type than {kind[1:]} is given")
+        return argument.struct
+    base = kind.removeprefix("const ").removesuffix(" *")
+    if not isinstance(argument, Pointer) or argument.block.type != base:
+        raise FaultError(f"another type than {kind} is given")
+    if len(argument.sizes) != 1:
+        raise FaultError(f"{argument.block.name} is given where a row of numbers is expected")
+    constant = argument.constant or argument.block.constant
+    if constant and not kind.startswith("const"):
+        raise FaultError(f"{argument.block.name} is constant, and is written")
+    return argument
+
+
+def number(value: Value, least: int, most: int, what: str) -> int:
+    """Return a parameter that must be one known number in a range.
+
+    Raises:
+        FaultError: it is not.
+    """
+    if value.exact is None or not least <= value.exact <= most:
+        raise FaultError(f"{what} is {value.low} .. {value.high}; {least} .. {most} is allowed")
+    return value.exact
 
 
 def _clamp(machine: Machine, x: Value, low: Value, high: Value) -> Value:
-    if x.type != "int64_t":  # an input, or a node of its own
-        inputs = machine.code.structs[f"{machine.code.prefix}_input_t"]
-        ends = (low.low, high.high, 32)
-        machine.pending["code" if x.place in inputs else "limits"] = ends
+    is_code = x.copy_of is not None and x.copy_of[0] in machine.inputs
+    machine.pending["code" if is_code else "limits"] = (low.low, high.high, 32)
     return _limit(x, low, high)
 
 
@@ -26,8 +91,9 @@ def _clamp_wide(machine: Machine, x: Value, low: Value, high: Value) -> Value:
 
 
 def _limit(x: Value, low: Value, high: Value) -> Value:
-    kind = "int64_t" if x.type == "int64_t" else "int32_t"
-    return Value(min(max(x.low, low.low), high.low), min(max(x.high, low.high), high.high), kind)
+    if low.exact is None or high.exact is None or low.low > high.low:
+        raise FaultError(f"limits {low.low} .. {high.high}")
+    return Value(min(max(x.low, low.low), high.low), min(max(x.high, low.low), high.low))
 
 
 def _shift_sum(machine: Machine, x: Value, shift: Value) -> Value:
@@ -36,10 +102,10 @@ def _shift_sum(machine: Machine, x: Value, shift: Value) -> Value:
 
 
 def _round_shift(machine: Machine, x: Value, shift: Value) -> Value:
-    half = 1 << shift.low >> 1
-    machine.convert(Value(x.low, x.high + half, "int64_t"), "int64_t")
+    half = 1 << number(shift, 0, 62, "the shift") >> 1
+    rounded = machine.convert(Value(x.low + half, x.high + half, "int64_t"), "int64_t")
     machine.pending["product"] = (x.low, x.high + half, 64)
-    return shift_right(machine, Value(x.low + half, x.high + half, "int64_t"), shift, 62)
+    return shift_right(machine, rounded, shift, 62)
 
 
 def _load(machine: Machine, measured: Value, drift: Value, low: Value, high: Value) -> Value:
@@ -47,22 +113,30 @@ def _load(machine: Machine, measured: Value, drift: Value, low: Value, high: Val
     del measured, drift
     machine.pending["difference"] = (1 - (1 << 32), (1 << 32) - 1, 64)
     machine.pending["limits"] = (low.low, high.high, 32)
-    return Value(low.low, high.high)
+    return _limit(Value(low.low, high.high), low, high)
 
 
-def _play(machine: Machine, y: Value, x: Value, half_width: Value) -> Value:
+def _state_cell(pointer: Pointer) -> Value:
+    """Return what a single number of the state is."""
+    if pointer.block.sizes or pointer.first.exact != 0:
+        raise FaultError(f"{pointer.block.name} is no single number")
+    return pointer.values(1)[0]
+
+
+def _play(machine: Machine, place: Pointer, x: Value, half_width: Value) -> Value:
     """y' lies between y and x, so a range of y that holds all x is never left."""
-    if half_width.low < 0 or y.low > x.low or y.high < x.high:
-        machine.fail(f"{y.place}: the state check must admit {x.low} .. {x.high}")
-    machine.pending["slack"] = (x.low - half_width.low, x.high + half_width.low, 32)
-    return Value(y.low, y.high)
+    y, half = _state_cell(place), number(half_width, 0, TYPES["int32_t"][1], "half of the slack")
+    machine.pending["slack"] = (x.low - half, x.high + half, 32)
+    machine.convert(Value(x.low - half, x.high + half, "int64_t"), "int32_t")
+    after = Value(min(y.low, x.low), max(y.high, x.high))
+    place.fill([after])
+    return after
 
 
 def _between(machine: Machine, older: Value, newer: Value, share: Value) -> Value:
-    if not 0 <= share.low <= (1 << 31) - 1:
-        machine.fail(f"a share of {share.low} 2^-31")
+    part = number(share, 0, (1 << 31) - 1, "a share in 2^-31")
     ends = (older.low - newer.high, newer.high - older.low)
-    rise = max(abs(e) for e in ends) * share.low
+    rise = max(abs(e) for e in ends) * part
     machine.pending["rise"] = (-rise, rise + (1 << 30), 64)
     return older.join(newer)
 
@@ -78,11 +152,11 @@ def _polynomial(machine: Machine, terms: list[int]) -> None:
         machine.pending[f"degree_{degree}"] = (low, high, 32)
 
 
-def _exp2(machine: Machine, t: Value, top: Value) -> Value:
+def _exp2(machine: Machine, t: Value, octave_of_top: Value) -> Value:
     """Rises with t, since no coefficient of the octave is negative and 2^1 continues at 2^0."""
-    octave = machine.code.tables["zd_exp2_octave_q29"]
-    if min(octave) < 0 or sum(octave) > 1 << 30 or t.high >> 24 > top.low:
-        machine.fail(f"2^t for t up to {t.high} is not bounded by octave {top.low}")
+    octave, top = machine.tables["zd_exp2_octave_q29"], number(octave_of_top, -128, 127, "top")
+    if min(octave) < 0 or sum(octave) > 1 << 30 or t.high >> 24 > top:
+        raise FaultError(f"2^t for t up to {t.high} is not bounded by octave {top}")
     machine.pending["exponent"] = (t.low, t.high, 32)
     _polynomial(machine, octave)
     ends = []
@@ -90,21 +164,22 @@ def _exp2(machine: Machine, t: Value, top: Value) -> Value:
         mantissa, f = octave[-1], (end & 0xFFFFFF) << 7
         for c in reversed(octave[:-1]):
             mantissa = c + ((mantissa * f + (1 << 30)) >> 31)
-        shift = min(top.low + 2 - (end >> 24), 31)
+        shift = min(top + 2 - (end >> 24), 31)
         ends.append((mantissa + (1 << (shift - 1))) >> shift)
     return Value(ends[0], ends[1])
 
 
-def _power(machine: Machine, power: Array, x: Value) -> Value:
-    octave, gains = (
-        [v.low for v in machine.code.constants[name].flat()] for name in power.cells[:2]
+def _power(machine: Machine, power: Struct, x: Value) -> Value:
+    octave, gains = (machine.table_of(power, name) for name in ("octave", "gains"))
+    low, high, terms, shift = (
+        power.fields[name].value(0).low for name in ("low", "high", "terms", "shift")
     )
-    low, high, terms, shift = (v.low for v in power.cells[2:])
     octaves = max(x.high, 1).bit_length() - 1
-    if octaves >= len(gains) or min(gains) < 0 or not 0 <= low <= high or terms != len(octave):
-        machine.fail(f"x^p: x reaches octave {octaves}, the table has {len(gains)}")
-        return Value(*TYPES["int32_t"])
-    _polynomial(machine, octave)
+    if octaves >= len(gains) or min(gains) < 0 or not 0 <= low <= high or shift > 62:
+        raise FaultError(f"x^p: x reaches octave {octaves}, the table has {len(gains)}")
+    if not 1 <= terms <= len(octave):
+        raise FaultError(f"x^p: {terms} terms of a polynomial of {len(octave)}")
+    _polynomial(machine, octave[:terms])
     product = high * max(gains[: octaves + 1]) + (1 << shift >> 1)
     machine.pending |= {
         "octaves": (0, len(gains), 6),
@@ -112,81 +187,217 @@ def _power(machine: Machine, power: Array, x: Value) -> Value:
         "gain": (0, max(gains), 32),
         "product": (0, product, 64),
     }
-    shift_right(machine, x, power.cells[5], 62)
+    shift_right(machine, x, Value(shift, shift), 62)
     return machine.convert(Value(0, product >> shift, "int64_t"), "int32_t")
 
 
-def _dot(machine: Machine, weights: Array, x: Array, count: Value) -> Value:
-    weights.hold(count.low)
-    x.hold(count.low)
-    machine.row_of = weights.place.removesuffix("_weights")
-    terms = list(zip(weights.cells[: count.low], x.flat()[: count.low], strict=True))
+def _dot(machine: Machine, weights: Pointer, x: Pointer, count: Value) -> Value:
+    n = number(count, 0, TYPES["uint32_t"][1], "the length")
+    machine.row_of = weights.block.name.removesuffix("_weights")
+    if not weights.block.constant:
+        raise FaultError(f"{weights.block.name} is no table of weights")
+    terms = list(zip(weights.values(n), x.values(n), strict=True))
     ends = [sorted((w.low * v.low, w.low * v.high)) for w, v in terms]
     reach = sum(abs(w.low) * v.reach for w, v in terms)
-    total = Value(sum(e[0] for e in ends), sum(e[1] for e in ends), "int64_t", reach)
+    total = Value(sum(e[0] for e in ends), sum(e[-1] for e in ends), "int64_t", reach)
+    machine.convert(Value(-reach, reach, "int64_t"), "int32_t")  # in any order
     return machine.convert(total, "int32_t")
 
 
 def _lowpass_rest(machine: Machine, x: Value, c: Value) -> Value:
-    share = Value((1 << 24) - c.low, (1 << 24) - c.low, "int64_t")
-    return machine.combine("*", x, share)
+    share = (1 << 24) - number(c, 0, 1 << 24, "c in 2^-24")
+    return machine.combine("*", replace(x, type="int64_t"), Value(share, share, "int64_t"))
 
 
-def _lowpass(machine: Machine, v: Value, x: Value, c: Value, m: Value, shift: Value) -> Value:
-    """v lies in (1 - c) x and a margin; a step forgets the share a of it and adds 2^21 a + 1/2."""
-    name, one, a_one = v.place.rpartition("_")[0], 1 << 24, 1 << (shift.low + 22)
-    if not (0 <= c.low <= one and 0 < m.low <= min(a_one, (1 << 31) - 1)):
-        machine.fail(f"{name}: no low-pass: c = {c.low} / {one}, a = {m.low} / {a_one}")
-    margin = (1 << 21) + -(-a_one // m.low)
-    low, high = (one - c.low) * x.low - margin, (one - c.low) * x.high + margin
-    if v.low > low or v.high < high:
-        machine.fail(f"{name}: the state check must admit {low} .. {high}, where a step may lead")
-    y = Value(v.low + c.low * x.low, v.high + c.low * x.high, "int64_t")
+def _lowpass(
+    machine: Machine, place: Pointer, x: Value, c_q24: Value, m_q31: Value, by: Value
+) -> Value:
+    """v tends into (1 - c) x and a margin: a step forgets the share a of how far it is outside and
+    adds 2^21 a + 1/2, so that it stays where it is inside and comes nearer where it is not."""
+    one = 1 << 24
+    c, shift = number(c_q24, 0, one, "c in 2^-24"), number(by, 0, 62, "the shift")
+    a_one = 1 << (shift + 22)
+    m = number(m_q31, 1, min(a_one, (1 << 31) - 1), "a in 2^-31")
+    v, name = _state_cell(place), machine.name_of(place.block).removesuffix(".v")
+    margin = (1 << 21) + -(-a_one // m)
+    low, high = (one - c) * x.low - margin, (one - c) * x.high + margin
+    y = Value(v.low + c * x.low, v.high + c * x.high, "int64_t")
     gap = Value((one * x.low - y.high + (1 << 21)) >> 22, (one * x.high - y.low + (1 << 21)) >> 22)
-    half = 1 << shift.low >> 1
+    half = 1 << shift >> 1
     machine.note(f"{name}.y", y.low, y.high, 64)
     machine.note(f"{name}.gap", gap.low, gap.high, 32)
-    machine.note(f"{name}.scaled", gap.low * m.low, gap.high * m.low + half, 64)
+    machine.note(f"{name}.scaled", gap.low * m, gap.high * m + half, 64)
+    place.fill([machine.convert(Value(min(v.low, low), max(v.high, high), "int64_t"), "int64_t")])
     out = Value((y.low + (1 << 23)) >> 24, (y.high + (1 << 23)) >> 24, "int64_t")
-    shift_right(machine, out, shift, 62)
+    shift_right(machine, out, by, 62)
     return machine.convert(out, "int32_t")
 
 
-def _copy_state(machine: Machine, h: Array, copy: Array, count: Value) -> None:
-    h.hold(count.low)
-    copy.hold(count.low)
-    cells = [((v.low + (1 << 14)) >> 15, (v.high + (1 << 14)) >> 15) for v in h.flat()]
-    copy.cells = [machine.convert(Value(*ends), "int16_t") for ends in cells[: count.low]]
+def _copy_state(machine: Machine, h: Pointer, copy: Pointer, count: Value) -> None:
+    n = number(count, 0, TYPES["uint32_t"][1], "the length")
+    copy.hold(n)
+    half, most = 1 << 14, TYPES["int32_t"][1]
+    cells = []
+    for v in h.values(n):
+        if v.high + half > most:
+            machine.fail(f"a state of {v.high} and 1/2 does not fit int32_t")
+        cells.append(Value((v.low + half) >> 15, (v.high + half) >> 15))
+    copy.fill([machine.convert(v, "int16_t") for v in cells])
 
 
-def _plain(n: int) -> Value:
-    return Value(n, n, "uint32_t")
+def _crc(machine: Machine, crc: Value, values: Pointer, count: Value) -> Value:
+    """Over each number as a word of 32 bits, where all are known."""
+    found = values.values(number(count, 0, TYPES["uint32_t"][1], "the length"))
+    if crc.exact is None or any(v.exact is None for v in found):
+        return anything("uint32_t")
+    words = b"".join((v.low & 0xFFFFFFFF).to_bytes(4, "little") for v in found)
+    after = zlib.crc32(words, crc.exact)
+    return Value(after, after, "uint32_t")
 
 
-RULES: dict[str, Callable[..., Any]] = {
-    "zd_clamp32": _clamp,
-    "zd_clamp64": _clamp_wide,
-    "zd_asr32": lambda machine, x, s: shift_right(machine, x, s, 31),
-    "zd_asr64": _shift_sum,
-    "zd_tanh_q30": lambda machine, t: Value(-machine.tanh_max, machine.tanh_max),
-    "zd_round_shift64": _round_shift,
-    "zd_load": _load,
-    "zd_play": _play,
-    "zd_between": _between,
-    "zd_exp2": _exp2,
-    "zd_power": _power,
-    "zd_dot_i16": _dot,
-    "zd_lowpass_rest": _lowpass_rest,
-    "zd_lowpass": _lowpass,
-    "zd_gru_copy_state": _copy_state,
-    "zd_gru_step_after": lambda machine, *given: run_portable(machine, True, *given),
-    "zd_gru_step_before": lambda machine, *given: run_portable(machine, False, *given),
-    "zd_gru_step_pairs": lambda machine, *given: run_packed(machine, PAIRS, *given),
-    "zd_gru_step_columns": lambda machine, *given: run_packed(machine, COLUMNS, *given),
-    "zd_gru_step_rows": lambda machine, *given: run_packed(machine, ROWS, *given),
-    # what scratch arrays are declared by; the pairs kernel may take as many numbers twice as wide
-    "ZD_PAIR_SCRATCH": lambda machine, i, h: _plain((i.low + 1) // 2 + (h.low + 1) // 2),
-    "ZD_ROW_VECTORS": lambda machine, n: _plain((n.low + 7) // 8),
-    "ZD_COLUMN_UNITS": lambda machine, h: _plain((h.low + 7) // 8 * 8),
-    "ZD_COLUMN_PAIRS": lambda machine, i, h: _plain((i.low + 1) // 2 + (h.low + 7) // 8 * 4),
+def _crc_word(machine: Machine, crc: Value, word: Value) -> Value:
+    if crc.exact is None or word.exact is None:
+        return anything("uint32_t")
+    after = zlib.crc32(word.low.to_bytes(4, "little"), crc.exact)
+    return Value(after, after, "uint32_t")
+
+
+def _bytes_of(machine: Machine, state: Any, written: bool) -> Struct:
+    own = f"{machine.prefix}_state_t"
+    if not isinstance(state, Address) or not state.bytes or state.struct.type != own:
+        raise FaultError("what is saved or restored is not the bytes of the state")
+    if written and state.constant:
+        raise FaultError("a constant state is restored")
+    return state.struct
+
+
+def _hold_saved(machine: Machine, saved: Any, struct: Struct, size: Any, identity: Any) -> None:
+    own = machine.size_of(struct.type)
+    wide = _check(machine, "uint32_t", size)
+    if wide.exact != own:
+        raise FaultError(f"{wide.low} .. {wide.high} bytes of a state that has {own}")
+    _check(machine, "const uint8_t *", saved).hold(own + SAVED_EXTRA)
+    if _check(machine, "uint32_t", identity).exact != machine.guard.identity:
+        raise FaultError("a state is saved or restored as another model's")
+
+
+def _save(machine: Machine, saved: Any, state: Any, size: Any, identity: Any) -> None:
+    struct = _bytes_of(machine, state, written=False)
+    _hold_saved(machine, saved, struct, size, identity)
+    target = _check(machine, "uint8_t *", saved)
+    target.fill([anything("uint8_t")] * (machine.size_of(struct.type) + SAVED_EXTRA))
+
+
+def _restore(machine: Machine, state: Any, saved: Any, size: Any, identity: Any) -> Value:
+    """0: the state holds any bits, those of the copy; otherwise it is as it was."""
+    struct = _bytes_of(machine, state, written=True)
+    _hold_saved(machine, saved, struct, size, identity)
+    if machine.choose(2):
+        return Value(1, TYPES["uint32_t"][1], "uint32_t")
+    for block in struct.fields.values():
+        Pointer(block, Value(0, 0), (block.count,)).fill([anything(block.type)] * block.count)
+    return Value(0, 0, "uint32_t")
+
+
+def _observe(machine: Machine, values: Any, count: Value) -> None:
+    """What the test harness reads; nothing on a chip."""
+    n = number(count, 0, TYPES["uint32_t"][1], "the length")
+    if not isinstance(values, Pointer):
+        raise FaultError("no numbers are observed")
+    values.values(n)
+
+
+def _size(of: Callable[..., int]) -> Action:
+    """A macro that is the size of an array, in unsigned numbers."""
+
+    def rule(machine: Machine, *given: Value) -> Value:
+        n = of(machine, *(number(v, 0, 1 << 16, "a size") for v in given))
+        return Value(n, n, machine.common(machine.unsigned, given[0].type))
+
+    return rule
+
+
+GRU = "uint32_t, uint32_t, const int16_t *, int32_t *"
+RULES: dict[str, Action] = {
+    "zd_clamp32": _typed("int32_t, int32_t, int32_t", _clamp, "int32_t"),
+    "zd_clamp64": _typed("int64_t, int64_t, int64_t", _clamp_wide, "int64_t"),
+    "zd_asr32": _typed(
+        "int32_t, uint32_t", lambda machine, x, s: shift_right(machine, x, s, 31), "int32_t"
+    ),
+    "zd_asr64": _typed("int64_t, uint32_t", _shift_sum, "int64_t"),
+    "zd_tanh_q30": _typed(
+        "int32_t", lambda machine, t: Value(-machine.tanh_max, machine.tanh_max), "int32_t"
+    ),
+    "zd_round_shift64": _typed("int64_t, uint32_t", _round_shift, "int64_t"),
+    "zd_load": _typed("int32_t, int32_t, int32_t, int32_t", _load, "int32_t"),
+    "zd_play": _typed("int32_t *, int32_t, int32_t", _play, "int32_t"),
+    "zd_between": _typed("int32_t, int32_t, int32_t", _between, "int32_t"),
+    "zd_exp2": _typed("int32_t, int32_t", _exp2, "int32_t"),
+    "zd_power": _typed("&zd_power_t, int32_t", _power, "int32_t"),
+    "zd_dot_i16": _typed("const int16_t *, const int16_t *, uint32_t", _dot, "int32_t"),
+    "zd_lowpass_rest": _typed("int32_t, int32_t", _lowpass_rest, "int64_t"),
+    "zd_lowpass": _typed("int64_t *, int32_t, int32_t, int32_t, uint32_t", _lowpass, "int32_t"),
+    "zd_gru_copy_state": _typed("const int32_t *, int16_t *, uint32_t", _copy_state),
+    "zd_gru_step_after": _typed(
+        f"&zd_gru_t, {GRU}, int16_t *, int32_t",
+        lambda machine, *given: run_portable(machine, True, *given),
+    ),
+    "zd_gru_step_before": _typed(
+        f"&zd_gru_t, {GRU}, int16_t *, int16_t *, int32_t",
+        lambda machine, *given: run_portable(machine, False, *given),
+    ),
+    "zd_gru_step_pairs": _typed(
+        f"&zd_gru_pairs_t, {GRU}, int32_t *, int32_t",
+        lambda machine, *given: run_packed(machine, PAIRS, *given),
+    ),
+    "zd_gru_step_columns": _typed(
+        f"&zd_gru_columns_t, {GRU}, int32_t *, int32_t *, int32_t",
+        lambda machine, *given: run_packed(machine, COLUMNS, *given),
+    ),
+    "zd_gru_step_rows": _typed(
+        f"&zd_gru_rows_t, {GRU}, int16_t *, int32_t",
+        lambda machine, *given: run_packed(machine, ROWS, *given),
+    ),
+    "zd_crc32_i16": _typed("uint32_t, const int16_t *, uint32_t", _crc, "uint32_t"),
+    "zd_crc32_i32": _typed("uint32_t, const int32_t *, uint32_t", _crc, "uint32_t"),
+    "zd_crc32_word": _typed("uint32_t, uint32_t", _crc_word, "uint32_t"),
+    "zd_tables_are_sound": _typed("", lambda machine: Value(1, 1), "uint32_t"),
+    "zd_tanh_is_sound": _typed("", lambda machine: Value(1, 1), "uint32_t"),
+    "zd_exp2_is_sound": _typed("", lambda machine: Value(1, 1), "uint32_t"),
+    "zd_save": _save,
+    "zd_restore": _restore,
+    "ZD_OBSERVE": _observe,
+    "ZD_QUIET": lambda machine, on: None,
+    # what scratch arrays are declared by
+    "ZD_PAIR_SCRATCH": _size(lambda m, i, h: m.per_pair * ((i + 1) // 2 + (h + 1) // 2)),
+    "ZD_ROW_VECTORS": _size(lambda m, n: (n + 7) // 8),
+    "ZD_COLUMN_UNITS": _size(lambda m, h: (h + 7) // 8 * 8),
+    "ZD_COLUMN_PAIRS": _size(lambda m, i, h: (i + 1) // 2 + (h + 7) // 8 * 4),
 }
+STRUCTS: dict[str, tuple[tuple[str, str, int], ...]] = {
+    "zd_gru_t": (
+        ("w_x", "const int16_t *", 0),
+        ("w_h16", "const int16_t *", 0),
+        ("w_h8", "const int8_t *", 0),
+        ("multiplier", "const int32_t *", 0),
+        ("bias", "const int32_t *", 0),
+        ("shift", "uint8_t", 3),
+        ("multiplier_shift", "uint8_t", 3),
+    ),
+    "zd_gru_pairs_t": (("stream", "const int32_t *", 0), ("shift", "uint8_t", 3)),
+    "zd_gru_columns_t": (("stream", "const int32_t *", 0), ("shift", "uint8_t", 3)),
+    "zd_gru_rows_t": (
+        ("weights", "const int16_t *", 0),
+        ("bias", "const int32_t *", 0),
+        ("shift", "uint8_t", 3),
+    ),
+    "zd_power_t": (
+        ("octave", "const int32_t *", 0),
+        ("gains", "const int32_t *", 0),
+        ("low", "int32_t", 0),
+        ("high", "int32_t", 0),
+        ("terms", "uint8_t", 0),
+        ("shift", "uint8_t", 0),
+    ),
+}
+"""The runtime's structs: fields, their types, and how many of them; 0: a single one."""

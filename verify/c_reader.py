@@ -1,250 +1,303 @@
-"""Reads the C of a generated model: its tokens, constants, state fields and functions.
+"""Reads the C of a generated model: every way that its preprocessor can take, and its tokens.
 
-A small parser for what the generator writes and nothing more; anything else is refused. Shares no
-code with the generator and needs the standard library only.
+For what the generator writes and nothing more; anything else is refused. Shares no code with the
+generator and needs the standard library only.
 """
 
+import itertools
 import re
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
-TYPES = {f"int{n}_t": (-(2 ** (n - 1)), 2 ** (n - 1) - 1) for n in (8, 16, 32, 64)}
-TYPES |= {f"uint{n}_t": (0, 2**n - 1) for n in (8, 16, 32, 64)}
-TABLES = ("zd_tanh_table.h", "zd_exp2.h", "zd_runtime.c")
-"""Files with the runtime's tables; older runtimes have them in the last one."""
-TOKEN = re.compile(r'\d+u?|[A-Za-z_]\w*|"[^"]*"|->|\+\+|<<|>>|&&|\|\||[-+*/&|<>=!]=|\S', re.ASCII)
-DIRECTIVE = re.compile(
-    r'#\s*(include "\w+\.h"|include <std\w+\.h>|error .*'
-    r"|define \w+_H|define ZD_OBSERVE\(values, count\)"
-    r"|define ZD_QUIET\(on\)"
-    r"|define [A-Z]\w*_SAVED_BYTES \(16u \+ sizeof\(\w+_state_t\)\)"
-    r"|define ZD_CLAIM\(name, holds\) typedef char name\[\(holds\) \? 1 : -1\]"
-    r'|define (\w+) ("[\w.]+"|-?\d+|UINT32_C\(\d+\)))'
+from zerodrift.verify.c_values import FaultError, NotUnderstoodError
+
+TOKEN = re.compile(
+    r'"(?:\\.|[^"\\\n])*"|\.?\d(?:[eEpP][+-]|[\w.])*|[A-Za-z_]\w*'
+    r"|->|\+\+|--|<<=|>>=|<<|>>|&&|\|\||[-+*/%&|^<>=!]=|\S",
+    re.ASCII,
 )
-CONDITION = re.compile(
-    r"#(if ZD_RUNTIME_FORMAT != \d+|if ZD_RUNTIME_ID != 0x\w{8}"
-    r"|if \w+_CODE_ID != UINT32_C\(\d+\)|ifndef (?:ZD_OBSERVE|\w+_H)"
-    r"|(?:el)?if ZD_KERNEL == (ZD_KERNEL_[A-Z]+)"
-    r"|if \(ZD_KERNEL == ZD_KERNEL_PAIRS\) && defined\(ZD_GRU_ASSEMBLY\)"
-    r"|if ZD_GRU_ASSEMBLY == 6|if defined\((?:ZD_GRU_ASSEMBLY|ZD_SMALL|ZD_UNALIGNED)\)|else|endif)"
-)
+COMMENT = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\\n])*"', re.S)
+INTEGER = re.compile(r"(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)([uU]?)([lL]{0,2})([uU]?)")
 
-
-class NotUnderstoodError(Exception):
-    """The C holds something for which there is no rule; nothing can then be claimed of it."""
+WAYS: dict[str, tuple[int | None, ...]] = {
+    "ZD_KERNEL": (0, 1, 2, 3),
+    "ZD_GRU_ASSEMBLY": (None, 6, 7),
+    "ZD_SMALL": (None, 1),
+    "ZD_UNALIGNED": (None, 1),
+    "ZD_OBSERVE": (None,),
+    "__cplusplus": (None,),
+}
+"""What a build may define, and as what; None: not at all. ZD_OBSERVE is the test harness's."""
+KERNELS = ("PORTABLE", "PAIRS", "ROWS", "COLUMNS")
+FUNCTIONS = {
+    "ZD_OBSERVE": "(values, count)",
+    "ZD_QUIET": "(on)",
+    "ZD_CLAIM": "(name, holds) typedef char name[(holds) ? 1 : -1]",
+}
+"""Macros with parameters; they are not replaced, there are rules for them."""
+CONDITIONS = {"||": 1, "&&": 2, "==": 3, "!=": 3}
+IN_CPLUSPLUS = ('extern "C" {', "}")
+LIMITS = {f"INT{n}_MIN": -(2 ** (n - 1)) for n in (8, 16, 32, 64)}
+LIMITS |= {f"INT{n}_MAX": 2 ** (n - 1) - 1 for n in (8, 16, 32, 64)}
+LIMITS |= {f"UINT{n}_MAX": 2**n - 1 for n in (8, 16, 32, 64)}
 
 
 @dataclass(frozen=True)
-class Value:
-    """All numbers from low to high, of a C type; no partial sum behind them goes beyond `reach`."""
+class Line:
+    """A line without its comments."""
 
-    low: int
-    high: int
-    type: str = "int32_t"
-    reach: int = 0
-    place: str = ""
-    """The field of the state that was read, if it was."""
+    place: str
+    """file:line."""
+    tokens: tuple[str, ...]
+    text: str
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "reach", max(self.reach, abs(self.low), abs(self.high)))
+    @property
+    def directive(self) -> str:
+        """The word after #, or nothing."""
+        return self.tokens[1] if self.tokens[0] == "#" and len(self.tokens) > 1 else ""
 
-    def join(self, other: "Value") -> "Value":
-        """Return what either can be."""
-        reach = max(self.reach, other.reach)
-        return Value(min(self.low, other.low), max(self.high, other.high), self.type, reach)
+
+@dataclass(frozen=True)
+class Way:
+    """One way through all conditions of the preprocessor."""
+
+    defined: Mapping[str, int]
+    lines: tuple[Line, ...]
+
+    @property
+    def name(self) -> str:
+        """What a build of this kind defines."""
+        words = []
+        for macro, value in self.defined.items():
+            if macro == "ZD_KERNEL":
+                words.append(f"ZD_KERNEL_{KERNELS[value]}")
+            else:
+                words.append(macro if value == 1 else f"{macro} {value}")
+        return ", ".join(words)
 
 
 @dataclass
-class Array:
-    """Cells, the first of which stands for all where `shared` (a field of the state)."""
+class Tokens:
+    """The tokens of header and source with all macros of the model replaced."""
 
-    cells: list[Any]
-    size: int
-    shared: bool = False
-    place: str = ""
-    whole: "Array | None" = None
-    """Of which this is the part from `first` on."""
-    first: int = 0
-
-    def rest(self, first: int) -> "Array":
-        """Return the array from an element on; what is filled in there is filled in here."""
-        self.at(Value(first, first))
-        cells = self.cells if self.shared else self.cells[first:]
-        return Array(cells, self.size - first, self.shared, self.place, self, first)
-
-    def fill(self, value: Value, count: int) -> None:
-        """Let the first `count` cells be anything that `value` is."""
-        self.hold(count)
-        if self.shared:
-            self.cells = [value]
-            return
-        self.cells = [value] * count + self.cells[count:]
-        if self.whole is not None:
-            self.whole.cells[self.first : self.first + count] = [value] * count
-
-    def hold(self, count: int) -> None:
-        """Raise IndexError where the array has less than `count` elements."""
-        if count > self.size:
-            raise IndexError(f"{count} elements of an array of {self.size}")
-
-    def at(self, index: Value) -> list[int]:
-        """Return the positions in `cells` that an index can mean."""
-        if index.low < 0 or index.high >= self.size:
-            raise IndexError(f"index {index.low} .. {index.high} of an array of {self.size}")
-        return [0] if self.shared else list(range(index.low, index.high + 1))
-
-    def flat(self) -> list[Any]:
-        """Return all elements, `shared` ones repeated."""
-        cells = self.cells * self.size if self.shared else self.cells
-        return [v for cell in cells for v in (cell.flat() if isinstance(cell, Array) else [cell])]
+    words: list[str] = field(default_factory=list)
+    places: list[str] = field(default_factory=list)
+    macros: dict[str, list[str]] = field(default_factory=dict)
 
 
-def make_array(kind: str, sizes: list[int], low: int, high: int, place: str = "") -> Any:
-    """Return a value or (nested) array of a type, every element anywhere from low to high."""
-    value: Any = Value(low, high, kind, place="" if sizes else place)
-    for size in reversed(sizes):
-        value = Array([value], size, shared=True, place=place)
-    return value
+def parse_integer(token: str) -> tuple[int, bool, int]:
+    """Return a literal's number as C reads it, whether it is unsigned, and its count of l.
+
+    Raises:
+        NotUnderstoodError: C has no such integer.
+    """
+    found = INTEGER.fullmatch(token)
+    if not found or (found[2] and found[4]) or found[3] in ("lL", "Ll"):
+        raise NotUnderstoodError(f"'{token}' is no integer of C")
+    digits = found[1]
+    octal = digits[0] == "0" and digits[1:2] not in ("x", "X")
+    return int(digits, 8 if octal else 0), bool(found[2] or found[4]), len(found[3])
 
 
-class Code:
-    """What a model's header and source declare."""
+def split_lines(text: str, name: str) -> list[Line]:
+    """Return the lines of a file that hold anything, without comments."""
+    if "??" in text or re.search(r"\\[ \t]*\r?\n", text) or not text.isascii():
+        raise NotUnderstoodError(f"{name}: a trigraph, a continued line or a letter beyond ASCII")
 
-    def __init__(
-        self, texts: dict[str, str], prefix: str, kernel: str = "ZD_KERNEL_PORTABLE"
-    ) -> None:
-        """Read `prefix`.h and `prefix`.c, and the constants and tables of zd_runtime.h and .c.
+    def blank(match: re.Match[str]) -> str:
+        return match[0] if match[0][0] == '"' else " " + "\n" * match[0].count("\n")
 
-        Args:
-            texts: file name -> content.
-            prefix: of the model.
-            kernel: for which of its kernels the model is compiled; never the assembly.
-        """
-        self.prefix, self.kernel = prefix, kernel
-        self.tokens: list[str] = []
-        self.places: list[str] = []
-        self.macros = {
-            name: int(value)
-            for name, value in re.findall(r"#define (ZD_\w+) (\d+)\b", texts["zd_runtime.h"])
-        }
-        self.constants: dict[str, Any] = {}
-        self.functions: dict[str, tuple[list[tuple[str, str]], int]] = {}
-        """Name -> parameters (type, name) and where its body begins."""
-        self.structs: dict[str, dict[str, tuple[str, list[int]]]] = {}
-        runtime = re.sub(r"/\*.*?\*/", "", "".join(texts.get(n, "") for n in TABLES), flags=re.S)
-        self.tables = {
-            name: [int(n) for n in numbers.split(",")]
-            for name, numbers in re.findall(r"(\w+)\[[\w +]+\] = \{([-\d,\s]*)\}", runtime)
-        }
-        """The runtime's tables."""
-        for name in (f"{prefix}.h", f"{prefix}.c"):
-            self._tokenize(texts[name], name)
-        self.close: dict[int, int] = {}
-        opened: list[int] = []
-        for at, token in enumerate(self.tokens):
-            if token in ("{", "("):
-                opened.append(at)
-            elif token in ("}", ")"):
-                self.close[opened.pop()] = at
-        at = 0
-        while at < len(self.tokens):
-            at = self._read_declaration(at)
+    lines = []
+    for number, line in enumerate(COMMENT.sub(blank, text).split("\n"), 1):
+        tokens = tuple(TOKEN.findall(line))
+        if tokens:
+            lines.append(Line(f"{name}:{number}", tokens, line.strip()))
+    return lines
 
-    def _tokenize(self, text: str, name: str) -> None:
-        def blank(match: re.Match[str]) -> str:
-            return "\n" * match[0].count("\n")
 
-        text = re.sub(r"/\*.*?\*/", blank, text, flags=re.S)
-        text = re.sub(r"#ifdef __cplusplus\n[^#]*#endif", blank, text)
-        active, taken = [True], [True]  # per nested condition: this branch, any branch so far
-        for number, line in enumerate(text.split("\n"), 1):
-            condition = CONDITION.fullmatch(line.strip())
-            if condition:
-                self._branch(condition, active, taken)
+def read_ways(
+    texts: Mapping[str, str], prefix: str, known: Mapping[str, int]
+) -> list[tuple[Way, Tokens]]:
+    """Return every different text that the preprocessor can make of header and source.
+
+    Args:
+        texts: file name -> content.
+        prefix: of the model.
+        known: macros of the runtime that are numbers.
+
+    Raises:
+        NotUnderstoodError: a condition or macro without a rule.
+    """
+    lines = [
+        line
+        for end in ("h", "c")
+        for line in split_lines(texts[f"{prefix}.{end}"], f"{prefix}.{end}")
+    ]
+    used = {
+        token
+        for line in lines
+        if line.directive in ("if", "elif", "ifdef", "ifndef")
+        for token in line.tokens
+    }
+    free = [name for name in WAYS if name in used]
+    found: dict[tuple[Line, ...], Way] = {}
+    for values in itertools.product(*(WAYS[name] for name in free)):
+        defined = {n: v for n, v in zip(free, values, strict=True) if v is not None}
+        if "ZD_GRU_ASSEMBLY" in defined and defined.get("ZD_KERNEL") not in (None, 1):
+            continue  # ZD_KERNEL=... overrides; the assembly is the pairs kernel's alone
+        taken = tuple(_follow(lines, defined, known, prefix))
+        found.setdefault(taken, Way(defined, taken))
+    return [(way, _replace_macros(way, prefix, known)) for way in found.values()]
+
+
+def _follow(
+    lines: list[Line], defined: Mapping[str, int], known: Mapping[str, int], prefix: str
+) -> Iterator[Line]:
+    """Yield the lines that a compiler sees, directives but conditions included."""
+    own: dict[str, int | None] = {}
+    active, taken, skipped = [True], [True], [False]
+    for line in lines:
+        word = line.directive
+        if word in ("if", "ifdef", "ifndef", "elif", "else", "endif"):
+            if word in ("if", "ifdef", "ifndef"):
+                outside = all(active)
+                true = outside and _holds(line, defined, known, own, prefix)
+                active.append(true)
+                taken.append(true or not outside)
+                skipped.append("__cplusplus" in line.tokens)
                 continue
-            if not all(active):
+            if len(active) < 2:
+                raise NotUnderstoodError(f"{line.place}: {line.text} without #if")
+            if word == "endif":
+                for stack in (active, taken, skipped):
+                    stack.pop()
                 continue
-            if line.lstrip().startswith("#"):
-                known = DIRECTIVE.fullmatch(line.strip())
-                macro = known[2] if known else None
-                own = not macro or macro.startswith(f"{self.prefix.upper()}_")
-                if not known or not own or macro in self.macros:
-                    raise NotUnderstoodError(f"{name}:{number}: {line.strip()}")
-                if macro and '"' not in known[3]:
-                    self.macros[macro] = int(re.findall(r"-?\d+", known[3])[-1])
-                continue
-            found = TOKEN.findall(line)
-            self.tokens += found
-            self.places += [f"{name}:{number}"] * len(found)
+            true = not taken[-1] and (word == "else" or _holds(line, defined, known, own, prefix))
+            active[-1], taken[-1] = true, taken[-1] or true
+            continue
+        if skipped[-1] and line.text not in IN_CPLUSPLUS:
+            raise NotUnderstoodError(f"{line.place}: {line.text} for C++ alone")
+        if not all(active):
+            continue
+        if word == "define" and len(line.tokens) > 2:
+            body = [t for t in line.tokens[3:] if t not in ("UINT32_C", "(", ")")]
+            is_number = len(body) == 1 and body[0][0].isdigit()
+            own[line.tokens[2]] = parse_integer(body[0])[0] if is_number else None
+        yield line
+    if len(active) != 1:
+        raise NotUnderstoodError(f"{lines[-1].place}: an #if without #endif")
 
-    def _branch(self, condition: re.Match[str], active: list[bool], taken: list[bool]) -> None:
-        """Follow a condition of the preprocessor for this kernel."""
-        word = condition[1].split()[0]
-        if word == "endif":
-            active.pop()
-            taken.pop()
-        elif word == "else":
-            active[-1] = not taken[-1]
+
+def _holds(
+    line: Line,
+    defined: Mapping[str, int],
+    known: Mapping[str, int],
+    own: Mapping[str, int | None],
+    prefix: str,
+) -> bool:
+    """Evaluate a condition."""
+
+    def is_defined(name: str) -> int:
+        if name in WAYS:
+            return int(name in defined or name in own)
+        if name in known or name in own:
+            return 1
+        if name.startswith(f"{prefix.upper()}_"):
+            return 0
+        raise NotUnderstoodError(f"{line.place}: no rule for whether {name} is defined")
+
+    words = list(line.tokens[2:])
+    if line.directive in ("ifdef", "ifndef"):
+        if len(words) != 1:
+            raise NotUnderstoodError(f"{line.place}: {line.text}")
+        return is_defined(words[0]) == (line.directive == "ifdef")
+
+    def take(expected: str = "") -> str:
+        if not words or (expected and words[0] != expected):
+            raise NotUnderstoodError(f"{line.place}: {line.text}")
+        return words.pop(0)
+
+    def single() -> int:
+        word = take()
+        if word == "!":
+            return int(not single())
+        if word == "(":
+            value = compound(0)
+            take(")")
+            return value
+        if word == "defined":
+            if words[:1] != ["("]:
+                return is_defined(take())
+            take("(")
+            value = is_defined(take())
+            take(")")
+            return value
+        if word == "UINT32_C":
+            return single()
+        if word[0].isdigit():
+            return parse_integer(word)[0]
+        of_build = {**dict.fromkeys(WAYS, 0), **known, **defined}  # 0: as C takes an unknown name
+        number = own.get(word) if word in own else of_build.get(word)
+        if number is None:
+            raise NotUnderstoodError(f"{line.place}: no rule for {word} in {line.text}")
+        return number
+
+    def compound(floor: int) -> int:
+        left = single()
+        while words and CONDITIONS.get(words[0], 0) > floor:
+            operator = take()
+            right = compound(CONDITIONS[operator])
+            left = int(
+                {
+                    "||": bool(left or right),
+                    "&&": bool(left and right),
+                    "==": left == right,
+                    "!=": left != right,
+                }[operator]
+            )
+        return left
+
+    result = compound(0)
+    if words:
+        raise NotUnderstoodError(f"{line.place}: {line.text}")
+    return bool(result)
+
+
+def _replace_macros(way: Way, prefix: str, known: Mapping[str, int]) -> Tokens:
+    """Return what is left to compile: no directive, and no macro of the model."""
+    found, included = Tokens(), set[str]()
+    for line in way.lines:
+        word = line.directive
+        if word == "error":
+            raise FaultError(f"{line.place}: does not compile: {line.text}")
+        if line.tokens[0] != "#":
+            if f"{prefix}.c:" in line.place and not {"zd_runtime.h", f"{prefix}.h"} <= included:
+                raise NotUnderstoodError(f"{line.place}: something before the files it needs")
+            for token in line.tokens:
+                words = found.macros.get(token, [token])
+                found.words += words
+                found.places += [line.place] * len(words)
+        elif word == "include":
+            file = line.text.split(None, 1)[1].removeprefix("include").strip(' "<>')
+            if file not in ("stdint.h", f"{prefix}.h") and not re.fullmatch(r"zd_\w+\.h", file):
+                raise NotUnderstoodError(f"{line.place}: {line.text}")
+            included.add(file)
+        elif word == "define":
+            _define(line, found, prefix, known)
         else:
-            true = word == "ifndef" or condition[2] == self.kernel
-            if word != "elif":
-                active.append(False)
-                taken.append(False)
-            active[-1] = true and not taken[-1]
-            taken[-1] = taken[-1] or true
+            raise NotUnderstoodError(f"{line.place}: {line.text}")
+    return found
 
-    def _read_declaration(self, at: int) -> int:
-        """Read one declaration at file level; return where the next begins."""
-        end = at
-        while self.tokens[end] not in ("(", "[", "=", ";", "{"):
-            end += 1
-        words = self.tokens[at:end]
-        if words[:2] == ["typedef", "struct"]:
-            close = self.close[end]
-            self.structs[self.tokens[close + 1]] = self._read_fields(end + 1, close)
-            return close + 3
-        if words[0] != "typedef" and self.tokens[end] == "(":
-            close = self.close[end]
-            if self.tokens[close + 1] == "{":
-                self.functions[words[-1]] = (self._read_parameters(end + 1, close), close + 1)
-                return self.close[close + 1] + 1
-        while self.tokens[end] not in (";", "="):
-            end = self.close.get(end, end) + 1
-        if self.tokens[end] == "=":
-            value, end = self.read_initialiser(end + 1, words[-2])
-            if isinstance(value, Array):
-                value.place = words[-1]
-            self.constants[words[-1]] = value
-        return end + 1
 
-    def read_initialiser(self, at: int, kind: str) -> tuple[Any, int]:
-        """Return the constant, array of constants or names from token `at` on, and its end."""
-        if self.tokens[at] == "{":
-            items: list[Any] = []
-            at += 1
-            while self.tokens[at] != "}":
-                item, at = self.read_initialiser(at, kind)
-                items.append(item)
-                at += self.tokens[at] == ","
-            return Array(items, len(items)), at + 1
-        end = at
-        while self.tokens[end] not in (",", "}", ";"):
-            end += 1
-        text = "".join(self.tokens[at:end]).replace("INT64_C", "")
-        if not re.fullmatch(r"[-()\d]+", text):
-            return text, end
-        value = sum(int(n) for n in re.findall(r"-?\d+", text))  # the lowest is written as a sum
-        return Value(value, value, kind), end
-
-    def _read_fields(self, at: int, end: int) -> dict[str, tuple[str, list[int]]]:
-        line = " ".join(self.tokens[at:end])
-        found = re.findall(r"(\w+) (\w+) ((?:\[ \w+ \] )*);", line)
-        return {
-            name: (kind, [self.macros.get(n) or int(n) for n in re.findall(r"\w+", sizes)])
-            for kind, name, sizes in found
-        }
-
-    def _read_parameters(self, at: int, end: int) -> list[tuple[str, str]]:
-        parts = " ".join(self.tokens[at:end]).split(" , ")
-        plain = [re.sub(r"const |\* | \[.*", "", part).split() for part in parts]
-        return [(words[0], words[-1]) for words in plain if words != ["void"]]
+def _define(line: Line, found: Tokens, prefix: str, known: Mapping[str, int]) -> None:
+    """Take a macro, the value of which has its own macros replaced already."""
+    name, words = line.tokens[2], line.tokens[3:]
+    if name in FUNCTIONS:
+        if line.text.replace(" ", "") != f"#define{name}{FUNCTIONS[name]}".replace(" ", ""):
+            raise NotUnderstoodError(f"{line.place}: {line.text}")
+        return
+    if re.search(rf"\b{name}\(", line.text):
+        raise NotUnderstoodError(f"{line.place}: a macro with parameters, {line.text}")
+    if not name.startswith(f"{prefix.upper()}_") or name in known or name in found.macros:
+        raise NotUnderstoodError(f"{line.place}: {line.text}")
+    found.macros[name] = [w for word in words for w in found.macros.get(word, [word])]

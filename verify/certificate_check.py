@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from zerodrift.verify.c_intervals import Machine
-from zerodrift.verify.c_kernels import RULES
-from zerodrift.verify.c_reader import Code, NotUnderstoodError
+from zerodrift.verify.c_model import read_models
+from zerodrift.verify.c_values import FaultError, NotUnderstoodError
+from zerodrift.verify.known_runtime import is_known
 
 MALFORMED = (ValueError, KeyError, TypeError, AttributeError, IndexError)
 """What files raise that are not built like a certificate and its C."""
@@ -59,17 +60,34 @@ def compare(claims: dict[str, Any], texts: dict[str, str]) -> Outcome:
             failures.append(f"{name}: its hash is {found[:12]}, the certificate's {digest[:12]}")
     if f'_MODEL_HASH "{claims["model"]}"' not in texts[f"{prefix}.h"]:
         failures.append(f"{prefix}.h: does not name the certificate's model {claims['model'][:12]}")
-    kernels = {"ZD_KERNEL_PORTABLE", *re.findall(r"== (ZD_KERNEL_[A-Z]+)", texts[f"{prefix}.c"])}
+    if not is_known(texts):
+        failures.append(
+            "the runtime (zd_*.h, zd_*.c) is no text that was compared with the reference: nothing"
+            " is known of what its kernels do"
+        )
+    if not {f"{prefix}.h", f"{prefix}.c"} <= {*claims["files"]}:
+        failures.append(f"the certificate is not about {prefix}.h and {prefix}.c")
+    try:
+        models = read_models(texts, prefix)
+    except FaultError as error:
+        return Outcome(0, (*failures, str(error)))
+    except (NotUnderstoodError, *MALFORMED) as error:
+        return _refuse(failures, str(error))
     holds = 0
-    for kernel in sorted(kernels):  # each has the weights in an order of its own
+    for model in models:  # each kernel has the weights in an order of its own
         try:
-            machine = Machine(Code(texts, prefix, kernel), RULES)
+            model.run()
         except (NotUnderstoodError, *MALFORMED) as error:
-            failures.append(f"{kernel}: {error}: there is no rule for this, so nothing is shown")
-            return Outcome(0, tuple(failures), understood=False)
-        holds, contradictions = judge(claims, machine)
-        failures += [f"{kernel}: {text}" for text in (*machine.failures, *contradictions)]
+            failures += [f"{model.name}: {text}" for text in model.failures]
+            return _refuse(failures, f"{model.name}: {error}")
+        holds, contradictions = judge(claims, model)
+        failures += [f"{model.name}: {text}" for text in (*model.failures, *contradictions)]
     return Outcome(holds, tuple(failures))
+
+
+def _refuse(failures: list[str], what: str) -> Outcome:
+    text = f"{what}: there is no rule for this, so nothing is shown"
+    return Outcome(0, (*failures, text), understood=False)
 
 
 def judge(claims: dict[str, Any], machine: Machine) -> tuple[int, list[str]]:

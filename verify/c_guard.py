@@ -1,0 +1,296 @@
+"""What a model's own test of its state (`..._state_is_sound`) lets through.
+
+The test is a list of comparisons, of which nothing is believed but what stands there. Shares no
+code with the generator and needs the standard library only.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from zerodrift.verify.c_parser import Node
+from zerodrift.verify.c_values import (
+    BITS,
+    TYPES,
+    FaultError,
+    NotUnderstoodError,
+    Struct,
+    Value,
+    anything,
+    is_signed,
+)
+
+if TYPE_CHECKING:
+    from zerodrift.verify.c_intervals import Machine
+
+Limits = dict[str, list[tuple[int, int]]]
+
+
+@dataclass(frozen=True)
+class Guard:
+    """The states that the test lets through."""
+
+    identity: int
+    most_steps: int
+    early: bool
+    """Whether a state of 0 steps passes with anything in its other fields."""
+    limits: Limits
+    """Field -> lowest and highest of each of its elements."""
+
+    def admit(self, state: Struct, fresh: bool) -> None:
+        """Let a state be any that passes: with steps = 0 if `fresh`, otherwise from 1 on."""
+        for name, block in state.fields.items():
+            block.version += 1
+            limits = self.limits.get(name)
+            if limits is None or (fresh and self.early):
+                block.cells = [anything(block.type)] * block.count
+            else:
+                block.cells = [Value(low, high, block.type) for low, high in limits]
+        steps = (0, 0) if fresh else (1, self.most_steps)
+        state.fields["steps"].cells = [Value(*steps, state.fields["steps"].type)]
+        kind = state.fields["identity"].type
+        state.fields["identity"].cells = [Value(self.identity, self.identity, kind)]
+
+    def contradictions(self, state: Struct) -> list[str]:
+        """Return why a state might not pass."""
+        found = []
+        for name, block in state.fields.items():
+            found += [
+                f"s->{name}[{at}] holds nothing" for at, c in enumerate(block.cells) if c is None
+            ]
+        if found:
+            return found
+        identity, steps = (state.fields[n].value(0) for n in ("identity", "steps"))
+        if identity.exact != self.identity:
+            found.append("s->identity is not the model's")
+        if steps.high > self.most_steps:
+            found.append(f"s->steps reaches {steps.high}; the state check admits {self.most_steps}")
+        if self.early and steps.high == 0:
+            return found
+        for name, limits in self.limits.items():
+            for at, (low, high) in enumerate(limits):
+                value = state.fields[name].value(at)
+                if value.low < low or value.high > high:
+                    found.append(
+                        f"s->{name} becomes {value.low} .. {value.high}; the state check admits"
+                        f" {low} .. {high}"
+                    )
+                    break
+        return found
+
+
+def read_guard(machine: "Machine") -> Guard:
+    """Read the test statement by statement, and note the bounds that it sets.
+
+    Raises:
+        NotUnderstoodError: a statement without a rule.
+    """
+    return _Reader(machine).read()
+
+
+class _Reader:
+    def __init__(self, machine: "Machine") -> None:
+        self._machine, prefix = machine, machine.prefix
+        function = machine.program.functions.get(f"{prefix}_state_is_sound")
+        if (
+            function is None
+            or len(function.parameters) != 1
+            or function.result != "uint32_t"
+            or function.parameters[0].type.name != f"{prefix}_state_t"
+            or not function.parameters[0].type.pointer
+        ):
+            raise NotUnderstoodError(f"{prefix}: no test of its state")
+        self._body, self._state = function.body, function.parameters[0].name
+        fields = machine.program.structs[f"{prefix}_state_t"]
+        self._types = {f.name: f.type.name for f in fields}
+        self._sizes = {f.name: [machine.constant(s) for s in f.sizes] for f in fields}
+        for needed in ("identity", "steps"):
+            if self._types.get(needed) != "uint32_t" or self._sizes[needed]:
+                raise NotUnderstoodError(f"{prefix}_state_t has no {needed}")
+        self._limits: Limits = {}
+        self._early = False
+
+    def _error(self, node: Node) -> NotUnderstoodError:
+        place = self._machine.program.place(node.at)
+        return NotUnderstoodError(f"{place}: no rule for this in a test of the state")
+
+    def read(self) -> Guard:
+        first, *middle, last = self._body.parts
+        identity = self._read_identity(first)
+        if last.kind != "return" or not _is_name(last.parts[0], "sound"):
+            raise self._error(last)
+        most_steps = None
+        for node in middle:
+            if (
+                node.kind == "if"
+                and node.parts[1].parts
+                and node.parts[1].parts[0].kind == "return"
+            ):
+                self._read_early(node)
+                most_steps = self._steps()
+            elif node.kind == "if":
+                self._read_limit(node)
+            elif node.kind == "for":
+                self._read_loop(node)
+            elif node.kind == "assign":
+                self._read_recurrent(node)
+            else:
+                raise self._error(node)
+        most_steps = self._steps() if most_steps is None else most_steps
+        self._note_bounds()
+        del self._limits["steps"]
+        return Guard(identity, most_steps, self._early, self._limits)
+
+    def _steps(self) -> int:
+        if "steps" not in self._limits:
+            raise NotUnderstoodError("the state check does not look at s->steps")
+        return self._limits["steps"][0][1]
+
+    def _read_identity(self, node: Node) -> int:
+        """uint32_t sound = (s->identity == N) ? 1u : 0u;"""
+        if node.kind != "declare" or node.parts[0].name != "sound" or node.parts[0].sizes:
+            raise self._error(node)
+        first = node.parts[0].first
+        if node.parts[0].type.name != "uint32_t" or first is None or first.kind != "choose":
+            raise self._error(node)
+        condition, one, none = first.parts
+        if [self._number(n) for n in (one, none)] != [1, 0] or condition.kind != "binary":
+            raise self._error(node)
+        operator, left, right = condition.parts
+        if operator != "==" or self._field(left)[:2] != ("identity", None):
+            raise self._error(node)
+        return self._number(right)
+
+    def _number(self, node: Node) -> int:
+        return self._machine.constant(node)
+
+    def _field(self, node: Node) -> tuple[str, Node | None]:
+        """Return the field of s that is read, and at which index."""
+        index = None
+        if node.kind == "index":
+            node, index = node.parts
+        if (
+            node.kind != "field"
+            or node.parts[1] != "->"
+            or not _is_name(node.parts[0], self._state)
+        ):
+            raise self._error(node)
+        name = node.parts[2]
+        if name not in self._types or len(self._sizes[name]) != int(index is not None):
+            raise self._error(node)
+        return name, index
+
+    def _read_early(self, node: Node) -> None:
+        """if (s->steps == 0u) { return sound; }"""
+        condition, then, other = node.parts
+        ok = condition.kind == "binary" and condition.parts[0] == "==" and other is None
+        if not ok or len(then.parts) != 1 or not _is_name(then.parts[0].parts[0], "sound"):
+            raise self._error(node)
+        if self._field(condition.parts[1]) != ("steps", None) or self._number(condition.parts[2]):
+            raise self._error(node)
+        if self._early or set(self._limits) - {"steps"}:
+            raise self._error(node)
+        self._early = True
+
+    def _read_limit(self, node: Node, count: int = 0, index: str = "") -> None:
+        """if (s->x < a || s->x > b) { sound = 0u; }, of one element or of `count` of them."""
+        condition, then, other = node.parts
+        if other is not None or len(then.parts) != 1:
+            raise self._error(node)
+        assign = then.parts[0]
+        if assign.kind != "assign" or assign.parts[0] != "=" or self._number(assign.parts[2]) != 0:
+            raise self._error(node)
+        if not _is_name(assign.parts[1], "sound"):
+            raise self._error(node)
+        self._forbid(condition, count, index)
+
+    def _forbid(self, node: Node, count: int, index: str) -> None:
+        if node.kind != "binary":
+            raise self._error(node)
+        operator, left, right = node.parts
+        if operator == "||":
+            self._forbid(left, count, index)
+            self._forbid(right, count, index)
+            return
+        name, at = self._field(left)
+        limit = self._machine.number(right)
+        kind = self._types[name]
+        mixed = is_signed(kind) and not is_signed(self._machine.common(kind, limit.type))
+        if limit.exact is None or mixed or operator not in ("<", ">", ">=", "<="):
+            raise self._error(node)
+        if name == "identity" or (name == "steps" and operator not in (">", ">=")):
+            raise self._error(node)
+        low, high = TYPES[kind]
+        if operator in ("<", "<="):
+            low = limit.exact + (operator == "<=")
+        else:
+            high = limit.exact - (operator == ">=")
+        for element in self._elements(node, name, at, count, index):
+            self._admit(name, element, low, high)
+
+    def _elements(self, node: Node, name: str, at: Node | None, count: int, index: str) -> range:
+        if at is None:
+            return range(1)
+        size = self._sizes[name][0]
+        if index and _is_name(at, index):
+            if count > size:
+                raise FaultError(f"{count} elements of s->{name}, which has {size}")
+            return range(count)
+        element = self._number(at)
+        if not 0 <= element < size:
+            raise FaultError(f"element {element} of s->{name}, which has {size}")
+        return range(element, element + 1)
+
+    def _admit(self, name: str, element: int, low: int, high: int) -> None:
+        kind = self._types[name]
+        if low > high:
+            raise FaultError(f"the state check admits nothing in s->{name}")
+        count = self._sizes[name][0] if self._sizes[name] else 1
+        limits = self._limits.setdefault(name, [TYPES[kind]] * count)
+        before = limits[element]
+        limits[element] = (max(low, before[0]), min(high, before[1]))
+
+    def _read_loop(self, node: Node) -> None:
+        """for (uint32_t k = 0; k < N; k++) { if (...) { sound = 0u; } }"""
+        _, name, first, operator, end, body = node.parts
+        if self._number(first) != 0 or operator != "<" or len(body.parts) != 1:
+            raise self._error(node)
+        if body.parts[0].kind != "if":
+            raise self._error(node)
+        self._read_limit(body.parts[0], self._number(end), name)
+
+    def _read_recurrent(self, node: Node) -> None:
+        """sound &= zd_gru_state_is_sound(s->x, N);"""
+        operator, target, call = node.parts
+        if operator != "&=" or not _is_name(target, "sound") or call.kind != "call":
+            raise self._error(node)
+        name, arguments = call.parts
+        if name != "zd_gru_state_is_sound" or len(arguments) != 2:
+            raise self._error(node)
+        field = arguments[0]
+        if field.kind != "field" or not _is_name(field.parts[0], self._state):
+            raise self._error(node)
+        of, count = field.parts[2], self._number(arguments[1])
+        if self._types.get(of) != "int32_t" or len(self._sizes[of]) != 1:
+            raise self._error(node)
+        if count > self._sizes[of][0]:
+            raise FaultError(f"{count} elements of s->{of}, which has {self._sizes[of][0]}")
+        limit = self._machine.known["ZD_GRU_H_LIMIT_Q30"]
+        for element in range(count):
+            self._admit(of, element, -limit, limit)
+
+    def _note_bounds(self) -> None:
+        """Each field with limits of its own is a bound of the certificate."""
+        for name, kind in self._types.items():
+            stem, _, last = name.rpartition("_")
+            limits = self._limits.get(name)
+            if limits and last not in ("steps", "oldest", "q30", "drift") and stem:
+                bits = 64 if BITS[kind] == 64 else 32
+                low, high = min(low for low, _ in limits), max(high for _, high in limits)
+                self._machine.note(f"{stem}.{last}", low, high, bits)
+            if last in ("line", "window"):
+                where = f"{stem}.{'steps' if last == 'line' else last}"
+                self._machine.note(where, 1, self._sizes[name][0], 16)
+
+
+def _is_name(node: Node | None, name: str) -> bool:
+    return node is not None and node.kind == "name" and node.parts[0] == name

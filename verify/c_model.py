@@ -1,0 +1,330 @@
+"""A whole model: its constants, its state, and every function that it has, run over intervals.
+
+Shares no code with the generator and needs the standard library only.
+"""
+
+import itertools
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from zerodrift.verify.c_assembly import NAMES, run_assembly
+from zerodrift.verify.c_guard import read_guard
+from zerodrift.verify.c_intervals import Machine
+from zerodrift.verify.c_kernels import RULES, STRUCTS
+from zerodrift.verify.c_parser import Node, Variable, parse
+from zerodrift.verify.c_reader import WAYS, Tokens, Way, read_ways
+from zerodrift.verify.c_values import (
+    TYPES,
+    Address,
+    Block,
+    FaultError,
+    NotUnderstoodError,
+    Pointer,
+    Struct,
+    Value,
+    anything,
+    make_block,
+)
+
+ENTRIES = ("init", "settle", "step", "selftest", "save", "restore")
+
+
+class Runtime:
+    """The constants and tables of zd_runtime.h and zd_runtime.c."""
+
+    def __init__(self, texts: Mapping[str, str]) -> None:
+        """Read them.
+
+        Args:
+            texts: file name -> content.
+        """
+        files = [text for name, text in texts.items() if name.startswith("zd_")]
+        plain = re.sub(r"/\*.*?\*/", "", "\n".join(files), flags=re.S)
+        found = re.findall(r"#define (ZD_\w+) (0[xX][0-9a-fA-F]+|[1-9]\d*|0)(?=\s)", plain)
+        self.numbers = {name: int(value, 0) for name, value in found if name not in WAYS}
+        self.tables = {
+            name: [int(n) for n in numbers.split(",")]
+            for name, numbers in re.findall(r"(\w+)\[[\w +]+\] = \{([-\d,\s]*)\}", plain)
+        }
+        self.lines = read_lines(self.tables)
+
+
+def read_models(texts: Mapping[str, str], prefix: str) -> "list[Model]":
+    """Return a machine for every way in which the model can be compiled, none of them run yet.
+
+    Args:
+        texts: file name -> content, of the model's header and source and of the runtime.
+        prefix: of the model.
+
+    Raises:
+        NotUnderstoodError: something without a rule.
+        FaultError: it does not compile.
+    """
+    runtime, models = Runtime(texts), list[Model]()
+    alike: dict[tuple[str, ...], Model] = {}
+    for way, tokens in read_ways(texts, prefix, runtime.numbers):
+        plain = tuple(word for word in tokens.words if word[0] != '"' and word not in NAMES)
+        if (model := alike.get(plain)) is not None:
+            model.others.append((way.defined, parse(tokens, tuple(STRUCTS)).assembly))
+            continue
+        kernel = way.defined.get("ZD_KERNEL", 0)
+        for int_bits, per_pair in {0: [(32, 2), (16, 2)], 1: [(32, 1), (32, 2)]}.get(
+            kernel if "ZD_GRU_ASSEMBLY" not in way.defined else -1, [(32, 2)]
+        ):
+            alike[plain] = Model(way, tokens, prefix, runtime, int_bits, per_pair)
+            models.append(alike[plain])
+    return models
+
+
+class Model(Machine):
+    """One way of compiling a model."""
+
+    def __init__(
+        self,
+        way: Way,
+        tokens: Tokens,
+        prefix: str,
+        runtime: Runtime,
+        int_bits: int = 32,
+        per_pair: int = 2,
+    ) -> None:
+        """Read all declarations.
+
+        Args:
+            way: what a build defines.
+            tokens: what is left to compile.
+            prefix: of the model.
+            runtime: its constants.
+            int_bits: of C's int.
+            per_pair: words of scratch for two numbers in the kernel for pairs of them.
+        """
+        super().__init__(parse(tokens, tuple(STRUCTS)), prefix, runtime.numbers, RULES, int_bits)
+        narrow = ", int of 16 bits" if int_bits == 16 else ""
+        self.name, self.defined = way.name + narrow, way.defined
+        self.others: list[tuple[Mapping[str, int], Mapping[str, tuple[str, ...]]]] = []
+        """What other ways define, of which nothing but the assembly is another, and that."""
+        self.per_pair, self.tables, self.tanh_lines = per_pair, runtime.tables, runtime.lines
+        self.h_limit = runtime.numbers["ZD_GRU_H_LIMIT_Q30"]
+        self._prove_recurrence()
+
+    def _prove_recurrence(self) -> None:
+        """Show |h| <= limit by induction, from the lines that tanh is made of."""
+        lines, limit = self.tanh_lines, self.h_limit
+        ends = [end for line in lines for end in line]
+        self.lines = len(lines)
+        self.tanh_max = max(map(abs, ends))
+        self.r_max = (1 << 30) + self.tanh_max
+        shown = {
+            "tanh rises from line to line": ends == sorted(ends),
+            "tanh is odd": [-e[0] for e in lines[:0:-1]] == [e[0] for e in lines[1:]],
+            "u <= 1 - 2^-16: from |n - h| >= 2^16 a step does not pass n": self.r_max
+            <= (1 << 31) - (1 << 15),
+            "from nearer it passes n by 1 at most": self.tanh_max + 1 <= limit,
+            "the state's copy fits 16 bits": (limit + (1 << 14)) >> 15 <= 32767,
+        }
+        self.failures += [
+            f"|h| <= {limit} does not hold: {k}" for k, true in shown.items() if not true
+        ]
+
+    def run(self) -> None:
+        """Run every function.
+
+        Raises:
+            NotUnderstoodError: the C holds something without a rule.
+        """
+        try:
+            for constant in self.program.constants:
+                self._read_constant(constant)
+            for claim in self.program.claims:
+                if self.number(claim).exact != 1:
+                    self.fail("does not compile: a claim that does not hold")
+            self.outputs = self.constant(self._expand("OUTPUTS"))
+            self.guard = read_guard(self)
+        except FaultError as error:
+            self.fail(str(error))
+            return
+        missing = [e for e in ENTRIES if f"{self.prefix}_{e}" not in self.program.functions]
+        if missing:
+            raise NotUnderstoodError(f"{self.prefix}: no function {missing[0]}")
+        for entry in ENTRIES:
+            self.explore(getattr(self, f"_run_{entry}"))
+        left = {*self.program.functions, *self.program.assembly} - self._called
+        if left and not self.failures:
+            raise NotUnderstoodError(f"{min(left)} is never called, and was not looked at")
+
+    def run_assembly(self, name: str, arguments: list[Any]) -> None:
+        """Step a layer by assembly that is known."""
+        texts = [(self.defined, self.program.assembly), *self.others]
+        run_assembly(self, name, arguments, texts)
+
+    def _expand(self, macro: str) -> Node:
+        words = self.program.tokens.macros.get(f"{self.prefix.upper()}_{macro}")
+        if words is None or len(words) != 1:
+            raise NotUnderstoodError(f"{self.prefix}.h: no {macro}")
+        return Node("integer", 0, (words[0], int(words[0]), False, 0))
+
+    # --- constants
+
+    def _read_constant(self, variable: Variable) -> None:
+        name, kind = variable.name, variable.type.name
+        self._at = variable.at
+        if name in self.constants or name in self.known or variable.first is None:
+            raise self.not_understood(f"{name} stands here twice")
+        sizes = [self._size(size) for size in variable.sizes]
+        if kind in STRUCTS and not sizes and variable.first.kind == "list":
+            self.constants[name] = self._read_struct(name, kind, variable.first.parts)
+            return
+        if kind not in TYPES:
+            raise self.not_understood(f"a constant of {kind}")
+        block = Block(name, kind, tuple(sizes), [], constant=True)
+        block.cells = list(self._read_numbers(variable.first, kind, sizes, name))
+        self.constants[name] = block
+
+    def _read_numbers(self, node: Node, kind: str, sizes: list[int], name: str) -> list[int]:
+        if not sizes:
+            if node.kind == "list":
+                raise self.not_understood(f"{name}: a list where a number is expected")
+            return [self._read_number(node, kind, name)]
+        if node.kind == "numbers" and len(sizes) == 1:
+            found: list[int] = node.parts[0]
+            if len(found) > sizes[0]:
+                raise FaultError(f"{name}: {len(found)} values for {sizes[0]}")
+            for number in (min(found), max(found)):
+                self._require_fit(number, kind, name, node)
+            return found + [0] * (sizes[0] - len(found))
+        if node.kind != "list" or len(node.parts) > sizes[0]:
+            raise FaultError(f"{name}: more than {sizes[0]} values, or no list of them")
+        inner = 1
+        for size in sizes[1:]:
+            inner *= size
+        numbers = [n for p in node.parts for n in self._read_numbers(p, kind, sizes[1:], name)]
+        return numbers + [0] * (inner * sizes[0] - len(numbers))
+
+    def _read_number(self, node: Node, kind: str, name: str) -> int:
+        number = self.constant(node)
+        self._require_fit(number, kind, name, node)
+        return number
+
+    def _require_fit(self, number: int, kind: str, name: str, node: Node) -> None:
+        low, high = TYPES[kind]
+        if not low <= number <= high:
+            self._at = node.at
+            raise FaultError(f"{name}: {number} does not fit {kind}")
+
+    def _read_struct(self, name: str, kind: str, items: tuple[Node, ...]) -> Struct:
+        struct = Struct(name, kind)
+        if len(items) != len(STRUCTS[kind]):
+            raise FaultError(f"{name}: {len(items)} values for {len(STRUCTS[kind])} fields")
+        for (field, of, count), item in zip(STRUCTS[kind], items, strict=True):
+            self._at = item.at
+            if of in TYPES:
+                sizes = [count] if count else []
+                cells = self._read_numbers(item, of, sizes, f"{name}.{field}")
+                struct.fields[field] = Block(
+                    f"{name}.{field}", of, tuple(sizes), list(cells), constant=True
+                )
+                continue
+            struct.tables[field] = None
+            if item.kind == "integer" and item.parts[1] == 0:
+                continue
+            found = self.evaluate(item) if item.kind == "name" else None
+            wanted = of.removeprefix("const ").removesuffix(" *")
+            if not isinstance(found, Pointer) or found.block.type != wanted:
+                raise FaultError(f"{name}.{field}: no table of {wanted}")
+            if len(found.sizes) != 1 or not found.block.constant:
+                raise FaultError(f"{name}.{field}: {found.block.name} is no row of constants")
+            struct.tables[field] = found
+        return struct
+
+    # --- entries: what anyone may call, with any state and any input
+
+    def _call_entry(self, name: str, *arguments: object) -> None:
+        self.call(f"{self.prefix}_{name}", list(arguments))
+
+    def _saved(self, any_bits: bool, entry: str) -> Pointer:
+        sizes = self.program.functions[f"{self.prefix}_{entry}"].parameters[-1].sizes
+        if len(sizes) != 1:
+            raise self.not_understood(f"what {entry} is given")
+        cell = anything("uint8_t") if any_bits else None
+        block = make_block("saved", "uint8_t", [self.constant(sizes[0])], cell)
+        self._live.append(block)
+        return Pointer(block, Value(0, 0), block.sizes)
+
+    def _run_init(self) -> None:
+        state = self.make_state("nothing")
+        self._call_entry("init", Address(state))
+        self.require_sound(state, "init")
+
+    def _run_settle(self) -> None:
+        state, codes = self.make_state("nothing"), self.make_input()
+        self._call_entry("settle", Address(state), Address(codes, constant=True))
+        self.require_sound(state, "settle")
+
+    def _run_step(self) -> None:
+        state, codes = self.make_state(), self.make_input()
+        drift = make_block("drift", "int32_t", [self.outputs], None)
+        self._live.append(drift)
+        given = Pointer(drift, Value(0, 0), drift.sizes)
+        self._call_entry("step", Address(state), Address(codes, constant=True), given)
+        given.values(self.outputs)
+        self.require_sound(state, "step")
+        if not self._asked:
+            self.fail("step does not ask whether its state is sound")
+
+    def _run_save(self) -> None:
+        state = self.make_state()
+        saved = self._saved(any_bits=False, entry="save")
+        self._call_entry("save", Address(state, constant=True), saved)
+        saved.values(saved.count)
+
+    def _run_restore(self) -> None:
+        state = self.make_state()
+        self._call_entry("restore", Address(state), self._saved(any_bits=True, entry="restore"))
+        self.require_sound(state, "restore")
+
+    def _run_selftest(self) -> None:
+        self._replaying = True
+        self._call_entry("selftest")
+        self._replaying = False
+
+
+def read_lines(tables: Mapping[str, list[int]]) -> list[tuple[int, int]]:
+    """Return tanh in Q0.30 at the first and last input of each of the 512 lines of its table.
+
+    Either the 513 nodes are stored, or offset and slope of each line over the position.
+    """
+    if nodes := tables.get("zd_tanh_nodes_q19"):
+        pairs = itertools.pairwise(nodes)
+        lines = [(a << 11, (a << 11) + (b - a) * 2047) for a, b in pairs]
+    else:
+        both = zip(tables["zd_tanh_offset_q30"], tables["zd_tanh_slope_q19"], strict=False)
+        lines = []
+        for line, (offset, slope) in enumerate(both, -256):
+            ends = [slope * ((line << 11) + f) for f in (0, 2047)]
+            if max(map(abs, ends)) >= 1 << 31:
+                raise NotUnderstoodError(f"line {line} of tanh: the slope's product overflows")
+            lines.append((offset + ends[0], offset + ends[1]))
+        _require_half(tables)
+    if len(lines) != 512:
+        raise NotUnderstoodError(f"tanh has {len(lines)} lines; 512 are read")
+    return lines
+
+
+def _require_half(tables: Mapping[str, list[int]]) -> None:
+    """Raise where the lines that are read at -Os are not those of the whole table, on either side.
+
+    They lie from 0 on; the last one is level and holds beyond; at -t the offset's sign changes.
+    """
+
+    def pair(stem: str) -> list[tuple[int, int]]:
+        names = (f"zd_tanh_{stem}offset_q30", f"zd_tanh_{stem}slope_q19")
+        return list(zip(*(tables[name] for name in names), strict=False))
+
+    if "zd_tanh_half_offset_q30" in tables:
+        half, whole = pair("half_"), pair("")
+        sizes = {len(tables[f"zd_tanh_half_{name}"]) for name in ("offset_q30", "slope_q19")}
+        half += [half[-1]] * (256 - len(half))
+        mirrored = [(-offset, slope) for offset, slope in reversed(half)]
+        if len(sizes) > 1 or half[-1][1] != 0 or mirrored + half != whole[:512]:
+            raise NotUnderstoodError("zd_tanh_half_* is not the table of the other cores")

@@ -1,0 +1,193 @@
+"""What the variables of a model's C can hold: intervals of a C type, uninitialised cells, arrays.
+
+Shares no code with the generator and needs the standard library only.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+TYPES = {f"int{n}_t": (-(2 ** (n - 1)), 2 ** (n - 1) - 1) for n in (8, 16, 32, 64)}
+TYPES |= {f"uint{n}_t": (0, 2**n - 1) for n in (8, 16, 32, 64)}
+BITS = {name: int(name.strip("uint_")) for name in TYPES}
+
+
+class NotUnderstoodError(Exception):
+    """The C holds something for which there is no rule; nothing can then be claimed of it."""
+
+
+class FaultError(Exception):
+    """The C does something wrong after which there is no going on, such as a read past the end."""
+
+
+def is_signed(kind: str) -> bool:
+    """Return whether an integer type has a sign."""
+    return kind.startswith("int")
+
+
+@dataclass(frozen=True)
+class Value:
+    """All numbers from low to high, of a C type; no partial sum behind them goes beyond `reach`."""
+
+    low: int
+    high: int
+    type: str = "int32_t"
+    reach: int = 0
+    copy_of: tuple[int, int] | None = None
+    """(block, version) of the one-element block that this is a copy of, if it is."""
+
+    def __post_init__(self) -> None:
+        if self.reach < self.high or self.reach < -self.low:
+            object.__setattr__(self, "reach", max(self.reach, abs(self.low), abs(self.high)))
+
+    @property
+    def exact(self) -> int | None:
+        """The number, where it can be but one."""
+        return self.low if self.low == self.high else None
+
+    @property
+    def width(self) -> int:
+        """How far the ends are apart."""
+        return self.high - self.low
+
+    def join(self, other: "Value") -> "Value":
+        """Return what either can be."""
+        reach = max(self.reach, other.reach)
+        return Value(min(self.low, other.low), max(self.high, other.high), self.type, reach)
+
+
+Cell = Value | int | None
+"""What one element can be: an interval, a constant's number, or nothing written yet."""
+
+
+@dataclass(eq=False)
+class Block:
+    """A variable: one number or an array of them, rows one after the other."""
+
+    name: str
+    type: str
+    sizes: tuple[int, ...]
+    """() for a single number."""
+    cells: list[Cell]
+    constant: bool = False
+    version: int = 0
+    """Counts the writes."""
+
+    @property
+    def count(self) -> int:
+        """How many numbers it holds."""
+        return len(self.cells)
+
+    def value(self, at: int) -> Value:
+        """Return what an element can be.
+
+        Raises:
+            FaultError: nothing may have been written there yet.
+        """
+        cell = self.cells[at]
+        if isinstance(cell, int):
+            return Value(cell, cell, self.type)
+        if cell is None:
+            where = f"{self.name}[{at}]" if self.sizes else self.name
+            raise FaultError(f"{where} is read before anything is written there")
+        return cell
+
+
+@dataclass(eq=False)
+class Struct:
+    """A variable of a struct type."""
+
+    name: str
+    type: str
+    fields: dict[str, "Block"] = field(default_factory=dict)
+    tables: "dict[str, Pointer | None]" = field(default_factory=dict)
+    """Its fields that point to constants."""
+
+
+@dataclass(frozen=True)
+class Pointer:
+    """To the elements of a block from `first` on: `count` of them."""
+
+    block: Block
+    first: Value
+    sizes: tuple[int, ...]
+    """Of what is pointed into, from here on: () is one number, (n,) an array or a part of one."""
+    constant: bool = False
+    step: int = 1
+    """`first` is a multiple of it from its lowest on."""
+
+    @property
+    def count(self) -> int:
+        """How many elements can be reached, wherever it points."""
+        count = 1
+        for size in self.sizes:
+            count *= size
+        return count
+
+    def values(self, count: int) -> list[Value]:
+        """Return what the first `count` elements can be."""
+        self.hold(count)
+        if self.first.exact is not None:
+            start = self.first.exact
+            return [self.block.value(start + k) for k in range(count)]
+        found = []
+        for k in range(count):
+            any_of = [self.block.value(at + k) for at in self._starts()]
+            joined = any_of[0]
+            for value in any_of[1:]:
+                joined = joined.join(value)
+            found.append(joined)
+        return found
+
+    def _starts(self) -> range:
+        """Return the positions that it can have."""
+        return range(self.first.low, self.first.high + 1, self.step)
+
+    def fill(self, values: Sequence[Value]) -> None:
+        """Write the elements from here on.
+
+        Raises:
+            FaultError: there are not so many, or they must not be written.
+        """
+        if self.constant or self.block.constant:
+            raise FaultError(f"{self.block.name} is constant, and is written")
+        self.hold(len(values))
+        self.block.version += 1
+        if self.first.exact is not None:
+            start = self.first.exact
+            self.block.cells[start : start + len(values)] = values
+            return
+        for start in self._starts():
+            for k, value in enumerate(values):
+                before = self.block.cells[start + k]
+                if before is not None:
+                    self.block.cells[start + k] = self.block.value(start + k).join(value)
+
+    def hold(self, count: int) -> None:
+        """Raise FaultError where there are less than `count` elements."""
+        if count > self.count:
+            place = f"{self.block.name} from {self.first.low} .. {self.first.high} on"
+            raise FaultError(f"{count} elements of {place}, which has {self.count} there")
+
+
+@dataclass(frozen=True)
+class Address:
+    """Of a struct, or of its bytes where it was cast."""
+
+    struct: Struct
+    constant: bool = False
+    bytes: bool = False
+
+
+def make_block(
+    name: str, kind: str, sizes: Sequence[int], cell: Cell, constant: bool = False
+) -> Block:
+    """Return a variable, each element of which is `cell`."""
+    count = 1
+    for size in sizes:
+        count *= size
+    return Block(name, kind, tuple(sizes), [cell] * count, constant)
+
+
+def anything(kind: str) -> Value:
+    """Return any bit pattern of a type."""
+    return Value(*TYPES[kind], kind)

@@ -1,0 +1,33 @@
+"""The texts of the runtime that were compared with the reference, by their hash.
+
+The checker has no rules for intrinsics and for what a kernel does inside: kernels are taken at
+their specification. That holds for the texts known here and no others, whatever lies beside a
+model. Shares no code with the generator and needs the standard library only.
+"""
+
+import hashlib
+from collections.abc import Mapping
+
+CURRENT = (3, "c5aa483ad4d40cdd0514a79c3af0a6328bf85a17acdea4329717277b8c9757ba")
+"""Runtime format, and hash of all files of this version; written by `make golden`."""
+RELEASED: tuple[tuple[int, str], ...] = ()
+"""The same of every version that was ever released."""
+
+
+def hash_runtime(texts: Mapping[str, str]) -> str:
+    """Return one hash of all files of a runtime, by name.
+
+    Args:
+        texts: file name -> content; files that are not the runtime's are left out.
+    """
+    lines = [
+        f"{name} {hashlib.sha256(text.encode()).hexdigest()}\n"
+        for name, text in sorted(texts.items())
+        if name.startswith("zd_")
+    ]
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+
+def is_known(texts: Mapping[str, str]) -> bool:
+    """Return whether these are the files of a runtime that was compared with the reference."""
+    return hash_runtime(texts) in {digest for _, digest in (CURRENT, *RELEASED)}
