@@ -26,6 +26,7 @@ from zerodrift.dataset.oddities import find_oddities
 from zerodrift.dataset.resample import COARSEST, MIN_STEPS, Stretch, plan_stretches
 from zerodrift.dataset.runs import Array, Dataset, Run
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
+from zerodrift.dataset.shared_rows import KnownRun, find_copies
 from zerodrift.dataset.tables import Table, label_log, open_source, read_table
 from zerodrift.dataset.units import are_alike, read_unit
 from zerodrift.errors import InputError, nearest
@@ -63,14 +64,31 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
         InputError: a log is missing, damaged, or holds what cannot be right.
     """
     notes: list[str] = []
+    selections = {use: expand_selectors(config, use) for use in USES}
+    files = {selection.path.resolve() for use in USES for selection in selections[use]}
+    known: list[KnownRun] = []
     pieces: dict[str, list[_Piece]] = {}
     for use in USES:
         pieces[use] = []
-        for selection in expand_selectors(config, use):
-            pieces[use] += _load_selection(config, selection, skip_invalid, notes)
+        for selection in selections[use]:
+            table, spans = _open_log(config, selection, skip_invalid, notes)
+            of_log: list[_Piece] = []
+            for span in spans:
+                planned, rows = _plan_run(config, table, selection, span, notes)
+                of_log += planned
+                if len(files) > 1 or len(table.runs) > 1:
+                    known.append(KnownRun.mark(use, planned[0].key, selection, table, rows, config))
+            # Resampled column by column, to keep the memory low.
+            _fill(config, table, of_log)
+            pieces[use] += of_log
         pieces[use].sort(key=lambda piece: _order(piece.key, config.directory))
     learnt_or_tested = pieces["train"] + pieces["test"]
     refuse_overlaps([piece.key for piece in learnt_or_tested if piece.part == 0])
+    known.sort(key=lambda run: (USES.index(run.use), _order(run.key, config.directory)))
+    copies = find_copies(known, lambda selection: _open_log(config, selection, skip_invalid, [])[0])
+    notes += copies.values()
+    for use in USES:
+        pieces[use] = [piece for piece in pieces[use] if piece.key not in copies]
     names = name_runs([piece.key for use in USES for piece in pieces[use]], config.directory)
     runs = {use: _link(_finish(piece, names, config) for piece in pieces[use]) for use in USES}
     _check_training(config, runs["train"], notes)
@@ -102,20 +120,16 @@ def list_columns(config: Config) -> dict[str, str]:
     return columns
 
 
-def _load_selection(
+def _open_log(
     config: Config, selection: Selection, skip_invalid: bool, notes: list[str]
-) -> list[_Piece]:
-    """Read one file and plan its stretches; resample column by column to keep the memory low."""
+) -> tuple[Table, list[tuple[str, int, int]]]:
+    """Read one file; return its checked rows, and (run, first row, row after the last) of each."""
     label = label_log(selection.path, config.directory)
     source = open_source(selection.path, label, config.where)
     table = read_table(source, list_columns(config))
     _keep_selected_runs(table, selection)
     _check_values(config, table, skip_invalid, notes)
-    pieces = []
-    for span in _split_runs(config, table, skip_invalid, notes):
-        pieces += _plan_run(config, table, selection, span, notes)
-    _fill(config, table, pieces)
-    return pieces
+    return table, _split_runs(config, table, skip_invalid, notes)
 
 
 def _keep_selected_runs(table: Table, selection: Selection) -> None:
@@ -216,8 +230,12 @@ def _plan_run(
     selection: Selection,
     span: tuple[str, int, int],
     notes: list[str],
-) -> list[_Piece]:
-    """Choose how one run (or the part of it that is selected) becomes stretches of steps."""
+) -> tuple[list[_Piece], slice]:
+    """Choose how one run (or the part of it that is selected) becomes stretches of steps.
+
+    Returns:
+        The stretches, to be filled, and the rows of the table that are selected.
+    """
     run, start, stop = span
     source = table.source
     who = f"{source.label}: run '{run}'" if run else source.label
@@ -248,7 +266,8 @@ def _plan_run(
         )
     cut_text = selection.cut.text if selection.cut else ""
     key = RunKey(selection.path, run, cut_text, span_s, selection.where, start_s, place)
-    return [_allocate(config, key, part, stretch) for part, stretch in enumerate(long_enough)]
+    parts = [_allocate(config, key, part, stretch) for part, stretch in enumerate(long_enough)]
+    return parts, slice(start, stop)
 
 
 def _note_stretches(

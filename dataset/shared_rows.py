@@ -1,0 +1,127 @@
+"""What becomes of runs that hold the same rows: refused between uses, counted once within one."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from zerodrift.config import Config
+from zerodrift.dataset.copies import Marks, SharedRows, confirm, find_alignments, mark_run
+from zerodrift.dataset.locate import locate_row
+from zerodrift.dataset.naming import RunKey
+from zerodrift.dataset.runs import Array
+from zerodrift.dataset.selectors import Selection
+from zerodrift.dataset.tables import Table
+from zerodrift.errors import InputError
+
+WHOLLY = 0.95
+"""A run is a copy if so many of its rows are another one's."""
+_USES = {"train": "learnt from", "test": "tested on", "dwell": "taken for the noise"}
+
+
+@dataclass(frozen=True)
+class KnownRun:
+    """A run as it is logged, known by its content."""
+
+    use: str
+    """train | test | dwell."""
+    key: RunKey
+    selection: Selection
+    columns: tuple[str, ...]
+    """What is measured: the outputs, then the thermometer."""
+    rows: slice
+    """Its rows in the log's table."""
+    marks: Marks
+
+    @staticmethod
+    def mark(
+        use: str, key: RunKey, selection: Selection, table: Table, rows: slice, config: Config
+    ) -> "KnownRun":
+        """Mark a run before its log is resampled."""
+        columns = (*(each.measured for each in config.outputs), config.temperature_column)
+        marks = mark_run([table.columns[column][rows] for column in columns])
+        return KnownRun(use, key, selection, columns, rows, marks)
+
+    def take(self, table: Table) -> tuple[Array, ...]:
+        """Return the run's measured columns, each [n], of its log's table."""
+        return tuple(table.columns[column][self.rows] for column in self.columns)
+
+    def name_rows(self, table: Table, first: int, count: int) -> str:
+        """Return `log.csv:2 to log.csv:61` for rows of the run."""
+        start = self.rows.start + first
+        ends = (start, start + count - 1)
+        return " to ".join(locate_row(table.source, table.position(row)).text for row in ends)
+
+
+def find_copies(runs: Sequence[KnownRun], read: Callable[[Selection], Table]) -> dict[RunKey, str]:
+    """Return the runs to leave out, as another of the same use holds all of their rows, with why.
+
+    Args:
+        runs: of a project, in the order in which they are fitted. Parts that selectors cut out of
+            one run are not held against each other.
+        read: reads a log again, as it was read before.
+
+    Raises:
+        InputError: runs of different use share rows, or runs of one use share a part of theirs.
+    """
+    groups = [(run.key.path.resolve(), run.key.run) for run in runs]
+    alignments = find_alignments([run.marks for run in runs], groups)
+    if not alignments:
+        return {}
+    kept: dict[Selection, Table] = {}
+
+    def read_table(number: int) -> Table:
+        selection = runs[number].selection
+        if selection not in kept:
+            while len(kept) > 1:
+                del kept[next(iter(kept))]
+            kept[selection] = read(selection)
+        return kept[selection]
+
+    shared = confirm(alignments, lambda number: runs[number].take(read_table(number)))
+    left_out: dict[RunKey, str] = {}
+    for (one, other), found in shared.items():
+        first, second = runs[one], runs[other]
+        if first.use == second.use and {first.key, second.key} & left_out.keys():
+            continue
+        tables = read_table(one), read_table(other)
+        same = f"{_name(first, second, found[0], tables)}"
+        if first.use != second.use:
+            raise InputError(_explain_leak(first, second, same))
+        count = sum(stretch.rows for stretch in found)
+        sizes = [run.rows.stop - run.rows.start for run in (first, second)]
+        if count < WHOLLY * min(sizes):
+            raise InputError(_explain_part(first, second, same))
+        copy, other_name = (second, first) if sizes[1] <= sizes[0] else (first, second)
+        left_out[copy.key] = (
+            f"{_write(copy)} is a copy of rows of {_write(other_name)} ({same}): counted once, "
+            f"{_write(copy)} is left out"
+        )
+    return left_out
+
+
+def _write(run: KnownRun) -> str:
+    name = run.key.path.name + (f" run '{run.key.run}'" if run.key.run else "")
+    return f"{name}@{run.key.cut}" if run.key.cut else name
+
+
+def _name(first: KnownRun, second: KnownRun, found: SharedRows, tables: tuple[Table, Table]) -> str:
+    there = second.name_rows(tables[1], found.other_row, found.rows)
+    here = first.name_rows(tables[0], found.row, found.rows)
+    return f"{there} are the rows of {here}, {found.rows} rows"
+
+
+def _explain_leak(first: KnownRun, second: KnownRun, same: str) -> str:
+    return (
+        f"{second.key.where}: {_write(second)} and {_write(first)} hold the same measurements: "
+        f"{same} with the same noise. They would be both {_USES[first.use]} and "
+        f"{_USES[second.use]}; expected every row once, as the held-out error would be none. Take "
+        "one of the two logs out of [logs], or select parts of one of them: '@0%:60%' and "
+        "'@60%:100%'."
+    )
+
+
+def _explain_part(first: KnownRun, second: KnownRun, same: str) -> str:
+    return (
+        f"{second.key.where}: {_write(second)} and {_write(first)} overlap: {same} with the same "
+        "noise; expected every row once, as one that is there twice counts double. Cut the "
+        "overlap off one of the two, by '@FROM:TO' in seconds since its first row."
+    )

@@ -1,0 +1,172 @@
+"""A run that is another one's copy is known by its content, whatever was done to its file."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.bench_copies import CLEAN_KINDS, COPIES, find, make_clean, try_copy
+from tests.projects import FORCE, render_toml
+
+from zerodrift.config import load_config
+from zerodrift.dataset.copies import measure_noise, measure_step
+from zerodrift.dataset.load import load_dataset
+from zerodrift.dataset.runs import Dataset
+from zerodrift.errors import InputError
+
+HEADER = "time_s,temperature_degC,Fz_N,ref_Fz_N"
+
+
+def write_log(path: Path, seed: int, rows: int = 600) -> np.ndarray:
+    """Write one programme of the chamber with noise of its own; return time, temperature, force."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(rows, dtype=float)
+    temperature = (20 + 8 * np.sin(time_s / 90) + rng.normal(0, 0.02, rows)).round(4)
+    force = (2 * temperature + rng.normal(0, 0.3, rows)).round(3)
+    return write_rows(path, np.column_stack([time_s, temperature, force]))
+
+
+def write_rows(path: Path, rows: np.ndarray) -> np.ndarray:
+    text = "\n".join(",".join([*(f"{value:.12g}" for value in row), "0"]) for row in rows)
+    path.write_text(f"{HEADER}\n{text}\n")
+    return rows
+
+
+def load(directory: Path, **logs: list[str]) -> Dataset:
+    lines = [f"{use} = {json.dumps(names)}" for use, names in logs.items()]
+    text = render_toml("\n".join(["[logs]", *lines, ""]), outputs=(FORCE,))
+    (directory / "zerodrift.toml").write_text(text)
+    return load_dataset(load_config(directory))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for seed, name in enumerate(("a.csv", "b.csv", "c.csv")):
+        write_log(tmp_path / name, seed)
+    return tmp_path
+
+
+def make_copy(kind: str, folder: Path) -> None:
+    """Make `copy.csv` of rows 101 to 500 of `b.csv`, or of all of its rows."""
+    source, target = folder / "b.csv", folder / "copy.csv"
+    rows = np.loadtxt(source, delimiter=",", skiprows=1)[:, :3]
+    if kind == "copy":
+        target.write_bytes(source.read_bytes())
+    elif kind == "hard link":
+        os.link(source, target)
+    elif kind == "excerpt":
+        write_rows(target, rows[100:500])
+    elif kind == "time shifted":
+        write_rows(target, rows + np.array([86400.25, 0, 0]))
+    elif kind == "rounded":
+        write_rows(target, np.column_stack([rows[:, 0], rows[:, 1].round(2), rows[:, 2].round(1)]))
+
+
+KINDS = ("copy", "hard link", "excerpt", "time shifted", "rounded")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("here", "there"), [("train", "test"), ("train", "dwell"), ("test", "dwell")]
+)
+def test_copy_for_another_use_is_refused(folder: Path, kind: str, here: str, there: str) -> None:
+    make_copy(kind, folder)
+    logs = {"train": ["a.csv"], here: ["b.csv"], there: ["c.csv", "copy.csv"]}
+    with pytest.raises(InputError) as caught:
+        load(folder, **logs)
+    message = str(caught.value)
+    first = 102 if kind == "excerpt" else 2
+    last = 501 if kind == "excerpt" else 601
+    assert f"b.csv:{first} to b.csv:{last}" in message
+    assert f"copy.csv:2 to copy.csv:{last - first + 2}" in message
+    assert f"{last - first + 1} rows" in message
+    assert f"[logs] {there}: copy.csv and b.csv hold the same measurements" in message
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_copy_among_training_logs_counts_once_and_is_named(folder: Path, kind: str) -> None:
+    make_copy(kind, folder)
+    dataset = load(folder, train=["a.csv", "b.csv", "c.csv", "copy.csv"])
+    assert [run.name for run in dataset.train] == ["a", "b", "c"]
+    (note,) = (note for note in dataset.notes if "copy.csv" in note)
+    assert note.startswith("copy.csv is a copy of rows of b.csv")
+    assert "counted once, copy.csv is left out" in note
+
+
+def test_three_copies_count_once(folder: Path) -> None:
+    for name in ("x.csv", "y.csv"):
+        (folder / name).write_bytes((folder / "a.csv").read_bytes())
+    dataset = load(folder, train=["*.csv"])
+    assert [run.name for run in dataset.train] == ["a", "b", "c"]
+
+
+def test_copy_under_another_name_of_run_in_one_file_is_refused(folder: Path) -> None:
+    rows = (folder / "a.csv").read_text().splitlines()[1:]
+    named = [f"{row},{name}" for name in ("one", "two") for row in rows]
+    (folder / "both.csv").write_text("\n".join([f"{HEADER},run", *named]) + "\n")
+    with pytest.raises(
+        InputError, match=r"both.csv run 'two' and both.csv run 'one' hold the same"
+    ):
+        load(folder, train=["both.csv#one"], test=["both.csv#two"])
+
+
+def test_logs_that_overlap_in_part_are_refused_with_the_rows(folder: Path) -> None:
+    rows = write_log(folder / "long.csv", 9, rows=900)
+    write_rows(folder / "early.csv", rows[:500])
+    write_rows(folder / "late.csv", rows[400:])
+    with pytest.raises(
+        InputError, match=r"overlap: late.csv:2 to late.csv:101 are the rows of early"
+    ):
+        load(folder, train=["early.csv", "late.csv"])
+
+
+def test_parts_of_one_run_that_selectors_split_are_no_copies(folder: Path) -> None:
+    dataset = load(folder, train=["a.csv@:50%", "b.csv"], test=["a.csv@50%:"], dwell=["b.csv@:60"])
+    assert len(dataset.train) == 2
+    os.link(folder / "a.csv", folder / "link.csv")
+    assert len(load(folder, train=["a.csv@:50%"], test=["link.csv@50%:"]).test) == 1
+
+
+def test_programmes_alike_with_noise_of_their_own_are_no_copies(folder: Path) -> None:
+    dataset = load(folder, train=["a.csv", "b.csv"], test=["c.csv"])
+    assert not [note for note in dataset.notes if "copy" in note]
+
+
+def test_one_thermometer_for_two_sensors_makes_no_copy(folder: Path) -> None:
+    rows = np.loadtxt(folder / "a.csv", delimiter=",", skiprows=1)[:, :3]
+    rows[:, 2] += np.random.default_rng(5).normal(0, 0.3, len(rows))
+    write_rows(folder / "other.csv", rows)
+    assert len(load(folder, train=["a.csv"], test=["other.csv"]).test) == 1
+
+
+@pytest.mark.parametrize("kind", COPIES)
+@pytest.mark.parametrize("seed", range(2))
+def test_copies_of_every_kind_are_found(kind: str, seed: int) -> None:
+    assert try_copy(seed, COPIES[kind])
+
+
+@pytest.mark.parametrize("kind", [*CLEAN_KINDS, "twin"])
+def test_clean_sets_do_not_alarm(kind: str) -> None:
+    assert [find(make_clean(kind, seed)) for seed in range(4)] == [{}] * 4
+
+
+@pytest.mark.parametrize("digits", [0, 1, 4, 6])
+def test_step_of_decimals_is_measured(digits: int) -> None:
+    values = (25 + np.random.default_rng(0).normal(0, 9, 200)).round(digits)
+    assert measure_step(values) == pytest.approx(10.0**-digits, rel=1e-3)
+
+
+def test_step_of_a_converter_is_measured_and_that_of_doubles_is_none() -> None:
+    values = np.random.default_rng(0).normal(0, 9, 200)
+    assert measure_step(np.rint(values * 128) / 128) == pytest.approx(1 / 128)
+    assert measure_step(values) == 0
+    assert measure_step(np.ones(200)) == 0
+
+
+def test_noise_is_measured_on_a_drift_and_not_in_a_smooth_curve() -> None:
+    at = np.arange(2000.0)
+    noise = np.random.default_rng(0).normal(0, 0.1, at.size)
+    assert measure_noise(20 * np.sin(at / 100) + noise) == pytest.approx(0.1, rel=0.15)
+    assert measure_noise(20 * np.sin(at / 100)) == 0
+    assert measure_noise(np.repeat(np.arange(20.0), 100)) == 0
