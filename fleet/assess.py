@@ -1,6 +1,5 @@
 """One sensor's errors held out, beside its noise floor, and the values it is compared by."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,7 @@ from zerodrift.physics.held_out import TEST_LOGS, HeldOut, hold_out
 from zerodrift.physics.run_errors import collect_errors, pool_rmse
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.scores import Trained
+from zerodrift.verify.chip_error import Replay
 
 Array = NDArray[np.float64]
 
@@ -27,14 +27,17 @@ class Figures:
 
 
 def assess(
-    trained: Trained, dataset: Dataset, integer: Mapping[str, Array] | None = None
+    trained: Trained,
+    dataset: Dataset,
+    replay: Replay | None = None,
 ) -> Figures:
     """Return the held-out errors of a sensor.
 
     Args:
         trained: its compensator, and the errors that training measured.
         dataset: its logs.
-        integer: test run's name -> [n, K] drift by the firmware; None without firmware.
+        replay: the firmware over the test runs, or the training runs where there are none; None
+            without firmware.
     """
     compensator = trained.compensator
     tared, usable = compensator.tared, compensator.physics.find_usable
@@ -55,13 +58,20 @@ def assess(
         )
         method = held_out.explain()
     of_integer: list[float | None] = [None] * len(dataset.outputs)
-    if integer:
+    if replay is not None and dataset.test:
+        integer = {replayed.run.name: replayed.chip for replayed in replay.runs}
         errors = collect_errors(dataset.test, integer, tared, usable)
         of_integer = [float(x) for x in pool_rmse(list(errors.values()))]
+    split = [None] * len(dataset.outputs) if replay is None else list(replay.split())
     return Figures(
         {
             name: OutputResult(
-                dataset.units[k], float(none[k]), float(rmse[k]), of_integer[k], float(floor.rms[k])
+                dataset.units[k],
+                float(none[k]),
+                float(rmse[k]),
+                of_integer[k],
+                float(floor.rms[k]),
+                causes.to_dict() if (causes := split[k]) is not None else None,
             )
             for k, name in enumerate(dataset.outputs)
         },

@@ -20,6 +20,9 @@ FORMAT = 1
 NAME = "report"
 """Of the files below build/fleet/."""
 PASS, FAIL, ERROR = "pass", "fail", "error"
+RANGE = "out_of_range"
+CAUSES = ("rounding", RANGE, "clamped", "saturated")
+"""Of the difference of integer and float model."""
 REASONS_SHOWN = 3
 
 
@@ -29,9 +32,9 @@ class Verdict:
 
     sensor: str
     status: str
-    """pass | fail (a limit is exceeded) | error (there is no result)."""
+    """pass | fail (refused by the gate, or a limit is exceeded) | error (there is no result)."""
     reasons: tuple[str, ...]
-    """Limits that are exceeded, or the error."""
+    """What the gate refuses, limits that are exceeded, or the error."""
     outliers: tuple[Outlier, ...]
     result: SensorResult | None
     kept: bool
@@ -96,6 +99,7 @@ def judge_fleet(design: Design, outcomes: Sequence[Outcome]) -> FleetReport:
             status, reasons = ERROR, (outcome.error,)
         else:
             reasons = list_exceeded(outcome.result, dict(fleet.limits), fleet.ratio_limit)
+            reasons = (*outcome.result.refused, *explain_range(outcome.result, reasons))
             status = FAIL if reasons else PASS
         verdicts.append(
             Verdict(
@@ -113,6 +117,20 @@ def judge_fleet(design: Design, outcomes: Sequence[Outcome]) -> FleetReport:
         dict(fleet.limits),
         fleet.ratio_limit,
         fleet.outlier_z,
+    )
+
+
+def explain_range(result: SensorResult, exceeded: tuple[str, ...]) -> tuple[str, ...]:
+    """Return exceeded limits with what lies behind them, where that is a log beyond the ranges."""
+    beyond = [
+        name
+        for name, output in result.outputs.items()
+        if output.chip_error and max(output.chip_error, key=output.chip_error.__getitem__) == RANGE
+    ]
+    told = "; ".join(warning.rstrip(".") for warning in result.warnings)
+    return tuple(
+        f"{reason} ({told})" if told and reason.split(":")[0] in beyond else reason
+        for reason in exceeded
     )
 
 
@@ -188,7 +206,8 @@ def describe_report(report: FleetReport) -> dict[str, Any]:
 def _describe_result(result: SensorResult) -> dict[str, Any]:
     values = result.to_dict()
     names = ("outputs", "parameters", "held_out", "floor", "network", "vectors", "model_hash")
-    return {name: values[name] for name in (*names, "temperature_degC", "notes")}
+    more = ("temperature_degC", "notes", "refused", "warnings")
+    return {name: values[name] for name in (*names, *more)}
 
 
 def _finite(value: Any) -> Any:
@@ -210,6 +229,7 @@ def render_csv(report: FleetReport) -> str:
             f"{name} firmware rmse [{output.unit}]",
             f"{name} floor [{output.unit}]",
             f"{name} ratio",
+            *(f"{name} chip {cause.replace('_', ' ')} [{output.unit}]" for cause in CAUSES),
         ]
     units = {n: p.unit for r in results for n, p in r.parameters.items()}
     header += [f"{name} [{units[name]}]" for name in parameters]
@@ -222,7 +242,11 @@ def render_csv(report: FleetReport) -> str:
             row.append(v.result.model_hash)
             for name, _ in outputs:
                 o = v.result.outputs[name]
-                numbers = (o.rmse_uncompensated, o.rmse, o.rmse_integer, o.noise_floor, o.ratio)
+                causes = o.chip_error or {}
+                numbers = (
+                    *(o.rmse_uncompensated, o.rmse, o.rmse_integer, o.noise_floor, o.ratio),
+                    *(causes.get(cause) for cause in CAUSES),
+                )
                 row += ["" if x is None or not math.isfinite(x) else f"{x:.6g}" for x in numbers]
             row += [
                 f"{v.result.parameters[name].value:.8g}" if name in v.result.parameters else ""

@@ -11,7 +11,7 @@ from typing import Any
 from zerodrift.errors import InputError
 from zerodrift.journal import write_all
 
-FORMAT = 1
+FORMAT = 2
 """Of result.json; another one is computed anew."""
 RESULT = "result.json"
 
@@ -27,6 +27,8 @@ class OutputResult:
     rmse_integer: float | None
     """The same of the firmware's integer model; None without firmware or without test logs."""
     noise_floor: float
+    chip_error: Mapping[str, float] | None = None
+    """RMS of integer minus float model by cause: rounding, out_of_range, clamped, saturated."""
 
     @property
     def judged(self) -> float:
@@ -73,6 +75,10 @@ class SensorResult:
     vectors: int = 0
     """Steps at which the C was equal to the reference; 0 without firmware."""
     model_hash: str = ""
+    refused: tuple[str, ...] = ()
+    """Why the gate did not let the firmware be written."""
+    warnings: tuple[str, ...] = ()
+    """What else the gate says: runs beyond the calibrated ranges, what was not judged."""
     files: Mapping[str, str] | None = None
     """Files written, relative to the project -> SHA-256."""
 
@@ -105,6 +111,9 @@ class SensorResult:
                 number(o["rmse"]),
                 None if integer is None else float(integer),
                 number(o["noise_floor"]),
+                None
+                if o["chip_error"] is None
+                else {str(cause): number(x) for cause, x in o["chip_error"].items()},
             )
         parameters = {
             name: ParameterResult(
@@ -125,6 +134,8 @@ class SensorResult:
             notes=tuple(map(str, values["notes"])),
             vectors=int(values["vectors"]),
             model_hash=str(values["model_hash"]),
+            refused=tuple(map(str, values["refused"])),
+            warnings=tuple(map(str, values["warnings"])),
             files={str(k): str(v) for k, v in values["files"].items()},
         )
 

@@ -16,7 +16,7 @@ from zerodrift.config import Config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
 from zerodrift.errors import CheckError, ZerodriftError
-from zerodrift.export.compose import compose_integer_model, count_elapsed, encode_inputs
+from zerodrift.export.compose import compose_integer_model
 from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.fleet.assess import assess, describe_parameters
@@ -30,6 +30,7 @@ from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import check_certificate
 from zerodrift.verify.firmware import list_sequences
+from zerodrift.verify.gate import judge_firmware
 from zerodrift.verify.host_check import check_host, check_starts
 
 UNFORESEEN = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
@@ -206,22 +207,15 @@ def _finish(
     assert job.trained is not None
     compensator = job.trained.compensator
     vectors = 0
-    integer = None
+    verdict, replay = None, None
     certificate = ""
     if host is not None and scratch is not None:
         assert job.model is not None and job.code is not None
         vectors = check_bits(host, job.dataset)
         certificate = certify(job.model, job.code)
         _recheck(job.code, certificate, scratch)
-        scale = np.array([o.lsb_per_unit for o in job.model.outputs], dtype=np.float64)
-        integer = {
-            run.name: host.run(
-                encode_inputs(job.model, run), elapsed=count_elapsed(job.model, run)
-            ).drift
-            / scale
-            for run in job.dataset.test
-        }
-    figures = assess(job.trained, job.dataset, integer)
+        verdict, replay = judge_firmware(job.config, compensator, host, job.dataset)
+    figures = assess(job.trained, job.dataset, replay)
     result = SensorResult(
         sensor=job.sensor,
         mark=job.mark,
@@ -234,6 +228,8 @@ def _finish(
         notes=(*job.notes, *compensator.notes),
         vectors=vectors,
         model_hash=job.model.hash if job.model is not None else "",
+        refused=tuple(s.text for s in verdict.refused) if verdict is not None else (),
+        warnings=tuple(s.text for s in verdict.warnings) if verdict is not None else (),
     )
     files = _render(design, job, result, certificate)
     batch.outcomes[job.sensor] = Outcome(
@@ -264,14 +260,17 @@ def _recheck(code: GeneratedCode, certificate: str, scratch: Path) -> None:
 def _render(
     design: Design, job: _Job, result: SensorResult, certificate: str
 ) -> dict[Path, bytes | None]:
-    """Return a sensor's files; None for those that are removed."""
+    """Return a sensor's files; None for those that are removed.
+
+    Of a sensor that the gate refused, those below build/ alone.
+    """
     assert job.trained is not None
     compensator = replace(job.trained.compensator, trained_from=job.mark)
     build = design.build_folder(job.sensor)
     files = compensator.render(build)
     text = json.dumps(describe_sensor(design, result, compensator.to_dict()), indent=1) + "\n"
     files[build / PARAMETERS] = text.encode()
-    if job.code is not None and job.model is not None:
+    if job.code is not None and job.model is not None and not result.refused:
         out = design.firmware_folder(job.sensor)
         files[build / "model.json"] = job.model.to_text().encode()
         files[out / PARAMETERS] = text.encode()

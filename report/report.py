@@ -73,6 +73,7 @@ def render_report(findings: Findings, datasheet: Sequence[Mapping[str, Any]] | N
         "coefficients": tables.tabulate_coefficients(told["model"]),
         "budget": draw_budget(firmware, told["compare"]) if firmware else None,
         "budget_table": tables.tabulate_budget(firmware, told["compare"]) if firmware else None,
+        "chip_error": tables.tabulate_chip_error(firmware) if firmware else None,
         "firmware": tables.tabulate_firmware(firmware) if firmware else None,
         "certificate": tables.tabulate_certificate(certificate) if certificate else None,
         "datasheet": tables.tabulate_datasheet(datasheet) if datasheet is not None else None,

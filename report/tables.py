@@ -252,6 +252,19 @@ def tabulate_budget(firmware: Told, compared: Told) -> Table:
     return Table("Error budget, float to integer", headings, tuple(rows), texts=2, note=note)
 
 
+def tabulate_chip_error(firmware: Told) -> Table:
+    """Return what separates the chip from the float model by cause, and what the gate says."""
+    causes = ("rounding", "out_of_range", "clamped", "saturated")
+    rows = tuple(
+        (name, unit, *(write_number(firmware["chip_error"][name][cause], 2) for cause in causes))
+        for name, unit in firmware["units"].items()
+    )
+    said = [f"FORCED: {refused['text']}" for refused in firmware["refused"]]
+    said += [warning["text"] for warning in firmware["warnings"]]
+    headings = ("output", "unit", *(cause.replace("_", " ") for cause in causes))
+    return Table("Integer minus float by cause", headings, rows, texts=2, note=" ".join(said))
+
+
 def tabulate_firmware(firmware: Told) -> Table:
     """Return what the firmware needs of a chip, and how it was checked."""
     rows: list[tuple[str, ...]] = [

@@ -56,13 +56,13 @@ def train_bank(
 
     understudy = assemble_bank(
         replace(alone, physics=physics, tared=physics.tared),
-        _fit(config, physics_of=physics, runs=split.fit, report=rehearse),
+        fit_bank(config, physics, split.fit, rehearse),
         split.fit,
     )
     errors = measure(understudy, split.held_out, understudy.tared, dict(split.skip))
     ratio = float(np.mean(errors.compensated / np.maximum(errors.physics, 1e-300)))
     if ratio < WORTH_ITS_FLASH:
-        fitted = _fit(config, physics_of=alone.physics, runs=dataset.train, report=perform)
+        fitted = fit_bank(config, alone.physics, dataset.train, perform)
         compensator = assemble_bank(alone, fitted, dataset.train)
     else:
         note = (
@@ -83,16 +83,16 @@ def train_bank(
     return Trained(compensator, score(compensator, dataset, understudy, split))
 
 
-def _fit(
+def fit_bank(
     config: Config,
-    *,
-    physics_of: PhysicalModel,
+    physics: PhysicalModel,
     runs: Sequence[Run],
-    report: Callable[[float, str], None],
+    report: Callable[[float, str], None] = lambda done, text: None,
 ) -> FittedBank:
+    """Return the lag bank of `[network]`, fitted to what a physical model leaves of these runs."""
     network = config.network
     return fit_lag_bank(
-        physics_of,
+        physics,
         runs,
         choose_sources(list_thermometers(config), runs),
         seed=network.seed,

@@ -221,8 +221,8 @@ def find_outside(
 ) -> Mask:
     """Return [n, C + 1] which channels, and last the rate, are outside their calibrated ranges.
 
-    The temperature's range is that of its flag; of the other channels, and of loads, that beyond
-    which the chip limits them.
+    The temperature's range, and that of every channel that has one, is that of its flag; of the
+    others, and of loads, it is that beyond which the chip limits them.
     """
     outside = np.zeros((len(codes), len(model.channels) + 1), dtype=np.bool_)
     wide = codes.astype(np.int64)
@@ -234,6 +234,8 @@ def find_outside(
                 value = value - before[:, node.output]
             outside[:, node.channel] |= (value < node.low) | (value > node.high)
     guards = model.guards
+    for channel, low, high in guards.ranges:
+        outside[:, channel] = (wide[:, channel] < low) | (wide[:, channel] > high)
     temperature = wide[:, guards.temperature_channel]
     beyond = (temperature < guards.temperature_low) | (temperature > guards.temperature_high)
     outside[:, guards.temperature_channel] = beyond

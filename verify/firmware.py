@@ -126,7 +126,7 @@ def build_firmware(
         chip = check_chip(CORE, code, check.host, sequences, scratch / "chip")
         progress("measuring errors and sizes")
         runs = dataset.test or dataset.train
-        gate, replay = judge_firmware(compensator, check.host, dataset)
+        gate, replay = judge_firmware(config, compensator, check.host, dataset)
         forced = tuple(statement.text for statement in gate.refused) if force else ()
         if forced:
             model = replace(model, notes={**model.notes, FORCED: "\n".join(forced)})

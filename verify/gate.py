@@ -13,13 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.c_runtime.host import HostModel
+from zerodrift.config import Config
 from zerodrift.dataset.bridges import predict_all
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.compose import predict_on_chip
 from zerodrift.export.compose_import import ImportedCompensator
+from zerodrift.physics.held_out import TEST_LOGS
 from zerodrift.physics.run_errors import FindUsable
 from zerodrift.verify.chip_error import AnyCompensator, ChipError, Replay, replay_runs
 from zerodrift.verify.excursions import Excursion, list_excursions
+from zerodrift.verify.left_out import leave_out
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,11 +35,11 @@ WORSE_THAN_FLOAT = 0.10
 """Share by which it may exceed the float model's and the budgeted rounding's together."""
 FEWEST_RUNS = 3
 """Runs, or blocks, from which a standard error is taken."""
+FEWEST_ROWS = 30
+"""Rows inside the calibrated ranges from which an output is judged."""
 UNCORRELATED = 0.05
 """The residual's correlation is summed up to the lag at which it falls below this."""
 
-TEST_LOGS = "test logs"
-LEFT_OUT = "leave one run out"
 NOT_JUDGED = "not judged"
 
 
@@ -62,7 +65,7 @@ class GateVerdict:
     """What the gate found."""
 
     method: str
-    """test logs | leave one run out | not judged."""
+    """test logs | leave one run out | blocks of one run | not judged."""
     refused: tuple[Statement, ...]
     """Why the firmware is not to be written; empty: it may be."""
     warnings: tuple[Statement, ...]
@@ -112,33 +115,48 @@ class _Pool:
 
 
 def judge_firmware(
-    compensator: AnyCompensator, host: HostModel, dataset: Dataset
+    config: Config, compensator: AnyCompensator, host: HostModel, dataset: Dataset
 ) -> tuple[GateVerdict, Replay]:
     """Return whether the firmware may be written, and the rows that say so.
 
     Args:
+        config: the project.
         compensator: the float model.
         host: the integer model's C, shown equal to the reference.
-        dataset: its logs; the test runs are the held-out ones.
+        dataset: its logs; the test runs are the held-out ones. Without them each training run is
+            held against a model that did not learn from it, where that is quickly fitted.
     """
     runs = dataset.test or dataset.train
     replay = replay_runs(compensator, host, runs)
-    if not dataset.test:
-        return leave_unjudged(replay, "no test logs are configured"), replay
-    answers = Answers(
-        [r.chip for r in replay.runs],
-        [r.floating for r in replay.runs],
-        _predict_by_physics(compensator, runs),
-    )
+    method, covered = TEST_LOGS, None
+    if dataset.test:
+        answers = Answers(
+            [r.chip for r in replay.runs],
+            [r.floating for r in replay.runs],
+            _predict_by_physics(compensator, runs),
+        )
+    else:
+        left_out = leave_out(config, dataset, compensator)
+        if left_out is None:
+            why = "no test logs are configured, and this network is not trained anew for each run"
+            return leave_unjudged(replay, f"{why}. Record a test run."), replay
+        differences = [r.difference for r in replay.runs]
+        answers = Answers(
+            [x + d for x, d in zip(left_out.floating, differences, strict=True)],
+            left_out.floating,
+            left_out.physics,
+        )
+        method, covered = left_out.method, left_out.covered
     physics = compensator.physics
     verdict = judge(
         replay,
         list_excursions(replay, dataset.train),
         answers,
         list(zip(dataset.outputs, dataset.units, strict=True)),
-        method=TEST_LOGS,
+        method=method,
         tared=compensator.tared,
         find_usable=None if physics is None else physics.find_usable,
+        covered=covered,
     )
     return verdict, replay
 
@@ -162,6 +180,7 @@ def judge(
     method: str,
     tared: bool,
     find_usable: FindUsable | None = None,
+    covered: Sequence[Mask] | None = None,
 ) -> GateVerdict:
     """Return whether the firmware may be written.
 
@@ -173,6 +192,7 @@ def judge(
         method: what the runs are.
         tared: each log has an offset of its own, which is taken off every error.
         find_usable: run -> [n, K] samples that count; None: all.
+        covered: [n] per run: rows that are inside for a model that left the run out; None: all.
     """
     runs = [replayed.run for replayed in replay.runs]
     usable = [
@@ -180,16 +200,19 @@ def judge(
         for run in runs
     ]
     inside = [u & r.inside for u, r in zip(usable, replay.runs, strict=True)]
+    if covered is not None:
+        inside = [rows & own[:, None] for rows, own in zip(inside, covered, strict=True)]
     split = replay.split()
     refused: list[Statement] = []
     warnings = [Statement("out_of_range", f"{excursion}.") for excursion in excursions]
     for k, (name, unit) in enumerate(names):
         pool = _collect(runs, answers, inside, k, tared)
-        if pool.rows == 0:
+        if pool.rows < FEWEST_ROWS:
             warnings.append(
                 Statement(
                     "not_judged",
-                    f"{name}: no row of the held-out runs lies inside the calibrated ranges.",
+                    f"{name}: not judged, for {pool.rows} rows of the held-out runs lie inside the"
+                    f" calibrated ranges; {FEWEST_ROWS} are needed.",
                     name,
                 )
             )

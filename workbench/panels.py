@@ -186,6 +186,7 @@ def show_firmware(findings: Findings) -> list[Any]:
     return [
         show_figure(draw_budget(firmware, compared), "Error budget in percent of full scale."),
         show_table(tables.tabulate_budget(firmware, compared), folded=True),
+        show_table(tables.tabulate_chip_error(firmware)),
         show_table(tables.tabulate_firmware(firmware)),
         show_table(tables.tabulate_certificate(certificate), folded=True)
         if certificate

@@ -13,6 +13,7 @@ from zerodrift.codegen.generate import generate
 from zerodrift.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import compose_integer_model
+from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.training import train
 from zerodrift.verify.gate import GateVerdict, judge_firmware
 
@@ -70,6 +71,7 @@ def write_sensor(
     network: str = "none",
     noise: float = 0.002,
     span_degC: float = 15.0,
+    lag_s: float = 0.0,
     seed: int = 1,
 ) -> Path:
     """Write zerodrift.toml and logs of a sensor that drifts with the square of temperature.
@@ -81,6 +83,7 @@ def write_sensor(
         network: [network] kind.
         noise: RMS in bar.
         span_degC: temperature about the first run's middle at which the drift is 0.5 bar.
+        lag_s: of the element behind the thermometer.
         seed: of noise and programmes.
     """
     directory.mkdir(parents=True, exist_ok=True)
@@ -99,7 +102,7 @@ def write_sensor(
         wave = 0.5 - 0.5 * np.cos(2.0 * np.pi * cycles * time_s / program.rows + phase)
         celsius = program.low_degC + (program.high_degC - program.low_degC) * wave
         celsius = np.round(celsius / 2.0**-7) * 2.0**-7
-        u = (celsius - middle) / span_degC
+        u = (lowpass(celsius, 1.0, lag_s) - middle) / span_degC
         drift = 0.3 * u + 0.2 * u**2 + rng.normal(0.0, noise, program.rows)
         rows = zip(time_s, celsius + program.logged_add, drift * program.logged_times, strict=True)
         lines = [f"{t:g},{c:.7f},{p:.6f}" for t, c, p in rows]
@@ -117,7 +120,7 @@ def ask_gate(directory: Path) -> GateVerdict:
     model = compose_integer_model(compensator, config, dataset)
     with tempfile.TemporaryDirectory() as scratch:
         host = HostModel(model, generate(model), Path(scratch), observe=False)
-        return judge_firmware(compensator, host, dataset)[0]
+        return judge_firmware(config, compensator, host, dataset)[0]
 
 
 def list_kinds(verdict: GateVerdict) -> set[str]:

@@ -9,7 +9,12 @@ import pytest
 from tests.gate.sensors import TESTS, TRAIN, Program, ask_gate, list_kinds, write_sensor
 from tests.main_job.conftest import invoke
 
+from zerodrift.config import load_config
+from zerodrift.dataset.load import load_dataset
 from zerodrift.errors import InputError
+from zerodrift.report.tables import tabulate_chip_error
+from zerodrift.train.training import train
+from zerodrift.verify import left_out
 from zerodrift.verify.gate import contrast_errors, measure_correlation
 
 
@@ -78,6 +83,47 @@ def test_full_scale_far_too_large_is_refused_and_named(tmp_path: Path) -> None:
     assert "full_scale = 1e+07 bar is too large" in verdict.refused[0].text
 
 
+@pytest.mark.parametrize(("runs", "method"), [(4, "leave one run out"), (1, "blocks of one run")])
+def test_physics_without_test_logs_is_judged_by_runs_left_out(
+    runs: int, method: str, tmp_path: Path
+) -> None:
+    verdict = ask_gate(write_sensor(tmp_path, TRAIN[:runs]))
+    assert verdict.passes and verdict.method == method and verdict.rows == 900 * runs
+
+
+def test_lag_bank_without_test_logs_is_fitted_again_without_each_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fitted = []
+    fit = left_out.fit_bank
+    monkeypatch.setattr(left_out, "fit_bank", lambda *a: fitted.append(len(a[2])) or fit(*a))
+    project = write_sensor(tmp_path, TRAIN, network="lag_bank", lag_s=40.0)
+    verdict = ask_gate(project)
+    assert fitted == [3, 3, 3, 3]
+    assert verdict.passes and verdict.method == "leave one run out" and verdict.rows > 3000
+
+
+def test_training_run_in_another_unit_is_refused_without_test_logs(tmp_path: Path) -> None:
+    train = (*TRAIN[:3], replace(TRAIN[3], logged_times=1000.0))
+    assert list_kinds(ask_gate(write_sensor(tmp_path, train))) == {"worse_than_none"}
+
+
+def test_runs_that_share_no_temperature_cannot_be_judged_by_each_other(tmp_path: Path) -> None:
+    apart = (replace(TRAIN[0], high_degC=22.0), replace(TRAIN[1], low_degC=28.0))
+    verdict = ask_gate(write_sensor(tmp_path, apart))
+    assert verdict.passes and verdict.rows == 0
+    assert [warning.kind for warning in verdict.warnings] == ["not_judged"]
+
+
+def test_network_without_test_logs_is_not_judged(tmp_path: Path) -> None:
+    config = load_config(write_sensor(tmp_path, TRAIN[:2]))
+    dataset = load_dataset(config)
+    compensator = train(config, dataset).compensator
+    assert left_out.leave_out(config, dataset, compensator) is not None
+    with_network = replace(compensator, network=b"trained for an hour")
+    assert left_out.leave_out(config, dataset, with_network) is None
+
+
 def test_firmware_refuses_keeps_what_was_there_and_writes_when_forced(tmp_path: Path) -> None:
     project = write_sensor(tmp_path / "p", (*TRAIN, *TESTS), full_scale=1e7)
     out = project / "firmware"
@@ -97,6 +143,13 @@ def test_firmware_refuses_keeps_what_was_there_and_writes_when_forced(tmp_path: 
     header = (out / "p10.h").read_text()
     assert "#define P10_FORCED 1" in header
     assert "FORCED: written although" in header and "the chip errs by" in header
+    table = tabulate_chip_error(body)
+    assert table.rows[0][:2] == ("p", "bar") and "FORCED: p: on rows inside" in table.note
+    compared = json.loads(invoke("compare", "-C", str(project), "--json").stdout)
+    assert compared["chip_error"] == body["chip_error"]
+    assert "FORCED: p: on rows inside" in " ".join(
+        invoke("compare", "-C", str(project)).stdout.split()
+    )
     assert invoke("verify", "-C", str(project)).exit_code == 0
     assert invoke("verify", "-C", str(project), "--certificate").exit_code == 0
 

@@ -13,7 +13,13 @@ from zerodrift.commands.common import (
     print_notes,
     skip_invalid_option,
 )
-from zerodrift.commands.console import open_console, open_table, print_advice, show_progress
+from zerodrift.commands.console import (
+    open_console,
+    open_table,
+    print_advice,
+    print_chip_error,
+    show_progress,
+)
 from zerodrift.commands.predictors import KINDS
 from zerodrift.physics.segments import MOST_SEGMENTS
 
@@ -65,6 +71,7 @@ def command(
     """
     from zerodrift.commands.predictors import compare_predictor, open_predictor
     from zerodrift.commands.project import open_project
+    from zerodrift.commands.survey import read_firmware
     from zerodrift.physics.advice import advise
     from zerodrift.physics.catalogue import load_catalogue
 
@@ -76,6 +83,7 @@ def command(
         comparison = compare_predictor(predictor, config, dataset, worst)
         say("looking at what the logs can teach")
         advice = advise(config, dataset)
+        firmware, _, _ = read_firmware(config, dataset)
     print_notes((*dataset.notes, *predictor.notes))
     if html is not None:
         from zerodrift.commands.common import write_text
@@ -85,12 +93,16 @@ def command(
         write_text(html, render_page(f"{config.sensor_name}: model against measurements", figures))
     if as_json:
         told = advice.to_dict() if advice is not None else None
-        print_json({"model": predictor.kind, **comparison.to_dict(), "advice": told})
+        chip = {key: firmware[key] for key in ("chip_error", "warnings")} if firmware else {}
+        print_json({"model": predictor.kind, **comparison.to_dict(), "advice": told, **chip})
         return
     console = open_console()
     effects = ", ".join(comparison.effects) or "a constant only"
     console.print(f"Model: {predictor.kind} ({effects})")
     print_comparison(comparison, console)
+    if firmware is not None:
+        console.print()
+        print_chip_error(firmware, console)
     print_advice(advice, console)
     if html is not None:
         console.print(f"Wrote {html}")

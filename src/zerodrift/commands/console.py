@@ -2,9 +2,9 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -74,3 +74,19 @@ def show_progress(first: str) -> Iterator[Callable[[str], None]]:
         return
     with console.status(first) as status:
         yield status.update
+
+
+def print_chip_error(firmware: Mapping[str, Any], console: "Console") -> None:
+    """Print what separates a firmware from its float model, from `firmware --json`."""
+    table = open_table(
+        "The chip: integer minus float model by cause, RMS",
+        ("output", "unit"),
+        [cause.replace("_", " ") for cause in next(iter(firmware["chip_error"].values()))],
+    )
+    for name, split in firmware["chip_error"].items():
+        table.add_row(name, firmware["units"][name], *(f"{x:.2g}" for x in split.values()))
+    console.print(table)
+    for statement in firmware["warnings"]:
+        console.print(f"warning: {statement['text']}")
+    for statement in firmware["refused"]:
+        console.print(f"{'FORCED' if firmware['forced'] else 'REFUSED'}: {statement['text']}")

@@ -1,6 +1,7 @@
 """`zerodrift firmware`: logs in, host-checked C out."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from zerodrift.commands.common import (
     skip_invalid_option,
     write_text,
 )
-from zerodrift.commands.console import open_console, open_table, show_progress
+from zerodrift.commands.console import open_console, open_table, print_chip_error, show_progress
 from zerodrift.commands.onnx_option import OnnxRequest, onnx_options, open_import
 from zerodrift.config import Config
 from zerodrift.errors import CheckError
@@ -83,7 +84,7 @@ def command(
     if as_json:
         print_json(result)
     else:
-        _print(firmware, config.directory)
+        _print(firmware, result, config.directory)
     if not written:
         raise CheckError(
             f"{firmware.gate.explain()}\nNothing was written to"
@@ -193,7 +194,7 @@ def show_path(path: Path, directory: Path) -> str:
     return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
 
 
-def _print(firmware: Any, directory: Path) -> None:
+def _print(firmware: Any, told: Mapping[str, Any], directory: Path) -> None:
     console = open_console()
     kind = "held-out runs" if firmware.held_out else "TRAINING runs (no test logs are configured)"
     table = open_table(
@@ -214,8 +215,8 @@ def _print(firmware: Any, directory: Path) -> None:
         cells = (f"{x:.4g}" for x in (e.uncompensated, *numbers))
         table.add_row(e.name, e.unit, *cells, f"{e.integer_to_float:.2g}")
     console.print(table)
-    if firmware.held_out and (told := tell_hurt(firmware.errors)):
-        console.print(told)
+    if firmware.held_out and (hurt := tell_hurt(firmware.errors)):
+        console.print(hurt)
     if firmware.tared:
         console.print("The logs are tared: each run's own offset is taken off every error.")
     if firmware.untuned:
@@ -228,7 +229,7 @@ def _print(firmware: Any, directory: Path) -> None:
             f" measurements is up to {max(losses[1::2]):.2g} % larger than the float model's;"
             f" only rounded it would be {max(losses[::2]):.2g} %."
         )
-    _print_gate(firmware, console)
+    print_chip_error(told, console)
     _print_budget(firmware, console)
     size = firmware.footprint
     console.print(
@@ -253,25 +254,6 @@ def _print(firmware: Any, directory: Path) -> None:
     for folder in sorted({path.parent for path in firmware.files}):
         names = ", ".join(path.name for path in firmware.files if path.parent == folder)
         console.print(f"wrote {show_path(folder, directory)}/: {names}")
-
-
-def _print_gate(firmware: Any, console: Any) -> None:
-    """Print what separates chip and float model by cause, and what the gate says."""
-    gate = firmware.gate
-    table = open_table(
-        "Integer minus float model by cause, RMS",
-        ("output", "unit"),
-        ("rounding", "out of range", "clamped", "saturated"),
-    )
-    for e, split in zip(firmware.errors, gate.chip_error, strict=True):
-        table.add_row(e.name, e.unit, *(f"{x:.2g}" for x in split.to_dict().values()))
-    console.print(table)
-    for statement in gate.warnings:
-        console.print(f"warning: {statement.text}")
-    if firmware.forced:
-        console.print("FORCED: written although it is refused:")
-        for text in firmware.forced:
-            console.print(f"  {text}")
 
 
 def _print_budget(firmware: Any, console: Any) -> None:

@@ -83,7 +83,8 @@ def command(
     the shared firmware/runtime/, and build/fleet/report.json, .csv and .md.
 
     A rerun works only on sensors whose logs or design have changed, or that failed. A bad log
-    spoils its own sensor only. Exit code 1: a sensor has no result or exceeds a limit.
+    spoils its own sensor only. Exit code 1: a sensor has no result, is refused by the gate, or
+    exceeds a limit.
     """
     from zerodrift.config import load_config
     from zerodrift.errors import CheckError
@@ -216,7 +217,7 @@ def _print(report: "FleetReport", paths: list[str], directory: Path) -> None:
         console.print(table)
     for title, lines in (
         ("could not be worked on", _explain(report, ERROR)),
-        ("exceed a limit", _explain(report, FAIL)),
+        ("fail", _explain(report, FAIL)),
         ("outliers", [f"{v.sensor}: {v.outliers[0]}" for v in report.outliers]),
     ):
         if lines:

@@ -317,7 +317,7 @@ def read_firmware(
     except InputError as error:
         return None, None, f"The firmware in build/ cannot be shown: {error}"
     is_same = compensator.trained_from == mark_inputs(config, dataset)
-    if not is_same or model.hash != firmware.get("model_hash"):
+    if not is_same or model.hash != firmware.get("model_hash") or "chip_error" not in firmware:
         return None, None, stale
     certificate, note = read_certificate(config.build_directory / CERTIFICATE, model.hash)
     return firmware, certificate, note

@@ -1,0 +1,46 @@
+"""A unit whose firmware the gate refuses fails; the others go on, and the report says why."""
+
+import json
+from pathlib import Path
+
+from click.testing import CliRunner
+from tests.fleet.conftest import SENSORS
+
+from zerodrift.cli import cli
+
+
+def spoil(log: Path) -> None:
+    """Write a log's outputs in thousandths of their units."""
+    header, *lines = log.read_text().splitlines()
+    names = header.split(",")
+    columns = [i for i, name in enumerate(names) if name in ("Fz_N", "Mx_Nm")]
+    rows = [line.split(",") for line in lines]
+    for row in rows:
+        for i in columns:
+            row[i] = f"{1000.0 * float(row[i]):.6f}"
+    log.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n")
+
+
+def test_refused_unit_fails_with_its_reason_and_the_others_pass(fleet: Path) -> None:
+    spoil(fleet / "fleet" / SENSORS[1] / "chamber_1.csv")
+    result = CliRunner().invoke(cli, ["fleet", "-C", str(fleet), "--jobs", "1", "--json"])
+    assert result.exit_code == 1
+    report = json.loads(result.stdout)
+    told = {r["sensor"]: r for r in report["results"]}
+    assert [told[sensor]["status"] for sensor in SENSORS] == ["pass", "fail", "pass"]
+    refused = told[SENSORS[1]]
+    assert refused["refused"] and refused["reasons"][0] == refused["refused"][0]
+    assert "without compensation it is" in refused["reasons"][0]
+    assert set(refused["outputs"]["Fz"]["chip_error"]) == {
+        "rounding",
+        "out_of_range",
+        "clamped",
+        "saturated",
+    }
+    assert not (fleet / "firmware" / SENSORS[1]).exists()
+    assert (fleet / "firmware" / SENSORS[0] / "ft40.h").is_file()
+    assert "without compensation it is" in (fleet / "build" / "fleet" / "report.md").read_text()
+
+    again = CliRunner().invoke(cli, ["fleet", "-C", str(fleet), "--jobs", "1"])
+    assert again.exit_code == 1 and "3 kept" in again.stdout  # kept, and still refused
+    assert "without compensation it is" in again.stdout
