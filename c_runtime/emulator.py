@@ -240,6 +240,10 @@ class EmulatedModel:
         """Return the bytes of a constant or variable."""
         return bytes(self._chip.mem_read(self._symbols[symbol], self._objects[symbol]))
 
+    def write_memory(self, symbol: str, content: bytes) -> None:
+        """Overwrite the bytes of a constant or variable."""
+        self._chip.mem_write(self._symbols[symbol], content)
+
     def flip_bit(self, symbol: str, bit: int) -> None:
         """Damage a constant or variable, as a failing memory does."""
         at = self._symbols[symbol] + bit // 8

@@ -5,7 +5,8 @@ the GNU one. Stack frames are what the compiler says of itself: clang's -fstack-
 -fstack-usage.
 Flash counts code and constants of model and runtime, self-test included (a linker drops it where it
 is not called), the compiler's helper routines (64-bit arithmetic on small cores) excluded. RAM is
-the state struct; stack is the deepest chain of calls below `step`.
+the state struct; stack is the deepest chain of calls below any function that the firmware calls. It
+is one compiler's with one set of flags: another one's frames differ.
 """
 
 import re
@@ -38,7 +39,8 @@ HELPER_STACK_BYTES = 32
 _IN_FLASH = (".text", ".rodata", ".srodata", ".data", ".sdata")
 _LAYER = ("gru_step", "gru_assembly", "zd_gru_step_after", "zd_gru_step_pairs")
 _LAYER_SECTION = re.compile(r"\.(gru|gru_(?!is_sound)\w+|zd_gru_\w+|zd_tanh_\w+|zd_dot\w*)$")
-_ENTRIES = ("init", "settle", "step")
+ENTRIES = ("init", "settle", "step", "selftest", "save", "restore")
+"""The functions that a firmware calls."""
 _STACK_SIZES = ".stack_sizes"
 _ASSEMBLY_STACK = "zd_stack_"
 
@@ -54,7 +56,13 @@ class Footprint:
     ram_bytes: int
     """The state struct, one per sensor."""
     stack_bytes: int
-    """Of the deepest of init, settle and step, with everything that they call."""
+    """Of the deepest of `ENTRIES`, with everything that it calls."""
+    stacks: tuple[tuple[str, int], ...]
+    """The same of each of `ENTRIES`, the deepest first."""
+    compiler: str
+    """What made these numbers, as it names itself."""
+    flags: tuple[str, ...]
+    """The compiler's, for code and size."""
     helpers: tuple[str, ...]
     """Routines of the compiler's library that are called, as 64-bit products on a Cortex-M0+."""
     layer_flash_bytes: int
@@ -98,11 +106,16 @@ def measure_footprint(
         told = [_STACK_FLAG[compiler], *flags]
         compilers[0].run([*FLAGS, *told, f"-I{folder}", "-c", str(unit), "-o", str(target)])
         unit_object = _read(target, _read_stack_usage(target.with_suffix(".su")))
+    depths = ((entry, unit_object.find_depth(f"{code.prefix}_{entry}")) for entry in ENTRIES)
+    stacks = tuple(sorted(depths, key=lambda item: -item[1]))
     return Footprint(
         core=core,
         flash_bytes=unit_object.flash,
         ram_bytes=unit_object.sizes["zd_probe_state"],
-        stack_bytes=max(unit_object.find_depth(f"{code.prefix}_{entry}") for entry in _ENTRIES),
+        stack_bytes=stacks[0][1],
+        stacks=stacks,
+        compiler=compilers[0].describe(),
+        flags=("-Os", *flags),
         helpers=unit_object.helpers,
         layer_flash_bytes=unit_object.layer_flash,
         layer_stack_bytes=max(

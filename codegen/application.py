@@ -2,22 +2,13 @@
 
 from zerodrift import __version__
 from zerodrift.codegen.generate import make_environment
-from zerodrift.codegen.identifiers import (
-    RESERVED_OUTPUTS,
-    sanitize_comment,
-    sanitize_identifiers,
-    sanitize_prefix,
-)
+from zerodrift.codegen.identifiers import sanitize_comment
+from zerodrift.codegen.names import name_channels, name_outputs, name_prefix
 from zerodrift.dataset.chip_codes import MEASURED, TEMPERATURE_LSB_DEGC
 from zerodrift.export.integer_model import IntegerModel
 
 FIRST_FRAME_ID = 0x100
 """Two identifiers per output from here on, of the 11-bit range."""
-
-
-def name_outputs(model: IntegerModel) -> list[str]:
-    """Return the outputs' names as the header and the CAN frames call them, in lower case."""
-    return sanitize_identifiers((o.name for o in model.outputs), "output", RESERVED_OUTPUTS)
 
 
 def render_dbc(model: IntegerModel) -> str:
@@ -54,7 +45,7 @@ def render_application(model: IntegerModel) -> str:
 
     A thermometer whose codes are not a TMP117's is read as the board's other channels are.
     """
-    prefix = sanitize_prefix(model.name)
+    prefix = name_prefix(model)
     names = name_outputs(model)
     thermometer = model.channels[model.guards.temperature_channel]
     of_outputs = {f"{MEASURED}{output.name}": k for k, output in enumerate(model.outputs)}
@@ -67,7 +58,7 @@ def render_application(model: IntegerModel) -> str:
             title=sanitize_comment(model.name),
             prefix=prefix,
             PREFIX=prefix.upper(),
-            channels=sanitize_identifiers((c.name for c in model.channels), "input"),
+            channels=name_channels(model),
             outputs=[name.upper() for name in names],
             can_names=names,
             measured={

@@ -9,12 +9,7 @@ import jinja2
 import numpy as np
 
 from zerodrift import __version__
-from zerodrift.codegen.identifiers import (
-    RESERVED_OUTPUTS,
-    sanitize_comment,
-    sanitize_identifiers,
-    sanitize_prefix,
-)
+from zerodrift.codegen.identifiers import sanitize_comment
 from zerodrift.codegen.identity import PLACEHOLDER, identify, read_runtime_identity
 from zerodrift.codegen.layouts import (
     crc_of_words,
@@ -24,6 +19,7 @@ from zerodrift.codegen.layouts import (
     lay_out_row_biases,
     lay_out_rows,
 )
+from zerodrift.codegen.names import name_channels, name_outputs, name_prefix
 from zerodrift.codegen.selftest import SELFTEST_SEED, SELFTEST_STEPS, compute_selftest, limits_of
 from zerodrift.codegen.tables import crc_of_tables, list_tables
 from zerodrift.export.integer_model import FORMAT, IntegerModel
@@ -77,7 +73,7 @@ def generate(model: IntegerModel) -> GeneratedCode:
     tables = list_tables(model)
     uses_tanh = any(_reads_tanh(node) for node in model.nodes)
     uses_exp2 = any(node.kind == "exp2" for node in model.nodes)
-    prefix = sanitize_prefix(model.name)
+    prefix = name_prefix(model)
     context = {
         "model": model,
         "version": __version__,
@@ -89,13 +85,8 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "title": sanitize_comment(model.name),
-        "channels": sanitize_identifiers((c.name for c in model.channels), "input"),
-        "outputs": [
-            name.upper()
-            for name in sanitize_identifiers(
-                (o.name for o in model.outputs), "output", RESERVED_OUTPUTS
-            )
-        ],
+        "channels": name_channels(model),
+        "outputs": [name.upper() for name in name_outputs(model)],
         "guards": model.guards,
         "steps_full": max(model.guards.warm_up_steps, 1),
         "selftest_steps": SELFTEST_STEPS,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from zerodrift import __version__
 from zerodrift.codegen.application import render_dbc
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.codegen.identifiers import sanitize_identifiers
+from zerodrift.codegen.names import name_channels
 from zerodrift.export.integer_model import IntegerModel
 
 Files = dict[str, str]
@@ -102,9 +102,7 @@ def render_arduino(model: IntegerModel, code: GeneratedCode, runtime: Mapping[st
     """Return an Arduino library with an example sketch."""
     name, upper = code.prefix, code.prefix.upper()
     headers, sources = _split(code, runtime)
-    channel = sanitize_identifiers((c.name for c in model.channels), "input")[
-        model.guards.temperature_channel
-    ]
+    channel = name_channels(model)[model.guards.temperature_channel]
     period_ms = round(model.sample_period_s * 1000)
     properties = {
         "name": f"{name}_drift",

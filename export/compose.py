@@ -69,7 +69,17 @@ def compose_integer_model(
     if compensator.physics.plan.starts_at_first_row:
         cold = replace(cold, notes={**cold.notes, POWER_ON: FIRST_ROW})
     steps = measure_warm_up(cold, dataset.train)
-    return replace(cold, guards=replace(cold.guards, warm_up_steps=steps))
+    return finish_model(cold, config, steps)
+
+
+def finish_model(cold: IntegerModel, config: Config, warm_up_steps: int) -> IntegerModel:
+    """Return the model with its warm-up and what `[firmware]` says of its C."""
+    return replace(
+        cold,
+        guards=replace(cold.guards, warm_up_steps=warm_up_steps),
+        prefix=config.firmware_prefix,
+        guarded=config.firmware_guard,
+    )
 
 
 def refuse_logs_outside(config: Config, model: FloatModel, dataset: Dataset) -> None:

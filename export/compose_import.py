@@ -15,6 +15,7 @@ from zerodrift.export.compose import (
     choose_lsb_per_unit,
     encode_inputs,
     find_flagged,
+    finish_model,
     limit_rate,
     list_channels,
     measure_warm_up,
@@ -192,7 +193,7 @@ def compose_imported_model(
         model = replace(model, network=model.network.with_layers(layers))
     cold = quantize(model, calibration, config.weights)
     steps = measure_warm_up(cold, dataset.train)
-    return replace(cold, guards=replace(cold.guards, warm_up_steps=steps))
+    return finish_model(cold, config, steps)
 
 
 def describe_imported(

@@ -155,6 +155,10 @@ class IntegerModel:
     guards: Guards
     notes: dict[str, str] = field(default_factory=dict)
     """For people (where it came from); part of the file, not of the hash."""
+    prefix: str = ""
+    """What the C's names begin with; empty for the name."""
+    guarded: bool = False
+    """Whether the state bears a checksum, which every step looks at and writes again."""
 
     @property
     def drift(self) -> IntegerDrift:
@@ -230,6 +234,8 @@ class IntegerModel:
             "outputs": [_plain(o) for o in self.outputs],
             "guards": _plain(self.guards),
             "notes": dict(sorted(self.notes.items())),
+            **({"prefix": self.prefix} if self.prefix else {}),
+            **({"guarded": True} if self.guarded else {}),
         }
 
     def to_text(self) -> str:
@@ -359,6 +365,8 @@ def load_model(path: Path) -> IntegerModel:
             outputs=tuple(_build(OutputFormat, f"{path}: outputs", o) for o in body["outputs"]),
             guards=_build(Guards, f"{path}: guards", body["guards"]),
             notes=body["notes"],
+            prefix=body.get("prefix", ""),
+            guarded=body.get("guarded", False),
         )
         found = model.hash
     except KeyError as error:

@@ -130,6 +130,8 @@ def _check_whole(model: "IntegerModel") -> None:
     """Raise where the parts of a model do not fit together."""
     if type(model.name) is not str or not fits_type(model.sample_period_s, float):
         raise TypeError(f"name {model.name!r:.40}, sample period {model.sample_period_s!r:.40}")
+    if type(model.prefix) is not str or type(model.guarded) is not bool:
+        raise TypeError(f"prefix {model.prefix!r:.40}, guarded {model.guarded!r:.40}")
     if not fits_type(tuple(model.notes.items()), tuple[tuple[str, str], ...]):
         raise TypeError(f"notes {model.notes!r:.60}")
     drift, guards = model.drift, model.guards

@@ -116,8 +116,9 @@ def _parse(content: bytes, where: str) -> onnx.GraphProto:
     tensors += [a.t for n in model.graph.node for a in n.attribute if a.HasField("t")]
     if any(t.data_location == onnx.TensorProto.EXTERNAL for t in tensors):
         raise InputError(
-            f"{where}: keeps its weights in another file, which is not followed. Save it with its"
-            " weights inside (onnx.save with save_as_external_data=False)."
+            f"{where}: keeps its weights in another file, which is not followed. Export it with its"
+            " weights inside: torch.onnx.export(..., external_data=False); or put them inside:"
+            f' onnx.save(onnx.load("{where}"), "{where}").'
         )
     if model.graph.sparse_initializer:
         raise InputError(f"{where}: holds sparse weights; expected dense ones. Export it again.")

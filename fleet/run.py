@@ -1,15 +1,18 @@
 """A fleet from its directory to results: batches, where they go, and what is written at the end."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
-from zerodrift.errors import ZerodriftError
+from zerodrift.codegen.identifiers import sanitize_prefix
+from zerodrift.config import locate_key
+from zerodrift.errors import InputError, ZerodriftError
 from zerodrift.fleet.design import RUNTIME, Design
 from zerodrift.fleet.executors import Batch, Executor
 from zerodrift.fleet.result import RESULT, Outcome, SensorResult, load_result
 from zerodrift.fleet.sensors import configure_sensor, find_sensors
+from zerodrift.fleet_config import PLACEHOLDER
 from zerodrift.journal import write_all
 
 BATCH = 32
@@ -50,6 +53,7 @@ def run_fleet(
         CheckError: the executor went away; what was done is kept.
     """
     sensors = find_sensors(design.config)
+    refuse_equal_prefixes(design, sensors)
     if design.firmware:
         write_runtime(design)
     outcomes: dict[str, Outcome] = {}
@@ -74,6 +78,28 @@ def run_fleet(
                 outcomes |= {outcome.sensor: outcome for outcome in part}
                 tell()
     return tuple(outcomes[sensor] for sensor in sensors)
+
+
+def refuse_equal_prefixes(design: Design, sensors: Sequence[str]) -> None:
+    """Refuse prefixes that are to tell sensors apart and do not.
+
+    Raises:
+        InputError: two sensors' C would have the same names.
+    """
+    text = design.config.firmware_prefix
+    if PLACEHOLDER not in text:
+        return
+    taken: dict[str, str] = {}
+    for sensor in sensors:
+        prefix = sanitize_prefix(text.replace(PLACEHOLDER, sensor))
+        if prefix in taken:
+            where = locate_key(design.config.path, "firmware", "prefix")
+            raise InputError(
+                f"{where}: sensors {taken[prefix]} and {sensor} would both be '{prefix}' in the C;"
+                " expected prefixes that differ in their first 31 letters and digits. Shorten the"
+                " prefix, or rename a sensor."
+            )
+        taken[prefix] = sensor
 
 
 def find_kept(design: Design, sensor: str) -> SensorResult | None:

@@ -124,7 +124,8 @@ def configure_sensor(config: Config, sensor: str) -> Config:
         f"{use}_logs": tuple(s.replace(PLACEHOLDER, literal) for s in list_selectors(config, use))
         for use in USES
     }
-    return replace(config, **logs)  # type: ignore[arg-type]  # the three are tuples of text
+    prefix = config.firmware_prefix.replace(PLACEHOLDER, sensor)
+    return replace(config, firmware_prefix=prefix, **logs)  # type: ignore[arg-type]  # the three are tuples of text
 
 
 def explain_no_placeholder(config: Config, where: str) -> str:

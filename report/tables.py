@@ -270,7 +270,7 @@ def tabulate_firmware(firmware: Told) -> Table:
     rows: list[tuple[str, ...]] = [
         ("flash", f"{firmware['flash_bytes']} B", f"on {firmware['core']}"),
         ("RAM", f"{firmware['ram_bytes']} B", "state of one sensor"),
-        ("stack", f"{firmware['stack_bytes']} B", "deepest chain of calls below step"),
+        ("stack", f"{firmware['stack_bytes']} B", "deepest chain of calls below any function"),
         (
             "bit for bit",
             "equal" if firmware["bit_exact"] else "DIFFERENT",

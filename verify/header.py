@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.codegen.identifiers import RESERVED_OUTPUTS, sanitize_identifiers
+from zerodrift.codegen.names import name_outputs
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_DAMAGED,
@@ -53,7 +53,7 @@ class HeaderFinding:
 def list_expected(model: IntegerModel, prefix: str) -> dict[str, int | str]:
     """Return every name that an application reads of the header -> what the model says of it."""
     upper = prefix.upper()
-    outputs = sanitize_identifiers((o.name for o in model.outputs), "output", RESERVED_OUTPUTS)
+    outputs = name_outputs(model)
     expected: dict[str, int | str] = {
         "FORMAT": FORMAT,
         "MODEL_HASH": model.hash,

@@ -11,11 +11,13 @@ from types import MappingProxyType
 from zerodrift.column_config import CodesConfig, read_column
 from zerodrift.errors import InputError
 from zerodrift.files import name_kind
-from zerodrift.fleet_config import FleetConfig, read_fleet
+from zerodrift.fleet_config import PLACEHOLDER, FleetConfig, read_fleet
 from zerodrift.toml_lines import find_line, index_lines
 from zerodrift.toml_table import LARGEST, TomlTable
 
 FILE_NAME = "zerodrift.toml"
+FOLDER = "firmware"
+"""Where the C goes unless `[firmware] out` says otherwise."""
 USES = ("train", "test", "dwell")
 """What `[logs]` selects runs for."""
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
@@ -105,6 +107,10 @@ class Config:
     plugin_files: tuple[Path, ...]
     where: Mapping[str, str] = field(default_factory=dict)
     """`[logs] where`: column -> the value that a row must have there to be read."""
+    firmware_prefix: str = ""
+    """What the C's names begin with, `{sensor}` standing for a fleet's sensor; empty: its name."""
+    firmware_guard: bool = False
+    """Whether the C keeps a checksum over its state."""
     fleet: FleetConfig = field(default_factory=FleetConfig)
     """`[fleet]`: for `zerodrift fleet` alone."""
     temperature_codes: CodesConfig = field(default_factory=CodesConfig)
@@ -179,7 +185,7 @@ def parse_config(text: str, path: Path) -> Config:
     sensor = root.table("sensor", ("name", "time", "temperature", "sample_period_s"))
     logs = root.table("logs", ("train", "test", "dwell", "where"))
     quantization = root.table("quantization", ("weights",), optional=True)
-    firmware = root.table("firmware", ("out",), optional=True)
+    firmware = root.table("firmware", ("out", "prefix", "guard"), optional=True)
     outputs = _read_outputs(root)
     inputs = root.table("inputs", None, optional=True)
     temperature_column, temperature_codes = read_column(sensor, "temperature")
@@ -198,7 +204,10 @@ def parse_config(text: str, path: Path) -> Config:
         effects=_read_effects(root),
         network=_read_network(root.table("network", None, optional=True)),
         weights=quantization.choice("weights", WEIGHT_FORMATS, "int16"),
-        firmware_out=path.parent / (firmware.text("out") if firmware.values else "firmware"),
+        firmware_out=path.parent
+        / (firmware.text("out") if "out" in firmware.values else "firmware"),
+        firmware_prefix=_read_prefix(firmware),
+        firmware_guard=firmware.flag("guard"),
         plugin_files=_read_plugins(root),
         where=_read_where(logs),
         fleet=read_fleet(
@@ -343,6 +352,15 @@ def _read_plugins(root: TomlTable) -> tuple[Path, ...]:
             raise table.error("files", f"plugin '{name}' is not a file; expected it at {file}.")
         files.append(file)
     return tuple(files)
+
+
+def _read_prefix(table: TomlTable) -> str:
+    if "prefix" not in table.values:
+        return ""
+    prefix = table.text("prefix")
+    if re.search(r"[{}]", prefix.replace(PLACEHOLDER, "")):
+        raise table.expect("prefix", f"text in which {PLACEHOLDER} alone stands in braces")
+    return prefix
 
 
 def _read_where(logs: TomlTable) -> dict[str, str]:

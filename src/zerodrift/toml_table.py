@@ -114,6 +114,13 @@ class TomlTable:
             raise self.expect(key, span)
         return value
 
+    def flag(self, key: str) -> bool:
+        """Return true or false; false when the key is left out."""
+        value = self.values.get(key, False)
+        if not isinstance(value, bool):
+            raise self.expect(key, "true or false")
+        return value
+
     def choice(self, key: str, known: tuple[str, ...], default: str) -> str:
         """Return one of the known texts, or the default when the key is left out."""
         value = self.values.get(key, default)

@@ -32,9 +32,11 @@ int main(void) {{ return (int)({calls}); }}
 """
 
 
-def write_model(shape: Shape, folder: Path, name: str = "golden", seed: int = 5) -> IntegerModel:
+def write_model(
+    shape: Shape, folder: Path, name: str = "golden", seed: int = 5, prefix: str = ""
+) -> IntegerModel:
     """Write a model's C into a folder of its own and return it."""
-    model = replace(draw_model(shape, seed), name=name)
+    model = replace(draw_model(shape, seed), name=name, prefix=prefix)
     folder.mkdir(exist_ok=True)
     write_sources(generate(model), folder)
     return model
@@ -103,6 +105,21 @@ def test_two_designs_link_into_one_firmware(compiler: Compiler, tmp_path: Path) 
     sources = sorted(tmp_path.glob("*/*.c"))
     assert len(sources) == 6
     compiler.run([*WARNINGS, "-O1", str(main), *map(str, sources), "-o", f"{tmp_path}/main"])
+    assert subprocess.run([f"{tmp_path}/main"], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("compiler", find_compilers(), ids=lambda compiler: compiler.name)
+def test_two_units_of_a_design_with_prefixes_link(compiler: Compiler, tmp_path: Path) -> None:
+    """In one folder with one runtime; without prefixes they have the same names."""
+    for unit, seed in (("Left arm", 1), ("right-arm", 2)):
+        write_model(NETWORK, tmp_path, "design", seed, unit)
+    main = tmp_path / "main.c"
+    includes = '#include "left_arm.h"\n#include "right_arm.h"'
+    main.write_text(
+        MAIN.format(includes=includes, calls="left_arm_selftest() | right_arm_selftest()")
+    )
+    sources = [str(tmp_path / f"{name}.c") for name in ("left_arm", "right_arm", "zd_runtime")]
+    compiler.run([*WARNINGS, "-O1", str(main), *sources, "-o", f"{tmp_path}/main"])
     assert subprocess.run([f"{tmp_path}/main"], check=False).returncode == 0
 
 

@@ -116,6 +116,19 @@ def test_config_reads_every_documented_key():
     assert config.build_directory == Path("/project/build")
 
 
+def test_firmware_has_a_prefix_and_a_guard():
+    given = '[firmware]\nprefix = "{sensor} left"\nguard = true\n'
+    text = WHOLE[: WHOLE.index("[firmware]")] + given
+    config = parse_config(text, HERE)
+    assert (config.firmware_prefix, config.firmware_guard) == ("{sensor} left", True)
+    assert config.firmware_out == Path("/project/firmware")
+    for wrong, told in (('prefix = "{unit}"', "{sensor}"), ("guard = 1", "true or false")):
+        key = wrong.split(" =")[0]
+        line = next(row for row in given.splitlines() if row.startswith(key))
+        with pytest.raises(InputError, match=told):
+            parse_config(text.replace(line, wrong), HERE)
+
+
 def test_config_leaves_optional_tables_at_their_defaults():
     start, end = WHOLE.index("[inputs]"), WHOLE.index("[logs]")
     text = WHOLE[:start] + WHOLE[end : WHOLE.index("test =")]
@@ -127,6 +140,7 @@ def test_config_leaves_optional_tables_at_their_defaults():
     assert config.network.kind == "none"
     assert config.weights == "int16"
     assert config.firmware_out == Path("/project/firmware")
+    assert (config.firmware_prefix, config.firmware_guard) == ("", False)
 
 
 @pytest.mark.parametrize(

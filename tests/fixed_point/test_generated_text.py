@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,13 +13,14 @@ from hypothesis import strategies as st
 from tests.fixed_point.strategies import HOSTILE_NAMES, names
 from tests.golden.model_factory import Shape, draw_model
 
-from zerodrift.c_runtime.compilers import find_compilers
-from zerodrift.c_runtime.host import HostModel
+from zerodrift.c_runtime.compilers import WARNINGS, find_compilers
+from zerodrift.c_runtime.host import HostModel, write_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.codegen.identifiers import (
     sanitize_comment,
     sanitize_identifier,
     sanitize_identifiers,
+    sanitize_outputs,
     sanitize_prefix,
 )
 
@@ -102,6 +104,45 @@ def test_model_does_not_hide_a_standard_header(tmp_path: Path) -> None:
     assert names == ["stdint_x", "string_x", "time_x", "math_x"]
     model = draw_model(Shape(name="stdint", hidden=2, inputs=1, outputs=1), 3)
     assert HostModel(model, generate(model), tmp_path, flags=("-O0",)).selftest() == 0
+
+
+STANDARD = (
+    *("assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646", "limits"),
+    *("locale", "math", "setjmp", "signal", "stdarg", "stdbool", "stddef", "stdint", "stdio"),
+    *("stdlib", "string", "tgmath", "time", "wchar", "wctype"),
+)
+
+
+def test_no_macro_is_one_of_a_standard_header(tmp_path: Path) -> None:
+    """Sensor `int8` with output `max` would define INT8_MAX; so for every macro of every header."""
+    gcc = next((c for c in find_compilers() if c.name == "gcc"), None)
+    if gcc is None:
+        pytest.skip("needs gcc, which lists the macros of headers")
+    everything = tmp_path / "everything.c"
+    everything.write_text("".join(f"#include <{name}.h>\n" for name in STANDARD))
+    listed = tmp_path / "macros.h"
+    gcc.run(["-std=c99", "-dM", "-E", str(everything), "-o", str(listed)])
+    macros = set(re.findall(r"#define ([A-Z][A-Z0-9_]+)", listed.read_text()))
+    assert {"INT8_MAX", "SIZE_MAX", "UINT32_C", "CLOCKS_PER_SEC"} <= macros
+    for macro in macros:
+        for cut in re.finditer("_", macro):
+            prefix = sanitize_prefix(macro[: cut.start()])
+            (output,) = sanitize_outputs([macro[cut.end() :]], prefix)
+            assert f"{prefix}_{output}".upper() not in macros, (prefix, output)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "output"), [("int8", "max"), ("size", "max"), ("uint32", "c"), ("mtx", "and")]
+)
+def test_names_of_the_language_are_left_to_it(sensor: str, output: str, tmp_path: Path) -> None:
+    shape = Shape(
+        name=sensor, hidden=2, inputs=1, outputs=1, output_names=(output,), channel_names=("errno",)
+    )
+    code = generate(draw_model(shape, 3))
+    text = "".join(f"#include <{name}.h>\n" for name in STANDARD if name != "tgmath")
+    source = tmp_path / f"{code.prefix}.c"
+    write_sources(replace(code, header=code.header + text), tmp_path)
+    find_compilers()[0].run([*WARNINGS, "-c", str(source), "-o", str(tmp_path / "object.o")])
 
 
 def test_bytes_do_not_depend_on_the_process() -> None:

@@ -144,6 +144,20 @@ def test_fleet_without_firmware_writes_none(fleet, zerodrift):
     assert (fleet / "build" / "fleet" / "SN01" / "parameters.json").exists()
 
 
+def test_units_have_prefixes_of_their_own(fleet, zerodrift):
+    toml = fleet / "zerodrift.toml"
+    text = toml.read_text()
+    toml.write_text(text + '\n[firmware]\nprefix = "unit {sensor}"\nguard = true\n')
+    assert zerodrift("fleet", "-C", fleet, "--jobs", 1).code == 0
+    for sensor in ("SN01", "SN02"):
+        names = {path.name for path in (fleet / "firmware" / sensor).iterdir()}
+        assert {f"unit_{sensor.lower()}.h", f"unit_{sensor.lower()}.c"} <= names
+    (fleet / "fleet" / "SN01").rename(fleet / "fleet" / "sn-02")
+    (fleet / "fleet" / "SN02").rename(fleet / "fleet" / "SN_02")
+    result = zerodrift("fleet", "-C", fleet, "--jobs", 1)
+    assert result.code == 2 and "'unit_sn_02'" in result.err
+
+
 def test_fleet_that_nothing_describes_exits_2_and_writes_nothing(fleet, zerodrift, edit):
     edit('[fleet]\nfolder = "fleet/{sensor}"\n', "")
     result = zerodrift("fleet", "-C", fleet)

@@ -87,6 +87,15 @@ def test_external_data_is_not_followed(location: str, tmp_path: Path) -> None:
     refuse(tmp_path / "net.onnx", "another file, which is not followed")
 
 
+def test_external_data_is_refused_with_a_remedy_that_works(tmp_path: Path) -> None:
+    """As the plain torch.onnx.export writes it: net.onnx and net.onnx.data."""
+    path, model = tmp_path / "net.onnx", build_network()
+    onnx.save(model, path, save_as_external_data=True, location="net.onnx.data", size_threshold=0)
+    refuse(path, "external_data=False")
+    onnx.save(onnx.load(path), path)  # what the message says
+    assert read_imported(path).network.layers
+
+
 def test_external_data_inside_a_node_is_not_followed(tmp_path: Path) -> None:
     model = build_network()
     tensor = numpy_helper.from_array(np.zeros(3, dtype=np.float32), "t")

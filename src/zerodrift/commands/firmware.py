@@ -103,6 +103,7 @@ def describe(firmware: Any, directory: Path) -> dict[str, Any]:
         "flash_bytes": size.flash_bytes,
         "ram_bytes": size.ram_bytes,
         "stack_bytes": size.stack_bytes,
+        "stack": {"compiler": size.compiler, "flags": list(size.flags), "of": dict(size.stacks)},
         "core": size.core,
         "instructions_per_step": (
             {firmware.chip.core: firmware.chip.instructions_per_step} if firmware.chip else {}
@@ -234,7 +235,7 @@ def _print(firmware: Any, told: Mapping[str, Any], directory: Path) -> None:
     size = firmware.footprint
     console.print(
         f"flash {size.flash_bytes} B, RAM {size.ram_bytes} B, stack {size.stack_bytes} B"
-        f" on {size.core}"
+        f" ({size.stacks[0][0]}) on {size.core}, by {size.compiler} {' '.join(size.flags)}"
     )
     console.print(
         f"bit-exact: {firmware.check.vectors} steps on {' = '.join(firmware.check.backends)}, every"
