@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.codegen.names import name_outputs
+from zerodrift.codegen.names import name_channels, name_outputs
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_DAMAGED,
@@ -87,7 +87,7 @@ def render_questions(model: IntegerModel, prefix: str) -> str:
         f"    (int64_t)({prefix.upper()}_SAVED_BYTES),",
         f"    (int64_t)sizeof({prefix}_state_t),",
     ]
-    for channel in sanitize_identifiers((c.name for c in model.channels), "input"):
+    for channel in name_channels(model):
         lines.append(f"    (int64_t)sizeof((({prefix}_input_t *)0)->{channel}),")
     lines += [
         "};",
@@ -126,7 +126,7 @@ def check_header(model: IntegerModel, prefix: str, library: Path) -> tuple[Heade
     expected = list_expected(model, prefix)
     loaded = ctypes.CDLL(str(library))
     numbers = [name for name in expected if not name.endswith("_MODEL_HASH")]
-    widths = sanitize_identifiers((c.name for c in model.channels), "input")
+    widths = name_channels(model)
     count = len(numbers) + 2 + len(widths)
     told = list((ctypes.c_int64 * count).in_dll(loaded, "zd_told_numbers"))
     size = min(int(loaded["zd_told_hash_bytes"]()), _LONGEST_TEXT)
