@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import re
 import sys
 import tempfile
 
@@ -103,6 +104,23 @@ def is_own_exit(ended: SystemExit) -> bool:
     return str(raised_in).startswith(("zerodrift.commands.", "zerodrift.workbench."))
 
 
+def explain_read(error: OSError) -> str | None:
+    """Return what to tell of a file that the system would not open or read; None if it is no file.
+
+    Polars gives the system's answer in its text alone: "Too many open files (os error 24): PATH".
+    """
+    place, answer = error.filename, error.strerror
+    if found := re.fullmatch(r"(.+) \(os error \d+\): (.+)", str(error)):
+        answer, place = found.groups()
+    if not place:
+        return None
+    return (
+        f"{place}: cannot be opened or read ({answer}); expected a file that the system hands out."
+        " Nothing was left half-written. See to the disk or the limit on open files (ulimit -n) and"
+        " run the command again."
+    )
+
+
 def main() -> None:
     """Run the command line; a user's error becomes one message on stderr and its exit code."""
     use_one_thread()
@@ -124,10 +142,13 @@ def main() -> None:
     except OSError as error:
         from zerodrift.files import NOTHING_HALF, explain_write, is_refused_write
 
-        if not is_refused_write(error):
+        if is_refused_write(error):
+            place = error.filename or f"standard output, or {tempfile.gettempdir()}"
+            click.echo(f"error: {explain_write(place, error, NOTHING_HALF)}", err=True)
+        elif told := explain_read(error):
+            click.echo(f"error: {told}", err=True)
+        else:
             raise
-        place = error.filename or f"standard output, or {tempfile.gettempdir()}"
-        click.echo(f"error: {explain_write(place, error, NOTHING_HALF)}", err=True)
         sys.exit(2)
     except click.ClickException as error:
         error.show()

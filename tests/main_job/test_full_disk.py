@@ -136,6 +136,30 @@ def test_what_no_command_expects_is_still_one_message(
     assert "Traceback" not in told
 
 
+@pytest.mark.parametrize(
+    ("error", "answer"),
+    [
+        (OSError(errno.ESTALE, "Stale file handle", "logs/a.csv"), "Stale file handle"),
+        (OSError("Too many open files (os error 24): logs/a.csv"), "Too many open files"),
+    ],
+)
+def test_a_log_that_cannot_be_opened_in_the_midst_is_one_message(
+    error: OSError,
+    answer: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("zerodrift.cli.cli.main", fail)
+    with pytest.raises(SystemExit) as end:
+        main()
+    told = capsys.readouterr().err
+    expected = f"error: logs/a.csv: cannot be opened or read ({answer}); "
+    assert end.value.code == 2 and told.startswith(expected)
+
+
 def test_an_error_that_is_no_disks_answer_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise ConnectionResetError(errno.ECONNRESET, "reset")
