@@ -11,6 +11,7 @@ from tests.golden.model_factory import Shape, draw_model
 from tests.golden.models import LOWEST
 
 from zerodrift.c_runtime.host import HostModel
+from zerodrift.codegen.application import render_application
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.errors import CheckError
 from zerodrift.export.integer_model import (
@@ -199,3 +200,11 @@ def test_models_of_the_older_format_are_read_and_keep_their_hash(tmp_path: Path)
         found = load_model(path)
         assert found.hash == model.hash and found.channels == model.channels
         assert found.guards == model.guards
+
+
+def test_application_reads_a_thermometer_that_is_no_tmp117_as_a_channel_of_the_board() -> None:
+    tmp117 = render_application(draw_model(SHAPE, 1))
+    assert "tmp117_read(board_i2c(), &in.in0)" in tmp117
+    wide = render_application(draw_model(SHAPES["32 bits"], 1))
+    assert "tmp117" not in wide
+    assert "in.in0 = board_read_channel(0u);" in wide
