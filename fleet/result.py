@@ -1,7 +1,6 @@
 """What is known about one sensor of a fleet, and the file that keeps it."""
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -10,6 +9,7 @@ from typing import Any
 
 from zerodrift.errors import InputError
 from zerodrift.journal import write_all
+from zerodrift.sealed import read_sealed, render_sealed
 
 FORMAT = 2
 """Of result.json; another one is computed anew."""
@@ -187,8 +187,7 @@ def save_result(
         if content is not None
     }
     whole = replace(result, files=hashes)
-    text = json.dumps(whole.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    contents = {**files, folder / RESULT: text.encode()}
+    contents = {**files, folder / RESULT: render_sealed(whole.to_dict())}
     write_all(project, contents, durable=False, under_lock=True)
     return whole
 
@@ -199,7 +198,7 @@ def load_result(folder: Path, project: Path, mark: str) -> SensorResult | None:
     A file that is damaged or of another version is not an error: the sensor is computed anew.
     """
     try:
-        result = SensorResult.from_dict(json.loads((folder / RESULT).read_bytes()))
+        result = SensorResult.from_dict(read_sealed((folder / RESULT).read_bytes()))
         whole = all(hash_file(project / name) == h for name, h in (result.files or {}).items())
     except (InputError, OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

@@ -13,8 +13,11 @@ from typing import Any
 from zerodrift.errors import InputError
 from zerodrift.physics.changes import name_effect
 from zerodrift.physics.revision import Revision, describe_revision
+from zerodrift.sealed import read_sealed, render_sealed
 
-FORMAT = 1
+FORMAT = 2
+UNSEALED = 1
+"""Format of files without a hash, which earlier versions wrote."""
 FILE_NAME = "history.json"
 SAME = 1e-3
 """Relative difference of errors below which a step continues where the last one ended."""
@@ -122,14 +125,20 @@ def load_history(path: Path) -> tuple[Entry, ...]:
     if not path.exists():
         return ()
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_bytes()
+        content = json.loads(text)
     except json.JSONDecodeError as error:
         raise _explain_damage(f"{path}:{error.lineno}", f"is not JSON ({error.msg})") from error
     except (OSError, ValueError, RecursionError) as error:
         raise _explain_damage(str(path), f"cannot be read ({error})") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+    if not isinstance(content, dict) or content.get("format") not in (FORMAT, UNSEALED):
         found = content.get("format") if isinstance(content, dict) else type(content).__name__
         raise _explain_damage(str(path), f"is of format {found!r}, expected {FORMAT}")
+    if content["format"] == FORMAT:
+        try:
+            read_sealed(text)
+        except ValueError as error:
+            raise _explain_damage(str(path), f"cannot be believed: {error}") from error
     entries = content.get("entries")
     if not isinstance(entries, list):
         raise _explain_damage(str(path), "has no list of entries")
@@ -176,10 +185,9 @@ def _explain_damage(where: str, what: str) -> InputError:
     )
 
 
-def render_history(entries: Sequence[Entry]) -> str:
-    """Return the text of a history file."""
-    content = {"format": FORMAT, "entries": [entry.to_dict() for entry in entries]}
-    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+def render_history(entries: Sequence[Entry]) -> bytes:
+    """Return a history file."""
+    return render_sealed({"format": FORMAT, "entries": [entry.to_dict() for entry in entries]})
 
 
 def list_steps(entries: Sequence[Entry]) -> tuple[Step, ...]:

@@ -11,7 +11,9 @@ from pathlib import Path
 import plotly.graph_objects as go
 
 from zerodrift.errors import InputError
+from zerodrift.journal import write_all
 from zerodrift.report.page import render_template
+from zerodrift.scratch import make_scratch
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 VARIABLE = "ZERODRIFT_BROWSER"
@@ -38,38 +40,39 @@ def find_browser() -> str:
     )
 
 
-def print_page(text: str, target: Path) -> None:
+def print_page(text: str, target: Path, project: Path) -> None:
     """Print a page to PDF.
 
     Args:
         text: the page's HTML.
         target: the PDF; replaced whole or not at all.
+        project: the folder of zerodrift.toml.
 
     Raises:
         InputError: there is no browser, it failed, or the place cannot be written.
     """
-    with _scratch(target.parent) as name:
-        page, made = Path(name) / "page.html", Path(name) / "page.pdf"
+    with make_scratch(project) as scratch:
+        page, made = scratch / "page.html", scratch / "page.pdf"
         page.write_text(text, encoding="utf-8")
         _run([f"--print-to-pdf={made}", "--no-pdf-header-footer", page.as_uri()], made)
-        made.replace(target)
+        write_all(project, {target: made.read_bytes()})
 
 
-def picture_pages(figures: Mapping[str, go.Figure], directory: Path) -> list[Path]:
-    """Write each figure as a PNG of its own.
+def picture_pages(figures: Mapping[str, go.Figure], directory: Path, project: Path) -> list[Path]:
+    """Write each figure as a PNG of its own, all of them as one change.
 
     Args:
         figures: by the name of the file.
         directory: made if missing.
+        project: the folder of zerodrift.toml.
 
     Raises:
         InputError: as `print_page`.
     """
-    paths = []
-    with _scratch(directory.parent) as name:
-        made = []
+    contents: dict[Path, bytes | None] = {}
+    with make_scratch(project) as scratch:
         for number, (label, figure) in enumerate(figures.items()):
-            page, picture = Path(name) / "page.html", Path(name) / f"{number}.png"
+            page, picture = scratch / "page.html", scratch / f"{number}.png"
             page.write_text(
                 render_template("picture.html.j2", {"figure": figure}), encoding="utf-8"
             )
@@ -84,28 +87,10 @@ def picture_pages(figures: Mapping[str, go.Figure], directory: Path) -> list[Pat
                 ],
                 picture,
             )
-            made.append((picture, directory / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', label)}.png"))
-        directory.mkdir(exist_ok=True)
-        for picture, path in made:
-            picture.replace(path)
-            paths.append(path)
-    return paths
-
-
-def _scratch(beside: Path) -> tempfile.TemporaryDirectory[str]:
-    """Return a scratch directory on the same file system as the result.
-
-    Raises:
-        InputError: it cannot be made there.
-    """
-    try:
-        # absolute: what a browser is given must not depend on where it runs
-        return tempfile.TemporaryDirectory(prefix=".report-", dir=beside.absolute())
-    except OSError as error:
-        raise InputError(
-            f"{beside}: cannot be written ({error.strerror}); expected a directory that this user "
-            "may write to. Name another place by --out."
-        ) from error
+            name = re.sub(r"[^A-Za-z0-9_.-]", "_", label)
+            contents[directory / f"{name}.png"] = picture.read_bytes()
+        write_all(project, contents)
+    return list(contents)
 
 
 def _run(arguments: Sequence[str], made: Path) -> None:

@@ -1,7 +1,8 @@
 """Files that survive an interruption: written whole or not at all, and never pickled."""
 
+import hashlib
 import io
-import json
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 
 from zerodrift import files
 from zerodrift.errors import InputError
+from zerodrift.sealed import read_sealed, render_sealed
 
+FORMAT = 1
 VALUES = "values"
 """Entry of the npz that holds everything but arrays, as JSON."""
 
@@ -38,7 +41,8 @@ def write_whole(path: Path, content: bytes) -> None:
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint as one npz file."""
-    text = json.dumps(checkpoint.values, sort_keys=True).encode()
+    values = {"format": FORMAT, "arrays": _hash(checkpoint.arrays), **checkpoint.values}
+    text = render_sealed(values)
     buffer = io.BytesIO()
     entries: dict[str, Any] = {VALUES: np.frombuffer(text, np.uint8), **checkpoint.arrays}
     np.savez(buffer, **entries)
@@ -55,10 +59,20 @@ def load_checkpoint(path: Path) -> Checkpoint | None:
         return None
     try:
         with np.load(path, allow_pickle=False) as stored:
-            values = json.loads(stored[VALUES].tobytes())
+            values = read_sealed(stored[VALUES].tobytes())
             arrays = {name: stored[name] for name in stored.files if name != VALUES}
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
-        raise InputError(
-            f"{path}: this is no checkpoint ({error}). Delete it, or train with --fresh."
-        ) from error
+        if values.get("format") != FORMAT:
+            raise ValueError(f"format {values.get('format')}, expected {FORMAT}")
+        if values.get("arrays") != _hash(arrays):
+            raise ValueError("its numbers are not those that were written")
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, zlib.error) as error:
+        raise InputError(f"{path}: this is no checkpoint ({error}).") from error
     return Checkpoint(arrays, values)
+
+
+def _hash(arrays: Mapping[str, NDArray[Any]]) -> str:
+    digest = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype.str} {array.shape} ".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

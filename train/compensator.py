@@ -23,6 +23,7 @@ from zerodrift.operations.graph import list_nodes
 from zerodrift.operations.gru import FloatGru
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
+from zerodrift.sealed import read_sealed, render_sealed
 from zerodrift.train.front_end import FrontEnd
 from zerodrift.train.lag_bank.model import LagBank
 from zerodrift.train.onnx_export import read_onnx_gru, read_onnx_layers, read_onnx_weights
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-FORMAT = 2
+FORMAT = 3
 """Version of compensator.json; another one is refused."""
 DESCRIPTION, NETWORK = "compensator.json", "network.onnx"
 WINDOWS_AT_ONCE = 4096
@@ -240,8 +241,10 @@ class Compensator:
 
         The same compensator gives the same bytes. The description names the network's hash.
         """
-        text = json.dumps(self.to_dict(), indent=1, sort_keys=True, allow_nan=False) + "\n"
-        return {directory / NETWORK: self.network, directory / DESCRIPTION: text.encode()}
+        return {directory / NETWORK: self.network, directory / DESCRIPTION: self._seal()}
+
+    def _seal(self) -> bytes:
+        return render_sealed(dict(sorted(self.to_dict().items())))
 
     def save(self, project: Path, directory: Path, *, done_with: Sequence[Path] = ()) -> None:
         """Write both files, as one change.
@@ -272,15 +275,16 @@ class Compensator:
         if not path.exists():
             raise InputError(f"{path}: there is no trained compensator. Run `zerodrift train`.")
         try:
-            values = json.loads(path.read_bytes())
-            found = values["format"]
+            content = path.read_bytes()
+            found = json.loads(content)["format"]
             if found != FORMAT:
                 raise InputError(
                     f"{path}: written in format {found}, this version reads {FORMAT}. Run"
                     " `zerodrift train` again."
                 )
+            values = read_sealed(content)
             return cls._from_dict(values, _read_network(directory, values), catalogue)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise InputError(
                 f"{path}: damaged ({type(error).__name__}: {error}). Run `zerodrift train` again."
             ) from error

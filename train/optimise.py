@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from zerodrift.errors import InputError
+from zerodrift.lock import tell
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from zerodrift.train.networks import Network
 from zerodrift.train.sequences import (
@@ -151,7 +152,7 @@ class Trainer:
             resume: take up the checkpoint, if there is one of these very inputs.
 
         Raises:
-            InputError: the checkpoint is damaged, or the training diverged.
+            InputError: the training diverged.
         """
         torch.set_num_threads(1)  # with two, a step of so small a network takes far longer
         stored = self._load() if resume else None
@@ -275,7 +276,11 @@ class Trainer:
 
     def _load(self) -> Checkpoint | None:
         """Return the checkpoint if it is of this very training."""
-        stored = load_checkpoint(self._checkpoint) if self._checkpoint else None
+        try:
+            stored = load_checkpoint(self._checkpoint) if self._checkpoint else None
+        except InputError as error:
+            tell(f"{error} The training is begun again.")
+            return None
         return stored if stored and stored.values["mark"] == self._mark else None
 
     def _save(self, attempt: _Attempt, best: Result | None) -> None:

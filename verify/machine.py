@@ -14,6 +14,7 @@ from zerodrift import __version__
 from zerodrift.c_runtime.compilers import find_compilers
 from zerodrift.c_runtime.cores import CORES, GCC_CORES, find_cross_compilers
 from zerodrift.errors import InputError
+from zerodrift.lock import LOCK, describe_holder, find_state, try_lock
 
 PACKAGES: dict[str, str] = {
     "numpy": "arithmetic",
@@ -35,7 +36,13 @@ PROGRAMS: dict[str, tuple[tuple[str, ...], str]] = {
     "QEMU for RISC-V": (("qemu-system-riscv32",), "boards as a second opinion on the cores"),
 }
 STRAYS = (".firmware-*", ".verify-*", ".report-*")
-"""Scratch folders that a killed command may leave behind."""
+"""Scratch folders that killed commands of earlier versions have left behind."""
+STATE_FILES = (
+    ("*.begin", "change", "was not decided; the next command that writes takes it back"),
+    ("*.forward", "change", "is being made, or was cut off; the next command ends it"),
+    ("*.back", "change", "is being taken back; the next command ends that"),
+    ("scratch-*", "scratch folder", "removed by the next command that writes, unless in use"),
+)
 LEAST_FREE_BYTES = 200_000_000
 
 
@@ -111,7 +118,26 @@ def examine_project(directory: Path, folders: Sequence[Path]) -> tuple[Item, ...
         Item("project", "scratch folder", os.path.relpath(stray, directory), remedy)
         for stray in strays
     ]
-    return tuple(items)
+    return (*items, *_list_state(directory))
+
+
+def _list_state(directory: Path) -> list[Item]:
+    """Return who holds the project, and what the next command that writes will end or remove."""
+    state = find_state(directory)
+    items = []
+    try:
+        release = try_lock(state / LOCK) if (state / LOCK).exists() else None
+        if release is not None:
+            release()
+        elif (state / LOCK).exists():
+            held = "writes; another command that writes waits for it"
+            items.append(Item("project", "lock", describe_holder(state), held))
+    except OSError as error:
+        why = "the lock cannot be tried: this folder can be read only"
+        items.append(Item("project", "lock", str(error.strerror), why))
+    for pattern, name, remedy in STATE_FILES:
+        items += [Item("project", name, path.name, remedy) for path in state.glob(pattern)]
+    return items
 
 
 def _list_packages() -> list[Item]:

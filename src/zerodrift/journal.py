@@ -14,15 +14,14 @@ the old contents return. Between any two steps the disk is waited for.
 """
 
 import hashlib
-import json
 import os
 import secrets
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from zerodrift.errors import InputError, ZerodriftError
 from zerodrift.files import (
@@ -35,6 +34,7 @@ from zerodrift.files import (
 )
 from zerodrift.lock import LOCK, STATE, find_state, lock_project, tell, try_lock
 from zerodrift.scratch import clean_scratch
+from zerodrift.sealed import read_sealed, render_sealed
 
 FORMAT = 1
 BEGIN, FORWARD, BACK = ".begin", ".forward", ".back"
@@ -82,7 +82,7 @@ class _Record:
 
         body = asdict(self._rename(shorten))
         body = {"format": FORMAT, **body}
-        return (json.dumps({**body, "sha256": _seal(body)}, indent=1) + "\n").encode()
+        return render_sealed(body)
 
     @classmethod
     def from_bytes(cls, content: bytes, project: Path) -> "_Record":
@@ -91,10 +91,9 @@ class _Record:
         Raises:
             ValueError, KeyError, TypeError, AttributeError: it is not whole.
         """
-        body = json.loads(content)
-        seal = body.pop("sha256")
-        if body.pop("format") != FORMAT or seal != _seal({"format": FORMAT, **body}):
-            raise ValueError("not as it was written")
+        body = read_sealed(content)
+        if body["format"] != FORMAT:
+            raise ValueError(f"format {body['format']}")
         steps = tuple(_Step(**step) for step in body["steps"])
         record = cls(steps, tuple(body["made"]), bool(body["durable"]))
         return record._rename(lambda name: str(project / name) if name else "")
@@ -221,38 +220,40 @@ def settle_project(project: Path) -> None:
             release()
 
 
-def read_together(project: Path, read: Callable[[], T]) -> T:
-    """Return what `read` returns, none of the files it reads changed by a command meanwhile.
+def read_together(project: Path, folders: Sequence[Path], read: Callable[[], T]) -> T:
+    """Return what `read` returns, no command having changed the files it reads meanwhile.
 
     Args:
         project: the folder of zerodrift.toml.
-        read: reads files that belong together; called again where a change came between.
+        folders: where the files lie that belong together.
+        read: reads them; called again where a change came between.
 
     Raises:
         InputError: as `settle_project`.
     """
     while True:
         settle_project(project)
-        before = _mark_state(project)
+        before = _mark_files(folders)
         try:
             found = read()
         except ZerodriftError:
-            if before == _mark_state(project):
+            if before == _mark_files(folders):
                 raise
             continue
-        if before == _mark_state(project):
+        if before == _mark_files(folders):
             return found
 
 
-def _mark_state(project: Path) -> tuple[int, ...]:
-    """Return numbers that others follow whenever a change of the project begins or ends."""
-    marks = []
-    for folder in (find_state(project), find_state(project).parent):
-        try:
-            marks.append(folder.stat().st_mtime_ns)
-        except OSError:
-            marks.append(0)
-    return tuple(marks)
+def _mark_files(folders: Sequence[Path]) -> frozenset[tuple[str, int, int]]:
+    """Return names, places on the disk and times of the files in folders; a change makes others."""
+    marks = set()
+    for folder in folders:
+        with suppress(OSError), os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.is_file():
+                    stat = entry.stat()
+                    marks.add((entry.path, stat.st_ino, stat.st_mtime_ns))
+    return frozenset(marks)
 
 
 def _change(state: Path, contents: Mapping[Path, bytes | None], durable: bool) -> None:
@@ -484,7 +485,3 @@ def _sync(record: _Record, directories: list[Path]) -> None:
 def _hash(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _seal(body: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()

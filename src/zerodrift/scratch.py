@@ -22,7 +22,12 @@ IN_USE = ".in-use"
 SCRATCH = "scratch-"
 FORSAKEN_S = 3600.0
 """Age at which folders of earlier versions are removed, which do not say if they are in use."""
-EARLIER_FOLDERS = (".firmware-", ".verify-")
+EARLIER_FOLDERS = {
+    "": re.compile(r"\.(report|twin)-[a-z0-9_]{8}"),
+    "build": re.compile(r"\.(firmware|verify)-[a-z0-9_]{8}"),
+    "firmware/packages": re.compile(r"\.staging-[a-z0-9_]{8}"),
+}
+"""Folder -> names of scratch folders that earlier versions made there."""
 EARLIER_FILES = {
     "": re.compile(r"\.zerodrift\.toml\.[a-z0-9_]{8}"),
     "build": re.compile(r"\.[\w.-]+\.(json|npz|onnx)\.[a-z0-9_]{8}|\.history\.json\.kept"),
@@ -71,12 +76,15 @@ def clean_scratch(state: Path) -> None:
                 release()
                 shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):
-        for path in build.iterdir():
-            if path.is_dir() and path.name.startswith(EARLIER_FOLDERS):
-                if path.stat().st_mtime < time.time() - FORSAKEN_S:
-                    shutil.rmtree(path, ignore_errors=True)
-            elif path.name.startswith(".") and path.name.endswith(REMAINDER):
+        for folder in (build.parent, build):
+            for path in folder.glob(f".*{REMAINDER}"):
                 path.unlink(missing_ok=True)
+    for name, pattern in EARLIER_FOLDERS.items():
+        with suppress(OSError):
+            for path in (build.parent / name).glob(".*-*"):
+                is_old = path.lstat().st_mtime < time.time() - FORSAKEN_S
+                if pattern.fullmatch(path.name) and path.is_dir() and is_old:
+                    shutil.rmtree(path, ignore_errors=True)
     for name, pattern in EARLIER_FILES.items():
         with suppress(OSError):
             for path in (build.parent / name).glob(".*"):

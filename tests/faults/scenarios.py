@@ -113,7 +113,7 @@ CALIBRATE = (
     *(word for kind in ("toml", "json", "h") for word in ("--write", f"{{}}/cal.{kind}")),
 )
 FLEET = ("fleet", "-C", "{}", "--jobs", "1", "--no-firmware")
-TWIN = ("twin", "-C", "{}", "--runs", "1", "--duration", "60", "--test", "none", "--no-dwell")
+TWIN = ("twin", "-C", "{}", "--runs", "1", "--duration", "300", "--test", "none", "--no-dwell")
 
 
 def prepare_twin(project: Path, run: Run) -> None:

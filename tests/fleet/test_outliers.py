@@ -138,8 +138,8 @@ def test_firmwares_error_is_judged_where_there_is_one(design):
 
 def test_result_is_read_back_as_it_was_written(tmp_path):
     file = tmp_path / "a.c"
-    file.write_text("int x;")
-    saved = save_result(tmp_path, tmp_path, make_result(1, rmse=math.nan), [file])
+    saved = save_result(tmp_path, tmp_path, make_result(1, rmse=math.nan), {file: b"int x;"})
+    assert file.read_text() == "int x;"
     loaded = load_result(tmp_path, tmp_path, "m")
     assert loaded is not None
     assert loaded.files == saved.files and set(loaded.files or {}) == {"a.c"}

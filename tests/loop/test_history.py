@@ -65,7 +65,7 @@ def test_other_logs_are_a_step_of_their_own():
 def test_history_is_read_as_it_was_written(tmp_path):
     entries = (make_entry("add", "b", 8.0, 4.0, ["a"], ["a", "b"], tared=True),)
     path = tmp_path / "history.json"
-    path.write_text(render_history(entries))
+    path.write_bytes(render_history(entries))
     assert load_history(path) == entries
 
 

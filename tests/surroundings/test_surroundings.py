@@ -144,7 +144,7 @@ def test_pictures_of_a_project_named_by_a_relative_path(
         made.write_bytes(b"%PDF")
 
     monkeypatch.setattr(browser, "_run", pretend)
-    browser.print_page("<p>", Path(project.name) / "report.pdf")
+    browser.print_page("<p>", Path(project.name) / "report.pdf", Path(project.name))
     assert (project / "report.pdf").read_bytes() == b"%PDF"
     assert any(str(tmp_path) in argument for argument in seen)
 

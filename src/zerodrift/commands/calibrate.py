@@ -11,9 +11,9 @@ from zerodrift.commands.common import (
     print_json,
     print_notes,
     skip_invalid_option,
-    write_text,
 )
 from zerodrift.errors import InputError
+from zerodrift.journal import write_all
 from zerodrift.physics.calibration import Calibration
 
 SUFFIXES = (".toml", ".json", ".h")
@@ -267,9 +267,7 @@ def command(
                     "--out, or overwrite with --force."
                 )
             texts |= {directory / out / file: text for file, text in applied.items()}
-            (directory / out).mkdir(parents=True, exist_ok=True)
-        for target, text in texts.items():
-            write_text(target, text)
+        write_all(directory, {target: text.encode() for target, text in texts.items()})
     print_notes(tuple(notes))
     written = [_label(target, directory) for target in texts]
     if as_json:

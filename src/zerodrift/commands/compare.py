@@ -90,7 +90,8 @@ def command(
         from zerodrift.report.figures import draw_comparison, render_page
 
         figures = draw_comparison(dataset, predictor.predict, comparison)
-        write_text(html, render_page(f"{config.sensor_name}: model against measurements", figures))
+        page = render_page(f"{config.sensor_name}: model against measurements", figures)
+        write_text(html, page, config.directory)
     if as_json:
         told = advice.to_dict() if advice is not None else None
         chip = {key: firmware[key] for key in ("chip_error", "warnings")} if firmware else {}

@@ -1,6 +1,5 @@
 """`zerodrift firmware`: logs in, host-checked C out."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,13 +13,13 @@ from zerodrift.commands.common import (
     print_json,
     print_notes,
     skip_invalid_option,
-    write_text,
 )
 from zerodrift.commands.console import open_console, open_table, print_chip_error, show_progress
 from zerodrift.commands.onnx_option import OnnxRequest, onnx_options, open_import
 from zerodrift.config import Config
 from zerodrift.errors import CheckError
-from zerodrift.journal import change_together
+from zerodrift.journal import change_together, write_all
+from zerodrift.sealed import render_sealed
 
 FILE_NAME = "firmware.json"
 """In build/: what the last firmware achieved."""
@@ -186,8 +185,7 @@ def describe_budget(firmware: Any) -> dict[str, Any]:
 
 def keep(result: dict[str, Any], config: Config) -> None:
     """Write the command's JSON to build/firmware.json, for the report."""
-    text = json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    write_text(config.build_directory / FILE_NAME, text, config.directory)
+    write_all(config.directory, {config.build_directory / FILE_NAME: render_sealed(result)})
 
 
 def show_path(path: Path, directory: Path) -> str:

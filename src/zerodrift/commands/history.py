@@ -50,7 +50,7 @@ def command(directory: Path, html: Path | None, as_json: bool) -> None:
 
         title = f"{config.sensor_name}: history of the model"
         notes = [f"{step.label}: {step.reason}" for step in steps if step.reason]
-        write_text(html, render_page(title, [draw_staircase(steps)], notes))
+        write_text(html, render_page(title, [draw_staircase(steps)], notes), directory)
     if as_json:
         print_json({"steps": describe_steps(steps)})
         return

@@ -200,6 +200,6 @@ def draw(figures: dict[str, Any], out: Path) -> tuple[list[Path], str]:
         render_figures("The paper's experiments on the twin (simulated)", list(figures.values())),
     )
     try:
-        return [page, *picture_pages(figures, out / "pictures")], ""
+        return [page, *picture_pages(figures, out / "pictures", out)], ""
     except InputError as error:
         return [page], f"no PNGs were made, {page} holds the pictures: {error}"

@@ -32,7 +32,7 @@ def open_project(directory: Path, skip_invalid: bool = False) -> tuple[Config, D
 def train_project(config: Config, dataset: Dataset, console: "Console") -> "Compensator":
     """Return the project's compensator: that in build/ if configuration and logs are the same."""
     from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.train.compensator import Compensator
+    from zerodrift.train.compensator import DESCRIPTION, Compensator
     from zerodrift.train.progress import show_progress
     from zerodrift.train.training import list_checkpoints, mark_inputs, train
 
@@ -43,8 +43,10 @@ def train_project(config: Config, dataset: Dataset, console: "Console") -> "Comp
         if kept.trained_from == mark:
             console.print("the logs and the model are those of the last training; not repeated")
             return kept
-    except InputError:
-        pass  # missing or outdated: trained below, which replaces it
+        console.print("the logs or the model have changed since the last training; trained again")
+    except InputError as error:
+        if (config.build_directory / DESCRIPTION).exists():
+            console.print(f"note: {error} It is trained again now.", markup=False)
     config.build_directory.mkdir(parents=True, exist_ok=True)
     with show_progress("training") as report:
         trained = train(config, dataset, catalogue=catalogue, report=report)

@@ -92,7 +92,7 @@ def command(
             say("measuring the datasheet's figures")
             rows = measure_datasheet(findings.traces, findings.told["compare"])
         say("drawing")
-        files = _write(findings, rows, target, kind)
+        files = _write(findings, rows, target, kind, directory)
     print_notes(tuple(findings.told["notes"]))
     if as_json:
         told = {**describe_survey(findings), "files": [str(path) for path in files]}
@@ -121,7 +121,11 @@ def _check_target(target: Path, kind: str) -> None:
 
 
 def _write(
-    findings: "Findings", rows: Sequence[Mapping[str, Any]] | None, target: Path, kind: str
+    findings: "Findings",
+    rows: Sequence[Mapping[str, Any]] | None,
+    target: Path,
+    kind: str,
+    directory: Path,
 ) -> list[Path]:
     """Write the report, or its figures; return the files.
 
@@ -133,9 +137,12 @@ def _write(
 
     try:
         if kind == "png":
-            return picture_pages(list_figures(findings), target)
-        write = write_text if kind == "html" else lambda path, text: print_page(text, path)
-        write(target, render_report(findings, rows))
+            return picture_pages(list_figures(findings), target, directory)
+        text = render_report(findings, rows)
+        if kind == "pdf":
+            print_page(text, target, directory)
+        else:
+            write_text(target, text, directory)
     except OSError as error:
         raise InputError(
             f"{target}: cannot be written ({error.strerror}); nothing of it was kept. Make room, "

@@ -70,7 +70,7 @@ def write_revision(config: Config, before: str, text: str, revision: Revision) -
         )
     path, entries = open_history(config)
     history = render_history([*entries, record(revision)])
-    write_all(config.directory, {path: history.encode(), config.path: text.encode()})
+    write_all(config.directory, {path: history, config.path: text.encode()})
 
 
 def print_revision(revision: Revision) -> None:

@@ -34,13 +34,14 @@ from zerodrift.physics.model import PhysicalModel
 from zerodrift.physics.revision import describe_coefficients, describe_parameters
 from zerodrift.physics.run_errors import collect_errors
 from zerodrift.report.findings import Findings, trace_runs
+from zerodrift.sealed import read_sealed, render_sealed
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 DIAGNOSIS = "diagnosis.json"
 """In build/: the last diagnosis, with the mark of what it was made from."""
-DIAGNOSIS_FORMAT = 2
+DIAGNOSIS_FORMAT = 3
 FIRMWARE, CERTIFICATE = "firmware.json", "certificate.json"
 SIMULATED_FILES = ("truth.json", "twin.json")
 PACKAGES = ("numpy", "scipy", "polars", "torch", "onnx", "onnxruntime", "plotly")
@@ -208,7 +209,7 @@ def diagnose_once(
     A new diagnosis is kept, where build/ can be written to.
     """
     path = config.build_directory / DIAGNOSIS
-    kept = _read_json(path)
+    kept = _read_kept(path)
     if kept is not None and (kept.get("format"), kept.get("mark")) == (DIAGNOSIS_FORMAT, mark):
         return kept
     if not wanted:
@@ -225,10 +226,9 @@ def diagnose_once(
         "diagnosis": told,
         "sentences": [*sentences, *explain_others(told)],
     }
-    text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     # A project that can only be read, or is being changed, is diagnosed anew each time.
     with suppress(InputError):
-        write_all(config.directory, {path: text.encode()}, patient=False)
+        write_all(config.directory, {path: render_sealed(found)}, patient=False)
     return found
 
 
@@ -285,6 +285,14 @@ def preview_effects(
     return previews
 
 
+def _read_kept(path: Path) -> dict[str, Any] | None:
+    """Return what a file of build/ holds that carries its hash; None where it does not match."""
+    try:
+        return read_sealed(path.read_bytes())
+    except (OSError, ValueError):
+        return None
+
+
 def _read_json(path: Path) -> dict[str, Any] | None:
     """Return what a file of build/ holds; None where it is missing or damaged."""
     try:
@@ -302,7 +310,7 @@ def read_firmware(
     Firmware of other logs, another configuration or another model is not shown, and no certificate
     but its own.
     """
-    firmware = _read_json(config.build_directory / FIRMWARE)
+    firmware = _read_kept(config.build_directory / FIRMWARE)
     if firmware is None:
         return None, None, "No firmware was built yet: `zerodrift firmware` builds and checks it."
     from zerodrift.export.integer_model import load_model

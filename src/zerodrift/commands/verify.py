@@ -41,13 +41,16 @@ def command(directory: Path, as_json: bool, required: tuple[str, ...], certifica
     """
     from zerodrift.commands.console import show_progress
     from zerodrift.config import load_config
+    from zerodrift.journal import read_together
     from zerodrift.verify.replay import replay
 
     if certificate:
         _check_certificate(load_config(directory).firmware_out, as_json)
         return
+    config = load_config(directory)
+    folders = (config.build_directory, config.firmware_out)
     with show_progress("verifying") as say:
-        outcome = replay(load_config(directory), say, required)
+        outcome = read_together(directory, folders, lambda: replay(config, say, required))
     if as_json:
         print_json(describe(outcome))
     outcome.require(required)
