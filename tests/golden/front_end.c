@@ -5,7 +5,7 @@
 #include "zd_runtime.h"
 #include "zd_network.h"
 
-#if FRONT_END_CODE_ID != UINT32_C(959567790)
+#if FRONT_END_CODE_ID != 959567790
 #error "front_end.h is not of the same generation as front_end.c: copy all files again"
 #endif
 #if ZD_RUNTIME_FORMAT != 3
