@@ -108,6 +108,13 @@ class Expressions:
             return Value(wrapped, wrapped, kind)
         return Value(low, high, kind)
 
+    def keep(self, value: Value, kind: str) -> Value:
+        """Return a value in a C type that must hold it: what stands there without a cast."""
+        low, high = TYPES[kind]
+        if value.low < low or value.high > high:
+            self.fail(f"{value.low} .. {value.high} does not fit {kind}")
+        return self.convert(value, kind)
+
     def promote(self, kind: str) -> str:
         """Return the type in which C calculates with one."""
         if BITS[kind] > BITS[self.int]:

@@ -139,7 +139,7 @@ class Machine(Expressions):
                 argument = replace(argument, sizes=(self.constant(size),))
             return self._as_constant(argument, kind, parameter.name)
         block = make_block(parameter.name, kind.name, (), None, kind.constant)
-        block.cells = [self.as_plain(self.convert(self.as_number(argument), kind.name))]
+        block.cells = [self.as_plain(self.keep(self.as_number(argument), kind.name))]
         self._live.append(block)
         return block
 
@@ -173,7 +173,7 @@ class Machine(Expressions):
             if self._replaying and own in ("settle", "step"):
                 return self._replay(own, arguments)
             result = self.call(name, arguments)
-            if own.endswith("is_sound") and isinstance(result, Value) and result.exact == 0:
+            if own.endswith("_sound") and isinstance(result, Value) and result.exact == 0:
                 self.fail(f"{name}: the tables are not those whose CRC is known here")
             return result
         if name in self.program.assembly:
@@ -418,7 +418,7 @@ class Machine(Expressions):
             if sizes:
                 raise self.not_understood(f"how {name} begins")
             found = self.number(variable.first)
-            value = self.convert(found, kind.name)
+            value = self.keep(found, kind.name)
             if name != "sum":
                 value = replace(self.as_plain(value), copy_of=found.copy_of)
                 if noted:
@@ -442,7 +442,7 @@ class Machine(Expressions):
             found = [self.number(n) for n in items.parts]
         if len(block.sizes) != 1 or len(found) > block.count or not found:
             raise FaultError(f"{len(found)} values for {block.name} of {block.sizes}")
-        cells = [self.as_plain(self.convert(v, block.type)) for v in found]
+        cells = [self.as_plain(self.keep(v, block.type)) for v in found]
         block.cells = [*cells, *[Value(0, 0, block.type)] * (block.count - len(cells))]
 
     def _declare_pointer(self, variable: Variable) -> None:
@@ -478,7 +478,7 @@ class Machine(Expressions):
             found = self.combine(operator[:-1], self.load(place), self.number(source))
         self.stand_at(target.at)
         kind = place.block.type
-        value = self.convert(found, kind)
+        value = self.keep(found, kind)
         if target.kind == "index" and target.parts[0].kind == "name":
             self._note_element(target.parts[0].parts[0], place, value)
         is_sum = target.kind == "name" and target.parts[0] == "sum"

@@ -52,7 +52,7 @@ def _check(machine: Machine, kind: str, argument: Any) -> Any:
     """Return an argument as the parameter holds it."""
     if kind in TYPES:
         value = machine.as_number(argument)
-        return machine.convert(value, kind)
+        return machine.keep(value, kind)
     if kind[0] == "&":
         if not isinstance(argument, Address) or argument.struct.type != kind[1:] or argument.bytes:
             raise FaultError(f"another type than {kind[1:]} is given")

@@ -103,6 +103,7 @@ class Parser:
         """Stand before the first token."""
         self.program, self.at = Program(tokens), 0
         self._words = tokens.words
+        self._declared: dict[str, list[Any]] = {}
         self._types = {*TYPES, "unsigned", "void", *struct_types}
 
     # --- tokens
@@ -201,7 +202,7 @@ class Parser:
     def _read_function(self, kind: TypeName, name: str) -> None:
         self.take("(")
         parameters: list[Variable] = []
-        in_register = False
+        in_register, begin = False, self.at
         if self.look() == "void" and self.look(1) == ")":
             self.take()
         while not self.take_if(")"):
@@ -210,6 +211,9 @@ class Parser:
             in_register = self.take_if("ZD_IN_REGISTER") or in_register
             if self.look() != ")":
                 self.take(",")
+        words = [w for w in self._words[begin : self.at] if w != "ZD_IN_REGISTER"]
+        if self._declared.setdefault(name, [kind, *words]) != [kind, *words]:
+            raise self.error(f"{name} was declared with other parameters")
         naked = False
         if self.take_if("__attribute__"):
             for word in ("(", "(", "naked", ",", "noinline", ",", "used", ")", ")"):

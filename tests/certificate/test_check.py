@@ -20,7 +20,8 @@ from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.errors import CheckError
-from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.integer_model import FORMAT, IntegerModel
+from zerodrift.verify import known_runtime
 from zerodrift.verify.c_model import Model, read_models
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import check_certificate, compare, judge
@@ -221,6 +222,69 @@ FAULTS = {
     "macro over a kernel": (C, r'#include "zd_runtime.h"', "#define zd_asr64 3\n"),
     "unknown function": (C, r"zd_clamp32\(in", "wrap32(in"),
     "assembly": (C, r"    uint32_t flags = 0;", '    __asm__("nop");'),
+    "head weights of 8 bits": (C, r"const int16_t head_weights", "const int8_t head_weights"),
+    "weight table too short": (C, r"(gru_w_h\[)48\]", r"\g<1>40]"),
+    "weight table of another length": (C, r"(gru_stream\[)\d+\]", r"\g<1>7]"),
+    "bias of 16 bits": (C, r"(static const )int32_t gru_bias", r"\1int16_t gru_bias"),
+    "entry beyond its type": (C, r"(head_weights\[12\] = \{[^\n]*\n    )-?\d+", r"\g<1>40000"),
+    "table's entry octal": (C, r"(head_weights\[12\] = \{[^\n]*\n    )-?\d+", r"\g<1>077777"),
+    "literal that C has not": (C, r"(zd_asr64\(sum, )\d+u", r"\g<1>09u"),
+    "features of 8 bits": (C, r"int16_t features\[3\];", "int8_t features[3];"),
+    "state of 16 bits": ("golden.h", r"int32_t gru_h_q30\[4\]", "int16_t gru_h_q30[4]"),
+    "state shorter": ("golden.h", r"int32_t gru_h_q30\[4\]", "int32_t gru_h_q30[3]"),
+    "ring shorter": ("golden.h", r"(int32_t delay_\d+_line\[)\d\]", r"\g<1>2]"),
+    "share of u that is no mask": (C, r"(gru_step\(features, s->gru_h_q30, )-1\)", r"\g<1>7)"),
+    "limits in the wrong order": (C, r"-12000, 12000\)", "12000, -12000)"),
+    "shift of 64 for a product": (C, r"(zd_round_shift64\(.*?, )\d+u", r"\g<1>63u"),
+    "state and scratch on each other": (C, r"x, h_q30, v, u_keep", "x, h_q30, h_q30, u_keep"),
+    "init beyond the state": (
+        C,
+        r"(    s->identity = GOLDEN_MODEL_ID;)",
+        r"\1\n    s->gru_h_q30[9] = 0;",
+    ),
+    "init of nothing": (C, r"    \*s = blank;\n", ""),
+    "init as another model": (C, r"s->identity = GOLDEN_MODEL_ID;", "s->identity = 7u;"),
+    "settle that leaves too many steps": (C, r"s->steps = 5u;", "s->steps = 6u;"),
+    "saved with another size": (C, r"\(uint32_t\)sizeof\(\*s\), G", "(uint32_t)sizeof(*s) + 1u, G"),
+    "copy too small": ("golden.h", r"\(16u \+ sizeof", "(8u + sizeof"),
+    "restored without a look": (C, r" \|\| \(golden_state_is_sound\(s\) == 0u\)\) \{", ") {"),
+    "self-test past its drift": (C, r"(i < )GOLDEN_OUTPUTS(; i\+\+\) \{\n +crc)", r"\g<1>20u\2"),
+    "self-test of an unset state": (C, r"if \(k == 0u\)", "if (k == 1u)"),
+    "answer of the guard thrown away": (
+        C,
+        r"if \(golden_state_is_sound\(s\) == 0u\)",
+        "(void)golden_state_is_sound(s);\n    if (s->steps > 9u)",
+    ),
+    "guard asked the wrong way round": (C, r"(state_is_sound\(s\)) == 0u\) \{ /", r"\1 != 0u) { /"),
+    "restart without init": (C, r"(value \*/\n)        golden_init\(s\);\n", r"\1"),
+    "drift not set on a restart": (C, r"drift\[k\] = 0;", "(void)k;"),
+    "guard that compares unsigned": (C, r"_line\[k\] > (\d+)\)", r"_line[k] > \1u)"),
+    "loop without an end": (C, r"k < ZD_GRU_RELAX_STEPS", "k < 4294967295u"),
+    "loop that cannot end": (C, r"k <( ZD_GRU_RELAX_STEPS; k)\+\+", r"k <\1--"),
+    "read before written": (C, r"(int64_t sum) = features_bias\[i\];", r"\1;"),
+    "octal size": (C, r"head_weights\[12\]", "head_weights[012]"),
+    "assembly at -Os": (C, r'"mov r7, #78', '"mov r7, #79'),
+    "assembly that reads neighbours": (C, r"ldr r4, \[r2, #0\]", "ldr r4, [r2, #2]"),
+    "assembly of the smallest": (C, r"movs r5, #255", "movs r5, #254"),
+    "assembly with another frame": (C, r'"sub sp, sp, #\d+', '"sub sp, sp, #4'),
+    "arm of the preprocessor for others": (
+        C,
+        r"#if ZD_KERNEL == ZD_K",
+        "#if defined(__riscv)\n#elif ZD_KERNEL == ZD_K",
+    ),
+    "tables for C++ alone": ("golden.h", r'extern "C" \{', 'extern "C" { int x;'),
+    "function that nobody calls": (
+        C,
+        r"void golden_init",
+        "static void f(void) {\n}\nvoid golden_init",
+    ),
+    "constant written": (
+        C,
+        r"    uint32_t flags = 0;",
+        "    uint32_t flags = 0;\n    head_weights[0] = 1;",
+    ),
+    "CRC of other tables": (C, r"(crc == UINT32_C\()\d", r"\g<1>9"),
+    "runtime of others": (RUNTIME, r"return x >> shift;", "return x >> (shift + 1u);"),
     "table not monotone": (TABLE, TANH + r"((?:-?\d+,\s+){200})-?\d+", r"\1\g<2>7"),
     "table beyond one": (
         TABLE,
@@ -242,10 +306,18 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_derivation_notices_a_planted_fault(fault: str) -> None:
+def test_derivation_notices_a_planted_fault(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
     name, pattern, becomes = FAULTS[fault]
+    if name == TABLE or "invariant" in fault:  # not by the runtime's hash alone
+        monkeypatch.setattr("zerodrift.verify.certificate_check.is_known", lambda texts: True)
     failures = check_edited(FULL, name, pattern, becomes)
     assert failures, f"not noticed: {fault}"
+
+
+def test_runtime_as_it_is_now_is_known() -> None:
+    """After a change of the runtime: `make golden`."""
+    texts = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    assert (FORMAT, known_runtime.hash_runtime(texts)) == known_runtime.CURRENT
 
 
 def test_compiler_refuses_a_claim_beyond_its_width(tmp_path: Path) -> None:
