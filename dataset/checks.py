@@ -203,12 +203,9 @@ def check_period(
     """Raise InputError when a log is too coarse for the firmware's step."""
     if median_s <= coarsest * sample_period_s:
         return
-    hint = ""
-    if 0.5 < median_s / sample_period_s / 1000 < 2:
-        hint = " The times look like milliseconds; write seconds."
     raise InputError(
         f"{label}: a row every {median_s:.4g} s, but {where} sets sample_period_s = "
         f"{sample_period_s:g}; expected a row at least every {coarsest * sample_period_s:.4g} s, "
-        f"as what lies between rows cannot be made up.{hint} Set sample_period_s = {median_s:.4g}, "
+        f"as what lies between rows cannot be made up. Set sample_period_s = {median_s:.4g}, "
         "or log faster."
     )

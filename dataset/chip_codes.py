@@ -12,6 +12,7 @@ from zerodrift.dataset.checks import guess_temperature_unit
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.runs import Array, Dataset, Run
 from zerodrift.dataset.tables import label_log, open_source, read_table
+from zerodrift.dataset.time_units import measure_unit_s
 from zerodrift.errors import InputError
 
 TEMPERATURE, MEASURED, CLOCK = "temperature_degC", "measured:", "clock"
@@ -277,7 +278,8 @@ def _explain_row(config: Config, codes: ChipCodes, run: Run, row: int) -> InputE
     source = open_source(run.source, label_log(run.source, config.directory), config.where)
     columns = {config.time_column: "[sensor] time", codes.column: "a channel of the chip"}
     table = read_table(source, columns)
-    values, time_s = table.columns[codes.column], table.columns[config.time_column]
+    values = table.columns[codes.column]
+    time_s = table.columns[config.time_column] * measure_unit_s(config)
     raw = np.round(values / codes.lsb)
     lowest, highest = codes.codes
     outside = (raw < lowest) | (raw > highest) | (raw == codes.no_reading)

@@ -8,13 +8,16 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from zerodrift.config import MAX_OUTPUTS
+from zerodrift.config import MAX_OUTPUTS, TIME_UNITS
 from zerodrift.dataset.tables import RUN_COLUMN, Source, open_source
+from zerodrift.dataset.time_units import guess_time_unit, read_time_unit
 from zerodrift.dataset.units import TEMPERATURE_UNITS, read_unit, strip_unit
 from zerodrift.errors import InputError
 
 TIME_NAMES = ("time_s", "t_s", "elapsed_s", "time", "t", "elapsed", "seconds", "timestamp_s")
 CLOCK_WORDS = ("clock", "unix", "epoch", "utc")
+UNIT_WORDS = {"t", "millis", "micros", "nanos", "minutes", "hours"}
+"""With a unit of time these are the time; alone `t` may be a temperature."""
 REFERENCE_WORDS = ("ref", "reference", "true", "truth", "nominal", "ideal", "target")
 IGNORED_WORDS = ("index", "id", "row", "sample", "count", "number", "")
 #: Channel name that effects use -> pattern of columns that carry it.
@@ -54,6 +57,8 @@ class Guess:
     """Text columns with several values -> these, candidates for `[logs] where`."""
     checks: tuple[str, ...] = ()
     """What was uncertain."""
+    time_unit: str = ""
+    """Unit of the time column, guessed from its values; empty where its name states one."""
 
 
 def guess_project(logs: Sequence[Path]) -> Guess:
@@ -93,8 +98,14 @@ def guess_project(logs: Sequence[Path]) -> Guess:
         checks.append(f"not used: {', '.join(ignored)}")
     if (unit := read_unit(temperatures[0])) in ("degF", "K"):
         checks.append(f"'{temperatures[0]}' seems to be in {unit}; zerodrift wants degC")
-    if read_unit(time) in ("ms", "us"):
-        checks.append(f"'{time}' seems not to be in seconds; zerodrift wants seconds")
+    first_time, period = _measure_period(first, time)
+    time_unit = "" if read_time_unit(time) else guess_time_unit(first_time, period)
+    period_s = float(f"{period * TIME_UNITS[time_unit or read_time_unit(time) or 's']:.3g}")
+    if time_unit:
+        checks.append(
+            f"'{time}' is taken as {time_unit}, a row every {period_s:g} s; if it is another "
+            f"unit, of {', '.join(TIME_UNITS)}, change it and sample_period_s"
+        )
     if len(temperatures) > 1:
         checks.append(f"'{temperatures[0]}' was taken as the chip's own thermometer")
     groups = {name: values for name in texts if 1 < len(values := _list_values(first, name)) <= 32}
@@ -108,7 +119,8 @@ def guess_project(logs: Sequence[Path]) -> Guess:
         sensor_name=re.sub(r"[^A-Za-z0-9_]+", "_", logs[0].stem).strip("_").lower() or "sensor",
         time=time,
         temperature=temperatures[0],
-        sample_period_s=_measure_period(first, time),
+        sample_period_s=period_s,
+        time_unit=time_unit,
         outputs=outputs,
         inputs=inputs,
         runs=_list_values(first, RUN_COLUMN) if RUN_COLUMN in common else (),
@@ -138,6 +150,7 @@ def _guess_time(source: Source, numeric: Sequence[str]) -> tuple[str, str | None
     named = [lower[name] for name in TIME_NAMES if name in lower]
     clocks = [name for name in numeric if _words(name) & set(CLOCK_WORDS)]
     loose = [name for name in numeric if _words(name) & {"time", "timestamp", "elapsed"}]
+    loose += [name for name in numeric if read_time_unit(name) and _words(name) & UNIT_WORDS]
     candidates = list(dict.fromkeys(named + [name for name in loose if name not in clocks]))
     if not candidates and not clocks:
         raise InputError(
@@ -223,17 +236,17 @@ def _measure_spans(source: Source, columns: Sequence[str]) -> dict[str, float]:
     return {name: float(f"{span:.3g}") for name, span in spans.items()}
 
 
-def _measure_period(source: Source, time: str) -> float:
-    """Return the median interval between rows, to three digits, in the time column's unit."""
+def _measure_period(source: Source, time: str) -> tuple[float, float]:
+    """Return the first time and the median interval between rows, in the column's unit."""
     column = pl.col(time).cast(pl.Float64, strict=False)
-    interval = source.scan([time]).select(column.diff().alias("step")).filter(pl.col("step") > 0)
-    median = interval.select(pl.col("step").median()).collect().item()
+    frame = source.scan([time]).select(column.alias("time"), column.diff().alias("step"))
+    rising = pl.col("step").filter(pl.col("step") > 0).median()
+    first, median = frame.select(pl.col("time").drop_nulls().first(), rising).collect().row(0)
     if median is None:
         raise InputError(
-            f"{source.label}: '{time}' never rises; expected the time in seconds, rising from row "
-            "to row."
+            f"{source.label}: '{time}' never rises; expected times that rise from row to row."
         )
-    return float(f"{median:.3g}")
+    return float(first), float(median)
 
 
 def _list_values(source: Source, column: str) -> tuple[str, ...]:

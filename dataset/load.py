@@ -28,6 +28,12 @@ from zerodrift.dataset.runs import Array, Dataset, Run
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
 from zerodrift.dataset.shared_rows import KnownRun, find_copies
 from zerodrift.dataset.tables import Table, label_log, open_source, read_table
+from zerodrift.dataset.time_units import (
+    measure_unit_s,
+    refuse_unit,
+    state_time_unit,
+    write_time,
+)
 from zerodrift.dataset.units import are_alike, read_unit
 from zerodrift.errors import InputError, nearest
 
@@ -127,6 +133,7 @@ def _open_log(
     label = label_log(selection.path, config.directory)
     source = open_source(selection.path, label, config.where)
     table = read_table(source, list_columns(config))
+    table.columns[config.time_column] *= measure_unit_s(config)
     _keep_selected_runs(table, selection)
     _check_values(config, table, skip_invalid, notes)
     return table, _split_runs(config, table, skip_invalid, notes)
@@ -252,6 +259,9 @@ def _plan_run(
     check_sampling(table, config.time_column, start, stop)
     median_s = float(np.median(np.diff(time_s[start:stop])))
     setting = locate_key(config.path, "sensor", "sample_period_s")
+    stated = state_time_unit(config)
+    period_s = config.sample_period_s
+    refuse_unit(who, config.time_column, stated, start_s, median_s, period_s, setting)
     check_period(who, median_s, config.sample_period_s, COARSEST, setting)
     stretches, gaps = plan_stretches(time_s, start, stop, config.sample_period_s)
     long_enough = [stretch for stretch in stretches if stretch.steps >= MIN_STEPS]
@@ -278,8 +288,8 @@ def _note_stretches(
         length_s = float(time_s[longest + 1] - time_s[longest])
         times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
         notes.append(
-            f"{who}: interrupted {times} (longest {length_s:.4g} s, after {time_s[longest]:.6g} "
-            f"s); not bridged, read as {len(stretches)} stretches"
+            f"{who}: interrupted {times} (longest {length_s:.4g} s, after "
+            f"{write_time(time_s[longest])} s); not bridged, read as {len(stretches)} stretches"
         )
     short = [stretch for stretch in stretches if stretch.steps < MIN_STEPS]
     if short:

@@ -9,6 +9,7 @@ import numpy as np
 
 from zerodrift.config import Config
 from zerodrift.dataset.runs import Array, Run
+from zerodrift.dataset.time_units import write_time
 
 UNIT_RATIOS = {
     1000.0: "one in thousandths of the other's unit",
@@ -109,8 +110,9 @@ def _tell_spikes(where: Sequence[tuple[Run, int]], column: str, what: str) -> li
     height = "" if values is None else f" to {values[row]:.4g} degC"
     rows = "one row" if len(where) == 1 else f"{len(where)} rows, the first"
     return [
-        f"'{column}' ({what}) jumps{height} and back in {rows} at {run.time_s[row]:.6g} s of "
-        f"{run.source.name}: if no sensor did that, take the row out"
+        f"'{column}' ({what}) jumps{height} and back in {rows} at "
+        f"{write_time(run.time_s[row])} s of {run.source.name}: if no sensor did that, take the "
+        "row out"
     ]
 
 

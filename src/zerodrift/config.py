@@ -18,6 +18,8 @@ from zerodrift.toml_table import LARGEST, TomlTable
 FILE_NAME = "zerodrift.toml"
 FOLDER = "firmware"
 """Where the C goes unless `[firmware] out` says otherwise."""
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+"""Unit of a time column -> seconds."""
 USES = ("train", "test", "dwell")
 """What `[logs]` selects runs for."""
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
@@ -113,6 +115,8 @@ class Config:
     """Whether the C keeps a checksum over its state."""
     fleet: FleetConfig = field(default_factory=FleetConfig)
     """`[fleet]`: for `zerodrift fleet` alone."""
+    time_unit: str = ""
+    """Of `time_column`: s | ms | us | ns | min | h; empty where the table states none."""
     temperature_codes: CodesConfig = field(default_factory=CodesConfig)
     """What the chip is given of the thermometer."""
     input_codes: Mapping[str, CodesConfig] = field(default_factory=dict)
@@ -188,12 +192,14 @@ def parse_config(text: str, path: Path) -> Config:
     firmware = root.table("firmware", ("out", "prefix", "guard"), optional=True)
     outputs = _read_outputs(root)
     inputs = root.table("inputs", None, optional=True)
+    time_column, time_unit = _read_time(sensor)
     temperature_column, temperature_codes = read_column(sensor, "temperature")
     columns = {name: read_column(inputs, name) for name in inputs.values}
     config = Config(
         path=path,
         sensor_name=sensor.text("name"),
-        time_column=sensor.text("time"),
+        time_column=time_column,
+        time_unit=time_unit,
         temperature_column=temperature_column,
         sample_period_s=sensor.positive("sample_period_s"),
         outputs=outputs,
@@ -244,6 +250,14 @@ def _describe_syntax_error(path: Path, message: str) -> str:
     what = re.sub(r"\s*\(at .*\)$", "", message)
     place = f"{path}:{match.group(1)}" if match else str(path)
     return f"{place}: not valid TOML: {what}. Text needs quotes, tables are written [name]."
+
+
+def _read_time(sensor: TomlTable) -> tuple[str, str]:
+    """Return the time column and its unit, which is empty unless it is written as a table."""
+    if not isinstance(sensor.values.get("time"), dict):
+        return sensor.text("time"), ""
+    table = sensor.table("time", ("column", "unit"))
+    return table.text("column"), table.choice("unit", tuple(TIME_UNITS), "")
 
 
 def _read_outputs(root: TomlTable) -> tuple[OutputConfig, ...]:

@@ -139,7 +139,7 @@ def test_load_refuses_a_log_coarser_than_the_firmware(project, rows):
 
 def test_load_hints_at_milliseconds(project, rows):
     project.write_log(rows(40, 1000.0))
-    expect(project.refusal(), "look like milliseconds; write seconds")
+    expect(project.refusal(), "the times look like ms")
 
 
 @pytest.mark.parametrize("count", [1, 2, 9])

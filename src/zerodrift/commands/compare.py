@@ -21,6 +21,7 @@ from zerodrift.commands.console import (
     show_progress,
 )
 from zerodrift.commands.predictors import KINDS
+from zerodrift.dataset.time_units import write_time
 from zerodrift.physics.segments import MOST_SEGMENTS
 
 if TYPE_CHECKING:
@@ -193,8 +194,8 @@ def _print_failures(comparison: "Comparison", console: "Console") -> None:
             s.run,
             s.output,
             s.pattern,
-            f"{s.from_s:.6g}",
-            f"{s.to_s:.6g}",
+            write_time(s.from_s),
+            write_time(s.to_s),
             f"{s.rmse:.3g} {units[s.output]}",
             f"{s.mean_error:+.3g} {units[s.output]}",
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from zerodrift.commands.common import directory_option, json_option, print_json, write_text
-from zerodrift.config import FILE_NAME, parse_config
+from zerodrift.config import FILE_NAME, TIME_UNITS, parse_config
 from zerodrift.dataset.guess import Guess, GuessedOutput, guess_project
 from zerodrift.dataset.selectors import CSV_SUFFIXES, PARQUET_SUFFIXES, order_path
 from zerodrift.errors import InputError
@@ -55,7 +55,7 @@ def write_config(guess: Guess, selectors: dict[str, list[str]]) -> str:
         "",
         "[sensor]",
         f"name = {_quote(guess.sensor_name)}  # prefix of the C names",
-        f"time = {_quote(guess.time)}  # column, seconds",
+        _write_time(guess),
         f"temperature = {_quote(guess.temperature)}  # column, degC: the chip's own thermometer",
         "# The firmware's step: finer logs are averaged to it, coarser ones refused.",
         f"sample_period_s = {guess.sample_period_s!r}",
@@ -95,6 +95,14 @@ def write_config(guess: Guess, selectors: dict[str, list[str]]) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def _write_time(guess: Guess) -> str:
+    if not guess.time_unit:
+        return f"time = {_quote(guess.time)}  # column, seconds, or the unit that its name states"
+    others = " | ".join(unit for unit in TIME_UNITS if unit != guess.time_unit)
+    table = f"{{ column = {_quote(guess.time)}, unit = {_quote(guess.time_unit)} }}"
+    return f"time = {table}  # check: or {others}, and then another sample_period_s"
 
 
 def _write_output(output: GuessedOutput) -> list[str]:
