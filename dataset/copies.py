@@ -37,6 +37,8 @@ BLOCK = 1 << 17
 """Rows that are marked at once."""
 LEAST_NOISE_STEPS = 0.45
 """Noise of fewer steps than this (RMS) is not told from rounding, whose own is 0.29 steps."""
+FITTED_ROWS = 20
+"""Rows that a parabola is laid through."""
 MOST_ALIKE = 32
 """Marks that occur more often than this are patterns, not noise."""
 MOST_ALIGNMENTS = 16
@@ -124,13 +126,26 @@ def measure_noise(values: Array) -> float:
     """Return the RMS of the noise on a signal, which a smooth curve or rare steps have none of.
 
     White noise is as large in fourth as in sixth differences, which take smooth curves away;
-    medians pass over steps.
+    medians pass over steps. A ramp that crosses a step of its converter every other row looks like
+    noise to differences, so no more is told than what a parabola leaves of a few rows.
     """
     if values.size < WINDOW:
         return 0.0
     fourth = float(np.median(np.abs(np.diff(values, 4)))) / (0.6745 * 70**0.5)
     sixth = float(np.median(np.abs(np.diff(values, 6)))) / (0.6745 * 924**0.5)
-    return min(fourth, sixth) if sixth > 0.5 * fourth else 0.0
+    if sixth <= 0.5 * fourth:
+        return 0.0
+    least: float = min(fourth, sixth, _measure_scatter(values))
+    return least
+
+
+def _measure_scatter(values: Array) -> float:
+    """Return the RMS of what parabolas through a few rows at a time leave, the median of them."""
+    rows = min(FITTED_ROWS, values.size)
+    pieces = values[: values.size // rows * rows].reshape(-1, rows)
+    basis = np.linalg.qr(np.vander(np.linspace(-1, 1, rows), 3))[0]
+    left: Array = pieces - pieces @ basis @ basis.T
+    return float(np.median(np.sqrt(np.sum(left**2, axis=1) / (rows - 3))))
 
 
 def measure_step(values: Array) -> float:

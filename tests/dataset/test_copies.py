@@ -10,7 +10,7 @@ from benchmarks.bench_copies import CLEAN_KINDS, COPIES, find, make_clean, try_c
 from tests.projects import FORCE, render_toml
 
 from zerodrift.config import load_config
-from zerodrift.dataset.copies import measure_noise, measure_step
+from zerodrift.dataset.copies import LEAST_NOISE_STEPS, measure_noise, measure_step
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
 from zerodrift.errors import InputError
@@ -170,3 +170,9 @@ def test_noise_is_measured_on_a_drift_and_not_in_a_smooth_curve() -> None:
     assert measure_noise(20 * np.sin(at / 100) + noise) == pytest.approx(0.1, rel=0.15)
     assert measure_noise(20 * np.sin(at / 100)) == 0
     assert measure_noise(np.repeat(np.arange(20.0), 100)) == 0
+
+
+@pytest.mark.parametrize("slope", [0.5, 0.47, 0.34, 1.3])
+def test_ramp_over_a_coarse_converters_steps_is_no_noise(slope: float) -> None:
+    ramp = np.rint(slope * np.arange(200.0) + 0.2)
+    assert measure_noise(ramp) < LEAST_NOISE_STEPS
