@@ -144,13 +144,14 @@ def main(quick: bool = False, project_name: str = "gru", jobs: int = 2) -> int:
         raise SystemExit(f"verify fails on the unspoilt project:\n{unspoilt.text}")
     deeds = list(list_deeds(project, other))[:: 7 if quick else 1]
     with ThreadPoolExecutor(jobs) as pool:
-        told = list(pool.map(lambda deed: run_deed(project, deed), deeds))
-    for one in told:
-        if not one.reported:
-            print(f"NOT REPORTED {one.what}: exit code {one.code}: {one.text.strip()[-160:]}")
-    reported = sum(one.reported for one in told)
-    print(f"sabotage: {reported} of {len(told)} reported")
-    return int(reported < len(told))
+        reported = 0
+        for one in pool.map(lambda deed: run_deed(project, deed), deeds):
+            reported += one.reported
+            word = "reported" if one.reported else "NOT REPORTED"
+            said = " ".join(one.text.split())[-160:]
+            print(f"{word} {one.what}: exit code {one.code}: {said}", flush=True)
+    print(f"sabotage: {reported} of {len(deeds)} reported")
+    return int(reported < len(deeds))
 
 
 if __name__ == "__main__":
