@@ -5,9 +5,9 @@ code with the generator and needs the standard library only.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from zerodrift.verify.c_parser import Node
+from zerodrift.verify.c_expressions import Expressions
+from zerodrift.verify.c_nodes import Node
 from zerodrift.verify.c_values import (
     BITS,
     TYPES,
@@ -18,9 +18,6 @@ from zerodrift.verify.c_values import (
     anything,
     is_signed,
 )
-
-if TYPE_CHECKING:
-    from zerodrift.verify.c_intervals import Machine
 
 Limits = dict[str, list[tuple[int, int]]]
 
@@ -78,18 +75,18 @@ class Guard:
         return found
 
 
-def read_guard(machine: "Machine") -> Guard:
+def read_guard(machine: Expressions, prefix: str) -> Guard:
     """Read the test statement by statement, and note the bounds that it sets.
 
     Raises:
         NotUnderstoodError: a statement without a rule.
     """
-    return _Reader(machine).read()
+    return _Reader(machine, prefix).read()
 
 
 class _Reader:
-    def __init__(self, machine: "Machine") -> None:
-        self._machine, prefix = machine, machine.prefix
+    def __init__(self, machine: Expressions, prefix: str) -> None:
+        self._machine = machine
         function = machine.program.functions.get(f"{prefix}_state_is_sound")
         if (
             function is None

@@ -12,7 +12,8 @@ from zerodrift.verify.c_assembly import NAMES, run_assembly
 from zerodrift.verify.c_guard import read_guard
 from zerodrift.verify.c_intervals import Machine
 from zerodrift.verify.c_kernels import RULES, STRUCTS
-from zerodrift.verify.c_parser import Node, Variable, parse
+from zerodrift.verify.c_nodes import Node, Variable
+from zerodrift.verify.c_parser import parse
 from zerodrift.verify.c_reader import WAYS, Tokens, Way, read_ways
 from zerodrift.verify.c_values import (
     TYPES,
@@ -140,7 +141,7 @@ class Model(Machine):
                 if self.number(claim).exact != 1:
                     self.fail("does not compile: a claim that does not hold")
             self.outputs = self.constant(self._expand("OUTPUTS"))
-            self.guard = read_guard(self)
+            self.guard = read_guard(self, self.prefix)
         except FaultError as error:
             self.fail(str(error))
             return

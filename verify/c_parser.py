@@ -6,9 +6,9 @@ generator and needs the standard library only.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
+from zerodrift.verify.c_nodes import Function, Node, Program, TypeName, Variable
 from zerodrift.verify.c_reader import FUNCTIONS, Tokens, parse_integer
 from zerodrift.verify.c_values import TYPES, NotUnderstoodError
 
@@ -20,64 +20,6 @@ WORDS = {"return", "if", "else", "for", "const", "static", "volatile", "typedef"
 WORDS |= {"while", "do", "goto", "switch", "case", "break", "continue", "union", "enum", "extern"}
 WORDS |= {"inline", "sizeof", "void", "register", "auto", "restrict", "default"}
 NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
-
-
-@dataclass(frozen=True)
-class Node:
-    """An expression or statement: its kind, where it stands, and its parts."""
-
-    kind: str
-    at: int
-    parts: tuple[Any, ...]
-
-
-@dataclass(frozen=True)
-class TypeName:
-    """A type as it is written before a name."""
-
-    name: str
-    constant: bool = False
-    pointer: bool = False
-    volatile: bool = False
-
-
-@dataclass(frozen=True)
-class Variable:
-    """A declared variable, parameter or field; sizes and initialiser as expressions."""
-
-    type: TypeName
-    name: str
-    sizes: tuple[Node, ...]
-    at: int
-    first: Node | None = None
-    """Its initialiser."""
-
-
-@dataclass(frozen=True)
-class Function:
-    """A function with a body."""
-
-    name: str
-    result: str
-    parameters: tuple[Variable, ...]
-    body: Node
-
-
-@dataclass
-class Program:
-    """What header and source declare, in their order."""
-
-    tokens: Tokens
-    structs: dict[str, tuple[Variable, ...]] = field(default_factory=dict)
-    constants: list[Variable] = field(default_factory=list)
-    functions: dict[str, Function] = field(default_factory=dict)
-    claims: list[Node] = field(default_factory=list)
-    assembly: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    """Function -> its lines of assembly."""
-
-    def place(self, at: int) -> str:
-        """Return file:line of a token."""
-        return self.tokens.places[min(at, len(self.tokens.places) - 1)]
 
 
 def parse(tokens: Tokens, struct_types: Sequence[str]) -> Program:
