@@ -14,6 +14,7 @@ from zerodrift.fleet.result import RESULT, Outcome, SensorResult, load_result
 from zerodrift.fleet.sensors import configure_sensor, find_sensors
 from zerodrift.fleet_config import PLACEHOLDER
 from zerodrift.journal import write_all
+from zerodrift.verify.manifest import check_manifest
 
 BATCH = 32
 """Sensors in a batch: compiled together, and with a network trained together."""
@@ -108,9 +109,15 @@ def find_kept(design: Design, sensor: str) -> SensorResult | None:
     if not (folder / RESULT).is_file():
         return None
     try:
-        mark = design.mark_sensor(configure_sensor(design.config, sensor))
+        config = configure_sensor(design.config, sensor)
+        mark = design.mark_sensor(config)
     except ZerodriftError:
         return None  # told when it is worked on
+    if design.firmware:  # logs and design are in the mark
+        place = design.firmware_folder(sensor)
+        check = check_manifest(config, folder=place, build=folder, wants_inputs=False)
+        if check.manifest is None or check.findings:
+            return None
     return load_result(folder, design.directory, mark)
 
 

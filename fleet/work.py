@@ -4,11 +4,13 @@ import json
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
+from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.c_runtime.host_batch import build_host_batch
 from zerodrift.codegen.generate import GeneratedCode, generate
@@ -20,7 +22,7 @@ from zerodrift.export.compose import compose_integer_model
 from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.fleet.assess import assess, describe_parameters
-from zerodrift.fleet.design import Design
+from zerodrift.fleet.design import RUNTIME, Design
 from zerodrift.fleet.result import Outcome, SensorResult, save_result
 from zerodrift.fleet.sensors import configure_sensor
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
@@ -32,6 +34,8 @@ from zerodrift.verify.certificate_check import check_certificate
 from zerodrift.verify.firmware import list_sequences
 from zerodrift.verify.gate import judge_firmware
 from zerodrift.verify.host_check import check_host, check_starts
+from zerodrift.verify.manifest import FILE_NAME as MANIFEST
+from zerodrift.verify.manifest import write_manifest
 
 UNFORESEEN = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
 """What a sensor's logs might raise that nobody thought of: told in its name, others go on."""
@@ -273,11 +277,24 @@ def _render(
     if job.code is not None and job.model is not None and not result.refused:
         out = design.firmware_folder(job.sensor)
         files[build / "model.json"] = job.model.to_text().encode()
-        files[out / PARAMETERS] = text.encode()
-        files[out / job.code.header_name] = job.code.header.encode()
-        files[out / job.code.source_name] = job.code.source.encode()
-        files[out / CERTIFICATE] = certificate.encode()
+        firmware = {
+            PARAMETERS: text.encode(),
+            job.code.header_name: job.code.header.encode(),
+            job.code.source_name: job.code.source.encode(),
+            CERTIFICATE: certificate.encode(),
+        }
+        files |= {out / name: content for name, content in firmware.items()}
+        shared = {f"../{RUNTIME}/{path.name}": path.read_bytes() for path in RUNTIME_FILES}
+        own = {name: content for name in ("model.json",) if (content := files[build / name])}
+        files[out / MANIFEST] = write_manifest(
+            job.config, job.model.hash, firmware | shared, own, _describe_compiler()
+        ).encode()
     return files
+
+
+@cache
+def _describe_compiler() -> str:
+    return find_compiler().describe()
 
 
 def describe_sensor(

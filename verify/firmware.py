@@ -47,14 +47,13 @@ from zerodrift.verify.firmware_check import FirmwareCheck, check_firmware
 from zerodrift.verify.gate import GateVerdict, judge_firmware
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import write_manifest
-from zerodrift.verify.vectors import draw_sequences
+from zerodrift.verify.vectors import draw_golden, draw_sequences
 
 Progress = Callable[[str], None]
 
 LEAST_VECTORS = 100_000
 """Steps compared at least; the logs are part of them."""
 LONGEST_LOG_STEPS = 20_000
-GOLDEN_STEPS = 2000
 CORE = "cortex-m4"
 
 
@@ -153,7 +152,7 @@ def build_firmware(
     files: tuple[Path, ...] = ()
     if gate.passes or force:
         progress("writing")
-        golden = compute_golden(model, next(iter(sequences.values()))[:GOLDEN_STEPS])
+        golden = compute_golden(model, draw_golden(model, next(iter(sequences.values()))))
         files = write_artefacts(
             config, model, code, certificate, golden, forced=forced, network=network
         )

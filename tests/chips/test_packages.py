@@ -11,13 +11,17 @@ import pytest
 from click.testing import CliRunner
 from tests.fixed_point.test_cmake import run
 from tests.golden.vectors import load
+from tests.verify.conftest import write_firmware
 
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
 from zerodrift.cli import cli
+from zerodrift.codegen.generate import generate
 from zerodrift.codegen.packages import PACKAGES, render_package
+from zerodrift.errors import CheckError
 
 ROOT = Path(__file__).parents[2]
 RUNTIME = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+MODEL = load("front_end").model
 MAIN = """#include "front_end.h"
 int main(void) { return (int)front_end_selftest(); }
 """
@@ -30,7 +34,7 @@ def package(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 def write(kind: str, folder: Path) -> Path:
     place = folder / kind
-    for name, text in render_package(kind, load("front_end").model, RUNTIME).items():
+    for name, text in render_package(kind, MODEL, generate(MODEL), RUNTIME).items():
         path = place / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
@@ -56,8 +60,8 @@ def test_command_writes_a_package_and_replaces_it(tmp_path: Path) -> None:
     shutil.copy(ROOT / "examples" / "ft40" / "zerodrift.toml", tmp_path)
     missing = CliRunner().invoke(cli, ["package", "cmake", "-C", str(tmp_path)])
     assert missing.exit_code != 0 and not (tmp_path / "firmware").exists()
-    (tmp_path / "build").mkdir()
-    load("front_end").model.save(tmp_path / "build" / "model.json")
+    shutil.rmtree(tmp_path)
+    write_firmware(tmp_path)
     place = tmp_path / "firmware" / "packages" / "cmake"
     for _ in range(2):
         done = CliRunner().invoke(cli, ["package", "cmake", "-C", str(tmp_path), "--json"])
@@ -73,6 +77,17 @@ def test_command_writes_a_package_and_replaces_it(tmp_path: Path) -> None:
     assert not (place / "src" / "of_an_earlier_name.c").exists()
     assert (place / "notes.txt").read_text() == "of the user"
     assert [path.name for path in place.parent.iterdir()] == ["cmake"]
+
+
+def test_package_of_spoilt_or_stale_firmware_is_refused(tmp_path: Path) -> None:
+    project = write_firmware(tmp_path / "p")
+    (project / "logs" / "test.csv").write_text("")
+    (project / "firmware" / "zd_runtime.h").write_text("")
+    refused = CliRunner().invoke(cli, ["package", "cmake", "-C", str(project)])
+    assert isinstance(refused.exception, CheckError)
+    told = str(refused.exception)
+    assert "zd_runtime.h: was changed" in told and "logs/test.csv: was changed" in told
+    assert not (project / "firmware" / "packages").exists()
 
 
 def test_cmake_package_is_installed_found_and_passes_its_self_test(tmp_path: Path) -> None:

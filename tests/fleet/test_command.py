@@ -44,7 +44,9 @@ def test_fleet_writes_checked_c_for_every_sensor(done_fleet, tmp_path):
     for result in report["results"]:
         folder = done_fleet / "firmware" / result["sensor"]
         names = {path.name for path in folder.iterdir()}
-        assert names == {"ft40.h", "ft40.c", "parameters.json", "certificate.json"}
+        assert names == {
+            *("ft40.h", "ft40.c", "parameters.json", "certificate.json", "manifest.json"),
+        }
         assert result["model_hash"] in (folder / "ft40.h").read_text()
         assert json.loads((folder / "parameters.json").read_text())["model_hash"] in hashes | {
             result["model_hash"]

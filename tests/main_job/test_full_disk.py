@@ -3,7 +3,6 @@
 import errno
 import os
 import resource
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from tests.golden.vectors import load
 from tests.projects import render_toml
+from tests.verify.conftest import write_firmware
 
 from zerodrift.cli import main
 from zerodrift.codegen.generate import generate
@@ -108,9 +108,7 @@ def test_firmware_is_replaced_as_a_whole_or_not_at_all(
 def test_package_that_does_not_fit_leaves_the_old_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, zerodrift: Callable[..., object]
 ) -> None:
-    shutil.copy(ROOT / "examples" / "ft40" / "zerodrift.toml", tmp_path)
-    (tmp_path / "build").mkdir()
-    load("front_end").model.save(tmp_path / "build" / "model.json")
+    tmp_path = write_firmware(tmp_path / "project")
     assert zerodrift("package", "cmake", "-C", tmp_path).code == 0  # type: ignore[attr-defined]
     before = read_tree(tmp_path)
     for where, call in (("fsync", 1), ("fsync", 4), ("replace", 2)):

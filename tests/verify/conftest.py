@@ -1,7 +1,6 @@
 """A firmware folder with everything beside it, made of a golden model without any training."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ from zerodrift.config import load_config
 from zerodrift.export.golden import compute_golden
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.firmware import write_artefacts
-from zerodrift.verify.vectors import draw_sequences
+from zerodrift.verify.vectors import draw_golden, draw_sequences
 
 MODEL = "front_end"
 """Two inputs, a lag, a delay and a GRU whose kernels exist in every layout."""
@@ -21,7 +20,7 @@ MODEL = "front_end"
 
 def write_firmware(directory: Path, name: str = MODEL, forced: tuple[str, ...] = ()) -> Path:
     """Write a project whose firmware is a golden model's; return its directory."""
-    directory.mkdir(parents=True)
+    directory.mkdir(parents=True, exist_ok=True)
     logs = '[logs]\ntrain = ["logs/train_*.csv"]\ntest = ["logs/test.csv"]\n'
     (directory / "zerodrift.toml").write_text(
         render_toml(logs + '\n[firmware]\nout = "firmware"\n')
@@ -31,7 +30,7 @@ def write_firmware(directory: Path, name: str = MODEL, forced: tuple[str, ...] =
         (directory / "logs" / f"{log}.csv").write_text(f"time_s\n{len(log)}\n")
     model = load(name).model
     code = generate(model)
-    golden = compute_golden(model, draw_sequences(model, 500)["walk"])
+    golden = compute_golden(model, draw_golden(model, draw_sequences(model, 500)["walk"]))
     certificate = certify(model, code)
     write_artefacts(load_config(directory), model, code, certificate, golden, forced=forced)
     return directory
@@ -47,6 +46,3 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def project(pristine: Path, tmp_path: Path) -> Path:
     """A copy of the project that a test may spoil."""
     return Path(shutil.copytree(pristine, tmp_path / "project"))
-
-
-Spoil = Callable[[Path], object]

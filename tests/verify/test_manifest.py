@@ -4,13 +4,17 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from tests.golden.vectors import load
 from tests.verify.conftest import write_firmware
 
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
+from zerodrift.commands.survey import read_firmware
 from zerodrift.config import load_config
 from zerodrift.errors import CheckError
-from zerodrift.verify.manifest import Finding, check_manifest, load_manifest
+from zerodrift.verify.manifest import FILE_NAME, Finding, check_manifest, load_manifest
+from zerodrift.verify.vectors import count_lines, draw_golden, draw_sequences
 
 SHIPPED = {
     *("front_end.h", "front_end.c", "front_end.dbc", "certificate.json"),
@@ -144,3 +148,27 @@ def test_require_names_every_finding(project: Path) -> None:
     with pytest.raises(CheckError) as caught:
         check_manifest(load_config(project)).require("firmware/")
     assert "zd_runtime.c" in str(caught.value) and "test.csv" in str(caught.value)
+
+
+def test_report_and_page_show_no_firmware_that_is_stale_or_spoilt(project: Path) -> None:
+    model_hash = load_manifest(project / "firmware" / FILE_NAME).model_hash
+    told = project / "build" / "firmware.json"
+    told.write_text(json.dumps({"model_hash": model_hash, "chip_error": {}}))
+    firmware, certificate, note = read_firmware(load_config(project))
+    assert firmware is not None and certificate is not None and not note
+    (project / "logs" / "test.csv").write_text("")
+    firmware, certificate, note = read_firmware(load_config(project))
+    assert firmware is None and certificate is None
+    assert "logs/test.csv: was changed" in note and "zerodrift firmware" in note
+
+
+@pytest.mark.parametrize("name", ["ordinary", "saturation", "front_end"])
+def test_golden_vectors_read_every_line_of_the_table_that_others_read(name: str) -> None:
+    model = load(name).model
+    sequences = draw_sequences(model, 1000)
+    golden = draw_golden(model, sequences["walk"])
+    others = [count_lines(model, codes) for codes in sequences.values()]
+    missed = np.logical_or.reduce(others) & ~count_lines(model, golden)
+    assert missed.sum() <= 0.01 * count_lines(model, golden).sum()
+    for k, channel in enumerate(model.channels):
+        assert {channel.least, channel.most} <= {*golden[:, k].tolist()}

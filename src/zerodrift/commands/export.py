@@ -34,6 +34,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     from zerodrift.export.integer_onnx import build_integer_onnx
     from zerodrift.journal import write_all
     from zerodrift.verify.certificate import certify
+    from zerodrift.verify.vectors import draw_golden
 
     console = Console(stderr=True)
     config, dataset = open_project(directory, skip_invalid)
@@ -43,7 +44,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
         tuned = load_or_tune(compensator, config, dataset.train)
         model = compose_integer_model(tuned, config, dataset)
         run = (dataset.test or dataset.train)[0]
-        golden = compute_golden(model, encode_inputs(model, run)[:2000])
+        golden = compute_golden(model, draw_golden(model, encode_inputs(model, run)))
     build = config.build_directory
     contents = {
         build / "model.json": model.to_text().encode(),

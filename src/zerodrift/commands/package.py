@@ -4,7 +4,13 @@ from pathlib import Path
 
 import click
 
-from zerodrift.commands.common import changes_project, directory_option, json_option, print_json
+from zerodrift.commands.common import (
+    changes_project,
+    directory_option,
+    json_option,
+    print_json,
+    print_notes,
+)
 from zerodrift.journal import write_all
 from zerodrift.ownership import MANIFEST, list_own, refuse_foreign, render_manifest
 
@@ -19,18 +25,23 @@ def command(kind: str, directory: Path, as_json: bool) -> None:
 
     Files that zerodrift did not write stay, and are never replaced.
 
-    Takes build/model.json, which `zerodrift firmware` writes once every compared bit is equal.
+    Takes the C and its runtime as they lie in the firmware folder, which `zerodrift firmware`
+    writes once every compared bit is equal. Exit code 1: a file of it was changed or is missing, or
+    it is stale.
     """
-    from zerodrift.c_runtime.compilers import RUNTIME_FILES
     from zerodrift.codegen.packages import render_package
     from zerodrift.commands.firmware import show_path
     from zerodrift.config import load_config
     from zerodrift.export.integer_model import load_model
+    from zerodrift.verify.manifest import check_manifest
+    from zerodrift.verify.replay import read_code
 
     config = load_config(directory)
+    check = check_manifest(config).require(f"{show_path(config.firmware_out, config.directory)}/")
+    print_notes(tuple(f"not checked: {n.what}: {n.why}" for n in check.not_checked))
     model = load_model(config.build_directory / "model.json")
-    runtime = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
-    files = render_package(kind, model, runtime)
+    code = read_code(model, config.firmware_out)
+    files = render_package(kind, model, code, code.runtime or {})
     place = config.firmware_out / "packages" / kind
     contents = {name: text.encode() for name, text in files.items()}
     contents[MANIFEST] = render_manifest(contents, package=kind, model=model.hash)

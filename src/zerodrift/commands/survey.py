@@ -43,6 +43,7 @@ DIAGNOSIS = "diagnosis.json"
 """In build/: the last diagnosis, with the mark of what it was made from."""
 DIAGNOSIS_FORMAT = 3
 FIRMWARE, CERTIFICATE = "firmware.json", "certificate.json"
+AGAIN = "`zerodrift firmware` builds it again."
 SIMULATED_FILES = ("truth.json", "twin.json")
 PACKAGES = ("numpy", "scipy", "polars", "torch", "onnx", "onnxruntime", "plotly")
 TIGHTEST = 8
@@ -85,7 +86,7 @@ def survey_project(
     provenance = trace_provenance(config, dataset)
     diagnosis = diagnose_once(config, dataset, catalogue, provenance["mark"], wants_diagnosis, say)
     say("looking at the firmware")
-    firmware, certificate, note = read_firmware(config, dataset)
+    firmware, certificate, note = read_firmware(config)
     _, entries = open_history(config)
     model = _find_model(predictor.kind, config, dataset, catalogue)
     advice = advise(config, dataset)
@@ -303,31 +304,28 @@ def _read_json(path: Path) -> dict[str, Any] | None:
 
 
 def read_firmware(
-    config: Config, dataset: Dataset
+    config: Config,
 ) -> tuple[dict[str, Any] | None, dict[str, Any] | None, str]:
     """Return the last `firmware --json`, the certificate's summary, and what is to be said of them.
 
-    Firmware of other logs, another configuration or another model is not shown, and no certificate
-    but its own.
+    Firmware that is not as its manifest says, files, logs and configuration alike, is not shown,
+    and no certificate but its own.
     """
     firmware = _read_kept(config.build_directory / FIRMWARE)
     if firmware is None:
         return None, None, "No firmware was built yet: `zerodrift firmware` builds and checks it."
-    from zerodrift.export.integer_model import load_model
-    from zerodrift.train.compensator import Compensator
-    from zerodrift.train.training import mark_inputs
+    from zerodrift.verify.manifest import check_manifest
 
-    stale = "The firmware in build/ is of other logs or another model: `zerodrift firmware` again."
-    try:
-        model = load_model(config.build_directory / "model.json")
-        catalogue = load_catalogue(config.plugin_files)
-        compensator = Compensator.load(config.build_directory, catalogue)
-    except InputError as error:
-        return None, None, f"The firmware in build/ cannot be shown: {error}"
-    is_same = compensator.trained_from == mark_inputs(config, dataset)
-    if not is_same or model.hash != firmware.get("model_hash") or "chip_error" not in firmware:
-        return None, None, stale
-    certificate, note = read_certificate(config.build_directory / CERTIFICATE, model.hash)
+    check = check_manifest(config)
+    if check.manifest is None or check.findings:
+        reasons = [f.text for f in check.findings] or [n.why for n in check.not_checked]
+        return None, None, f"The firmware cannot be shown: {' '.join(reasons)} {AGAIN}"
+    if check.manifest.model_hash != firmware.get("model_hash") or "chip_error" not in firmware:
+        why = f"{FIRMWARE} is of another model or of an earlier version."
+        return None, None, f"The firmware cannot be shown: {why} {AGAIN}"
+    certificate, note = read_certificate(
+        config.build_directory / CERTIFICATE, check.manifest.model_hash
+    )
     return firmware, certificate, note
 
 
