@@ -9,8 +9,55 @@ from zerodrift.export.integer_model import FLAG_DAMAGED, FLAG_WARMING_UP
 from zerodrift.operations.arithmetic import CodeArray
 
 STEPS = 24
+_MOST_PLACES = 1024
+"""Of a state or copy, spread over it, that are damaged and compared with fresh C."""
+_COPY_HEAD = 12
+"""Bytes of a saved copy before the state: version, model, size."""
 _FLIPPED = 64
 """Bytes of a saved copy that are damaged, spread over it."""
+
+
+def compare_behaviour(host: HostModel, fresh: HostModel, codes: CodeArray) -> str:
+    """Return where a host build answers a damaged state or copy otherwise than C made afresh.
+
+    Every byte of a state is changed in three ways, and one bit of every byte of a saved copy; what
+    step and restore then do must be the same. States of the two must lie alike.
+
+    Args:
+        host: the source as it is flashed.
+        fresh: the same model's, generated now.
+        codes: [T, C] some sequence of at least 24 steps.
+    """
+    places = np.unique(np.linspace(0, host.state_bytes - 1, _MOST_PLACES).astype(int))
+    for settled in (True, False):
+        saved: list[bytes] = []
+        for build in (host, fresh):
+            build.overwrite(b"\xa5" * build.state_bytes)
+            build.run(codes[:STEPS], settled=settled)
+            saved.append(build.save())
+        if saved[0] != saved[1]:
+            return "save writes another copy than the model's C does"
+        state = saved[0][_COPY_HEAD : _COPY_HEAD + host.state_bytes]
+        for at in places:
+            for byte in (state[at] ^ 0x80, 0x7F, state[at] ^ 1):
+                damaged = state[:at] + bytes([byte]) + state[at + 1 :]
+                found = []
+                for build in (host, fresh):
+                    build.overwrite(damaged)
+                    trace = build.run(codes[:2], restart=False)
+                    found.append((trace.drift.tolist(), trace.flags.tolist(), build.save()))
+                if found[0] != found[1]:
+                    return f"a state whose byte {at} is 0x{byte:02x} is answered otherwise"
+        for at in np.unique(np.linspace(0, len(saved[0]) - 1, _MOST_PLACES).astype(int)):
+            copy = bytearray(saved[0])
+            copy[at] ^= 1 << (at % 8)
+            answers: list[tuple[int, bytes]] = []
+            for build in (host, fresh):
+                build.overwrite(b"\xa5" * build.state_bytes)
+                answers.append((build.restore(bytes(copy)), build.save()))
+            if answers[0] != answers[1]:
+                return f"a copy whose byte {at} is damaged is answered otherwise"
+    return ""
 
 
 def check_behaviour(host: HostModel, codes: CodeArray) -> tuple[str, ...]:
