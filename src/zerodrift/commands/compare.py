@@ -84,7 +84,7 @@ def command(
         comparison = compare_predictor(predictor, config, dataset, worst)
         say("looking at what the logs can teach")
         advice = advise(config, dataset)
-        firmware, _, _ = read_firmware(config, dataset)
+        firmware, _, _ = read_firmware(config)
     print_notes((*dataset.notes, *predictor.notes))
     if html is not None:
         from zerodrift.commands.common import write_text
