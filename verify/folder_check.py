@@ -4,9 +4,10 @@ import re
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
 
-from zerodrift.c_runtime.compilers import Compiler, find_compilers
+from zerodrift.c_runtime.compilers import RUNTIME_FILES, Compiler, find_compilers
 from zerodrift.c_runtime.cores import CORES, find_cross_compilers
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, generate
@@ -37,6 +38,8 @@ STANDARD = ("-std=c99",)
 COLD_STEPS = 2000
 """Of each random sequence, after init rather than settle."""
 _FORMAT = re.compile(r"_FORMAT \d+")
+_CODE_ID = re.compile(r"_CODE_ID (UINT32_C\(\d+\))")
+_RUNTIME_ID = re.compile(r"#define ZD_RUNTIME_ID (0x\w+)")
 AT_ONCE = 2
 """Compilers that run at the same time."""
 
@@ -74,6 +77,7 @@ def check_folder(
         progress: is told what is being done.
     """
     check = FolderCheck()
+    check.failures += compare_texts(code, generate(model))
     plain = _check_host(check, model, code, golden, sequences, scratch, progress)
     _check_onnx(check, model, onnx, golden, sequences, plain, progress)
     if plain is not None or not find_compilers():  # what already fails here is told once
@@ -153,6 +157,32 @@ def _build(
 ) -> HostModel:
     flags = ("-O1", *flags)
     return HostModel(model, code, folder, compiler, flags, observe=observe, warnings=STANDARD)
+
+
+def compare_texts(code: GeneratedCode, fresh: GeneratedCode) -> list[str]:
+    """Return where files differ from those that their own identity stands for; [] for other ones.
+
+    Header and source carry a number that stands for their text, the runtime one for its own. Where
+    it is that of what is generated now, comments and all must be the same.
+    """
+    pairs: list[tuple[str, str, str]] = []
+    if _CODE_ID.findall(code.header) == _CODE_ID.findall(fresh.header):
+        pairs.append((code.header_name, code.header, fresh.header))
+        pairs.append((code.source_name, code.source, fresh.source))
+    there = code.runtime or {}
+    runtime = {p.name: p.read_text(encoding="utf-8") for p in RUNTIME_FILES}
+    own = [_RUNTIME_ID.findall(texts.get("zd_runtime.h", "")) for texts in (there, runtime)]
+    if own[0] == own[1]:
+        pairs += [(name, there[name], runtime[name]) for name in sorted(there.keys() & runtime)]
+    found = []
+    for name, text, expected in pairs:
+        lines = zip_longest(text.split("\n"), expected.split("\n"), fillvalue="")
+        for number, (line, wanted) in enumerate(lines, 1):
+            if line != wanted:
+                told = f"'{line.strip()[:80]}' where '{wanted.strip()[:80]}' was generated"
+                found.append(f"{name}:{number}: {told}")
+                break
+    return found
 
 
 def _compare_afresh(

@@ -66,6 +66,16 @@ def forge(project: Path) -> None:
     path.write_text(json.dumps(body))
 
 
+def make_another_version(project: Path) -> None:
+    """Give the C and its runtime identities that are not this version's."""
+    folder = project / "firmware"
+    code = re.findall(r"_CODE_ID (UINT32_C\(\d+\))", (project / HEADER).read_text())
+    runtime = re.findall(r"ZD_RUNTIME_ID (0x\w+)", (folder / "zd_runtime.h").read_text())
+    for path in folder.glob("*.[ch]"):
+        text = path.read_text().replace(code[0], "UINT32_C(12345)")
+        path.write_text(text.replace(runtime[0], "0x12345678"))
+
+
 def edit(path: Path, pattern: str, replacement: str | Callable[[re.Match[str]], str]) -> None:
     text = path.read_text()
     edited, count = re.subn(pattern, replacement, text, count=1, flags=re.DOTALL)
@@ -335,6 +345,7 @@ def test_firmware_from_before_manifests_is_checked_by_its_bits(
     project: Path, few_ways: object
 ) -> None:
     (project / "firmware" / FILE_NAME).unlink()
+    make_another_version(project)
     edit(project / HEADER, r"#define FRONT_END_MANIFEST [^\n]*\n", "")
     outcome = Outcome(project)
     assert outcome.code == 0 and outcome.json["bit_exact"]
@@ -344,6 +355,7 @@ def test_firmware_from_before_manifests_is_checked_by_its_bits(
 
 def test_a_runtime_of_another_version_is_what_runs(project: Path, few_ways: object) -> None:
     """A remark added to the runtime is another file, not other bits; and it is the one compiled."""
+    make_another_version(project)
     runtime = project / "firmware" / "zd_runtime.h"
     runtime.write_text(runtime.read_text() + "/* of another version */\n")
     forge(project)
@@ -357,3 +369,11 @@ def test_a_runtime_of_another_version_is_what_runs(project: Path, few_ways: obje
 def test_golden_vectors_have_one_length(pristine: Path) -> None:
     golden = load_golden(pristine / "build" / "golden.npz")
     assert len(golden.codes) == len(golden.drift) == len(golden.flags) == len(golden.hidden)
+
+
+def test_a_remark_is_part_of_what_an_identity_stands_for(project: Path, few_ways: object) -> None:
+    """Units and limits that stand in comments are nothing that bits could tell."""
+    edit(project / HEADER, r"( in )N(, -?\d+ \.\. )", r"\g<1>kN\g<2>")
+    forge(project)
+    outcome = Outcome(project)
+    assert outcome.code == 1 and "front_end.h:" in outcome.told and " in kN" in outcome.told
