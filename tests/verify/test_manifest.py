@@ -13,6 +13,7 @@ from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.commands.survey import read_firmware
 from zerodrift.config import load_config
 from zerodrift.errors import CheckError
+from zerodrift.sealed import render_sealed
 from zerodrift.verify.manifest import FILE_NAME, Finding, check_manifest, load_manifest
 from zerodrift.verify.vectors import count_lines, draw_golden, draw_sequences
 
@@ -153,7 +154,7 @@ def test_require_names_every_finding(project: Path) -> None:
 def test_report_and_page_show_no_firmware_that_is_stale_or_spoilt(project: Path) -> None:
     model_hash = load_manifest(project / "firmware" / FILE_NAME).model_hash
     told = project / "build" / "firmware.json"
-    told.write_text(json.dumps({"model_hash": model_hash, "chip_error": {}}))
+    told.write_bytes(render_sealed({"model_hash": model_hash, "chip_error": {}}))
     firmware, certificate, note = read_firmware(load_config(project))
     assert firmware is not None and certificate is not None and not note
     (project / "logs" / "test.csv").write_text("")
