@@ -38,7 +38,7 @@ STANDARD = ("-std=c99",)
 COLD_STEPS = 2000
 """Of each random sequence, after init rather than settle."""
 _FORMAT = re.compile(r"_FORMAT \d+")
-_CODE_ID = re.compile(r"_CODE_ID (UINT32_C\(\d+\))")
+_CODE_ID = re.compile(r"_CODE_ID (\d+)")
 _RUNTIME_ID = re.compile(r"#define ZD_RUNTIME_ID (0x\w+)")
 AT_ONCE = 2
 """Compilers that run at the same time."""

@@ -69,10 +69,10 @@ def forge(project: Path) -> None:
 def make_another_version(project: Path) -> None:
     """Give the C and its runtime identities that are not this version's."""
     folder = project / "firmware"
-    code = re.findall(r"_CODE_ID (UINT32_C\(\d+\))", (project / HEADER).read_text())
+    code = re.findall(r"_CODE_ID (\d+)", (project / HEADER).read_text())
     runtime = re.findall(r"ZD_RUNTIME_ID (0x\w+)", (folder / "zd_runtime.h").read_text())
     for path in folder.glob("*.[ch]"):
-        text = path.read_text().replace(code[0], "UINT32_C(12345)")
+        text = path.read_text().replace(code[0], "12345")
         path.write_text(text.replace(runtime[0], "0x12345678"))
 
 
