@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +61,14 @@ class Program:
 
 TRAIN = (Program("train_1"), Program("train_2"), Program("train_3"), Program("train_4"))
 TESTS = (Program("test_1", 14, 36), Program("test_2", 12, 38), Program("test_3", 15, 35))
+
+
+def heat(program: Program) -> Program:
+    """Return a run at 220 to 380 degC."""
+    low, high = (
+        220.0 + (end - 10.0) * 160.0 / 30.0 for end in (program.low_degC, program.high_degC)
+    )
+    return replace(program, low_degC=low, high_degC=high)
 
 
 def write_sensor(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.gate.sensors import TESTS, TRAIN, Program, ask_gate, list_kinds, write_sensor
+from tests.gate.sensors import TESTS, TRAIN, ask_gate, heat, list_kinds, write_sensor
 from tests.main_job.conftest import invoke
 
 from zerodrift.config import load_config
@@ -16,14 +16,6 @@ from zerodrift.report.tables import tabulate_chip_error
 from zerodrift.train.training import train
 from zerodrift.verify import left_out
 from zerodrift.verify.gate import contrast_errors, measure_correlation
-
-
-def heat(program: Program) -> Program:
-    """Return a run at 220 to 380 degC."""
-    low, high = (
-        220.0 + (end - 10.0) * 160.0 / 30.0 for end in (program.low_degC, program.high_degC)
-    )
-    return replace(program, low_degC=low, high_degC=high)
 
 
 @pytest.mark.parametrize("network", ["none", "lag_bank"])
