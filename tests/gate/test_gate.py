@@ -14,7 +14,7 @@ from zerodrift.dataset.load import load_dataset
 from zerodrift.errors import InputError
 from zerodrift.report.tables import tabulate_chip_error
 from zerodrift.train.training import train
-from zerodrift.verify import left_out
+from zerodrift.verify import chip_error, left_out
 from zerodrift.verify.gate import contrast_errors, measure_correlation
 
 
@@ -144,6 +144,32 @@ def test_firmware_refuses_keeps_what_was_there_and_writes_when_forced(tmp_path: 
     )
     assert invoke("verify", "-C", str(project)).exit_code == 0
     assert invoke("verify", "-C", str(project), "--certificate").exit_code == 0
+
+
+def test_difference_is_split_by_cause_and_the_squares_add_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (run,) = load_dataset(load_config(write_sensor(tmp_path, TRAIN[:1]))).train
+    rows = np.eye(5, dtype=np.bool_)[:, :, None]
+    replayed = chip_error.RunReplay(
+        run=run.take(slice(5)),
+        chip=np.array([[0.001], [3.0], [4.0], [5.0], [6.0]]),
+        floating=np.zeros((5, 1)),
+        outside={"temperature": rows[1, :, 0]},
+        after=np.zeros((5, 1), dtype=np.bool_),
+        clamped=rows[2],
+        rail=rows[3],
+    )
+    monkeypatch.setattr(chip_error, "find_saturated", lambda model, run: rows[4, :, 0])
+    replay = chip_error.Replay(None, (replayed,), np.array([0.01]))
+    (split,) = replay.split()
+    assert split.rounding == pytest.approx(0.001 / 5**0.5)
+    assert split.out_of_range == pytest.approx(3.0 / 5**0.5)
+    assert split.clamped == pytest.approx(4.0 / 5**0.5)
+    assert split.saturated == pytest.approx(61.0**0.5 / 5**0.5)
+    whole = np.sqrt(np.mean(replayed.difference**2))
+    assert np.sqrt(sum(x**2 for x in split.to_dict().values())) == pytest.approx(whole)
+    assert [list(mask) for mask in replay.list_plain_rows()] == [[True] + [False] * 4]
 
 
 def draw(
