@@ -1,0 +1,175 @@
+"""Section 4 of docs/reference/integer-arithmetic.md, and docs/reference/integer-layers.md."""
+
+from collections.abc import Sequence
+
+from tests.oracle.model_file import Node, check_width, read_gates, read_rows, read_vector
+from tests.oracle.primitives import (
+    add,
+    copy,
+    fit,
+    mul_high,
+    round_shift,
+    saturate,
+    sigmoid_q31,
+    tanh_q30,
+)
+
+R, U, N, N_RECURRENT = range(4)
+H_LIMIT_Q30 = 2**30 - 2**15 + 1
+RELAX_STEPS = 64
+HALF_Q31 = 2**30
+
+
+class Gru:
+    """One layer of 4.2: weights, and a step from one state to the next."""
+
+    def __init__(self, gru: Node) -> None:
+        """Read the arrays of the model file."""
+        self.after = {"after": True, "before": False}[gru["reset"]]
+        self.bias = read_rows(gru["bias"])
+        self.w_x, self.w_h = read_gates(gru["w_x"]), read_gates(gru["w_h"])
+        self.shift, self.multiplier_shift = gru["shift"], gru["multiplier_shift"]
+        self.multiplier = gru["multiplier"] and read_rows(gru["multiplier"])
+        self.hidden = len(self.w_h[0])
+        check_width(self.bias, 32)
+        check_width(self.w_x, 16)
+        check_width(self.w_h, 8 if self.multiplier else 16)
+
+    def _recur(self, gate: int, unit: int, v: Sequence[int]) -> int:
+        row = self.w_h[gate][unit]
+        if not self.multiplier:
+            return add(0, row, v, 32)
+        product = self.multiplier[gate][unit] * add(0, row, v, 32)
+        return fit(round_shift(product, self.multiplier_shift[gate]), 32)
+
+    def _accumulate(self, gate: int, unit: int, x: Sequence[int], recurrent: int) -> int:
+        return add(self.bias[gate][unit], [*self.w_x[gate][unit], 1], [*x, recurrent], 32)
+
+    def step(self, h_q30: list[int], x: Sequence[int], u_q31: int | None = None) -> list[int]:
+        """Return the state after a step with inputs x; `u_q31` stands in for the update gate."""
+        units = range(self.hidden)
+        h_q15 = [copy(h) for h in h_q30]
+        r_q31, update_q31 = [], []
+        for unit in units:
+            a_r = self._accumulate(R, unit, x, self._recur(R, unit, h_q15))
+            a_u = self._accumulate(U, unit, x, self._recur(U, unit, h_q15))
+            r_q31.append(sigmoid_q31(a_r >> self.shift[R]))
+            update_q31.append(sigmoid_q31(a_u >> self.shift[U]) if u_q31 is None else u_q31)
+        rh_q15 = [fit(round_shift(h * r, 46), 16) for h, r in zip(h_q30, r_q31, strict=True)]
+        following = []
+        for unit in units:
+            if self.after:
+                recurrent = self._recur(N, unit, h_q15)
+                a_nh = add(self.bias[N_RECURRENT][unit], [1], [recurrent], 32)
+                part = mul_high(a_nh, r_q31[unit])
+            else:
+                part = self._recur(N, unit, rh_q15)
+            n_q30 = tanh_q30(self._accumulate(N, unit, x, part) >> self.shift[N])
+            distance = fit(n_q30 - h_q30[unit], 32)
+            h = fit(h_q30[unit] + 2 * mul_high(distance, update_q31[unit]), 32)
+            assert abs(h) <= H_LIMIT_Q30
+            following.append(h)
+        return following
+
+
+class Recurrent:
+    """The nodes `gru` and `gru_stack`, streaming or over a window of features."""
+
+    def __init__(self, node: Node) -> None:
+        """Read the layers from the bottom up."""
+        lower = node.get("lower", [])
+        self.layers = [Gru(layer) for layer in [*lower, node["gru"]]]
+        self.window: int = node["window"]
+        self.samples: list[list[int]] = []
+        self.reset()
+
+    def reset(self) -> None:
+        """Put every layer to zero."""
+        self.h_q30 = [[0] * layer.hidden for layer in self.layers]
+
+    def begin(self, features: list[int], *, settled: bool) -> None:
+        """Put the window to rest at these features, or the state to its start or to its rest."""
+        self.reset()
+        self.samples = [features] * self.window
+        if self.window or not settled:
+            return
+        x: Sequence[int] = features
+        for index, layer in enumerate(self.layers):
+            for _ in range(RELAX_STEPS):
+                self.h_q30[index] = layer.step(self.h_q30[index], x, HALF_Q31)
+            x = [copy(h) for h in self.h_q30[index]]
+
+    def step(self, features: list[int]) -> list[int]:
+        """Return h_q30 of the topmost layer."""
+        if self.window:
+            self.samples = [*self.samples[1:], features]
+            self.reset()
+        for sample in self.samples or [features]:
+            x: Sequence[int] = sample
+            for index, layer in enumerate(self.layers):
+                self.h_q30[index] = layer.step(self.h_q30[index], x)
+                x = [copy(h) for h in self.h_q30[index]]
+        return self.h_q30[-1]
+
+
+class Dense:
+    """`dense`, which reads copies, and `feature_dense`, which reads the features themselves."""
+
+    def __init__(self, node: Node) -> None:
+        """Read the arrays of the model file."""
+        self.copies = node["kind"] == "dense"
+        self.activation = node["activation"]
+        self.bias, self.weights = read_vector(node["bias"]), read_rows(node["weights"])
+        self.shift, self.low, self.high = node["shift"], node["low"], node["high"]
+        check_width(self.bias, 32)
+        check_width(self.weights, 16)
+
+    def step(self, inputs: Sequence[int]) -> list[int]:
+        """Return the int32 outputs y."""
+        x = [copy(value) for value in inputs] if self.copies else inputs
+        y = []
+        for i, (bias, row) in enumerate(zip(self.bias, self.weights, strict=True)):
+            a = add(bias, row, x, 32) >> self.shift[i]
+            if self.activation == "tanh":
+                y.append(tanh_q30(a))
+            else:
+                assert self.activation == "clip"
+                y.append(fit(saturate(a, fit(self.low[i], 16), fit(self.high[i], 16)) << 15, 32))
+        return y
+
+
+class Head:
+    """y_k of 4.4."""
+
+    def __init__(self, node: Node) -> None:
+        """Read the weights."""
+        self.weights = read_rows(node["weights"])
+        check_width(self.weights, 16)
+
+    def step(self, inputs: Sequence[int]) -> list[int]:
+        """Return y."""
+        x = [copy(value) for value in inputs]
+        return [add(0, row, x, 32) for row in self.weights]
+
+
+class Drift:
+    """drift_k of 4.4."""
+
+    def __init__(self, node: Node) -> None:
+        """Read the coefficients."""
+        self.bias, self.coefficients = read_vector(node["bias"]), read_rows(node["coefficients"])
+        self.head = read_vector(node["head_coefficients"]) if node["head"] else None
+        self.shift, self.low, self.high = node["shift"], node["low"], node["high"]
+
+    def step(self, phi: Sequence[int], y: Sequence[int]) -> tuple[list[int], bool]:
+        """Return the drifts, and whether one of them was limited."""
+        drifts, limited = [], False
+        for k, row in enumerate(self.coefficients):
+            weights, values = (
+                (row, phi) if self.head is None else ([*row, self.head[k]], [*phi, y[k]])
+            )
+            free = add(self.bias[k], weights, values, 64) >> self.shift[k]
+            drift = fit(saturate(free, self.low[k], self.high[k]), 32)
+            limited = limited or drift != free
+            drifts.append(drift)
+        return drifts, limited
