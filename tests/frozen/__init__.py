@@ -1,0 +1,1 @@
+"""Bytes that no change of the house may touch: five models, from float parameters stored here."""
