@@ -8,8 +8,9 @@ columns are formed once; a model is a choice of columns.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.live import find_live
 
 Array = NDArray[np.float64]
+TakeColumns = Callable[[slice], list[Array]]
+"""Rows of a run -> some of its columns there, [n] each."""
 
 GRID = 28
 """Time constants that are tried, evenly spaced in the logarithm."""
@@ -35,6 +38,8 @@ TOLD_APART = 0.01
 """Time constants that give away no more than this share of the gain are as good as the best."""
 MOST_ROWS = 40_000
 """Rows of the tables: more samples are averaged in blocks."""
+ROWS_AT_ONCE = 1 << 14
+"""Rows whose columns are in memory at once, about."""
 DEGREE = 5
 """Of the polynomial in the temperature, which bends as a dark current does."""
 MOST_TAPS = 9
@@ -97,10 +102,11 @@ class MemoryTable:
         blocks = max(1, -(-sum(len(run) for run in runs) // MOST_ROWS))
         tables = []
         for run in runs:
-            columns = self._build(run, thermometers, windows, (*self.grid, *lags_s))
-            rows = np.concatenate([columns, run.drift[:, self.outputs]], axis=1)
-            whole = len(rows) // blocks * blocks
-            tables.append(rows[:whole].reshape(-1, blocks, rows.shape[1]).mean(axis=1))
+            groups = self._build(run, thermometers, windows, (*self.grid, *lags_s))
+            # Group by group, each forgotten before the next is made.
+            means = [average(take, len(run), blocks) for take in groups]
+            table = np.empty((len(run) // blocks, sum(mean.shape[1] for mean in means)))
+            tables.append(np.concatenate(means, axis=1, out=table))
         self._form_products(tables)
 
     @property
@@ -157,51 +163,66 @@ class MemoryTable:
         ridge = RIDGE * diagonal + 1e-12 * diagonal.sum(axis=1, keepdims=True) + 1e-300
         return np.asarray(np.linalg.solve(own + ridge[:, :, None] * np.eye(own.shape[1]), target))
 
-    def _add(self, key: tuple[str, float, float], columns: list[Array], new: list[Array]) -> None:
-        self._index[key] = list(range(len(columns), len(columns) + len(new)))
-        columns += new
-
     def _build(
         self,
         run: Run,
         thermometers: Sequence[str],
         windows: Sequence[tuple[int, float]],
         lags_s: Sequence[float],
-    ) -> Array:
-        """Return the columns [n, J] of a run, and note where each model has its own."""
+    ) -> Iterator[TakeColumns]:
+        """Yield the columns of a run, group by group, the drifts last; note where each model's are.
+
+        Each group is to be forgotten before the next is asked for: a long run's columns together
+        are many times its log.
+        """
         t, dt_s = run.temperature_degC, self.sample_period_s
         x = (t - self._mean) / self._spread
 
-        def expand(d: Array) -> list[Array]:
-            d = d / self._spread
-            return [d, x * d, x**2 * d]
+        def expand(other: Array, rows: slice) -> list[Array]:
+            d = (other[rows] - t[rows]) / self._spread
+            return [d, x[rows] * d, x[rows] ** 2 * d]
 
-        base = [x**power for power in range(1, DEGREE + 1)]
+        def expand_mean(back: Sequence[int], rows: slice) -> list[Array]:
+            d = (_look_back(t, rows, back) - t[rows]) / self._spread
+            return [d, x[rows] * d, x[rows] ** 2 * d]
+
+        def take(values: Array, rows: slice) -> list[Array]:
+            return [values[rows]]
+
+        def take_load(load: Array, rows: slice) -> list[Array]:
+            return [load[rows], x[rows] * load[rows]]
+
+        def raise_to_powers(rows: slice) -> list[Array]:
+            return [x[rows] ** power for power in range(1, DEGREE + 1)]
+
+        yield raise_to_powers
+        count = DEGREE
         for k in range(run.reference.shape[1]):
             if any(np.ptp(other.reference[:, k]) > 0.0 for other in self.runs):
-                load = run.reference[:, k]
-                base += [load, x * load]
+                yield partial(take_load, run.reference[:, k])
+                count += 2
         for name in (n for n in run.inputs if n != "clock"):
             if name in thermometers:
-                base += expand(run.inputs[name] - t)
+                yield partial(expand, run.inputs[name])
+                count += 3
             elif all(name in other.inputs for other in self.runs):
-                base.append(run.inputs[name])
-        self._base = list(range(len(base)))
-        columns = list(base)
+                yield partial(take, run.inputs[name])
+                count += 1
+        self._base = list(range(count))
         for tau in dict.fromkeys(lags_s):
-            self._add(("lag", tau, 0.0), columns, expand(lowpass(t, dt_s, tau) - t))
+            self._index["lag", tau, 0.0] = list(range(count, count + 3))
+            yield partial(expand, lowpass(t, dt_s, tau))
+            count += 3
         for samples, spacing_s in windows:
+            first = count
             steps = max(1, round(spacing_s / dt_s))
-            new: list[Array] = []
-            ages = choose_ages(samples)
-            for newest, oldest in itertools.pairwise(ages):
+            for newest, oldest in itertools.pairwise(choose_ages(samples)):
                 back = [age * steps for age in range(newest + 1, oldest + 1)]
-                earlier = np.concatenate([np.full(back[-1], t[0]), t])
-                starts = [earlier[back[-1] - b : back[-1] - b + len(t)] for b in back]
-                new += expand(np.mean(starts, axis=0) - t)
-            self._add(("window", float(samples), spacing_s), columns, new)
-        self._width = len(columns)
-        return np.stack(columns, axis=1)
+                yield partial(expand_mean, back)
+                count += 3
+            self._index["window", float(samples), spacing_s] = list(range(first, count))
+        self._width = count
+        yield lambda rows: list((run.measured[rows] - run.reference[rows])[:, self.outputs].T)
 
     def _form_products(self, tables: Sequence[Array]) -> None:
         """Form the sums of products, each run without its mean, since a log may be tared."""
@@ -211,7 +232,8 @@ class MemoryTable:
             )
             for group in self.groups
         ]
-        parts = [part - part.mean(axis=0) for part in parts]
+        for part in parts:
+            np.subtract(part, part.mean(axis=0), out=part)
         if len(parts) == 1:
             parts = np.array_split(parts[0], BLOCKS)
         self.samples = np.array([float(len(part)) for part in parts])
@@ -220,6 +242,36 @@ class MemoryTable:
         plain = self.score([])
         scale = self.samples @ plain / self.samples.sum()
         self.scale = np.where(scale > 0.0, scale, 1.0)
+
+
+def average(take: TakeColumns, samples: int, block: int) -> Array:
+    """Return the means [m, J] of columns over blocks of samples, what is left at the end dropped.
+
+    The columns are made a few rows at a time, so they may be many; each block's samples are added
+    in their order, so the result is the same, bit for bit, however many.
+
+    Args:
+        take: makes the columns.
+        samples: rows of the run.
+        block: samples in a block.
+    """
+    at_once = max(1, ROWS_AT_ONCE // block) * block
+    whole = samples // block * block
+    means = []
+    for start in range(0, max(whole, 1), at_once):
+        columns = np.stack(take(slice(start, min(start + at_once, whole))))
+        by_place = columns.reshape(len(columns), -1, block).transpose(2, 1, 0)
+        means.append(np.add.accumulate(by_place, axis=0)[-1] / block)
+    return np.concatenate(means)
+
+
+def _look_back(t: Array, rows: slice, back: Sequence[int]) -> Array:
+    """Return the mean of a signal so many samples before each row; before the first it stood."""
+    at = np.arange(rows.start, rows.stop)
+    total = t[np.maximum(at - back[0], 0)]
+    for steps in back[1:]:
+        total += t[np.maximum(at - steps, 0)]
+    return np.asarray(total / len(back))
 
 
 def pool(squares: Array, samples: Array) -> float:
