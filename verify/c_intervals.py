@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from zerodrift.verify.c_checksum import FIELD as SUM
 from zerodrift.verify.c_guard import Guard
 from zerodrift.verify.c_nodes import Node, Program, TypeName, Variable
 from zerodrift.verify.c_statements import Statements
@@ -62,6 +63,12 @@ class Machine(Statements):
         self._made: list[tuple[int, int]] = []
         self._asked = False
         """Whether this path has asked if the state is sound."""
+        self.summed = False
+        """Whether the state bears a checksum over itself."""
+        self._given: tuple[tuple[int, int], ...] = ()
+        """The fields of the state that was given, before anything was written to it."""
+        self._compared = self._refused = False
+        """Whether this path has compared the checksum; whether it found the state not sound."""
         self._replaying = False
         self._called: set[str] = set()
 
@@ -79,6 +86,7 @@ class Machine(Statements):
         self._script = []
         for _ in range(MOST_PATHS):
             self._made, self._asked, self._live, self._depth = [], False, [], 0
+            self._compared, self._refused = False, False
             self.variables, self._inputs, self.inputs = {}, [], set()
             try:
                 run()
@@ -155,6 +163,9 @@ class Machine(Statements):
             if own == "state_is_sound":
                 self._called.add(name)
                 return self._ask_guard(*arguments)
+            if own == "sum_up":
+                self._called.add(name)
+                return self._sum_up(*arguments)
             if self._replaying and own in ("settle", "step"):
                 return self._replay(own, arguments)
             result = self.call(name, arguments)
@@ -199,13 +210,60 @@ class Machine(Statements):
         for block in state.struct.fields.values():  # reads it
             Pointer(block, Value(0, 0), (block.count,)).values(block.count)
         way = self.choose(3)
+        self._refused = way == 0
         if way:
+            untouched = self._given == self._fields_of(state.struct)
             self.guard.admit(state.struct, fresh=way == 1)
+            if untouched:
+                self.give(state.struct)
         return Value(int(way > 0), int(way > 0), "uint32_t")
 
     def make_state(self, cell: str = "anything", name: str = "s") -> Struct:
         """Return a state of any bits, or of memory that was never written."""
-        return self.make_struct(f"{self.prefix}_state_t", name, cell == "anything")
+        state = self.make_struct(f"{self.prefix}_state_t", name, cell == "anything")
+        self.give(state)
+        return state
+
+    def give(self, state: Struct) -> None:
+        """Take a state as it is for what was given: nothing was written to it yet."""
+        self._given = self._fields_of(state)
+
+    def _fields_of(self, state: Struct) -> tuple[tuple[int, int], ...]:
+        """Return what the checksum of a state is taken over."""
+        return tuple((id(b), b.version) for name, b in state.fields.items() if name != SUM)
+
+    def _sum_up(self, state: Any) -> Value:
+        """Return the checksum of what the state holds now (`c_checksum` tells what it reads)."""
+        if not isinstance(state, Address) or state.struct.type != f"{self.prefix}_state_t":
+            raise self.not_understood("sum_up of something else")
+        for name, block in state.struct.fields.items():
+            if name != SUM:
+                Pointer(block, Value(0, 0), (block.count,)).values(block.count)
+        return replace(anything("uint32_t"), sum_of=self._fields_of(state.struct))
+
+    def _on_binary(self, operator: str, left: Node, right: Node) -> Value:
+        if left.kind == "field" and left.parts[2] == SUM and operator in ("==", "!="):
+            holder = self.evaluate(left.parts[0])
+            found = self.number(right)
+            if self.summed and isinstance(holder, Address) and found.sum_of:
+                return self._compare_sum(operator, holder.struct, found)
+            return self.combine(operator, self.number(left), found)
+        return super()._on_binary(operator, left, right)
+
+    def _compare_sum(self, operator: str, state: Struct, found: Value) -> Value:
+        """Go on with a state that was changed, of which nothing may then be read, and with one
+        that is what was summed up last."""
+        if self._given != found.sum_of or self._fields_of(state) != found.sum_of:
+            raise self.not_understood("a checksum of what is not, or not only, the state given")
+        self._compared, differs = True, self.choose(2) == 0
+        if differs:
+            for block in state.fields.values():
+                block.cells = [None] * block.count
+                block.version += 1
+        else:
+            state.fields[SUM].cells = [found]
+        truth = differs == (operator == "!=")
+        return Value(int(truth), int(truth), self.int)
 
     def make_input(self) -> Struct:
         """Return an input with any codes."""
@@ -218,6 +276,17 @@ class Machine(Statements):
         """Fail where a state is left that the next call would not take."""
         for what in self.guard.contradictions(state):
             self.fail(f"after {after}: {what}")
+        if self.summed:
+            cell = state.fields[SUM].cells[0]
+            if not isinstance(cell, Value) or cell.sum_of != self._fields_of(state):
+                self.fail(f"after {after}: s->{SUM} is not the checksum of the state")
+
+    def require_asked(self) -> None:
+        """Fail where a step goes on with a state of which it has not asked whether it is sound."""
+        if not self._asked:
+            self.fail("step does not ask whether its state is sound")
+        if self.summed and not (self._compared or self._refused):
+            self.fail("step does not compare the checksum of its state")
 
     def _replay(self, name: str, arguments: list[Any]) -> Any:
         """The self-test's calls of functions that were shown for any state and input."""

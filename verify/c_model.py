@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from zerodrift.verify.c_assembly import NAMES, run_assembly
+from zerodrift.verify.c_checksum import is_summed
 from zerodrift.verify.c_guard import read_guard
 from zerodrift.verify.c_intervals import Machine
 from zerodrift.verify.c_kernels import RULES, STRUCTS
@@ -142,6 +143,7 @@ class Model(Machine):
                     self.fail("does not compile: a claim that does not hold")
             self.outputs = self.constant(self._expand("OUTPUTS"))
             self.guard = read_guard(self, self.prefix)
+            self.summed = is_summed(self, self.prefix)
         except FaultError as error:
             self.fail(str(error))
             return
@@ -270,8 +272,7 @@ class Model(Machine):
         self._call_entry("step", Address(state), Address(codes, constant=True), given)
         given.values(self.outputs)
         self.require_sound(state, "step")
-        if not self._asked:
-            self.fail("step does not ask whether its state is sound")
+        self.require_asked()
 
     def _run_save(self) -> None:
         state = self.make_state()

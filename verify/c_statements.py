@@ -53,7 +53,7 @@ class Statements(Expressions):
 
     def as_plain(self, value: Value) -> Value:
         """Return a value as it lies in a variable: what it was computed of is forgotten."""
-        return Value(value.low, value.high, value.type)
+        return Value(value.low, value.high, value.type, sum_of=value.sum_of)
 
     def make_struct(self, kind: str, name: str, any_bits: bool, zero: bool = False) -> Struct:
         """Return a variable of a struct: of any bits, of zeros, or never written."""

@@ -34,6 +34,8 @@ class Value:
     reach: int = 0
     copy_of: tuple[int, int] | None = None
     """(block, version) of the one-element block that this is a copy of, if it is."""
+    sum_of: tuple[tuple[int, int], ...] = ()
+    """(block, version) of all fields of the state of which this is the checksum, if it is."""
 
     def __post_init__(self) -> None:
         if self.reach < self.high or self.reach < -self.low:

@@ -54,6 +54,7 @@ def certify(model: IntegerModel, code: GeneratedCode) -> str:
             }
             for channel in model.channels
         ],
+        **({"checksum": "check"} if model.guarded else {}),
         "invariants": [_describe_invariant(name) for name, _ in list_layers(layer)],
         "tables": [_describe_table()] if layer else [],
         "shifts": [

@@ -11,13 +11,15 @@ import hashlib
 import json
 import re
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from zerodrift.verify.c_checksum import FIELD as SUM
 from zerodrift.verify.c_intervals import Machine
-from zerodrift.verify.c_model import read_models
-from zerodrift.verify.c_values import FaultError, NotUnderstoodError
+from zerodrift.verify.c_model import Model, read_models
+from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError
 from zerodrift.verify.known_runtime import is_known
 
 MALFORMED = (ValueError, KeyError, TypeError, AttributeError, IndexError)
@@ -53,6 +55,17 @@ def compare(claims: dict[str, Any], texts: dict[str, str]) -> Outcome:
         claims: the content of certificate.json.
         texts: file name -> content, of the model's header and source and of the runtime.
     """
+    outcomes = list(judge_each(claims, texts))
+    understood = all(outcome.understood for outcome in outcomes)
+    failures = tuple(text for outcome in outcomes for text in outcome.failures)
+    return Outcome(outcomes[-1].holds if understood else 0, failures, understood)
+
+
+def judge_each(claims: dict[str, Any], texts: dict[str, str]) -> Iterator[Outcome]:
+    """Yield what becomes of the claims on the files, then of all others for each way to compile.
+
+    It ends with the first way that is not understood. Arguments as for `compare`.
+    """
     prefix, failures = claims["prefix"], []
     for name, digest in claims["files"].items():
         found = hashlib.sha256(texts[name].encode()).hexdigest()
@@ -62,24 +75,35 @@ def compare(claims: dict[str, Any], texts: dict[str, str]) -> Outcome:
         failures.append(f"{prefix}.h: does not name the certificate's model {claims['model'][:12]}")
     if not is_known(texts):
         what = "the runtime (zd_*.h, zd_*.c) is no text that was compared with the reference"
-        return _refuse(failures, what)
+        yield _refuse(failures, what)
+        return
     if not {f"{prefix}.h", f"{prefix}.c"} <= {*claims["files"]}:
         failures.append(f"the certificate is not about {prefix}.h and {prefix}.c")
     try:
         models = read_models(texts, prefix)
     except FaultError as error:
-        return Outcome(0, (*failures, str(error)))
+        yield Outcome(0, (*failures, str(error)))
+        return
     except (NotUnderstoodError, *MALFORMED) as error:
-        return _refuse(failures, str(error))
-    holds = 0
+        yield _refuse(failures, str(error))
+        return
+    yield Outcome(0, tuple(failures))
     for model in models:  # each kernel has the weights in an order of its own
-        try:
-            model.run()
-        except (NotUnderstoodError, *MALFORMED) as error:
-            failures += [f"{model.name}: {text}" for text in model.failures]
-            return _refuse(failures, f"{model.name}: {error}")
-        holds, contradictions = judge(claims, model)
-        failures += [f"{model.name}: {text}" for text in (*model.failures, *contradictions)]
+        outcome = judge_way(claims, model)
+        yield outcome
+        if not outcome.understood:
+            return
+
+
+def judge_way(claims: dict[str, Any], model: Model) -> Outcome:
+    """Run one way of compiling a model, and hold the claims against it."""
+    try:
+        model.run()
+    except (NotUnderstoodError, *MALFORMED) as error:
+        failures = [f"{model.name}: {text}" for text in model.failures]
+        return _refuse(failures, f"{model.name}: {error}")
+    holds, contradictions = judge(claims, model)
+    failures = [f"{model.name}: {text}" for text in (*model.failures, *contradictions)]
     return Outcome(holds, tuple(failures))
 
 
@@ -127,7 +151,27 @@ def judge(claims: dict[str, Any], machine: Machine) -> tuple[int, list[str]]:
             holds += 1
         else:
             failures.append(f"{claim['where']}: claimed {claim}, the C has {table}")
-    return holds, failures
+    return holds, [*failures, *_judge_state(claims, machine)]
+
+
+def _judge_state(claims: dict[str, Any], machine: Machine) -> list[str]:
+    """Return what is wrong with the claims on the inputs' codes and the state's checksum."""
+    failures = []
+    fields = machine.program.structs[f"{machine.prefix}_input_t"]
+    own = [(f.name, *TYPES[f.type.name]) for f in fields if not f.sizes]
+    claimed = [(c["channel"], c["low"], c["high"]) for c in claims["inputs"]]
+    names = {name for name, _, _ in own}
+    if len(own) != len(fields) or len(own) != len(claimed):
+        failures.append(f"{len(claimed)} inputs are claimed, the header has {len(fields)}")
+    for (name, *codes), (channel, *ends) in zip(own, claimed, strict=False):
+        if codes != ends or (channel in names and channel != name):
+            failures.append(
+                f"input {channel}: claimed {ends[0]} .. {ends[1]}; the header has {name} of"
+                f" {codes[0]} .. {codes[1]} there"
+            )
+    if claims.get("checksum") != (SUM if machine.summed else None):
+        failures.append(f"checksum {claims.get('checksum')} is claimed; the C has {machine.summed}")
+    return failures
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from zerodrift.export.integer_model import FORMAT, IntegerModel
 from zerodrift.verify import known_runtime
 from zerodrift.verify.c_model import Model, read_models
 from zerodrift.verify.certificate import certify
-from zerodrift.verify.certificate_check import check_certificate, compare, judge
+from zerodrift.verify.certificate_check import check_certificate, compare, judge, judge_each
 
 FRONT = ("lowpass", "product", "delay", "difference", "power")
 C, TABLE, RUNTIME = "golden.c", "zd_tanh_table.h", "zd_runtime.h"
@@ -67,9 +67,16 @@ def check_edited(shape: Shape, name: str, pattern: str, becomes: str, count: int
     assert found and edited != texts[name], (
         "the fault has no place in the C any more: plant it anew"
     )
-    claims = json.loads(certificate)
-    claims["files"][name] = hashlib.sha256(edited.encode()).hexdigest()
-    return list(compare(claims, texts | {name: edited}).failures)
+    return find_fault(json.loads(certificate), texts | {name: edited})
+
+
+def find_fault(claims: dict[str, Any], texts: dict[str, str]) -> list[str]:
+    """Return what the check says, with all hashes corrected, of the first way to compile in which
+    it finds anything."""
+    for name in claims["files"]:
+        claims["files"][name] = hashlib.sha256(texts[name].encode()).hexdigest()
+    found = (outcome.failures for outcome in judge_each(claims, texts) if outcome.failures)
+    return list(next(found, ()))
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -82,7 +89,7 @@ def test_every_claim_of_the_golden_models_holds(name: str) -> None:
 
 
 @settings(
-    max_examples=40,
+    max_examples=25,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
@@ -135,8 +142,8 @@ def test_any_other_byte_is_noticed_by_the_hash(name: str) -> None:
     for at in range(0, len(texts[name]), len(texts[name]) // 7):
         swapped = "1" if texts[name][at] != "1" else "2"
         edited = texts[name][:at] + swapped + texts[name][at + 1 :]
-        outcome = compare(json.loads(certificate), texts | {name: edited})
-        assert any("its hash is" in failure for failure in outcome.failures)
+        of_files = next(judge_each(json.loads(certificate), texts | {name: edited}))
+        assert any("its hash is" in failure for failure in of_files.failures)
 
 
 @pytest.mark.parametrize("table", ["gru_w_x", "gru_w_h", "gru_bias", "head_weights"])
@@ -154,10 +161,8 @@ def test_any_weight_farther_from_zero_breaks_its_claim(table: str) -> None:
             value = int(place[0])
             value += direction if value > 0 else -direction
             edited = body[: place.start()] + str(value) + body[place.end() :]
-            claims = json.loads(certificate)
-            mutated = text.replace(body, edited)
-            claims["files"]["golden.c"] = hashlib.sha256(mutated.encode()).hexdigest()
-            failures = compare(claims, texts | {"golden.c": mutated}).failures
+            mutated = texts | {"golden.c": text.replace(body, edited)}
+            failures = find_fault(json.loads(certificate), mutated)
             assert any("whose CRC is known" in failure for failure in failures)
             beyond = [f for f in failures if "whose CRC is known" not in f]
             assert bool(beyond) is expect, (table, place, beyond)
@@ -172,7 +177,7 @@ def test_every_kernel_s_own_table_is_checked(kernel: str) -> None:
     if branch is None:
         pytest.skip(f"this version has no kernel {kernel}")
     numbers = list(re.finditer(r"(?<=[ ,{])-?\d{3,}(?=[,\n])", branch[1]))
-    for place in numbers[:: max(1, len(numbers) // 8)]:
+    for place in numbers[:: max(1, len(numbers) // 4)]:
         mutated = branch[1][: place.start()] + "2147483000" + branch[1][place.end() :]
         if (
             kernel == "ROWS"
@@ -180,10 +185,8 @@ def test_every_kernel_s_own_table_is_checked(kernel: str) -> None:
             and "gru_bias" not in branch[1][: place.start()]
         ):
             mutated = branch[1][: place.start()] + "32767" + branch[1][place.end() :]
-        edited = text.replace(branch[1], mutated)
-        claims = json.loads(certificate)
-        claims["files"]["golden.c"] = hashlib.sha256(edited.encode()).hexdigest()
-        failures = compare(claims, texts | {"golden.c": edited}).failures
+        edited = texts | {"golden.c": text.replace(branch[1], mutated)}
+        failures = find_fault(json.loads(certificate), edited)
         assert failures and all(f"ZD_KERNEL_{kernel}" in failure for failure in failures)
 
 

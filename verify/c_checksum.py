@@ -1,0 +1,135 @@
+"""What a model's own checksum of its state (`..._sum_up`) is taken over.
+
+Every word of a sum changes it: the sum before is turned by one bit and the word is added. A state
+of which every element is in exactly one word cannot change in one bit and keep its sum. Shares no
+code with the generator and needs the standard library only.
+"""
+
+from zerodrift.verify.c_expressions import Expressions
+from zerodrift.verify.c_nodes import Node, Variable
+from zerodrift.verify.c_values import FaultError, NotUnderstoodError
+
+FIELD = "check"
+"""Where a state holds its sum."""
+NUMBERS = {
+    "zd_check_word": ("uint8_t", "uint16_t", "uint32_t"),
+    "zd_check_number": ("int8_t", "uint8_t", "int16_t", "uint16_t", "int32_t"),
+    "zd_check_i64": ("int64_t",),
+}
+"""Function -> types of which it loses no bit."""
+ROWS = {"zd_check_i32": "int32_t", "zd_check_i16": "int16_t"}
+
+
+def is_summed(machine: Expressions, prefix: str) -> bool:
+    """Tell whether a model has a checksum of its state, of which every field but its own is part.
+
+    Raises:
+        NotUnderstoodError: a statement without a rule.
+        FaultError: an element of the state is not in the sum, or is there twice.
+    """
+    fields = machine.program.structs[f"{prefix}_state_t"]
+    function = machine.program.functions.get(f"{prefix}_sum_up")
+    own = [f for f in fields if f.name == FIELD]
+    if function is None and not own:
+        return False
+    if function is None or len(own) != 1 or own[0].type.name != "uint32_t" or own[0].sizes:
+        raise NotUnderstoodError(f"{prefix}_state_t: a checksum without {prefix}_sum_up, or beside")
+    parameters = function.parameters
+    kind = parameters[0].type if len(parameters) == 1 else None
+    if kind is None or not kind.pointer or kind.name != f"{prefix}_state_t":
+        raise NotUnderstoodError(f"{prefix}_sum_up is not given a state")
+    if function.result != "uint32_t":
+        raise NotUnderstoodError(f"{prefix}_sum_up returns no uint32_t")
+    reader = _Reader(machine, parameters[0].name, [f for f in fields if f.name != FIELD])
+    reader.read(function.body)
+    return True
+
+
+class _Reader:
+    def __init__(self, machine: Expressions, state: str, fields: list[Variable]) -> None:
+        self._machine, self._state = machine, state
+        self._types = {f.name: f.type.name for f in fields}
+        self._sizes = {f.name: [machine.constant(size) for size in f.sizes] for f in fields}
+        self._seen: dict[str, int] = {}
+        """Field -> in how many words it is."""
+
+    def _error(self, node: Node) -> NotUnderstoodError:
+        place = self._machine.program.place(node.at)
+        return NotUnderstoodError(f"{place}: no rule for this in a checksum of the state")
+
+    def read(self, body: Node) -> None:
+        if len(body.parts) < 2:
+            raise self._error(body)
+        first, *middle, last = body.parts
+        declared = first.parts[0] if first.kind == "declare" else None
+        if declared is None or declared.name != "check" or declared.type.name != "uint32_t":
+            raise self._error(first)
+        if declared.first is None or declared.first.kind != "call":
+            raise self._error(first)
+        name, arguments = declared.first.parts
+        if name != "zd_check_word" or len(arguments) != 2:
+            raise self._error(first)
+        for argument in arguments:  # the first word is turned, the second added
+            self._take_number(name, argument)
+        for node in middle:
+            if node.kind == "for":
+                self._read_rows(node)
+            else:
+                self._take(node)
+        if last.kind != "return" or last.parts[0] is None or not _is_name(last.parts[0], "check"):
+            raise self._error(last)
+        for field in self._types:
+            if self._seen.get(field) != 1:
+                raise FaultError(f"s->{field} is in {self._seen.get(field, 0)} words of its sum")
+
+    def _take(self, node: Node, index: str = "", rounds: int = 0) -> None:
+        """check = zd_check_...(check, s->x); of rows (check, s->x, N) and (check, s->x[k], N)."""
+        if node.kind != "assign" or node.parts[0] != "=" or not _is_name(node.parts[1], "check"):
+            raise self._error(node)
+        call = node.parts[2]
+        if call.kind != "call" or not call.parts[1] or not _is_name(call.parts[1][0], "check"):
+            raise self._error(node)
+        name, (_, *arguments) = call.parts
+        if name in NUMBERS and len(arguments) == 1 and not index:
+            self._take_number(name, arguments[0])
+            return
+        if name not in ROWS or len(arguments) != 2:
+            raise self._error(node)
+        of, count = arguments
+        if index:
+            if of.kind != "index" or not _is_name(of.parts[1], index):
+                raise self._error(node)
+            of = of.parts[0]
+        field = self._name_of(of)
+        sizes = (
+            [rounds, self._machine.constant(count)] if index else [self._machine.constant(count)]
+        )
+        if self._types[field] != ROWS[name] or self._sizes[field] != sizes:
+            raise FaultError(f"s->{field} of {self._sizes[field]} is summed as {name} of {sizes}")
+        self._seen[field] = self._seen.get(field, 0) + 1
+
+    def _take_number(self, name: str, node: Node) -> None:
+        field = self._name_of(node)
+        if self._sizes[field] or self._types[field] not in NUMBERS[name]:
+            raise FaultError(f"s->{field}, {self._types[field]}, is summed as {name}")
+        self._seen[field] = self._seen.get(field, 0) + 1
+
+    def _name_of(self, node: Node) -> str:
+        known = node.kind == "field" and node.parts[1] == "->"
+        if not known or not _is_name(node.parts[0], self._state):
+            raise self._error(node)
+        field: str = node.parts[2]
+        if field not in self._types:
+            raise self._error(node)
+        return field
+
+    def _read_rows(self, node: Node) -> None:
+        """for (uint32_t k = 0; k < N; k++) { check = zd_check_i16(check, s->x[k], I); }"""
+        _, name, first, operator, end, body = node.parts
+        if self._machine.constant(first) != 0 or operator != "<" or len(body.parts) != 1:
+            raise self._error(node)
+        self._take(body.parts[0], name, self._machine.constant(end))
+
+
+def _is_name(node: Node, name: str) -> bool:
+    return node.kind == "name" and bool(node.parts[0] == name)
