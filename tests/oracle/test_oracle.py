@@ -10,6 +10,7 @@ import pytest
 from benchmarks.random_models import draw_case
 
 from tests.fixed_point.test_mutated_models import write
+from tests.frozen.projects import TOMLS, render_texts, write_project
 from tests.oracle.layers import Recurrent
 from tests.oracle.machine import Answer, Oracle
 from tests.oracle.primitives import TANH_Q19
@@ -171,6 +172,17 @@ def test_oracle_equals_reference_on_many_random_models(tmp_path: Path) -> None:
     for number in range(100, 200):
         kinds |= compare_random_model(number, 4, 60, tmp_path)
     assert kinds >= {"gru", "gru_stack", "dense", "lowpass", "delay", "play", "exp2", "power"}
+
+
+@pytest.mark.parametrize("name", [*TOMLS, pytest.param("ft40", marks=pytest.mark.slow)])
+def test_oracle_equals_reference_on_generated_models(name: str, tmp_path: Path) -> None:
+    """Models as `zerodrift firmware` makes them, where the golden ones are drawn."""
+    path, rng = tmp_path / "model.json", random.Random(name)
+    path.write_text(render_texts(name, write_project(name, tmp_path / name))["model.json"])
+    body, model, oracle = json.loads(path.read_text()), load_model(path), Oracle(path)
+    sequences = [draw_codes(body, 20, rng) for _ in range(5)]
+    compare(model, oracle, sequences, [])
+    compare(model, oracle, sequences, [draw_codes(body, 1, rng) for _ in range(5)])
 
 
 @pytest.mark.parametrize("activation", ["tanh", "clip"])
