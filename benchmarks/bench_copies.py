@@ -15,7 +15,7 @@ from scipy.stats import beta
 
 from zerodrift.dataset.copies import LEAST_ROWS, SharedRows, confirm, find_alignments, mark_run
 from zerodrift.dataset.runs import Array
-from zerodrift.physics.twin import Recipe, simulate
+from zerodrift.lab.twin import Recipe, simulate
 
 SEEDS = 20
 CLEAN_SETS = 300

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from tests.gate.sensors import TESTS, TRAIN, Program, ask_gate, heat, write_sensor
 
-from zerodrift.errors import InputError
-from zerodrift.physics.twin import EffectChoice, Recipe, simulate, write_logs
+from zerodrift.base.errors import InputError
+from zerodrift.lab.twin import EffectChoice, Recipe, simulate, write_logs
 from zerodrift.verify.gate import GateVerdict
 
 CASES: dict[str, tuple[Sequence[Program], dict[str, float]]] = {

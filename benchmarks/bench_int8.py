@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.config import load_config
+from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import compose_integer_model, predict_integer
 from zerodrift.export.fine_tune import tune_for_int8
-from zerodrift.physics.twin.example import ensure_example_logs
+from zerodrift.lab.twin.example import ensure_example_logs
 from zerodrift.train.training import train
 
 Array = NDArray[np.float64]

@@ -33,17 +33,17 @@ HOUR_PEAK_GB = 4.0
 LINEAR = 1.1
 """Largest exponent of CPU time over rows that counts as linear."""
 STAGES = {
-    "read": ("zerodrift.commands.project", "open_project"),
-    "base": ("zerodrift.physics.examination", "fit_base"),
-    "noise": ("zerodrift.physics.examination", "measure_rest"),
-    "candidates": ("zerodrift.physics.examination", "try_candidates"),
-    "judge": ("zerodrift.physics.examination", "_judge"),
-    "diagnose": ("zerodrift.physics.diagnose", "diagnose"),
+    "read": ("zerodrift.app.commands.project", "open_project"),
+    "base": ("zerodrift.diagnosis.examination", "fit_base"),
+    "noise": ("zerodrift.diagnosis.examination", "measure_rest"),
+    "candidates": ("zerodrift.diagnosis.examination", "try_candidates"),
+    "judge": ("zerodrift.diagnosis.examination", "_judge"),
+    "diagnose": ("zerodrift.diagnosis.diagnose", "diagnose"),
     "fit": ("zerodrift.physics.fit", "fit_config"),
-    "hold out": ("zerodrift.physics.held_out", "hold_out"),
-    "floor": ("zerodrift.physics.compare", "measure_floor"),
-    "failures": ("zerodrift.physics.compare", "find_failures"),
-    "compare": ("zerodrift.physics.compare", "compare"),
+    "hold out": ("zerodrift.diagnosis.held_out", "hold_out"),
+    "floor": ("zerodrift.diagnosis.compare", "measure_floor"),
+    "failures": ("zerodrift.diagnosis.compare", "find_failures"),
+    "compare": ("zerodrift.diagnosis.compare", "compare"),
 }
 """Stage -> the function whose time it is. `noise` is within `base` too, and told once."""
 
@@ -186,7 +186,7 @@ def measure_stages(command: str, directory: Path) -> str:
     for stage, (module_name, name) in STAGES.items():
         module = importlib.import_module(module_name)
         setattr(module, name, wrap(stage, getattr(module, name)))
-    from zerodrift.cli import cli
+    from zerodrift.app.cli import cli
 
     before_s = time.process_time()
     done = CliRunner().invoke(cli, [command, "-C", str(directory), "--json"])

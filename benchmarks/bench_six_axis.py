@@ -7,11 +7,11 @@ import time
 
 import numpy as np
 
-from zerodrift.physics.calibration import fit_calibration
-from zerodrift.physics.twin.project import name_outputs
-from zerodrift.physics.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
-from zerodrift.physics.twin.six_axis import draw_sensor, load_protocol, record
-from zerodrift.physics.twin.six_axis.files import ADC_COLUMNS
+from zerodrift.calibration.matrix import fit_calibration
+from zerodrift.lab.twin.project import name_outputs
+from zerodrift.lab.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
+from zerodrift.lab.twin.six_axis import draw_sensor, load_protocol, record
+from zerodrift.lab.twin.six_axis.files import ADC_COLUMNS
 
 PAPER_SPAN = (35.0, 25.0, 160.0, 1.4, 1.6, 0.8)
 BENCH = ("heating", "cooling", "walking", "standing", "lamp_steps", "cold_start")

@@ -20,10 +20,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from zerodrift.config import load_config
+from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Run
-from zerodrift.physics.twin.example import ensure_example_logs
+from zerodrift.lab.twin.example import ensure_example_logs
 from zerodrift.train.training import train
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from pathlib import Path
 from tests.faults.scenarios import SCENARIOS, Scenario, find_set
 from tests.state.faults import Tree, list_crashes, read_tree
 
-from zerodrift.cli import cli
-from zerodrift.errors import ZerodriftError
-from zerodrift.journal import hold_project
+from zerodrift.app.cli import cli
+from zerodrift.base.errors import ZerodriftError
+from zerodrift.base.journal import hold_project
 
 
 def run(project: Path, arguments: tuple[str, ...]) -> int:

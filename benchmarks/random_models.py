@@ -23,9 +23,9 @@ from tests.golden.model_factory import (
 )
 
 from zerodrift.codegen.selftest import limits_of
-from zerodrift.config import EffectConfig
+from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Run
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.export.compose import calibrate, describe_compensator, encode_inputs
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import Calibration, FloatModel, quantize

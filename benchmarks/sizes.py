@@ -18,7 +18,7 @@ from zerodrift.c_runtime.cores import CORES
 from zerodrift.c_runtime.footprint import measure_footprint
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.integer_model import IntegerModel, load_model
-from zerodrift.files import write_whole
+from zerodrift.base.files import write_whole
 from zerodrift.operations.layers import IntegerGruStack
 from zerodrift.verify.vectors import draw_sequences
 

@@ -10,15 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from zerodrift.config import Config, NetworkConfig
+from zerodrift.base.config import Config, NetworkConfig
 from zerodrift.dataset.runs import Dataset
-from zerodrift.physics.advice import Advice, advise
-from zerodrift.physics.twin.project import to_config, to_dataset
-from zerodrift.physics.twin.recipe import EffectChoice, Recipe
-from zerodrift.physics.twin.simulate import simulate
-from zerodrift.physics.twin.six_axis import draw_sensor, load_protocol, record
-from zerodrift.physics.twin.six_axis import to_config as to_six_config
-from zerodrift.physics.twin.six_axis import to_dataset as to_six_dataset
+from zerodrift.diagnosis.advice import Advice, advise
+from zerodrift.lab.twin.project import to_config, to_dataset
+from zerodrift.lab.twin.recipe import EffectChoice, Recipe
+from zerodrift.lab.twin.simulate import simulate
+from zerodrift.lab.twin.six_axis import draw_sensor, load_protocol, record
+from zerodrift.lab.twin.six_axis import to_config as to_six_config
+from zerodrift.lab.twin.six_axis import to_dataset as to_six_dataset
 
 CHAMBER = ("chamber",) * 6
 MIXED = ("chamber",) * 4 + ("heating", "cooling") * 3

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.physics.twin import EffectChoice, Recipe, simulate
-from zerodrift.physics.twin.project import to_config, to_dataset
+from zerodrift.lab.twin import EffectChoice, Recipe, simulate
+from zerodrift.lab.twin.project import to_config, to_dataset
 from zerodrift.train.training import train
 
 LOST, SHORTEST = 8, 10

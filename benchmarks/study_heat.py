@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass
-from zerodrift.report.paper.world import (
+from zerodrift.lab.paper.world import (
     BODY,
     CHAMBER_CYCLES,
     Trial,

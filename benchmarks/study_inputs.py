@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from benchmarks.bench_training import copy_example, measure_error
-from zerodrift.config import Config, load_config
+from zerodrift.base.config import Config, load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.train import stages

@@ -18,13 +18,13 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.config import EffectConfig
+from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Run
 from zerodrift.export.feedback import predict_fed_back
 from zerodrift.physics.fit import fit
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.physics.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
-from zerodrift.physics.twin.six_axis import (
+from zerodrift.lab.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
+from zerodrift.lab.twin.six_axis import (
     Recording,
     draw_sensor,
     load_protocol,
@@ -32,8 +32,8 @@ from zerodrift.physics.twin.six_axis import (
     record,
     to_run,
 )
-from zerodrift.report.paper.plan import DEFAULT
-from zerodrift.report.paper.world import (
+from zerodrift.lab.paper.plan import DEFAULT
+from zerodrift.lab.paper.world import (
     PERIOD_S,
     TEST_SEED,
     TRAIN_SEED,
@@ -47,7 +47,7 @@ from zerodrift.train.lag_bank.loads import LoadPart, fit_loads, see_loads
 from zerodrift.train.lag_bank.model import POWERS
 from zerodrift.train.lag_bank.projection import solve_ridge
 from zerodrift.train.lag_bank.search import Rows, choose_bank, pick
-from zerodrift.train.methods import METHODS, Options
+from zerodrift.lab.methods import METHODS, Options
 
 Array = NDArray[np.float64]
 

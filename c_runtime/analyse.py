@@ -23,7 +23,7 @@ from zerodrift.c_runtime.compilers import (
 )
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import generate
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import load_model
 
 ROOT = RUNTIME_DIRECTORY.resolve().parent

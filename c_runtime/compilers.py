@@ -10,7 +10,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from zerodrift.errors import CheckError, InputError
+from zerodrift.base.errors import CheckError, InputError
 
 RUNTIME_DIRECTORY = Path(__file__).parent
 INCLUDE_DIRECTORY = RUNTIME_DIRECTORY / "include" / "zerodrift"

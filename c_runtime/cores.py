@@ -5,7 +5,7 @@ import shutil
 import sys
 
 from zerodrift.c_runtime.compilers import Compiler
-from zerodrift.errors import InputError, nearest
+from zerodrift.base.errors import InputError, nearest
 
 _OMIT = "-fomit-frame-pointer"
 """zig keeps a frame pointer unless it is told not to; gcc and plain clang do not."""

@@ -38,7 +38,7 @@ from zerodrift.c_runtime.compilers import Compiler
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.errors import CheckError, InputError
+from zerodrift.base.errors import CheckError, InputError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray

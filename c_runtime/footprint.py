@@ -21,7 +21,7 @@ from elftools.elf.relocation import RelocationSection
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.errors import CheckError, InputError
+from zerodrift.base.errors import CheckError, InputError
 
 FLAGS = (
     "-std=c99",

@@ -10,7 +10,7 @@ from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.tables import Table
 from zerodrift.dataset.units import read_unit
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 Mask = NDArray[np.bool_]
 Limits = tuple[float, float]

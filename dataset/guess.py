@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from zerodrift.config import MAX_OUTPUTS, TIME_UNITS
+from zerodrift.base.config import MAX_OUTPUTS, TIME_UNITS
 from zerodrift.dataset.tables import RUN_COLUMN, Source, open_source
 from zerodrift.dataset.time_units import guess_time_unit, read_time_unit
 from zerodrift.dataset.units import TEMPERATURE_UNITS, read_unit, strip_unit
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 TIME_NAMES = ("time_s", "t_s", "elapsed_s", "time", "t", "elapsed", "seconds", "timestamp_s")
 CLOCK_WORDS = ("clock", "unix", "epoch", "utc")

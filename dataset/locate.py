@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import polars as pl
 
 from zerodrift.dataset.tables import Source, explain_unreadable
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zerodrift.config import Config
+from zerodrift.base.config import Config
 from zerodrift.dataset.runs import Array, Run
 from zerodrift.dataset.time_units import write_time
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 _MARK = b'"'
 _BLOCK_BYTES = 1 << 22

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.config import Config, locate_key
+from zerodrift.base.config import Config, locate_key
 from zerodrift.dataset.runs import Array
-from zerodrift.errors import InputError, nearest
+from zerodrift.base.errors import InputError, nearest
 
 CSV_SUFFIXES = (".csv", ".tsv", ".txt")
 PARQUET_SUFFIXES = (".parquet", ".pq")

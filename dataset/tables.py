@@ -18,8 +18,8 @@ from zerodrift.dataset.columns import GrowingColumns
 from zerodrift.dataset.quotes import check_quotes
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.selectors import PARQUET_SUFFIXES
-from zerodrift.errors import InputError, nearest
-from zerodrift.files import name_kind
+from zerodrift.base.errors import InputError, nearest
+from zerodrift.base.files import name_kind
 
 RUN_COLUMN = "run"
 BATCH_ROWS = 100_000

@@ -2,8 +2,8 @@
 
 import re
 
-from zerodrift.config import TIME_UNITS, Config
-from zerodrift.errors import InputError
+from zerodrift.base.config import TIME_UNITS, Config
+from zerodrift.base.errors import InputError
 
 _WORDS = {
     "s": ("s", "sec", "secs", "second", "seconds"),

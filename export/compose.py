@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.config import Config
+from zerodrift.base.config import Config
 from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.chip_codes import (
     CLOCK,
@@ -22,7 +22,7 @@ from zerodrift.dataset.chip_codes import (
     refuse_outside,
 )
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.export.feedback import predict_fed_back
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.formats import RANGE_SPANS

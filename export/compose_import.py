@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.config import LONGEST_WINDOW, Config
+from zerodrift.base.config import LONGEST_WINDOW, Config
 from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.chip_codes import FLAG_MARGIN_K, RANGE_MARGIN
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.errors import InputError, nearest
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.export.compose import (
     choose_lsb_per_unit,
     encode_inputs,

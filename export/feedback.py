@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.config import Config
+from zerodrift.base.config import Config
 from zerodrift.dataset.runs import Run
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.export.compose import calibrate, describe_compensator, encode_inputs
 from zerodrift.export.compose_import import (
     ImportedCompensator,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import choose_exponent
 from zerodrift.operations.graph import Node
 from zerodrift.operations.gru import IntegerGru

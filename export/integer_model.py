@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.export.model_checks import check_model
-from zerodrift.files import write_whole
+from zerodrift.base.files import write_whole
 from zerodrift.operations.clip import IntegerClip
 from zerodrift.operations.clock import IntegerCounter
 from zerodrift.operations.exp2 import IntegerExp2

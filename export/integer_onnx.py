@@ -11,7 +11,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper
 
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_INPUT_RANGE,
@@ -30,7 +30,7 @@ from zerodrift.export.integer_onnx_nodes import (
 )
 from zerodrift.export.onnx_writer import IR_VERSION, OPSET, OnnxWriter, Shape
 from zerodrift.export.reference import Reference
-from zerodrift.files import write_whole
+from zerodrift.base.files import write_whole
 from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import CODES, PREVIOUS_DRIFT
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from zerodrift.config import LONGEST_WINDOW
-from zerodrift.errors import CheckError, InputError
+from zerodrift.base.config import LONGEST_WINDOW
+from zerodrift.base.errors import CheckError, InputError
 from zerodrift.operations.gru import IntegerGru
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.network import IntegerFeatures, IntegerGruLayer, IntegerHead

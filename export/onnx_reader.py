@@ -15,7 +15,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import numpy_helper
 
-from zerodrift.errors import InputError, nearest
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.onnx_fold import fold_constants
 from zerodrift.export.onnx_operators import OPERATORS, SUPPORTED

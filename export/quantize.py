@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.formats import COEFFICIENT_LIMIT, Signal
 from zerodrift.export.integer_model import Channel, Guards, IntegerModel, OutputFormat

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, choose_exponent
 from zerodrift.operations.gru import GATES, FloatGru, IntegerGru
 

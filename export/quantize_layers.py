@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.lowering import Lowering
 from zerodrift.export.quantize_gru import quantize_gru, quantize_head

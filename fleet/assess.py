@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset
 from zerodrift.fleet.result import OutputResult, ParameterResult
-from zerodrift.physics.floor import measure_floor
-from zerodrift.physics.held_out import TEST_LOGS, HeldOut, hold_out
-from zerodrift.physics.run_errors import collect_errors, pool_rmse
+from zerodrift.diagnosis.floor import measure_floor
+from zerodrift.diagnosis.held_out import TEST_LOGS, HeldOut, hold_out
+from zerodrift.diagnosis.run_errors import collect_errors, pool_rmse
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.scores import Trained
 from zerodrift.verify.chip_error import Replay

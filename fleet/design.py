@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 from zerodrift import __version__
-from zerodrift.config import USES, Config
+from zerodrift.base.config import USES, Config
 from zerodrift.dataset.selectors import expand_selectors
 from zerodrift.export.integer_model import FORMAT as MODEL_FORMAT
 from zerodrift.fleet.result import FORMAT

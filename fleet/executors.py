@@ -8,10 +8,10 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Protocol
 
-from zerodrift.errors import CheckError, InputError
+from zerodrift.base.errors import CheckError, InputError
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import Outcome
-from zerodrift.threads import BLAS
+from zerodrift.base.threads import BLAS
 
 Batch = tuple[str, ...]
 ONE_THREAD = (*BLAS, "POLARS_MAX_THREADS")

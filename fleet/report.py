@@ -14,7 +14,7 @@ import numpy as np
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.outliers import Outlier, find_outliers
 from zerodrift.fleet.result import Outcome, SensorResult
-from zerodrift.journal import write_all
+from zerodrift.base.journal import write_all
 
 FORMAT = 1
 NAME = "report"

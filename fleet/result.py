@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from zerodrift.errors import InputError
-from zerodrift.journal import write_all
-from zerodrift.sealed import read_sealed, render_sealed
+from zerodrift.base.errors import InputError
+from zerodrift.base.journal import write_all
+from zerodrift.base.sealed import read_sealed, render_sealed
 
 FORMAT = 2
 """Of result.json; another one is computed anew."""

@@ -5,9 +5,9 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from zerodrift.config import USES, Config, locate_key
-from zerodrift.errors import InputError
-from zerodrift.fleet_config import PLACEHOLDER
+from zerodrift.base.config import USES, Config, locate_key
+from zerodrift.base.errors import InputError
+from zerodrift.base.fleet_config import PLACEHOLDER
 
 LOG_SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
 _SUFFIX = re.compile(r"(#[^#/]+)?(@[^@#/]*:[^@#/]*)?$")

@@ -7,8 +7,8 @@ from pathlib import Path
 import plotly.graph_objects as go
 from click.testing import CliRunner
 
-from zerodrift.cli import cli
-from zerodrift.commands.survey import preview_effects, survey_project
+from zerodrift.app.cli import cli
+from zerodrift.app.commands.survey import preview_effects, survey_project
 from zerodrift.report.figures import draw_candidates, draw_staircase
 from zerodrift.report.figures_runs import Window, draw_run
 from zerodrift.report.report import read_steps
@@ -21,7 +21,7 @@ OUTPUT = "Fz"
 @cache
 def draw_example() -> dict[str, tuple[go.Figure, str]]:
     """Return the pictures by name, each with its caption."""
-    from zerodrift.commands.project import open_project
+    from zerodrift.app.commands.project import open_project
     from zerodrift.physics.catalogue import load_catalogue
 
     with tempfile.TemporaryDirectory(prefix="zerodrift-manual-") as name:

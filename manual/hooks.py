@@ -147,7 +147,7 @@ def on_page_markdown(text: str, page: Any, **_: Any) -> str:
     """Ask for the effects' pictures; name files of the repository that are no pages."""
     if page.file.src_uri == "reference/effects.md":
         from zerodrift.physics.catalogue import load_catalogue
-        from zerodrift.physics.fingerprint import draw_fingerprint
+        from zerodrift.diagnosis.fingerprint import draw_fingerprint
 
         catalogue = load_catalogue()
         text = ask_for_effects(

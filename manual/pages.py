@@ -6,7 +6,7 @@ from importlib import import_module
 
 import click
 
-from zerodrift.cli import COMMANDS, cli
+from zerodrift.app.cli import COMMANDS, cli
 
 MODULES = {
     "effects": (

@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 from scipy.stats import t as student
 
 from zerodrift.operations.arithmetic import round_shift
-from zerodrift.physics.evidence import flip_signs
+from zerodrift.diagnosis.evidence import flip_signs
 from zerodrift.report.figures import draw_fingerprint
 from zerodrift.report.style import ACCENT, FLOOR, HEATING, LEFT, apply_style
 
@@ -197,7 +197,7 @@ def draw_alarms() -> Picture:
 
 def draw_effect(kind: str) -> Picture:
     """Return an effect's fingerprint in the experiment that shows it best."""
-    from zerodrift.physics import fingerprint
+    from zerodrift.diagnosis import fingerprint
     from zerodrift.physics.catalogue import load_catalogue
 
     catalogue = load_catalogue()

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import CODES, IntegerNode, State, Values

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray, saturate
 from zerodrift.operations.intervals import Bound, Interval, check_shift
 from zerodrift.operations.node import IntegerNode, State, Values

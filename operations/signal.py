@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import (
     INT32_MAX,
     INT32_MIN,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.physics.effect import Feature
 from zerodrift.physics.octaves import MEANS

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
-from zerodrift.errors import InputError, nearest
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.operations.backend import Operations
 
 S = TypeVar("S")

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 ROUND_OFF = 1e-12
 """Share of the largest reading below which a difference is no movement."""

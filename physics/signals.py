@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
-from zerodrift.errors import InputError, nearest
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.physics.effect import Effect, Signals
 from zerodrift.physics.rails import find_rails

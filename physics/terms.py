@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.config import EffectConfig
-from zerodrift.errors import InputError, nearest
+from zerodrift.base.config import EffectConfig
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.operations.backend import NumpyOperations, Operations
 from zerodrift.physics.catalogue import Catalogue, line_in
 from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import plotly.graph_objects as go
 
-from zerodrift.errors import InputError
-from zerodrift.journal import write_all
+from zerodrift.base.errors import InputError
+from zerodrift.base.journal import write_all
 from zerodrift.report.page import render_template
-from zerodrift.scratch import make_scratch
+from zerodrift.base.scratch import make_scratch
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 VARIABLE = "ZERODRIFT_BROWSER"

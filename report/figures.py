@@ -8,10 +8,10 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.physics.compare import Comparison
-from zerodrift.physics.fingerprint import Fingerprint
-from zerodrift.physics.history import Step
-from zerodrift.physics.run_errors import collect_errors
+from zerodrift.diagnosis.compare import Comparison
+from zerodrift.diagnosis.fingerprint import Fingerprint
+from zerodrift.diagnosis.history import Step
+from zerodrift.diagnosis.run_errors import collect_errors
 from zerodrift.report.figures_runs import draw_output
 from zerodrift.report.findings import Trace, trace_runs
 from zerodrift.report.page import render_page

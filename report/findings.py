@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
-from zerodrift.physics.run_errors import RunError
+from zerodrift.diagnosis.run_errors import RunError
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from zerodrift.physics.history import Step
+from zerodrift.diagnosis.history import Step
 from zerodrift.report import tables
 from zerodrift.report.figures import (
     draw_autocorrelation,

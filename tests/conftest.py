@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from zerodrift.threads import use_one_thread
+from zerodrift.base.threads import use_one_thread
 
 use_one_thread()
 
@@ -56,7 +56,7 @@ def zerodrift(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., Result]:
     """Return a function that runs the command line in this process, as a shell would."""
-    from zerodrift.cli import main
+    from zerodrift.app.cli import main
 
     def run(*arguments: object) -> Result:
         monkeypatch.setattr(sys, "argv", ["zerodrift", *map(str, arguments)])

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import torch
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.train.batch_data import Attempt, Problem
 from zerodrift.train.batch_loop import Training
 from zerodrift.train.optimise import Result

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.train.networks import GruNetwork
 from zerodrift.train.optimise import Settings
 from zerodrift.train.sequences import Sequence32

@@ -12,9 +12,9 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift import files
-from zerodrift.errors import InputError
-from zerodrift.sealed import read_sealed, render_sealed
+from zerodrift.base import files
+from zerodrift.base.errors import InputError
+from zerodrift.base.sealed import read_sealed, render_sealed
 
 FORMAT = 1
 VALUES = "values"

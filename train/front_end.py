@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from zerodrift.dataset.runs import Run
-from zerodrift.errors import InputError, nearest
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.operations.backend import NumpyOperations, Operations
 from zerodrift.operations.graph import GraphOperations, Node
 

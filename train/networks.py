@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from zerodrift.config import NetworkConfig
+from zerodrift.base.config import NetworkConfig
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru import FloatGru
 from zerodrift.train.recurrence import GruWeights, run_gru

@@ -14,7 +14,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.operations.dense import FloatDense, FloatFeedForward
 from zerodrift.operations.gru import FloatGru
 from zerodrift.operations.gru_onnx import from_onnx_gates, to_onnx_gates

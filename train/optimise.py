@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from zerodrift.errors import InputError
-from zerodrift.lock import tell
+from zerodrift.base.errors import InputError
+from zerodrift.base.lock import tell
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from zerodrift.train.networks import Network
 from zerodrift.train.sequences import (

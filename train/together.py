@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import torch
 
-from zerodrift.config import Config
+from zerodrift.base.config import Config
 from zerodrift.dataset.runs import Dataset
-from zerodrift.errors import ZerodriftError
+from zerodrift.base.errors import ZerodriftError
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.train.batch import Problem, train_batch
 from zerodrift.train.networks import GruNetwork, build_network

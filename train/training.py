@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from zerodrift.config import Config, NetworkConfig
+from zerodrift.base.config import Config, NetworkConfig
 from zerodrift.dataset.chip_codes import refuse_unsayable
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.operations.dense import FloatFeedForward

@@ -10,7 +10,7 @@ import numpy as np
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import CodeArray
 
 CHIP_STEPS = 1000

@@ -12,9 +12,9 @@ from zerodrift.c_runtime.footprint import Footprint, measure_footprint
 from zerodrift.c_runtime.host import HostModel, render_sources, write_sources
 from zerodrift.codegen.application import render_dbc
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.config import Config
+from zerodrift.base.config import Config
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.export.compose import (
     calibrate,
     compose_integer_model,
@@ -31,10 +31,10 @@ from zerodrift.export.fine_tune import load_or_tune, load_or_tune_imported
 from zerodrift.export.golden import GoldenVectors, compute_golden
 from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx
-from zerodrift.journal import write_all
+from zerodrift.base.journal import write_all
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.ownership import refuse_foreign
-from zerodrift.scratch import make_scratch
+from zerodrift.base.ownership import refuse_foreign
+from zerodrift.base.scratch import make_scratch
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.config import Config
+from zerodrift.base.config import Config
 from zerodrift.dataset.chip_codes import FLAG_MARGIN_K, RANGE_MARGIN
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.compose_import import ImportedCompensator
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.physics.held_out import hold_out
+from zerodrift.diagnosis.held_out import hold_out
 from zerodrift.train.bank_training import assemble_bank, fit_bank
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.stages import fit_physics

@@ -13,8 +13,8 @@ from pathlib import Path
 from zerodrift import __version__
 from zerodrift.c_runtime.compilers import find_compilers
 from zerodrift.c_runtime.cores import CORES, GCC_CORES, find_cross_compilers
-from zerodrift.errors import InputError
-from zerodrift.lock import LOCK, describe_holder, find_state, try_lock
+from zerodrift.base.errors import InputError
+from zerodrift.base.lock import LOCK, describe_holder, find_state, try_lock
 
 PACKAGES: dict[str, str] = {
     "numpy": "arithmetic",

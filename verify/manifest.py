@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from zerodrift import __version__
-from zerodrift.config import USES, Config
+from zerodrift.base.config import USES, Config
 from zerodrift.dataset.selectors import expand_selectors
-from zerodrift.errors import CheckError, InputError
+from zerodrift.base.errors import CheckError, InputError
 
 FILE_NAME = "manifest.json"
 FORMAT = 1

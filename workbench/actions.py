@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.workbench.uploads import list_logs
 from zerodrift.workbench.workplace import Workplace
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.commands.console import print_progress
-from zerodrift.commands.survey import diagnose_once, preview_effects, survey_project
-from zerodrift.errors import ZerodriftError
+from zerodrift.app.commands.console import print_progress
+from zerodrift.app.commands.survey import diagnose_once, preview_effects, survey_project
+from zerodrift.base.errors import ZerodriftError
 from zerodrift.report.findings import save_findings
 from zerodrift.workbench.jobs import EVENT_MARK
 
@@ -36,8 +36,8 @@ def survey(directory: Path, result: Path, skip_invalid: bool) -> None:
 
 def diagnose(directory: Path, result: Path, skip_invalid: bool) -> None:
     """Write the diagnosis, and then what the effects that it names would look like."""
-    from zerodrift.commands.project import open_project
-    from zerodrift.commands.survey import trace_provenance
+    from zerodrift.app.commands.project import open_project
+    from zerodrift.app.commands.survey import trace_provenance
     from zerodrift.physics.catalogue import load_catalogue
 
     config, dataset = open_project(directory, skip_invalid)

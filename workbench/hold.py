@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 
 def hold_directory(directory: Path) -> int | None:

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from zerodrift.config import FILE_NAME
-from zerodrift.physics.history import FILE_NAME as HISTORY
+from zerodrift.base.config import FILE_NAME
+from zerodrift.diagnosis.history import FILE_NAME as HISTORY
 from zerodrift.report.findings import Findings
 from zerodrift.workbench.uploads import LOGS
 

@@ -7,7 +7,7 @@ from typing import Any
 from flask import Flask, Response, jsonify, request, send_file
 from werkzeug.serving import WSGIRequestHandler, make_server
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.workbench.actions import press
 from zerodrift.workbench.app import make_app
 from zerodrift.workbench.security import guard, make_token

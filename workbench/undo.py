@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from zerodrift.config import FILE_NAME
-from zerodrift.errors import InputError
-from zerodrift.journal import write_all
-from zerodrift.physics.history import FILE_NAME as HISTORY
+from zerodrift.base.config import FILE_NAME
+from zerodrift.base.errors import InputError
+from zerodrift.base.journal import write_all
+from zerodrift.diagnosis.history import FILE_NAME as HISTORY
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import IO
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 LOGS = "logs"
 LARGEST_UPLOAD = 1 << 30

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.config import FILE_NAME
-from zerodrift.errors import InputError
+from zerodrift.base.config import FILE_NAME
+from zerodrift.base.errors import InputError
 from zerodrift.report.findings import Findings, load_findings
 from zerodrift.workbench.child import (
     DIAGNOSED,

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.physics.twin.logger import SimulatedRun
-from zerodrift.physics.twin.recipe import EffectChoice, Recipe
-from zerodrift.physics.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
-from zerodrift.physics.twin.simulate import Simulation
+from zerodrift.lab.twin.logger import SimulatedRun
+from zerodrift.lab.twin.recipe import EffectChoice, Recipe
+from zerodrift.lab.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
+from zerodrift.lab.twin.simulate import Simulation
 
 SIZES = (0.3, 1.0, 3.0, 10.0)
 """RMS of the hidden effect beyond what the told model can absorb, over the noise RMS."""

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.hidden.cases import Case, make_recipe, read_simulation
-from zerodrift.config import EffectConfig
-from zerodrift.errors import InputError
+from zerodrift.base.config import EffectConfig
+from zerodrift.base.errors import InputError
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.physics.course import Course, diagnose_until_done, extend_model
-from zerodrift.physics.diagnose import diagnose
+from zerodrift.diagnosis.course import Course, diagnose_until_done, extend_model
+from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.physics.fit import fit
-from zerodrift.physics.twin.simulate import simulate
+from zerodrift.lab.twin.simulate import simulate
 
 SHAPES = {
     "dark_current": ("doubling_K", "doubling_K"),

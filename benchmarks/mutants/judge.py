@@ -166,7 +166,7 @@ def ask_certificate(folder: Path) -> tuple[str, str]:
     except JudgeHangsError:
         return "hangs", f"no answer in {_JUDGE_SECONDS} s"
     except Exception as error:  # noqa: BLE001 - whatever it is, it is told
-        from zerodrift.errors import ZerodriftError
+        from zerodrift.base.errors import ZerodriftError
 
         told = f"{type(error).__name__}: {str(error)[:200]}"
         return ("refused" if isinstance(error, ZerodriftError) else "crashes"), told
@@ -177,8 +177,8 @@ def ask_verify(project: Path) -> tuple[str, str]:
     """Return accepted, refused, hangs or crashes, and what `zerodrift verify` said."""
     from click.testing import CliRunner
 
-    from zerodrift.cli import cli
-    from zerodrift.errors import ZerodriftError
+    from zerodrift.app.cli import cli
+    from zerodrift.base.errors import ZerodriftError
 
     home = Path.cwd()
     try:

@@ -105,7 +105,7 @@ kind = "zero_tempco"
 
 def write_logs_of_project(folder: Path, rows: int = 900) -> None:
     """Write four short simulated runs into a folder; the test run is within the others' range."""
-    from zerodrift.physics.twin import Recipe, parse_choice, simulate, write_logs
+    from zerodrift.lab.twin import Recipe, parse_choice, simulate, write_logs
 
     raw = folder.parent / "raw"
     shutil.rmtree(raw, ignore_errors=True)

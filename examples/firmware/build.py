@@ -18,7 +18,7 @@ from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.application import render_application, render_dbc
 from zerodrift.codegen.generate import generate
 from zerodrift.codegen.identifiers import sanitize_prefix
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.export.integer_model import IntegerModel, load_model
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.vectors import draw_sequences

@@ -1,5 +1,5 @@
 """`python -m zerodrift` is the command line."""
 
-from zerodrift.cli import main
+from zerodrift.app.cli import main
 
 main()

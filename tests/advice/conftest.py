@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from zerodrift.config import NetworkConfig
-from zerodrift.physics.advice import advise
-from zerodrift.physics.twin.project import to_config, to_dataset
-from zerodrift.physics.twin.recipe import EffectChoice, Recipe
-from zerodrift.physics.twin.simulate import simulate
+from zerodrift.base.config import NetworkConfig
+from zerodrift.diagnosis.advice import advise
+from zerodrift.lab.twin.project import to_config, to_dataset
+from zerodrift.lab.twin.recipe import EffectChoice, Recipe
+from zerodrift.lab.twin.simulate import simulate
 
 CHAMBER = ("chamber",) * 6
 MIXED = ("chamber",) * 4 + ("heating", "cooling") * 3

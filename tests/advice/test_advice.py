@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from tests.advice.conftest import CHAMBER, HEAT_PATH, MIXED, lag, straighten
 
-from zerodrift.config import NetworkConfig
-from zerodrift.physics.advice import advise
-from zerodrift.physics.network_memory import SPACING_S
+from zerodrift.base.config import NetworkConfig
+from zerodrift.diagnosis.advice import advise
+from zerodrift.diagnosis.network_memory import SPACING_S
 
 
 def named(advice):

@@ -12,13 +12,13 @@ import pytest
 from click.testing import CliRunner
 
 from zerodrift.c_runtime.compilers import WARNINGS, find_compilers
-from zerodrift.commands.calibrate import command
-from zerodrift.errors import InputError
+from zerodrift.app.commands.calibrate import command
+from zerodrift.base.errors import InputError
 from zerodrift.export.compose import choose_lsb_per_unit
-from zerodrift.physics.calibration import fit_calibration
-from zerodrift.physics.calibration_files import choose_counts, quantize_row
-from zerodrift.physics.twin.six_axis import draw_sensor, load_protocol, record
-from zerodrift.physics.twin.six_axis.files import render_log
+from zerodrift.calibration.matrix import fit_calibration
+from zerodrift.calibration.files import choose_counts, quantize_row
+from zerodrift.lab.twin.six_axis import draw_sensor, load_protocol, record
+from zerodrift.lab.twin.six_axis.files import render_log
 
 CHANNELS = tuple(f"adc_{k}" for k in range(1, 7))
 OUTPUTS = ("Fx_N", "Fy_N", "Fz_N", "Mx_Nm", "My_Nm", "Mz_Nm")

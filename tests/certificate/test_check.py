@@ -19,7 +19,7 @@ from tests.golden.models import CASES
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import FORMAT, IntegerModel
 from zerodrift.verify import known_runtime
 from zerodrift.verify.c_model import Model, read_models

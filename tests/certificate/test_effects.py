@@ -16,7 +16,7 @@ from tests.effects_on_chip.bench import (
 )
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.config import EffectConfig
+from zerodrift.base.config import EffectConfig
 from zerodrift.export.compose import (
     calibrate,
     compose_integer_model,

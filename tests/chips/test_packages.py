@@ -14,10 +14,10 @@ from tests.golden.vectors import load
 from tests.verify.conftest import write_firmware
 
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
-from zerodrift.cli import cli
+from zerodrift.app.cli import cli
 from zerodrift.codegen.generate import generate
 from zerodrift.codegen.packages import PACKAGES, render_package
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 
 ROOT = Path(__file__).parents[2]
 RUNTIME = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}

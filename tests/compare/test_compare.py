@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from zerodrift.dataset.runs import Dataset
-from zerodrift.physics.compare import compare
-from zerodrift.physics.held_out import LEAVE_ONE_RUN_OUT, NONE, HeldOut
+from zerodrift.diagnosis.compare import compare
+from zerodrift.diagnosis.held_out import LEAVE_ONE_RUN_OUT, NONE, HeldOut
 
 NAMES = (("Fz", "Mx"), ("N", "Nm"), (2000.0, 20.0))
 

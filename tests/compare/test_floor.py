@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from zerodrift.dataset.runs import Dataset
-from zerodrift.physics.floor import DWELL, ESTIMATED, estimate_fast_noise, measure_floor
+from zerodrift.diagnosis.floor import DWELL, ESTIMATED, estimate_fast_noise, measure_floor
 
 NAMES = (("Fz", "Mx"), ("N", "Nm"), (2000.0, 20.0))
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from zerodrift.config import EffectConfig
+from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.fit import fit
-from zerodrift.physics.held_out import (
+from zerodrift.diagnosis.held_out import (
     BLOCKS_OF_ONE_RUN,
     LEAVE_ONE_RUN_OUT,
     TEST_LOGS,

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from tests.projects import FORCE, render_toml
 
-from zerodrift.column_config import LATER_KEYS, CodesConfig
-from zerodrift.config import parse_config
-from zerodrift.errors import InputError
+from zerodrift.base.column_config import LATER_KEYS, CodesConfig
+from zerodrift.base.config import parse_config
+from zerodrift.base.errors import InputError
 
 HERE = Path("/project/zerodrift.toml")
 LOGS = '[logs]\ntrain = ["logs/*.csv"]\n'

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from zerodrift.config import load_config, parse_config
-from zerodrift.errors import InputError
-from zerodrift.toml_lines import find_line, index_lines
+from zerodrift.base.config import load_config, parse_config
+from zerodrift.base.errors import InputError
+from zerodrift.base.toml_lines import find_line, index_lines
 
 WHOLE = """\
 [sensor]

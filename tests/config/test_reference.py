@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from zerodrift import config
+from zerodrift.base import config
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "zerodrift-toml.md"
 

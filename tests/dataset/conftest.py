@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from tests.projects import FORCE, render_toml
 
-from zerodrift.config import Config, load_config
+from zerodrift.base.config import Config, load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 TOML = render_toml(
     """\

@@ -8,9 +8,9 @@ import polars as pl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from zerodrift.config import parse_config
+from zerodrift.base.config import parse_config
 from zerodrift.dataset.load import load_dataset
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 TOML = """\
 [sensor]

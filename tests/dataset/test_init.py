@@ -6,12 +6,12 @@ import tomllib
 import pytest
 from click.testing import CliRunner
 
-from zerodrift.commands.init import command
-from zerodrift.config import load_config
+from zerodrift.app.commands.init import command
+from zerodrift.base.config import load_config
 from zerodrift.dataset.guess import guess_project
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.units import are_alike, read_unit, strip_unit
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 HEADER = (
     *("time_s", "temperature_degC", "t_body_degC", "Fx_N", "Mz [Nm]", "ref_Fx_N", "ref_Mz [Nm]"),
@@ -190,7 +190,7 @@ def test_init_says_when_it_may_not_write(tmp_path, invoke, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     write_log(tmp_path / "log.csv")
-    monkeypatch.setattr("zerodrift.files.tempfile.mkstemp", refuse)
+    monkeypatch.setattr("zerodrift.base.files.tempfile.mkstemp", refuse)
     result = invoke("log.csv")
     assert isinstance(result.exception, InputError)
     assert "zerodrift.toml: cannot be written (Permission denied)" in str(result.exception)

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from tests.dataset.conftest import Project
 
-from zerodrift.config import load_config
+from zerodrift.base.config import load_config
 from zerodrift.dataset.guess import guess_project
 from zerodrift.dataset.tables import open_source
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 HANGS_AFTER_S = 30

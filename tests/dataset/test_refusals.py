@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 
 def expect(message: str, *parts: str) -> None:

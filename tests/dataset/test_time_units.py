@@ -7,12 +7,12 @@ import pytest
 from click.testing import CliRunner
 from tests.projects import FORCE, render_toml
 
-from zerodrift.cli import cli
-from zerodrift.config import load_config
+from zerodrift.app.cli import cli
+from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.time_units import read_time_unit, write_time
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1 / 60, "h": 1 / 3600}
 EPOCH_S = 1.767e9

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.projects import render_toml
 
-from zerodrift.config import Config, EffectConfig, parse_config
+from zerodrift.base.config import Config, EffectConfig, parse_config
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.model import FittedTerm, PhysicalModel

@@ -18,7 +18,7 @@ from tests.effects_on_chip.bench import (
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.config import EffectConfig
+from zerodrift.base.config import EffectConfig
 from zerodrift.export.compose import (
     compose_integer_model,
     encode_inputs,

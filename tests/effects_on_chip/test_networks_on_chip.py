@@ -10,7 +10,7 @@ from tests.effects_on_chip.bench import draw_runs, make_config, make_dataset
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.config import Config, EffectConfig, NetworkConfig
+from zerodrift.base.config import Config, EffectConfig, NetworkConfig
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import (
     compose_integer_model,

@@ -13,7 +13,7 @@ from tests.effects_on_chip.bench import (
     make_physics,
 )
 
-from zerodrift.config import EffectConfig
+from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import (
     compose_integer_model,

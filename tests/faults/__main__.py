@@ -26,8 +26,8 @@ from zerodrift.c_runtime.compilers import find_compiler
 
 HERE = Path(__file__).parent
 MODULES = (
-    *("zerodrift.cli", "numpy", "polars", "scipy.optimize", "zerodrift.verify.firmware"),
-    *("zerodrift.commands." + name for name in (
+    *("zerodrift.app.cli", "numpy", "polars", "scipy.optimize", "zerodrift.verify.firmware"),
+    *("zerodrift.app.commands." + name for name in (
         "init", "add", "remove", "train", "export", "firmware", "package", "report", "history",
         "calibrate", "twin", "fleet",
     )),

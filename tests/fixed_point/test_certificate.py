@@ -10,7 +10,7 @@ from tests.fixed_point.accumulators import prove_values, recompute, record_seque
 from tests.fixed_point.strategies import shapes
 from tests.golden.model_factory import Draw, Shape, draw_model
 
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.operations.gru import H_LIMIT_Q30
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.network import IntegerFeatures

@@ -12,7 +12,7 @@ from tests.golden.vectors import load
 from zerodrift.c_runtime.cores import CORES, find_cross_compilers
 from zerodrift.c_runtime.footprint import HELPER_STACK_BYTES, measure_footprint
 from zerodrift.codegen.generate import generate
-from zerodrift.errors import CheckError, InputError
+from zerodrift.base.errors import CheckError, InputError
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("ziglang") is None, reason="sizes need the ziglang wheel"

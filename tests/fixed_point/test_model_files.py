@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.golden.model_factory import Shape, draw_model
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.export.integer_model import FORMAT, load_model
 from zerodrift.export.reference import Reference
 

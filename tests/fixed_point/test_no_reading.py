@@ -13,7 +13,7 @@ from tests.golden.models import LOWEST
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.application import render_application
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import (
     FLAG_INPUT_RANGE,
     FLAG_NO_READING,

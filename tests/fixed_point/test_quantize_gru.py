@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.golden.model_factory import Draw
 
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.export.quantize_gru import quantize_gru, quantize_head
 from zerodrift.operations.gru import FloatGru
 from zerodrift.operations.intervals import Interval

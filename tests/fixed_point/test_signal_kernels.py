@@ -12,7 +12,7 @@ from zerodrift.c_runtime.compilers import (
     WARNINGS,
     find_compilers,
 )
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.operations.delay import delay
 from zerodrift.operations.exp2 import OCTAVE_Q29, IntegerExp2
 from zerodrift.operations.intervals import Interval

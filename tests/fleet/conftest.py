@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from tests.projects import render_toml
 
-from zerodrift.physics.twin import EffectChoice, Recipe, simulate
-from zerodrift.physics.twin.logs import render_logs
+from zerodrift.lab.twin import EffectChoice, Recipe, simulate
+from zerodrift.lab.twin.logs import render_logs
 
 SENSORS = ("SN01", "SN02", "SN03")
 
@@ -67,7 +67,7 @@ def fleet(fresh_fleet: Path, tmp_path: Path) -> Path:
 @pytest.fixture(scope="session")
 def done_fleet(fresh_fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the fleet after a run in this process; not to be changed."""
-    from zerodrift.config import load_config
+    from zerodrift.base.config import load_config
     from zerodrift.fleet.design import Design
     from zerodrift.fleet.executors import Serial
     from zerodrift.fleet.report import judge_fleet, write_report

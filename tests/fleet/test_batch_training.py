@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from zerodrift.config import NetworkConfig
-from zerodrift.errors import InputError
+from zerodrift.base.config import NetworkConfig
+from zerodrift.base.errors import InputError
 from zerodrift.train import batch
 from zerodrift.train.batch import Problem, train_batch
 from zerodrift.train.batch_recurrence import BatchWeights, run_backward, run_forward, settle

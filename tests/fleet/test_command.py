@@ -14,7 +14,7 @@ from tests.fleet.conftest import NETWORK, SENSORS
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.config import load_config
+from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.integer_model import load_model
 from zerodrift.fleet.sensors import configure_sensor

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from zerodrift.config import load_config
-from zerodrift.errors import CheckError
+from zerodrift.base.config import load_config
+from zerodrift.base.errors import CheckError
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.executors import OverRay, Serial
 from zerodrift.fleet.run import run_fleet

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.fleet.conftest import TOML
 
-from zerodrift.config import parse_config
+from zerodrift.base.config import parse_config
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.outliers import find_outliers
 from zerodrift.fleet.report import (

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from zerodrift.config import load_config
+from zerodrift.base.config import load_config
 from zerodrift.dataset.selectors import expand_selectors
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.fleet.sensors import configure_sensor, find_sensors, match_names
 
 BASE = """

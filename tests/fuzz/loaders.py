@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from zerodrift.codegen.generate import generate
-from zerodrift.config import load_config, parse_config
+from zerodrift.base.config import load_config, parse_config
 from zerodrift.dataset.load import load_dataset
-from zerodrift.errors import ZerodriftError
+from zerodrift.base.errors import ZerodriftError
 from zerodrift.export.integer_model import canonical_json, load_model
 from zerodrift.export.onnx_reader import read_imported
 from zerodrift.export.reference import Reference

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.config import load_config
+from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import compose_integer_model
 from zerodrift.operations.lowpass import lowpass

@@ -148,7 +148,7 @@ def test_wrong_request_is_refused_and_changes_nothing(case, project, zerodrift):
 def test_read_only_file_is_refused_before_anything_is_fitted(project, zerodrift, monkeypatch):
     project.toml.chmod(0o444)
     before = project.read_all()
-    monkeypatch.setattr("zerodrift.physics.revision.revise", lambda *_: pytest.fail("fitted"))
+    monkeypatch.setattr("zerodrift.diagnosis.revision.revise", lambda *_: pytest.fail("fitted"))
     result = zerodrift("add", "thermal_lag", "-C", project.directory)
     assert result.code == 2
     assert "read-only" in result.err

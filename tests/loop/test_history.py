@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from zerodrift.commands.history import draw_bar
-from zerodrift.physics.history import Entry, list_steps, load_history, render_history
+from zerodrift.app.commands.history import draw_bar
+from zerodrift.diagnosis.history import Entry, list_steps, load_history, render_history
 
 
 def make_entry(action, effect, before, after, effects_before, effects, **more):

@@ -6,10 +6,10 @@ import shlex
 import numpy as np
 import pytest
 
-from zerodrift.config import EffectConfig
+from zerodrift.base.config import EffectConfig
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.physics.changes import write_command
+from zerodrift.diagnosis.changes import write_command
 
 
 def rewrite_outputs(project, drift):

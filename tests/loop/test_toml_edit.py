@@ -4,8 +4,8 @@ import tomllib
 
 import pytest
 
-from zerodrift.errors import InputError
-from zerodrift.physics.toml_edit import add_effect, remove_effect, set_parameters
+from zerodrift.base.errors import InputError
+from zerodrift.base.toml_edit import add_effect, remove_effect, set_parameters
 
 TEXT = """\
 # head

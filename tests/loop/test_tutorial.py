@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 import pytest
 
-from zerodrift.cli import cli
+from zerodrift.app.cli import cli
 
 _SPEC = importlib.util.spec_from_file_location(
     "regenerate_tutorial", Path(__file__).with_name("regenerate_tutorial.py")

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from zerodrift.commands.survey import survey_project
+from zerodrift.app.commands.survey import survey_project
 from zerodrift.report.report import render_report
 
 

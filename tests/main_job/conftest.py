@@ -7,9 +7,9 @@ import pytest
 from click.testing import CliRunner, Result
 from tests.projects import render_toml
 
-from zerodrift.cli import cli
-from zerodrift.errors import ZerodriftError
-from zerodrift.physics.twin import Recipe, parse_choice, simulate, write_logs
+from zerodrift.app.cli import cli
+from zerodrift.base.errors import ZerodriftError
+from zerodrift.lab.twin import Recipe, parse_choice, simulate, write_logs
 
 TOML = render_toml("""\
 [logs]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from tests.main_job.conftest import invoke
 
-from zerodrift.config import load_config
+from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.export.compose import compose_integer_model, encode_inputs
 from zerodrift.export.integer_model import (
     FLAG_INPUT_RANGE,

@@ -10,7 +10,7 @@ from tests.main_job.conftest import invoke, write_project
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.config import load_config
+from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import calibrate, describe_compensator, predict_integer

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from tests.main_job.conftest import invoke, write_project
 
-from zerodrift.commands.firmware import tell_hurt
-from zerodrift.config import load_config
+from zerodrift.app.commands.firmware import tell_hurt
+from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.export.compose import (
     encode_inputs,
     measure_warm_up,

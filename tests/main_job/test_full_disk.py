@@ -12,14 +12,14 @@ from tests.golden.vectors import load
 from tests.projects import render_toml
 from tests.verify.conftest import write_firmware
 
-from zerodrift.cli import main
+from zerodrift.app.cli import main
 from zerodrift.codegen.generate import generate
-from zerodrift.commands.common import write_text
-from zerodrift.config import load_config
-from zerodrift.errors import InputError
+from zerodrift.app.commands.common import write_text
+from zerodrift.base.config import load_config
+from zerodrift.base.errors import InputError
 from zerodrift.export.golden import GoldenVectors, compute_golden
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.lock import STATE
+from zerodrift.base.lock import STATE
 from zerodrift.verify.firmware import write_artefacts
 
 ROOT = Path(__file__).parents[2]
@@ -126,7 +126,7 @@ def test_what_no_command_expects_is_still_one_message(
     def fail(*_: object, **__: object) -> None:
         raise OSError(code, os.strerror(code), "/somewhere/file")
 
-    monkeypatch.setattr("zerodrift.cli.cli.main", fail)
+    monkeypatch.setattr("zerodrift.app.cli.cli.main", fail)
     with pytest.raises(SystemExit) as end:
         main()
     told = capsys.readouterr().err
@@ -150,7 +150,7 @@ def test_a_log_that_cannot_be_opened_in_the_midst_is_one_message(
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("zerodrift.cli.cli.main", fail)
+    monkeypatch.setattr("zerodrift.app.cli.cli.main", fail)
     with pytest.raises(SystemExit) as end:
         main()
     told = capsys.readouterr().err
@@ -162,6 +162,6 @@ def test_an_error_that_is_no_disks_answer_is_not_hidden(monkeypatch: pytest.Monk
     def fail(*_: object, **__: object) -> None:
         raise ConnectionResetError(errno.ECONNRESET, "reset")
 
-    monkeypatch.setattr("zerodrift.cli.cli.main", fail)
+    monkeypatch.setattr("zerodrift.app.cli.cli.main", fail)
     with pytest.raises(ConnectionResetError):
         main()

@@ -10,13 +10,13 @@ from click.testing import CliRunner, Result
 from tests.onnx.graphs import Graph, keras
 from tests.onnx.torch_networks import Form, export
 
-from zerodrift.cli import cli
+from zerodrift.app.cli import cli
 from zerodrift.codegen.generate import generate
-from zerodrift.commands.onnx_option import OnnxRequest, open_import
-from zerodrift.config import Config, load_config
+from zerodrift.app.commands.onnx_option import OnnxRequest, open_import
+from zerodrift.base.config import Config, load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.export.compose import predict_integer
 from zerodrift.export.compose_import import (
     compose_imported_model,

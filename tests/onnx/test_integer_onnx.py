@@ -11,7 +11,7 @@ from tests.golden.model_factory import Shape, draw_model
 from tests.golden.models import CASES
 from tests.golden.vectors import HIDDEN, crc_of, load
 
-from zerodrift.errors import CheckError
+from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import NODE_CLASSES, IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx, list_state
 from zerodrift.export.integer_onnx_nodes import RESTS, SETTLES, STEPS

@@ -13,7 +13,7 @@ from tests.onnx.graphs import Graph, keras
 from tests.onnx.torch_networks import ACTIVATIONS, Form, export
 from tests.onnx.write_exported import FORMS, STEPS
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.export.onnx_reader import ImportedNetwork, read_imported, read_imported_bytes
 
 EXPORTED = Path(__file__).parent / "exported"

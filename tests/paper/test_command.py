@@ -3,7 +3,7 @@ import json
 
 import pytest
 
-from zerodrift.report.paper.findings import (
+from zerodrift.lab.paper.findings import (
     FAILS,
     HOLDS,
     REVERSED,
@@ -11,8 +11,8 @@ from zerodrift.report.paper.findings import (
     WEAKER,
     judge_factor,
 )
-from zerodrift.report.paper.published import TABLES
-from zerodrift.report.paper.summary import Spread
+from zerodrift.lab.paper.published import TABLES
+from zerodrift.lab.paper.summary import Spread
 
 
 @pytest.fixture

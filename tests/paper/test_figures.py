@@ -1,8 +1,8 @@
 """What the pictures show, and that nothing in them can be taken for something else."""
 
-from zerodrift.report.paper.figures import draw_heat
-from zerodrift.report.paper.summary import Spread
-from zerodrift.report.paper.why import Heat
+from zerodrift.lab.paper.figures import draw_heat
+from zerodrift.lab.paper.summary import Spread
+from zerodrift.lab.paper.why import Heat
 
 CHAMBER, BENCH, SECOND = "the chamber alone", "the chamber and bench logs", "a second thermometer"
 

@@ -4,13 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from zerodrift.errors import InputError
-from zerodrift.report.paper import study
-from zerodrift.report.paper.store import Cell, Store, digest_sources
-from zerodrift.report.paper.study import Outcome, run_study
-from zerodrift.report.paper.summary import Outcomes, compare_errors, summarise
-from zerodrift.report.paper.world import TESTS, record_test, record_training
-from zerodrift.train.methods import METHODS
+from zerodrift.base.errors import InputError
+from zerodrift.lab.paper import study
+from zerodrift.lab.paper.store import Cell, Store, digest_sources
+from zerodrift.lab.paper.study import Outcome, run_study
+from zerodrift.lab.paper.summary import Outcomes, compare_errors, summarise
+from zerodrift.lab.paper.world import TESTS, record_test, record_training
+from zerodrift.lab.methods import METHODS
 
 CELLS = [Cell("lsm_linear", 1), Cell("lsm_cubic", 1)]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from zerodrift.config import EffectConfig
+from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset, Run
 
 OUTPUTS, UNITS, FULL_SCALE = ("Fz", "Mx"), ("N", "Nm"), (2000.0, 14.0)

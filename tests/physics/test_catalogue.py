@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from tests.physics.conftest import FULL_SCALE, OUTPUTS, UNITS, linear, make_dataset
 
-from zerodrift.config import EffectConfig
-from zerodrift.errors import InputError
+from zerodrift.base.config import EffectConfig
+from zerodrift.base.errors import InputError
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.catalogue import READING_ORDER, load_catalogue, register
 from zerodrift.physics.effect import Effect, Feature, Parameter, Signals

@@ -6,8 +6,8 @@ from click.testing import CliRunner
 from tests.physics.conftest import SLOPE, STEP_S, follow, make_dataset
 from tests.projects import render_toml
 
-from zerodrift.cli import cli
-from zerodrift.errors import InputError
+from zerodrift.app.cli import cli
+from zerodrift.base.errors import InputError
 from zerodrift.physics.catalogue import READING_ORDER
 
 TOML = render_toml(

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from tests.physics.conftest import SLOPE, follow, linear, make_dataset
 
-from zerodrift.config import EffectConfig
-from zerodrift.physics.course import diagnose_until_done
-from zerodrift.physics.diagnose import diagnose
+from zerodrift.base.config import EffectConfig
+from zerodrift.diagnosis.course import diagnose_until_done
+from zerodrift.diagnosis.diagnose import diagnose
 
 
 def lagging(bench):

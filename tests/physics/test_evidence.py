@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from zerodrift.physics.evidence import compare_runs, flip_signs
+from zerodrift.diagnosis.evidence import compare_runs, flip_signs
 
 
 def test_gain_in_every_run_has_the_smallest_p_value_there_is():

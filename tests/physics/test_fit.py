@@ -14,8 +14,8 @@ from tests.physics.conftest import (
     make_dataset,
 )
 
-from zerodrift.config import EffectConfig
-from zerodrift.errors import InputError
+from zerodrift.base.config import EffectConfig
+from zerodrift.base.errors import InputError
 from zerodrift.operations.graph import evaluate
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import load_catalogue

@@ -15,11 +15,11 @@ from tests.physics.conftest import (
     make_dataset,
 )
 
-from zerodrift.config import EffectConfig
+from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.bridges import join_stretches, predict_all, predict_along
-from zerodrift.physics.diagnose import diagnose
+from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.physics.fit import fit
-from zerodrift.physics.held_out import hold_out
+from zerodrift.diagnosis.held_out import hold_out
 from zerodrift.physics.signals import plan_signals
 from zerodrift.physics.tracks import lay_tracks
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zerodrift.physics.noise import measure_noise
+from zerodrift.diagnosis.noise import measure_noise
 from zerodrift.physics.octaves import MEANS, cut_octaves
 
 

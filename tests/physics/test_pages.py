@@ -5,7 +5,7 @@ from pathlib import Path
 
 from tests.physics.conftest import FULL_SCALE, OUTPUTS, UNITS, follow, make_dataset
 
-from zerodrift.config import EffectConfig
+from zerodrift.base.config import EffectConfig
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.effect import Signals

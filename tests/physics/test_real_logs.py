@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from zerodrift.config import EffectConfig, load_config
+from zerodrift.base.config import EffectConfig, load_config
 from zerodrift.dataset.load import load_dataset
-from zerodrift.physics.diagnose import diagnose, diagnose_config
+from zerodrift.diagnosis.diagnose import diagnose, diagnose_config
 from zerodrift.physics.fit import fit
 
 DATA = Path(__file__).parents[3] / "shared" / "data"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.loop.conftest import Project, write_project
 
-from zerodrift.commands.survey import survey_project
+from zerodrift.app.commands.survey import survey_project
 from zerodrift.report.findings import Findings, Trace
 
 

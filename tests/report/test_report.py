@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from zerodrift.commands.survey import read_certificate, survey_project
+from zerodrift.app.commands.survey import read_certificate, survey_project
 from zerodrift.report.figures_runs import bin_means, draw_residual, list_means
 from zerodrift.report.findings import (
     ARRAYS,
@@ -159,7 +159,7 @@ def test_simulated_logs_are_said_to_be(project, zerodrift):
 
 def test_diagnosis_is_kept_until_the_logs_change(surveyed, monkeypatch):
     project, findings = surveyed
-    monkeypatch.setattr("zerodrift.commands.survey.find_verdict", None)
+    monkeypatch.setattr("zerodrift.app.commands.survey.find_verdict", None)
     again = survey_project(project.directory)
     assert again.told["diagnose"] == findings.told["diagnose"]
 

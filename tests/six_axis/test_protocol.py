@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from zerodrift.errors import InputError
-from zerodrift.physics.twin.six_axis import (
+from zerodrift.base.errors import InputError
+from zerodrift.lab.twin.six_axis import (
     draw_sensor,
     list_protocols,
     load_protocol,
     parse_protocol,
     record,
 )
-from zerodrift.physics.twin.six_axis.heat import NODE, draw_network
-from zerodrift.physics.twin.six_axis.protocol import WORDS
-from zerodrift.physics.twin.six_axis.timeline import draw_timeline
-from zerodrift.physics.twin.six_axis.words import DIMENSIONS
+from zerodrift.lab.twin.six_axis.heat import NODE, draw_network
+from zerodrift.lab.twin.six_axis.protocol import WORDS
+from zerodrift.lab.twin.six_axis.timeline import draw_timeline
+from zerodrift.lab.twin.six_axis.words import DIMENSIONS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from zerodrift.journal import settle_project
+from zerodrift.base.journal import settle_project
 
 CALLS = ("open", "replace", "rename", "link", "unlink", "remove", "mkdir", "rmdir", "fsync")
 """Of module os; each also stands for the bytes written before it."""

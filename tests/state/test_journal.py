@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.state.faults import Tree, before_each_call, find_mixed, list_crashes, read_tree
-from zerodrift.errors import InputError
-from zerodrift.journal import change_together, hold_project, settle_project, write_all
-from zerodrift.lock import STATE
+from zerodrift.base.errors import InputError
+from zerodrift.base.journal import change_together, hold_project, settle_project, write_all
+from zerodrift.base.lock import STATE
 
 
 def make_project(folder: Path) -> dict[Path, bytes | None]:
@@ -193,7 +193,7 @@ def test_a_reader_refuses_a_project_that_it_cannot_settle(
     def refuse(_: Path) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    monkeypatch.setattr("zerodrift.journal.try_lock", refuse)
+    monkeypatch.setattr("zerodrift.base.journal.try_lock", refuse)
     with pytest.raises(InputError, match="holds an unfinished change"):
         settle_project(place)
 

@@ -16,11 +16,11 @@ import pytest
 from tests.conftest import Result
 from tests.loop.conftest import TOML, write_log
 from tests.surroundings.conftest import REST, write_project
-from zerodrift.errors import InputError
-from zerodrift.files import REMAINDER
-from zerodrift.lock import STATE, WAIT_VARIABLE, lock_project
-from zerodrift.physics.history import load_history
-from zerodrift.sealed import read_sealed, render_sealed
+from zerodrift.base.errors import InputError
+from zerodrift.base.files import REMAINDER
+from zerodrift.base.lock import STATE, WAIT_VARIABLE, lock_project
+from zerodrift.diagnosis.history import load_history
+from zerodrift.base.sealed import read_sealed, render_sealed
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 
 Command = Callable[..., Result]
@@ -202,7 +202,7 @@ def test_a_second_writer_is_told_for_whom_it_waits(
 HOLD = """
 import sys, time
 from pathlib import Path
-from zerodrift.lock import lock_project
+from zerodrift.base.lock import lock_project
 with lock_project(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)

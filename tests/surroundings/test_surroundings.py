@@ -14,7 +14,7 @@ from tests.surroundings.conftest import (
     write_project,
 )
 
-from zerodrift.scratch import make_scratch
+from zerodrift.base.scratch import make_scratch
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX only")
 ODD_NAMES = ["a%b", "tab\tb", "new\nline", 'quote"b', "back\\slash", "a'b", "dollar$b", "ä b"]
@@ -123,7 +123,7 @@ def test_a_file_of_effects_cannot_end_a_command_in_silence(
 
 
 def test_a_sensor_cannot_take_the_fleets_own_names() -> None:
-    from zerodrift.errors import InputError
+    from zerodrift.base.errors import InputError
     from zerodrift.fleet.sensors import configure_sensor
 
     for name in ("runtime", "Runtime", "report.json", "report.csv", "report.md"):

@@ -9,16 +9,16 @@ import onnxruntime
 import pytest
 import torch
 
-from zerodrift.config import EffectConfig, NetworkConfig, parse_config
+from zerodrift.base.config import EffectConfig, NetworkConfig, parse_config
 from zerodrift.dataset.runs import Run
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.front_end import Tap, compute_taps
-from zerodrift.train.methods import METHODS, Options
-from zerodrift.train.methods.networks import make_gru
-from zerodrift.train.methods.projected import Projected, fit_whitening
-from zerodrift.train.methods.windows import fit_windows
+from zerodrift.lab.methods import METHODS, Options
+from zerodrift.lab.methods.networks import make_gru
+from zerodrift.lab.methods.projected import Projected, fit_whitening
+from zerodrift.lab.methods.windows import fit_windows
 from zerodrift.train.networks import (
     FeedForwardNetwork,
     GruNetwork,

@@ -6,7 +6,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from zerodrift.config import NetworkConfig
+from zerodrift.base.config import NetworkConfig
 from zerodrift.export.onnx_reader import read_network_bytes
 from zerodrift.operations.gru import FloatGru
 from zerodrift.train.networks import build_network

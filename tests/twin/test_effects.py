@@ -6,10 +6,10 @@ import time
 import numpy as np
 import pytest
 
-from zerodrift.errors import InputError
-from zerodrift.physics.twin import EffectChoice, Recipe, simulate
-from zerodrift.physics.twin.recipe import EFFECTS, LISTED_EFFECTS
-from zerodrift.physics.twin.sensor import OUTPUT_LSB, TEMPERATURE_LSB
+from zerodrift.base.errors import InputError
+from zerodrift.lab.twin import EffectChoice, Recipe, simulate
+from zerodrift.lab.twin.recipe import EFFECTS, LISTED_EFFECTS
+from zerodrift.lab.twin.sensor import OUTPUT_LSB, TEMPERATURE_LSB
 
 SHORT = Recipe(seed=11, train=("chamber",) * 3, dwell=False, duration_s=1800.0)
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import zerodrift.physics.twin as twin
-from zerodrift.commands.twin import command, split_list
-from zerodrift.config import load_config
+import zerodrift.lab.twin as twin
+from zerodrift.lab.commands.twin import command, split_list
+from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
-from zerodrift.errors import InputError
-from zerodrift.physics.twin import (
+from zerodrift.base.errors import InputError
+from zerodrift.lab.twin import (
     EffectChoice,
     Recipe,
     parse_choice,
@@ -23,10 +23,10 @@ from zerodrift.physics.twin import (
     to_dataset,
     write_logs,
 )
-from zerodrift.physics.twin.example import ensure_example_logs
-from zerodrift.physics.twin.logs import render_project
-from zerodrift.physics.twin.recipe import EFFECTS, check_recipe, expand_channels
-from zerodrift.physics.twin.stimuli import KINDS
+from zerodrift.lab.twin.example import ensure_example_logs
+from zerodrift.lab.twin.logs import render_project
+from zerodrift.lab.twin.recipe import EFFECTS, check_recipe, expand_channels
+from zerodrift.lab.twin.stimuli import KINDS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -235,10 +235,10 @@ def test_broken_example_recipe_is_refused_with_its_line(tmp_path):
 
 def test_generator_shares_no_code_with_what_fits_models():
     allowed = {
-        "zerodrift.errors",
-        "zerodrift.config",
+        "zerodrift.base.errors",
+        "zerodrift.base.config",
         "zerodrift.dataset.runs",
-        "zerodrift.journal",
+        "zerodrift.base.journal",
     }
     folder = Path(twin.__file__).parent
     modules = sorted(folder.rglob("*.py"))
@@ -252,7 +252,7 @@ def test_generator_shares_no_code_with_what_fits_models():
                 names = [alias.name for alias in node.names]
             for name in names:
                 if name.split(".")[0] == "zerodrift":
-                    own = name.startswith("zerodrift.physics.twin.")
+                    own = name.startswith("zerodrift.lab.twin.")
                     assert own or name in allowed, f"{module.name} imports {name}"
 
 

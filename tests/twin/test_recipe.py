@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from zerodrift.config import NETWORK_KINDS
-from zerodrift.errors import InputError
-from zerodrift.physics.twin import EffectChoice, Recipe, parse_choice, simulate
-from zerodrift.physics.twin.recipe import (
+from zerodrift.base.config import NETWORK_KINDS
+from zerodrift.base.errors import InputError
+from zerodrift.lab.twin import EffectChoice, Recipe, parse_choice, simulate
+from zerodrift.lab.twin.recipe import (
     LISTED_EFFECTS,
     NETWORKS,
     check_recipe,

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from zerodrift.cli import cli
-from zerodrift.errors import ZerodriftError
+from zerodrift.app.cli import cli
+from zerodrift.base.errors import ZerodriftError
 from zerodrift.export.golden import load_golden
 from zerodrift.verify import folder_check, ways
 from zerodrift.verify.manifest import FILE_NAME

@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("dash", reason="dash is not installed; `make setup` installs it")
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 from zerodrift.workbench import actions
 
 DIAGNOSED = {

@@ -7,7 +7,7 @@ import pytest
 from tests.loop.conftest import write_project
 from tests.workbench.conftest import serve
 
-from zerodrift.errors import InputError
+from zerodrift.base.errors import InputError
 
 
 def ask(bench, path, *, method="GET", headers=None, body=None):

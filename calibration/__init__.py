@@ -1,0 +1,1 @@
+"""Converter codes and test weights to the calibration matrix."""

@@ -1,0 +1,1 @@
+"""Compare, evidence, verdict: which effect the model lacks."""

@@ -1,0 +1,158 @@
+"""Changes of a model's effects, checked before anything is fitted or written."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from zerodrift.base.config import Config, EffectConfig
+from zerodrift.dataset.runs import Dataset
+from zerodrift.base.errors import InputError, nearest
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.effect import Effect
+from zerodrift.physics.signals import explain_missing, plan_signals
+from zerodrift.physics.terms import CHIP, start_term
+
+ADD, CHANGE, REMOVE = "add", "change", "remove"
+
+
+@dataclass(frozen=True)
+class Change:
+    """One effect more, or less, or with other parameters held."""
+
+    action: str
+    """add | change | remove."""
+    effect: EffectConfig
+    """As it is after the change; for a removal, as it was."""
+    effects: tuple[EffectConfig, ...]
+    """All effects of the model after the change."""
+    place: int
+    """Position of the effect among those of zerodrift.toml; for an addition, past the last."""
+
+
+def name_effect(effect: EffectConfig) -> str:
+    """Return the effect's kind, with its thermometer where it is not the chip's."""
+    signal = effect.options.get("signal", CHIP)
+    return f"{effect.kind}[{signal}]" if signal else effect.kind
+
+
+def write_command(
+    effects: Sequence[EffectConfig], effect: Effect, parameters: Mapping[str, float]
+) -> str:
+    """Return the command that adds an effect in the form that was found, or makes it richer.
+
+    Args:
+        effects: the model's `[[effect]]` tables.
+        effect: what is missing.
+        parameters: its values as found; choices among them are held, fitted values are not.
+    """
+    present = next((e for e in effects if name_effect(e) == effect.kind), None)
+    held = {
+        p.name: parameters[p.name] for p in effect.parameters if p.choices and p.name in parameters
+    }
+    if present is not None:
+        held = {name: value for name, value in held.items() if present.held.get(name) != value}
+    holds = "".join(f" --hold {name}={value:g}" for name, value in held.items())
+    return f"zerodrift add {effect.kind}{holds}"
+
+
+def propose_addition(
+    config: Config, dataset: Dataset, catalogue: Catalogue, effect: EffectConfig
+) -> Change:
+    """Return the change that adds an effect, or that holds other values in one that is there.
+
+    Raises:
+        InputError: the effect is unknown, is there already as it is asked for, needs a signal that
+            the logs lack, or cannot have the values or options given.
+    """
+    names = [name_effect(present) for present in config.effects]
+    place = len(names)
+    action = ADD
+    if name_effect(effect) in names:
+        place = names.index(name_effect(effect))
+        present = config.effects[place]
+        if all(present.held.get(name) == value for name, value in effect.held.items()):
+            raise InputError(
+                f"{config.path}:{present.line}: effect '{names[place]}' is in the model already; "
+                "expected one that is not, or --hold with another value. `zerodrift diagnose` "
+                "names what is still missing."
+            )
+        action, effect = CHANGE, replace(present, held={**present.held, **effect.held})
+    term = start_term(catalogue, replace(effect, line=0))
+    plan = plan_signals(dataset.train, dataset.outputs, dataset.full_scale)
+    missing = explain_missing(term.effect, plan, term.signal)
+    if missing:
+        needs = ", ".join(need.replace("|", " or ") for need in term.effect.needs)
+        raise InputError(
+            f"{config.path}: effect '{effect.kind}' cannot be added: {missing}. It needs {needs}; "
+            "log the channel and name its column in [inputs], or the true load as a reference in "
+            "[outputs]."
+        )
+    effects = (*config.effects[:place], effect, *config.effects[place + 1 :])
+    return Change(action, effect, effects, place)
+
+
+def propose_forms(
+    config: Config, dataset: Dataset, catalogue: Catalogue, effect: EffectConfig
+) -> tuple[Change, ...]:
+    """Return the changes that `add` chooses from, simplest first.
+
+    These are the forms that the catalogue lists for an effect, or for one that is there already
+    its richer ones. A user who holds a value has chosen.
+
+    Raises:
+        InputError: as `propose_addition`; an effect that is there already has no richer form.
+    """
+    if effect.held or effect.kind not in catalogue:
+        return (propose_addition(config, dataset, catalogue, effect),)
+    declared = catalogue[effect.kind]
+    names = [name_effect(present) for present in config.effects]
+    defaults = {p.name: p.default for p in declared.parameters}
+    if name_effect(effect) not in names:
+        forms = [
+            {name: value for name, value in form.items() if value != defaults[name]}
+            for form in declared.variants
+        ]
+    else:
+        present = config.effects[names.index(name_effect(effect))]
+        values = start_term(catalogue, replace(present, line=0)).values
+        fitting = [
+            i
+            for i, form in enumerate(declared.variants)
+            if all(values[name] == value for name, value in form.items())
+        ]
+        richer = declared.variants[fitting[-1] + 1 :] if fitting else ()
+        # Without a richer form the refusal below says that the effect is there.
+        forms = [dict(form) for form in richer] or [{}]
+    return tuple(
+        propose_addition(config, dataset, catalogue, replace(effect, held=form)) for form in forms
+    )
+
+
+def propose_removal(config: Config, kind: str, signal: str = CHIP) -> Change:
+    """Return the change that removes an effect.
+
+    Args:
+        config: the project.
+        kind: the effect's name, also as `kind[signal]`.
+        signal: its thermometer, where the same kind stands there for several.
+
+    Raises:
+        InputError: the model has no such effect, or several.
+    """
+    names = [name_effect(effect) for effect in config.effects]
+    wanted = f"{kind}[{signal}]" if signal else kind
+    places = [i for i, name in enumerate(names) if name == wanted]
+    if not places and not signal:
+        places = [i for i, effect in enumerate(config.effects) if effect.kind == kind]
+    if not places:
+        raise InputError(
+            f"{config.path}: effect '{wanted}' is not in the model{nearest(wanted, names) or '.'} "
+            f"It has: {', '.join(names) or 'no effect'}."
+        )
+    if len(places) > 1:
+        raise InputError(
+            f"{config.path}: effect '{kind}' is in the model for several thermometers; name one of "
+            f"{', '.join(names[i] for i in places)}."
+        )
+    place = places[0]
+    left = (*config.effects[:place], *config.effects[place + 1 :])
+    return Change(REMOVE, config.effects[place], left, place)

@@ -1,0 +1,252 @@
+"""A model held against the measurements: run by run, output by output, and where it fails."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.floor import NoiseFloor, measure_floor
+from zerodrift.diagnosis.held_out import NONE, TEST_LOGS, HeldOut
+from zerodrift.diagnosis.run_errors import FindUsable, RunError, collect_errors, pool_rmse
+from zerodrift.diagnosis.segments import MOST_SEGMENTS, Failures, find_failures
+
+Array = NDArray[np.float64]
+Predict = Callable[[Run], Array]
+
+
+@dataclass(frozen=True)
+class ErrorSummary:
+    """Errors of one output over some samples, in its unit."""
+
+    rmse_uncompensated: float
+    """Root mean square of measured minus reference."""
+    rmse: float
+    max_abs: float
+    offset: float
+    """What was taken off as the run's own offset, root mean square over runs; 0 without tare."""
+    explained: float
+    """Share of the drift's mean square, offsets apart, that the model takes away."""
+
+
+@dataclass(frozen=True)
+class RunErrors:
+    """One run: its errors per output, in the sample and out of it."""
+
+    name: str
+    use: str
+    """train | test."""
+    in_sample: tuple[ErrorSummary, ...] | None
+    """[K]; None for runs that the model did not learn from."""
+    held_out: tuple[ErrorSummary, ...] | None
+    """[K]; None for runs that were not held out."""
+
+    @property
+    def told(self) -> tuple[ErrorSummary, ...]:
+        """The held-out errors where there are any."""
+        return self.held_out or self.in_sample or ()
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What `compare` found; arrays of outputs are in the order of the config."""
+
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    full_scale: tuple[float, ...]
+    effects: tuple[str, ...]
+    in_sample: tuple[ErrorSummary, ...]
+    """[K] over all training runs."""
+    held_out: tuple[ErrorSummary, ...] | None
+    """[K] over all held-out runs; None where nothing was held out."""
+    runs: tuple[RunErrors, ...]
+    floor: NoiseFloor
+    failures: Failures
+    method: HeldOut
+    tared: bool
+    find_usable: FindUsable | None
+    """Run -> [n, K] which samples count; None: all."""
+    set_aside: float
+    """Share of all samples that do not count: a converter stood at its rail."""
+
+    @property
+    def told(self) -> tuple[ErrorSummary, ...]:
+        """The held-out errors where there are any."""
+        return self.held_out or self.in_sample
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the command's JSON."""
+        return {
+            "outputs": {name: _describe_output(self, k) for k, name in enumerate(self.outputs)},
+            "runs": {
+                run.name: {name: _describe_run(run, k) for k, name in enumerate(self.outputs)}
+                for run in self.runs
+            },
+            "worst": [
+                {
+                    "run": segment.run,
+                    "output": segment.output,
+                    "from_s": segment.from_s,
+                    "to_s": segment.to_s,
+                    "rmse": segment.rmse,
+                    "pattern": segment.pattern,
+                    "mean_error": segment.mean_error,
+                }
+                for segment in self.failures.worst
+            ],
+            "patterns": [
+                {
+                    "output": self.outputs[pattern.output],
+                    "kind": pattern.kind,
+                    "pattern": pattern.words,
+                    "share_of_error": pattern.share_of_error,
+                    "share_of_time": pattern.share_of_time,
+                    "runs_agreeing": pattern.runs_agreeing,
+                    "runs_checked": pattern.runs_checked,
+                    "mean_error": pattern.mean_error,
+                }
+                for pattern in self.failures.patterns
+            ],
+            "effects": list(self.effects),
+            "held_out": self.method.method,
+            "noise_floor_source": self.floor.source,
+            "tared": self.tared,
+            "set_aside": self.set_aside,
+        }
+
+
+def _describe_output(comparison: Comparison, k: int) -> dict[str, Any]:
+    told, inside = comparison.told[k], comparison.in_sample[k]
+    outside = comparison.held_out[k] if comparison.held_out is not None else None
+    percent = 100.0 / comparison.full_scale[k]
+    return {
+        "unit": comparison.units[k],
+        "full_scale": comparison.full_scale[k],
+        "rmse_uncompensated": told.rmse_uncompensated,
+        "rmse": inside.rmse,
+        "rmse_heldout": outside.rmse if outside is not None else None,
+        "max_abs": told.max_abs,
+        "rmse_pct_fs": percent * told.rmse,
+        "max_abs_pct_fs": percent * told.max_abs,
+        "noise_floor": float(comparison.floor.rms[k]),
+        "explained": told.explained,
+        "run_offset": told.offset,
+    }
+
+
+def _describe_run(run: RunErrors, k: int) -> dict[str, Any]:
+    told = run.told[k]
+    return {
+        "rmse": told.rmse,
+        "rmse_uncompensated": told.rmse_uncompensated,
+        "max_abs": told.max_abs,
+        "explained": told.explained,
+        "run_offset": told.offset,
+        "rmse_in_sample": run.in_sample[k].rmse if run.in_sample is not None else None,
+        "held_out": run.held_out is not None,
+        "use": run.use,
+    }
+
+
+def compare(
+    dataset: Dataset,
+    predict: Predict,
+    *,
+    held_out: HeldOut | None = None,
+    floor: NoiseFloor | None = None,
+    tared: bool = False,
+    find_usable: FindUsable | None = None,
+    effects: Sequence[str] = (),
+    channel_units: Mapping[str, str] | None = None,
+    most: int = MOST_SEGMENTS,
+) -> Comparison:
+    """Hold any model against the runs.
+
+    Args:
+        dataset: the runs.
+        predict: the model fitted to the training runs: run -> [n, K] drift.
+        held_out: predictions for what the model did not learn from; by default those of the test
+            logs, and none where there are no test logs.
+        floor: the noise floor; by default from the dwell logs, or estimated.
+        tared: each log is zeroed on its own, so that a run's mean error says nothing about the
+            model and is taken off.
+        find_usable: run -> [n, K] which samples count; by default all.
+        effects: names of the model's effects, for the report.
+        channel_units: units of the input channels, for the words.
+        most: how many of the worst segments to list.
+    """
+    if held_out is None:
+        predictions = {run.name: predict(run) for run in dataset.test}
+        held_out = HeldOut(TEST_LOGS if dataset.test else NONE, predictions)
+    fitted = {run.name: predict(run) for run in dataset.train}
+    inside = collect_errors(dataset.train, fitted, tared, find_usable)
+    runs = [*dataset.train, *dataset.test]
+    outside = collect_errors(runs, held_out.predictions, tared, find_usable)
+    if floor is None:
+        left = [part for e in inside.values() for part in e.stretches]
+        floor = measure_floor(dataset, left, predict)
+    told = {**inside, **outside}
+    failures = find_failures(
+        [e.runs for e in told.values()],
+        [e.stretches for e in told.values()],
+        floor.rms,
+        outputs=dataset.outputs,
+        units=dataset.units,
+        full_scale=dataset.full_scale,
+        channel_units=channel_units,
+        most=most,
+    )
+    tested = {run.group for run in dataset.test}
+    return Comparison(
+        outputs=dataset.outputs,
+        units=dataset.units,
+        full_scale=dataset.full_scale,
+        effects=tuple(effects),
+        in_sample=_summarise(list(inside.values())),
+        held_out=_summarise(list(outside.values())) if outside else None,
+        runs=tuple(
+            RunErrors(
+                group,
+                "test" if group in tested else "train",
+                _summarise([inside[group]]) if group in inside else None,
+                _summarise([outside[group]]) if group in outside else None,
+            )
+            for group in told
+        ),
+        floor=floor,
+        failures=failures,
+        method=held_out,
+        tared=tared,
+        find_usable=find_usable,
+        set_aside=_share_set_aside(list(told.values())),
+    )
+
+
+def _share_set_aside(errors: Sequence[RunError]) -> float:
+    """Return the share of all samples that do not count."""
+    return 1.0 - sum(float(e.usable.sum()) for e in errors) / sum(e.usable.size for e in errors)
+
+
+def _summarise(errors: Sequence[RunError]) -> tuple[ErrorSummary, ...]:
+    """Return the errors [K] over all samples of some runs."""
+    drift = _root_mean_square([e.drift for e in errors])
+    left = pool_rmse(errors)
+    largest = np.max([np.abs(e.error).max(axis=0) for e in errors], axis=0)
+    offset = np.sqrt(np.mean([e.offset**2 for e in errors], axis=0))
+    tared = bool(offset.any())
+    means = [e.drift.mean(axis=0) if tared else 0.0 for e in errors]
+    moved = _root_mean_square([e.drift - m for e, m in zip(errors, means, strict=True)])
+    explained = 1.0 - (left / np.where(moved > 0.0, moved, 1.0)) ** 2
+    explained = np.where(moved > 0.0, explained, 0.0)
+    return tuple(
+        ErrorSummary(*(float(x[k]) for x in (drift, left, largest, offset, explained)))
+        for k in range(drift.size)
+    )
+
+
+def _root_mean_square(parts: Sequence[Array]) -> Array:
+    """Return the root mean square [K] over all samples of parts [n, K]."""
+    squares = np.sum([np.sum(part**2, axis=0) for part in parts], axis=0)
+    return np.asarray(np.sqrt(squares / sum(part.shape[0] for part in parts)))

@@ -1,0 +1,71 @@
+"""Diagnosis repeated: add what is missing until nothing is, or until it has no name."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from zerodrift.base.config import EffectConfig
+from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.case import Advance, open_case
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.diagnosis.diagnose import diagnose, list_idle
+from zerodrift.diagnosis.diagnosis import Diagnosis
+
+MOST_ADDED = 6
+"""Effects that repeated diagnosis adds at most."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """What repeated diagnosis came to: its steps, the model in the end, and what to drop."""
+
+    steps: tuple[Diagnosis, ...]
+    """The last one is not `missing`, unless the limit of steps was reached."""
+    effects: tuple[EffectConfig, ...]
+    """The `[[effect]]` tables in the end."""
+    drop: tuple[str, ...]
+    """Effects that no longer earn their place."""
+
+
+def diagnose_until_done(
+    effects: Sequence[EffectConfig],
+    dataset: Dataset,
+    catalogue: Catalogue | None = None,
+    advance: Advance = lambda kind: None,
+) -> Course:
+    """Return the course of adding what is missing until nothing is, or it cannot be named.
+
+    Args:
+        effects: the model's `[[effect]]` tables.
+        dataset: its runs.
+        catalogue: the known effects; by default the built-ins.
+        advance: called with each effect's name when it has been tried.
+    """
+    catalogue = catalogue or load_catalogue()
+    steps: list[Diagnosis] = []
+    while len(steps) <= MOST_ADDED:
+        steps.append(diagnose(effects, dataset, catalogue, advance))
+        if steps[-1].effect is None:
+            break
+        effects = extend_model(effects, catalogue, steps[-1])
+    drop = list_idle(open_case(dataset, catalogue, effects, advance))
+    return Course(tuple(steps), tuple(effects), drop)
+
+
+def extend_model(
+    effects: Sequence[EffectConfig], catalogue: Catalogue, diagnosis: Diagnosis
+) -> tuple[EffectConfig, ...]:
+    """Return the tables with the missing effect added, or its richer form put in place."""
+    assert diagnosis.effect is not None
+    effect = catalogue[diagnosis.effect]
+    choices = {
+        p.name: diagnosis.parameters[p.name]
+        for p in effect.parameters
+        if p.choices and p.name in diagnosis.parameters
+    }
+    changed = [
+        replace(config, held={**config.held, **choices}) if config.kind == effect.kind else config
+        for config in effects
+    ]
+    if any(config.kind == effect.kind for config in effects):
+        return tuple(changed)
+    return (*changed, EffectConfig(effect.kind, choices))

@@ -1,0 +1,158 @@
+"""Which effect a model lacks: a name, a group of look-alikes, "nothing", or an honest "unknown"."""
+
+from collections.abc import Mapping, Sequence
+
+from zerodrift.base.config import Config, EffectConfig
+from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.case import Advance, Case, open_case
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.diagnosis_report import report
+from zerodrift.diagnosis.examination import Examination, examine, share_explained
+from zerodrift.diagnosis.rail_gain import count_rails, look_at_rails, place_rails
+from zerodrift.diagnosis.rules import (
+    EXPLAINED,
+    LEFT_WITHOUT_DWELL,
+    Finding,
+    has_arrived,
+    helps,
+    lead,
+    wanders,
+)
+from zerodrift.physics.terms import Term
+
+MOST_EFFECTS = 4
+"""Effects that are looked for together before giving up."""
+SHORTLIST = 6
+"""Effects that are tried again in each other's presence."""
+
+
+def diagnose_config(
+    config: Config, dataset: Dataset, advance: Advance = lambda kind: None
+) -> Diagnosis:
+    """Return which effect the model of zerodrift.toml lacks.
+
+    Args:
+        config: the project.
+        dataset: its runs.
+        advance: called with each effect's name when it has been tried.
+
+    Raises:
+        InputError: as `fit_config`.
+    """
+    return diagnose(config.effects, dataset, load_catalogue(config.plugin_files), advance)
+
+
+def diagnose(
+    effects: Sequence[EffectConfig],
+    dataset: Dataset,
+    catalogue: Catalogue | None = None,
+    advance: Advance = lambda kind: None,
+) -> Diagnosis:
+    """Return which effect a model lacks, from its training runs.
+
+    Args:
+        effects: the model's `[[effect]]` tables.
+        dataset: its runs.
+        catalogue: the known effects; by default the built-ins.
+        advance: called with each effect's name when it has been tried.
+    """
+    catalogue = catalogue or load_catalogue()
+    return conclude(open_case(dataset, catalogue, effects, advance))
+
+
+def conclude(case: Case) -> Diagnosis:
+    """Return the verdict."""
+    first = look(case, case.terms)
+    findings, last = find_missing(case, first)
+    rails = look_at_rails(case, first)
+    if rails is not None and helps(rails):
+        first = count_rails(first, rails)
+        findings = place_rails(first, rails, findings)
+    if not findings:
+        complete = has_arrived(case, first, first.fitted_ratio) and not wanders(case, first)
+        return report(case, "complete" if complete else "unknown", first, None, ())
+    left = findings[-1].judged.fitted_ratio if last is None else last.fitted_ratio
+    if len(findings) > 1:
+        findings = confirm(case, findings)
+    share = share_explained(first.fitted_ratio**2, left**2)
+    explained = has_arrived(case, first, left) or share >= EXPLAINED
+    if not case.dataset.dwell:
+        # A floor that is a lower bound cannot refuse; a large held-out gain must do.
+        explained = explained or findings[0].judged.rmse_ratio ** 2 <= LEFT_WITHOUT_DWELL
+    if not explained:
+        return report(case, "unknown", first, findings[0], ())
+    return report(case, "missing", first, findings[0], tuple(findings[1:]))
+
+
+def look(case: Case, terms: Sequence[Term], kinds: frozenset[str] | None = None) -> Examination:
+    """Return what every effect that `terms` lack would gain."""
+    return examine(
+        case.campaign,
+        case.dataset.dwell,
+        case.catalogue,
+        terms,
+        kinds=kinds,
+        advance=case.advance,
+    )
+
+
+def find_missing(case: Case, first: Examination) -> tuple[list[Finding], Examination | None]:
+    """Return missing effects, the strongest first, each beside those before it.
+
+    The last examination, in which nothing more helped, is None where the floor was reached.
+    """
+    findings: list[Finding] = []
+    examination = first
+    while len(findings) < MOST_EFFECTS:
+        leading = lead(examination)
+        if leading is None:
+            return findings, examination if findings else None
+        findings.append(Finding(examination, leading))
+        if has_arrived(case, examination, leading.fitted_ratio):
+            return findings, None
+        examination = look(case, leading.found.terms)
+    return findings, examination
+
+
+def confirm(case: Case, findings: Sequence[Finding]) -> list[Finding]:
+    """Return several missing effects tried once more, each in the presence of the others.
+
+    The first was chosen while the others were still missing, so it may be a mere resemblance.
+    """
+    shortlist = {j.kind for f in findings for j in f.examination.judged[:SHORTLIST]}
+    told = {term.effect.kind: term for term in case.terms}
+    best: dict[str, Finding] = {}
+    terms = findings[-1].judged.found.terms
+    for kind in [finding.judged.kind for finding in findings]:
+        others = _without(terms, kind, told)
+        if others == terms:
+            continue
+        wanted = shortlist - {t.effect.kind for t in others if t.effect.kind not in told}
+        examination = look(case, others, frozenset(wanted))
+        leading = lead(examination)
+        if leading is not None:
+            best[leading.kind] = Finding(examination, leading)
+            terms = leading.found.terms
+    rails = [f for f in findings if case.catalogue[f.judged.kind].sets_aside]
+    confirmed = sorted(best.values(), key=lambda f: -f.judged.gain)
+    return rails + confirmed if confirmed else list(findings)
+
+
+def list_idle(case: Case) -> tuple[str, ...]:
+    """Return the effects of the model without which runs left out are predicted as well."""
+    idle = []
+    for term in case.terms:
+        if term.effect.sets_aside:
+            continue
+        others = tuple(other for other in case.terms if other is not term)
+        examination = look(case, others, frozenset({term.effect.kind}))
+        if lead(examination) is None:
+            idle.append(term.effect.kind)
+    return tuple(idle)
+
+
+def _without(terms: Sequence[Term], kind: str, told: Mapping[str, Term]) -> tuple[Term, ...]:
+    """Return the terms without an effect that was added, or with one as the user told it."""
+    kept = [told.get(kind, term) if term.effect.kind == kind else term for term in terms]
+    return tuple(term for term in kept if term.effect.kind != kind or kind in told)

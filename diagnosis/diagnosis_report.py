@@ -1,0 +1,223 @@
+"""What was found, put into words and numbers: verdict, next experiment, evidence, notes."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.physics.campaign import FEWEST_RUNS
+from zerodrift.diagnosis.candidates import Untested
+from zerodrift.diagnosis.case import Case
+from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis, OutputErrors
+from zerodrift.diagnosis.examination import Examination, Judged, predict
+from zerodrift.diagnosis.experiments import choose_experiment
+from zerodrift.physics.fit import flat_weights
+from zerodrift.diagnosis.remainder import Pattern, describe_remainder, single_out_runs
+from zerodrift.diagnosis.rules import Finding, list_lookalikes, wanders
+from zerodrift.physics.search import search
+from zerodrift.physics.signals import explain_missing
+from zerodrift.physics.terms import tidy_terms
+
+Array = NDArray[np.float64]
+
+ENOUGH_RUNS = 6
+"""Fewer runs than this are thin evidence, and said to be."""
+WANTED_RUNS = 8
+
+
+def report(
+    case: Case,
+    verdict: str,
+    first: Examination,
+    finding: Finding | None,
+    others: tuple[Finding, ...],
+) -> Diagnosis:
+    """Return the diagnosis in words and numbers."""
+    missing = verdict == "missing" and finding is not None
+    alike = list_lookalikes(finding) if missing and finding is not None else []
+    nearest = finding.judged if finding else (first.judged[0] if first.judged else None)
+    after = before = first.floor_ratio
+    named = None
+    if missing and finding is not None:
+        named = finding.judged if not others else _alone(first, finding)
+        after = named.floor_ratio
+    remainder = _describe(case, first) if verdict == "unknown" else ()
+    return Diagnosis(
+        verdict=verdict,
+        effect=finding.judged.kind if missing and finding is not None else None,
+        parameters=_refit(case, finding.judged) if missing and finding is not None else {},
+        lookalikes=tuple(judged.kind for judged in alike),
+        also=tuple(other.judged.kind for other in others) if missing else (),
+        nearest=nearest.kind if verdict == "unknown" and nearest is not None else None,
+        candidates=tuple(
+            CandidateReport(
+                judged.kind,
+                judged.rmse_ratio,
+                judged.p_value,
+                judged.excitation,
+                judged.parameters,
+            )
+            for judged in first.judged
+        ),
+        not_testable=_list_untested(case, first),
+        floor_ratio_before=before,
+        floor_ratio_after=after,
+        floor_source="dwell" if case.dataset.dwell else "estimated",
+        outputs=_list_errors(case, first, named),
+        remainder=remainder,
+        next_experiment=_advise(case, verdict, first, finding, alike),
+        evidence=_weigh_evidence(case),
+        notes=_list_notes(case, verdict, first),
+    )
+
+
+def _refit(case: Case, judged: Judged) -> dict[str, float]:
+    """Return the effect's values by plain least squares, as the fit of the model gives them."""
+    found = search(case.campaign, judged.found.terms, flat_weights(case.campaign), vary=())
+    terms = tidy_terms(found.terms)
+    values = next(term.values for term in terms if term.effect.kind == judged.kind)
+    return {name: values[name] for name in judged.parameters}
+
+
+def _alone(first: Examination, finding: Finding) -> Judged:
+    """Return this one of several effects as it does when it is added alone."""
+    alone = (judged for judged in first.judged if judged.kind == finding.judged.kind)
+    return next(alone, finding.judged)
+
+
+def _list_errors(case: Case, first: Examination, named: Judged | None) -> dict[str, OutputErrors]:
+    """Return each output's held-out RMSE as it is and with the effect that is named."""
+    return {
+        name: OutputErrors(
+            case.dataset.units[k],
+            float(np.sqrt(first.base_errors[k])),
+            float(np.sqrt(named.errors[k])) if named is not None else None,
+            float(first.floor[k]),
+        )
+        for k, name in enumerate(case.dataset.outputs)
+    }
+
+
+def _list_untested(case: Case, first: Examination) -> tuple[Untested, ...]:
+    """Return the effects that could not be tested, those without rails included."""
+    untested = list(first.untested)
+    for kind, effect in case.catalogue.items():
+        if effect.sets_aside and not any(t.effect.kind == kind for t in case.terms):
+            why = explain_missing(effect, case.plan)
+            if why:
+                untested.append(Untested(kind, why))
+    return tuple(untested)
+
+
+def _describe(case: Case, first: Examination) -> tuple[Pattern, ...]:
+    """Return what the remainder of the model as it is follows."""
+    rests = _list_rests(case, first)
+    return tuple(describe_remainder(case.dataset.train, rests, case.plan, first.floor))
+
+
+def _list_rests(case: Case, first: Examination) -> list[Array]:
+    """Return what the model as it is leaves of each run's drift, [n, K]."""
+    return [
+        run.drift - predict(first.base, run, case.plan, case.campaign.order)
+        for run in case.dataset.train
+    ]
+
+
+def _advise(
+    case: Case,
+    verdict: str,
+    first: Examination,
+    finding: Finding | None,
+    alike: Sequence[Judged],
+) -> str:
+    """Return the next experiment."""
+    if verdict == "missing" and finding is not None:
+        if alike:
+            return _separate(case, finding, alike[0])
+        effect = case.catalogue[finding.judged.kind]
+        return f"to see {effect.kind} at its clearest: {_lower(effect.provoke)}"
+    silent = [u for u in _list_untested(case, first) if u.why.startswith("no input")]
+    if verdict == "unknown":
+        if silent:
+            inputs = ", ".join(sorted({u.effect for u in silent}))
+            return f"log what could not be tested here ({inputs}), and diagnose again"
+        return (
+            "repeat one run exactly: what comes back is an effect of temperature, load or "
+            "time that the catalogue lacks, what does not is noise or a fault"
+        )
+    for untested in first.untested:
+        effect = case.catalogue[untested.effect]
+        return f"nothing is missing; to test {effect.kind} too: {_lower(effect.provoke)}"
+    return "nothing is missing in these logs"
+
+
+def _separate(case: Case, finding: Finding, rival: Judged) -> str:
+    """Return the experiment that tells a finding from its look-alike."""
+    leading = finding.judged
+    if case.catalogue[leading.kind].sets_aside or case.catalogue[rival.kind].sets_aside:
+        return _lower(case.catalogue[leading.kind].provoke)
+    chosen = choose_experiment(
+        case.plan,
+        case.dataset.train,
+        case.campaign.order,
+        (leading.found.terms, leading.found.solution),
+        (rival.found.terms, rival.found.solution),
+        finding.examination.floor,
+    )
+    if chosen is None:
+        return (
+            "no simple experiment within the logs' temperatures and loads tells "
+            f"{leading.kind} from {rival.kind}; {_lower(case.catalogue[leading.kind].provoke)}"
+        )
+    experiment, apart = chosen
+    return (
+        f"{experiment.instruction}: {leading.kind} and {rival.kind} would then differ by "
+        f"{apart:.1f} times the noise"
+    )
+
+
+def _weigh_evidence(case: Case) -> str:
+    """Return how many runs spoke, and whether that is thin."""
+    runs = len(case.campaign.groups)
+    if runs < FEWEST_RUNS:
+        pieces = case.campaign.run_of_piece.size
+        noun = "run was" if runs == 1 else "runs were"
+        return (
+            f"thin: {runs} {noun} cut into {pieces} pieces, which resemble each other more "
+            f"than runs would; p-values are too small. {WANTED_RUNS} runs or more are wanted"
+        )
+    if runs < ENOUGH_RUNS:
+        return (
+            f"thin: with {runs} runs no p-value can be below {2.0**-runs:.2g}; "
+            f"{WANTED_RUNS} runs or more are wanted"
+        )
+    return f"{runs} runs"
+
+
+def _list_notes(case: Case, verdict: str, first: Examination) -> tuple[str, ...]:
+    """Return what else a reader should know."""
+    notes = list(case.notes)
+    if not case.dataset.dwell:
+        notes.append(
+            "no dwell shows the noise, so the floor is estimated from the fast part of "
+            "what the model leaves, and slow noise cannot be told from a missing effect"
+        )
+    elif wanders(case, first):
+        notes.append(
+            "the sensor wanders slowly even in the dwell, at rest: that part is no effect of "
+            "temperature or load"
+        )
+    if len(case.campaign.groups) == 1:
+        notes.append(
+            "one run cannot show what differs from run to run, and a slow trend in it may have "
+            "more than one cause; only another run tells"
+        )
+    if verdict == "unknown":
+        culprits = single_out_runs(case.dataset.train, _list_rests(case, first), first.floor)
+        notes += [culprits] if culprits else []
+    return tuple(notes)
+
+
+def _lower(sentence: str) -> str:
+    """Return a sentence to go on with after a colon."""
+    return sentence[:1].lower() + sentence[1:].rstrip(".")

@@ -1,0 +1,334 @@
+"""One look at a model: what each effect that it lacks would gain, run by run, beside the floor."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+from zerodrift.physics.campaign import Campaign
+from zerodrift.diagnosis.candidates import (
+    Candidate,
+    Untested,
+    judge_again,
+    propose,
+    try_candidates,
+)
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.diagnosis.evidence import Errors, flip_signs, hold_in, hold_out
+from zerodrift.diagnosis.floor import estimate_fast_noise
+from zerodrift.diagnosis.noise import Noise, measure_noise
+from zerodrift.physics.projection import get_coordinates, list_coordinates
+from zerodrift.physics.search import Found, search, search_beyond_rails, sum_with_slopes
+from zerodrift.physics.signals import SignalPlan
+from zerodrift.physics.terms import Term
+from zerodrift.physics.tracks import build_stretches
+
+Array = NDArray[np.float64]
+
+PRIOR_COUNT = 8.0
+"""The dwell counts as this many coefficients per octave beside those that the runs leave over."""
+WARMED_UP_S = 1e6
+"""Time since power-on at which nothing warms up any more."""
+LIKE_BEST = 0.01
+"""Of an effect's forms, the simplest within this share of the best form's gain is taken."""
+LIKE_BEST_UNITS = 10.0
+"""The same in noise units."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One effect that the model lacks, in its best form, and what it gains."""
+
+    kind: str
+    """The effect's name."""
+    parameters: Mapping[str, float]
+    """Fitted values, and choices where they are not the default."""
+    found: Found
+    """The whole model with the effect, fitted to all runs."""
+    excitation: float
+    plausible: bool
+    """Whether every fitted value lies near its typical range and off its bounds."""
+    gains: Array
+    """[R] held-out gain in each unit of evidence (run), noise units."""
+    p_value: float
+    rmse_ratio: float
+    """Held-out RMSE with it over without, pooled over outputs in units of the floor."""
+    best_output_ratio: float
+    """The same for the output that gains most."""
+    floor_ratio: float
+    """Held-out RMSE with it over the noise floor."""
+    fitted_ratio: float
+    """RMSE with it over the noise floor in the runs it was fitted to: what is left that no value
+    of its parameters takes away, while a run left out may lie beyond the others' temperatures."""
+    share: float
+    """Share of the squared error above the floor that it takes away, fitted."""
+    errors: Array
+    """[K] held-out mean squares with it."""
+
+    @property
+    def gain(self) -> float:
+        """Total held-out gain in noise units."""
+        return float(self.gains.sum())
+
+    @property
+    def positive_share(self) -> float:
+        """How much of what moves is gain rather than loss, 0..1."""
+        moved = float(np.abs(self.gains).sum())
+        return float(np.maximum(self.gains, 0.0).sum()) / moved if moved > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class Examination:
+    """A model with its noise floor, its held-out error, and every effect it lacks, best first."""
+
+    terms: tuple[Term, ...]
+    base: Found
+    noise: Noise
+    floor: Array
+    """[K] RMS of the noise."""
+    weights: Array
+    """[L, K] used for the gains."""
+    base_errors: Array
+    """[K] held-out mean squares of the model as it is."""
+    base_left: Array
+    """[K] mean squares that its fit leaves."""
+    judged: tuple[Judged, ...]
+    untested: tuple[Untested, ...]
+
+    @property
+    def floor_ratio(self) -> float:
+        """Held-out RMSE of the model as it is over the noise floor, pooled over outputs."""
+        return float(np.sqrt(np.mean(self.base_errors / self.floor**2)))
+
+    @property
+    def fitted_ratio(self) -> float:
+        """RMSE of the model as it is over the floor in the runs that it was fitted to."""
+        return float(np.sqrt(np.mean(self.base_left / self.floor**2)))
+
+
+def examine(
+    campaign: Campaign,
+    dwell: Sequence[Run],
+    catalogue: Catalogue,
+    terms: Sequence[Term],
+    *,
+    kinds: frozenset[str] | None = None,
+    advance: Callable[[str], None] = lambda kind: None,
+) -> Examination:
+    """Return what each effect of the catalogue that the model lacks would gain.
+
+    Args:
+        campaign: the runs.
+        dwell: isothermal, unloaded runs; may be empty.
+        catalogue: the known effects.
+        terms: the model, at starting or earlier values.
+        kinds: the effects to try; None = all.
+        advance: called with the effect's name when a proposal has been tried.
+    """
+    base, noise, weights = fit_base(campaign, dwell, terms)
+    floor = measure_rest(campaign, dwell, base)[1]
+    proposals, untested = propose(catalogue, base.terms, campaign)
+    proposals = [p for p in proposals if kinds is None or p.kind in kinds]
+    candidates, unexcited = try_candidates(campaign, base, proposals, weights, advance)
+    tried = {candidate.kind for candidate in candidates}
+    untested += _most_excited([u for u in unexcited if u.effect not in tried])
+
+    coordinates = list_coordinates(base.terms)
+    sums = sum_with_slopes(campaign, base.terms, coordinates)
+    position = get_coordinates(base.terms, coordinates)
+
+    def judge_base(weights: Array) -> Errors:
+        return hold_out(sums, weights, coordinates, position, campaign.unit_of_piece)
+
+    base_out = judge_base(weights)
+    judged_by = {id(c): c.held_out for c in candidates}
+    if candidates:
+        best = min(candidates, key=lambda c: float(c.held_out.score(weights).sum()))
+        noise, floor = measure_rest(campaign, dwell, best.found)
+        weights = _weigh_by_rest(campaign, noise, hold_in(best.sums, weights), bool(dwell))
+        base_out = judge_base(weights)
+        judged_by = {id(c): judge_again(campaign, c, weights) for c in candidates}
+    base_in = hold_in(sums, weights)
+    judged = _judge(campaign, candidates, judged_by, (base_out, base_in), weights, floor)
+    return Examination(
+        tuple(base.terms),
+        base,
+        noise,
+        floor,
+        weights,
+        base_out.mean_squares(campaign.means),
+        base_in.mean_squares(campaign.means),
+        tuple(judged),
+        tuple(untested),
+    )
+
+
+def fit_base(
+    campaign: Campaign, dwell: Sequence[Run], terms: Sequence[Term]
+) -> tuple[Found, Noise, Array]:
+    """Return the model fitted to the runs, the noise beside it, and the weights per octave."""
+    outputs = len(campaign.plan.outputs)
+    flat = np.ones((campaign.levels.size, outputs))
+    if not campaign.uses_means:
+        flat[campaign.means] = 0.0
+    base = search_beyond_rails(campaign, terms, flat)
+    noise, _ = measure_rest(campaign, dwell, base)
+    weights = _invert(campaign, _expect(campaign, noise))
+    return search(campaign, base.terms, weights, vary=()), noise, weights
+
+
+def measure_rest(campaign: Campaign, dwell: Sequence[Run], found: Found) -> tuple[Noise, Array]:
+    """Return the noise beside a model and its RMS [K] within a run.
+
+    The noise is what the dwell shows beyond the model. Without a dwell it is what the runs do,
+    missing effects included, and its RMS is a lower bound from the fast octaves alone.
+    """
+    span = _typical_length(campaign)
+    runs = campaign.runs
+    if dwell:
+        rests = [_rest_of_dwell(found, run, campaign) for run in dwell]
+        noise = measure_noise(rests, "dwell")
+        return noise, noise.rms(span)
+    rests = [run.drift - predict(found, run, campaign.plan, campaign.order) for run in runs]
+    return measure_noise(rests, "residual"), estimate_fast_noise(rests, span)
+
+
+def _rest_of_dwell(found: Found, run: Run, campaign: Campaign) -> Array:
+    """Return what a dwell [n, K] has beyond a model, be it warmed up or begun at power-on.
+
+    A log's time seldom says which; the right reading leaves less.
+    """
+    warm = replace(run, time_s=run.time_s - run.time_s[0] + WARMED_UP_S, start_s=0.0, before=None)
+    rests = [
+        run.drift - predict(found, reading, campaign.plan, campaign.order)
+        for reading in (run, warm)
+    ]
+    return min(rests, key=lambda rest: float(np.log(rest.var(axis=0) + 1e-300).sum()))
+
+
+def predict(found: Found, run: Run, plan: SignalPlan, order: Sequence[str]) -> Array:
+    """Return the drift [n, K] that a search's end predicts for a run, but for a constant."""
+    columns = build_stretches([run], plan, found.terms, order)[0][1:]
+    total = np.zeros(run.drift.shape)
+    for column, row in zip(columns, found.solution.coefficients.T, strict=True):
+        total += column.signal[:, None] * row
+    return total
+
+
+def _typical_length(campaign: Campaign) -> int:
+    return int(np.median([len(run) for run in campaign.runs]))
+
+
+def _expect(campaign: Campaign, noise: Noise) -> Array:
+    """Return the noise's variance per octave [L, K]."""
+    return noise.variance(campaign.levels, _typical_length(campaign), campaign.block)
+
+
+def _invert(campaign: Campaign, variance: Array) -> Array:
+    """Return weights [L, K] from variances; the means count only beside offsets' columns."""
+    weights = 1.0 / np.maximum(variance, 1e-30)
+    if not campaign.uses_means:
+        weights[campaign.means] = 0.0
+    return weights
+
+
+def _weigh_by_rest(campaign: Campaign, noise: Noise, best: Errors, has_dwell: bool) -> Array:
+    """Return weights [L, K] from what the best candidate leaves over, and from the dwell.
+
+    A candidate that is right leaves the noise; one that is nearly right leaves more where it is
+    wrong, and what is compared there should weigh less.
+    """
+    expected = _expect(campaign, noise)
+    count = best.counts.sum(axis=0)[:, None]
+    left = best.squares.sum(axis=0) / np.maximum(count, 1.0)
+    prior = PRIOR_COUNT if has_dwell else 1.0
+    return _invert(campaign, (count * left + prior * expected) / (count + prior))
+
+
+def _most_excited(untested: Sequence[Untested]) -> list[Untested]:
+    """Return one entry per effect, its best excited form."""
+    best: dict[str, Untested] = {}
+    for entry in untested:
+        other = best.get(entry.effect)
+        if other is None or (entry.excitation or 0.0) > (other.excitation or 0.0):
+            best[entry.effect] = entry
+    return list(best.values())
+
+
+def _judge(
+    campaign: Campaign,
+    candidates: Sequence[Candidate],
+    judged_by: Mapping[int, Errors],
+    base: tuple[Errors, Errors],
+    weights: Array,
+    floor: Array,
+) -> list[Judged]:
+    """Return every effect in its best form, best gain first.
+
+    `base` are the model's own errors, held out and fitted.
+    """
+    base_out, base_in = base
+    units = campaign.unit_of_piece
+    base_score = _per_unit(base_out.score(weights), units)
+    gains = {
+        id(c): base_score - _per_unit(judged_by[id(c)].score(weights), units) for c in candidates
+    }
+    chosen = [_choose_form(forms, gains) for forms in _group_by_kind(candidates)]
+    if not chosen:
+        return []
+    p_values = flip_signs(np.stack([gains[id(c)] for c in chosen]))
+    # Runs that share an offset are compared by their means too; the floor is within runs.
+    unjudged = campaign.means & (not campaign.uses_means)
+    before = base_out.mean_squares(unjudged)
+    base_left = float(np.mean(base_in.mean_squares(campaign.means) / floor**2))
+    judged = []
+    for candidate, p_value in zip(chosen, p_values.tolist(), strict=True):
+        ratios = judged_by[id(candidate)].mean_squares(unjudged) / before
+        weight = before / floor**2
+        errors = judged_by[id(candidate)].mean_squares(campaign.means) / floor**2
+        left = hold_in(candidate.sums, weights).mean_squares(campaign.means) / floor**2
+        judged.append(
+            Judged(
+                candidate.kind,
+                candidate.parameters,
+                candidate.found,
+                candidate.excitation,
+                candidate.is_plausible,
+                gains[id(candidate)],
+                p_value,
+                float(np.sqrt(np.average(ratios, weights=weight))),
+                float(np.sqrt(np.min(ratios))),
+                float(np.sqrt(np.mean(errors))),
+                float(np.sqrt(np.mean(left))),
+                share_explained(base_left, float(np.mean(left))),
+                errors * floor**2,
+            )
+        )
+    return sorted(judged, key=lambda j: -j.gain)
+
+
+def share_explained(before: float, after: float) -> float:
+    """Return the share of the squared error above the floor (1.0) that was taken away."""
+    return (before - after) / max(before - 1.0, 1e-9)
+
+
+def _per_unit(scores: Array, units: NDArray[np.int64]) -> Array:
+    """Return scores summed over the pieces of each unit of evidence."""
+    return np.asarray(np.bincount(units, weights=scores))
+
+
+def _group_by_kind(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
+    """Return the candidates' forms, effect by effect, simplest first."""
+    grouped: dict[str, list[Candidate]] = {}
+    for candidate in candidates:
+        grouped.setdefault(candidate.kind, []).append(candidate)
+    return list(grouped.values())
+
+
+def _choose_form(forms: Sequence[Candidate], gains: Mapping[int, Array]) -> Candidate:
+    """Return the simplest form that gains about as much as the best one."""
+    best = max(float(gains[id(form)].sum()) for form in forms)
+    enough = best - max(LIKE_BEST * abs(best), LIKE_BEST_UNITS)
+    return next(form for form in forms if float(gains[id(form)].sum()) >= enough)

@@ -1,0 +1,167 @@
+"""The noise floor: what no compensation can take away, measured on a dwell or else estimated."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.physics.live import find_live
+from zerodrift.diagnosis.noise import describe_noise, measure_noise
+from zerodrift.physics.octaves import cut_octaves
+
+Array = NDArray[np.float64]
+
+DWELL = "dwell"
+ESTIMATED = "estimated"
+ISOTHERMAL_K = 1.0
+"""A dwell in which the temperature moves by more is doubted."""
+PIECE = 64
+"""Without a dwell, noise is read within pieces of this many samples: over longer times noise and
+drift look alike."""
+SECTIONS_PER_RUN = 8
+MOST_GROWTH = 2.0
+"""From one octave to the next, for the variance of noise."""
+FASTER = 1.3
+"""The same, against the growth one octave before."""
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """The RMS of the noise within a run, per output."""
+
+    rms: Array
+    """[K] in the outputs' units."""
+    source: str
+    """dwell | estimated."""
+    span_s: float
+    """Length of the run that the figures are for."""
+    slowest_s: float
+    """The slowest noise that could be seen; slower noise is not in the figures."""
+    moved_K: float = 0.0
+    """By how much the temperature moved in the dwell logs."""
+    silent: tuple[str, ...] = ()
+    """Outputs that move in the runs but not in the dwell: their floor is estimated."""
+
+    def explain(self) -> str:
+        """Return where the floor comes from and what it is worth, in a sentence."""
+        if self.source == DWELL:
+            doubt = ""
+            if self.moved_K > ISOTHERMAL_K:
+                doubt = (
+                    f"; the temperature moves by {self.moved_K:.1f} K in them, so part of it may "
+                    "be drift"
+                )
+            if self.silent:
+                doubt += f"; {', '.join(self.silent)} never moves in them, so it is estimated there"
+            span = f"for a run of {self.span_s:.0f} s"
+            return f"the noise floor is that of the dwell logs, {span}{doubt}"
+        return (
+            "the noise floor is estimated from what the model leaves, as there is no dwell log: "
+            f"only noise faster than about {self.slowest_s:.0f} s counts, so the true floor may be "
+            "higher. Log an isothermal, unloaded dwell and name it in [logs] dwell"
+        )
+
+
+def measure_floor(
+    dataset: Dataset,
+    residuals: Sequence[Array],
+    predict: Callable[[Run], Array] | None = None,
+) -> NoiseFloor:
+    """Return the floor from the dwell logs, or from the residuals where there are none.
+
+    Args:
+        dataset: the runs; the floor is for one of their median length.
+        residuals: [n, K] of runs, drift beyond the model; used without a dwell, and for outputs
+            that stand still in it.
+        predict: run -> [n, K]: what an effect does in the dwell, such as ageing, is no noise where
+            the model tells it.
+    """
+    runs = dataset.test or dataset.train
+    period_s = runs[0].sample_period_s
+    span = int(np.median([len(run) for run in runs]))
+    if dataset.dwell:
+        records = [run.drift for run in dataset.dwell]
+        rms = measure_noise(records, DWELL).rms(span)
+        if predict is not None:
+            beyond = [run.drift - predict(run) for run in dataset.dwell]
+            rms = np.minimum(rms, measure_noise(beyond, DWELL).rms(span))
+        silent = find_live(dataset.train) & (rms == 0.0)
+        if silent.any():
+            rms[silent] = estimate_fast_noise([r[:, silent] for r in residuals], span)
+        longest = max(len(run) for run in dataset.dwell)
+        moved = max(float(np.ptp(run.temperature_degC)) for run in dataset.dwell)
+        silent_too = tuple(np.array(dataset.outputs)[silent].tolist())
+        return NoiseFloor(rms, DWELL, span * period_s, longest * period_s, moved, silent_too)
+    rms = estimate_fast_noise(residuals, span)
+    return NoiseFloor(rms, ESTIMATED, span * period_s, PIECE * period_s)
+
+
+def estimate_fast_noise(residuals: Sequence[Array], span: int) -> Array:
+    """Return the RMS [K] within `span` samples of the noise that shows within a piece.
+
+    Each octave's variance is the median over sections of runs, so that steps of the load, and what
+    the model misses now and then, do not count as noise.
+    """
+    means: dict[int, list[Array]] = {}
+    counts: dict[int, int] = {}
+    for residual in residuals:
+        for number, of_sections, count in _square_by_section(residual):
+            means.setdefault(number, []).append(of_sections)
+            counts[number] = counts.get(number, 0) + count
+    # The longest halves are as slow as the piece: drift, more often than noise.
+    numbers = sorted(means)[:-1] or sorted(means)
+    pooled = [np.concatenate(means[o]) for o in numbers]
+    variances = np.stack([np.median(each, axis=0) for each in pooled])
+    # A coarse converter stands still in most sections.
+    mostly_still = variances.max(axis=0) == 0.0
+    variances[:, mostly_still] = np.stack([each.mean(axis=0) for each in pooled])[:, mostly_still]
+    _limit_growth(variances)
+    rms = np.zeros(variances.shape[1])
+    alive = variances.max(axis=0) > 0.0
+    if alive.any():
+        octaves = np.array(numbers, dtype=np.int64)
+        weights = np.array([float(counts[o]) for o in numbers])
+        rms[alive] = describe_noise(octaves, variances[:, alive], weights, ESTIMATED).rms(span)
+    return rms
+
+
+def _square_by_section(residual: Array) -> list[tuple[int, Array, int]]:
+    """Return, per octave, its number, the mean squares [S, K] of each section, and their count.
+
+    Args:
+        residual: [n, K] of one run, cut into pieces of at most PIECE samples.
+    """
+    piece = min(PIECE, residual.shape[0])
+    count = residual.shape[0] // piece
+    octaves = cut_octaves(np.array([piece], dtype=np.int64), 1)
+    levelled = residual[: count * piece] - residual.mean(axis=0)
+    running = np.zeros((count, piece + 1, residual.shape[1]))
+    np.cumsum(levelled.reshape(count, piece, -1), axis=1, out=running[:, 1:])
+    edges = np.searchsorted(np.arange(count) * SECTIONS_PER_RUN // count, range(SECTIONS_PER_RUN))
+    edges = np.unique(np.append(edges, count))
+    found = []
+    for number in np.unique(octaves.octave[octaves.octave >= 0]).tolist():
+        here = np.flatnonzero(octaves.octave == number)
+        middle = running[:, octaves.middle[here]]
+        left = (middle - running[:, octaves.start[here]]) * octaves.left[here, None]
+        right = (running[:, octaves.stop[here]] - middle) * octaves.right[here, None]
+        squares = np.mean((left - right) ** 2, axis=1)
+        of_sections = np.add.reduceat(squares, edges[:-1], axis=0) / np.diff(edges)[:, None]
+        found.append((number, of_sections, count * here.size))
+    return found
+
+
+def _limit_growth(variances: Array) -> None:
+    """Lower variances [L, K] of octaves, fine to coarse, to what noise can have.
+
+    From octave to octave flicker doubles, and noise of any colour grows steadily or ever less;
+    what a model misses grows eightfold once it shows, so growth that gathers pace is drift.
+    """
+    growth = np.full(variances.shape[1], MOST_GROWTH)
+    for row in range(1, variances.shape[0]):
+        finer = np.maximum(variances[row - 1], 1e-300)
+        variances[row] = np.minimum(variances[row], growth * finer)
+        reached = np.maximum(variances[row] / finer, 1.0)
+        growth = np.minimum(MOST_GROWTH, FASTER * reached)

@@ -1,0 +1,98 @@
+"""Whether runs have offsets of their own, as tared logs have, or share one."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+from zerodrift.operations.graph import Node
+from zerodrift.physics.campaign import Campaign
+from zerodrift.diagnosis.candidates import Proposal, propose
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.effect import Feature
+from zerodrift.physics.fit import TARE_RATIO, flat_weights
+from zerodrift.physics.projection import list_coordinates, set_coordinates
+from zerodrift.physics.search import Found, grid, search
+from zerodrift.physics.signals import SignalPlan
+from zerodrift.physics.terms import Term
+
+Array = NDArray[np.float64]
+
+RUNS_PER_COLUMN = 3
+"""Columns that may explain the runs' offsets need this many runs each, the constant included."""
+STILL_SCATTERED = 0.1
+"""Share of the offsets' squares that the best of the missing effects may leave to be tried."""
+
+
+def lay_out_runs(
+    runs: Sequence[Run], plan: SignalPlan, catalogue: Catalogue, terms: Sequence[Term]
+) -> Campaign:
+    """Return the runs made ready, with offsets of their own unless they share one.
+
+    They share one if the model explains them about as well that way; or if the model with one
+    effect that it lacks does: ageing from run to run looks like a tare until it is in the model.
+
+    Args:
+        runs: the training runs.
+        plan: their signals.
+        catalogue: the known effects.
+        terms: the model, at starting values.
+    """
+    order = list(catalogue)
+    common = Campaign(runs, plan, order, tared=False, set_aside=True)
+    if len(common.groups) == 1:
+        return common
+    tared = Campaign(runs, plan, order, set_aside=True)
+    own = search(tared, terms, flat_weights(tared))
+    shared = search(common, own.terms, flat_weights(common), vary=())
+    if _compare(shared, own) < TARE_RATIO:
+        return common
+    proposal = _find_explanation(tared, own, propose(catalogue, own.terms, tared)[0])
+    if proposal is None:
+        return tared
+    shared = search(common, proposal.terms, flat_weights(common), vary=(proposal.place,))
+    own = search(tared, shared.terms, flat_weights(tared), vary=())
+    return common if _compare(shared, own) < TARE_RATIO else tared
+
+
+def _compare(shared: Found, own: Found) -> float:
+    """Return the squared error with one offset over that with an offset for each run."""
+    return float(np.mean(shared.solution.errors / own.solution.errors))
+
+
+def _find_explanation(
+    tared: Campaign, own: Found, proposals: Sequence[Proposal]
+) -> Proposal | None:
+    """Return the missing effect whose means over the runs explain the runs' offsets, if any."""
+    if tared.pieces_per_run > 1:
+        return None
+    known = {feature.name for feature in own.sums.features}
+    offsets = tared.drift_means()
+    for feature, row in zip(tared.build(own.terms), own.solution.coefficients.T, strict=True):
+        offsets = offsets - tared.mean_of(feature.signal)[:, None] * row
+    best, least = None, STILL_SCATTERED
+    for proposal in proposals:
+        free = [c for c in list_coordinates(proposal.terms) if c.term == proposal.place]
+        for u in grid(free) if free else [()]:
+            terms = tuple(set_coordinates(proposal.terms, free, np.array(u)))
+            new = [f for f in tared.build(terms) if f.name not in known]
+            share = _scatter(offsets, tared, new)
+            if share < least:
+                best, least = replace(proposal, terms=terms), share
+    return best
+
+
+def _scatter(offsets: Array, tared: Campaign, features: Sequence[Feature[Node]]) -> float:
+    """Return the share of the offsets' squares [R, K] that the features' means leave."""
+    runs, shares = len(offsets), []
+    for k, output in enumerate(tared.plan.outputs):
+        seen = [tared.mean_of(f.signal) for f in features if f.output in (None, output)]
+        if not seen or RUNS_PER_COLUMN * (len(seen) + 1) > runs:
+            return 1.0
+        design = np.stack([np.ones(runs), *seen], axis=1)
+        centred = offsets[:, k] - offsets[:, k].mean()
+        rest = centred - design @ np.linalg.lstsq(design, centred, rcond=None)[0]
+        shares.append(float(rest @ rest) / max(float(centred @ centred), 1e-300))
+    return float(np.mean(shares))

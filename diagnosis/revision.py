@@ -1,0 +1,295 @@
+"""One change of a model, judged by its held-out errors before and after."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.base.config import Config
+from zerodrift.dataset.runs import Dataset
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.diagnosis.changes import REMOVE, Change, name_effect
+from zerodrift.physics.fit import fit_config
+from zerodrift.diagnosis.floor import NoiseFloor, measure_floor
+from zerodrift.diagnosis.held_out import BLOCKS, BLOCKS_OF_ONE_RUN, HeldOut, hold_out
+from zerodrift.physics.model import FittedTerm, PhysicalModel
+from zerodrift.diagnosis.run_errors import RunError, collect_errors, pool_rmse
+
+Array = NDArray[np.float64]
+
+WORTHWHILE = 0.985
+"""A change must bring the held-out RMSE, over all outputs, below this share of what it was, ..."""
+WORTHWHILE_ON_ONE = 0.97
+"""... or that of one output below this, ..."""
+WORTHWHILE_ON_FEW = 0.9
+"""... or below this where fewer than MANY_RUNS runs show how runs differ."""
+MANY_RUNS = 3
+AS_GOOD = 1.005
+"""A model without an effect is as good if its RMSE is below this share of what it was."""
+GAIN_OVER_LOSS = 3.0
+"""What the runs that get better gain, over what the others lose."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model of one list of effects, and its held-out errors."""
+
+    model: PhysicalModel
+    held_out: HeldOut
+    errors: Mapping[str, RunError]
+    """Run -> what the held-out prediction leaves."""
+
+    @property
+    def rmse(self) -> Array:
+        """[K] over all held-out samples."""
+        return pool_rmse(list(self.errors.values()))
+
+    @property
+    def is_one_run(self) -> bool:
+        """Whether stretches of one run stand in for runs."""
+        return self.held_out.method == BLOCKS_OF_ONE_RUN
+
+    @property
+    def squares(self) -> Array:
+        """[R, K] sums of squared errors, per run or per stretch of the only one."""
+        errors = [e.error for e in self.errors.values()]
+        if self.is_one_run:
+            errors = np.array_split(errors[0], BLOCKS)
+        return np.stack([np.sum(error**2, axis=0) for error in errors])
+
+
+@dataclass(frozen=True)
+class Revision:
+    """A change of the model's effects, and what it did to the held-out errors."""
+
+    change: Change
+    before: Fitted
+    after: Fitted
+    floor: NoiseFloor
+    helps: bool
+    """Whether the held-out error is better by more than runs differ; for a removal, as good."""
+    reason: str
+    """Why, in a sentence."""
+    tared: bool
+    """Whether each run's own offset is taken off the errors, before and after."""
+
+    @property
+    def term(self) -> FittedTerm | None:
+        """The new effect as fitted; None after a removal."""
+        name = name_effect(self.change.effect)
+        return next((f for f in self.after.model.terms if f.term.name == name), None)
+
+
+def revise(config: Config, dataset: Dataset, catalogue: Catalogue, change: Change) -> Revision:
+    """Fit the model before and after a change of its effects, and judge the change.
+
+    Args:
+        config: the project as it is.
+        dataset: its runs.
+        catalogue: the known effects.
+        change: what is added, changed or removed.
+    """
+    return revise_best(config, dataset, catalogue, (change,))
+
+
+def revise_best(
+    config: Config, dataset: Dataset, catalogue: Catalogue, changes: Sequence[Change]
+) -> Revision:
+    """Fit the model before and after each of some changes, and judge the best of them.
+
+    Args:
+        config: the project as it is.
+        dataset: its runs.
+        catalogue: the known effects.
+        changes: forms of one change, simplest first; a later one is taken if it passes against
+            the best one before it what a change must pass against the model as it is.
+    """
+    models = [
+        fit_config(replace(config, effects=wanted), dataset, catalogue)
+        for wanted in (config.effects, *(change.effects for change in changes))
+    ]
+    # The better model knows best whether logs are zeroed one by one; errors must be comparable.
+    tared = any(model.tared for model in models)
+    before, *fitted = (_hold_out(model, dataset, tared) for model in models)
+    best = 0
+    for i in range(1, len(changes)):
+        if judge(fitted[best], fitted[i], dataset.units)[0]:
+            best = i
+    change, after = changes[best], fitted[best]
+    floors = [
+        measure_floor(
+            dataset,
+            [e for error in _leave(f.model, dataset, tared) for e in error.stretches],
+            f.model.predict,
+        )
+        for f in (before, after)
+    ]
+    floor = replace(floors[0], rms=np.minimum(floors[0].rms, floors[1].rms))
+    judged = judge_removal if change.action == REMOVE else judge
+    helps, reason = judged(before, after, dataset.units)
+    return Revision(change, before, after, floor, helps, reason, tared)
+
+
+def _hold_out(model: PhysicalModel, dataset: Dataset, tared: bool) -> Fitted:
+    held_out = hold_out(model, dataset)
+    runs = [*dataset.train, *dataset.test]
+    errors = collect_errors(runs, held_out.predictions, tared, model.find_usable)
+    return Fitted(model, held_out, errors)
+
+
+def _leave(model: PhysicalModel, dataset: Dataset, tared: bool) -> list[RunError]:
+    """Return what the model leaves of the runs that it was fitted to."""
+    predictions = {run.name: model.predict(run) for run in dataset.train}
+    return list(collect_errors(dataset.train, predictions, tared, model.find_usable).values())
+
+
+@dataclass(frozen=True)
+class _Change:
+    """How the held-out errors changed."""
+
+    ratio: Array
+    """[K] RMSE after over before; 1 for outputs without any error."""
+    overall: float
+    """Geometric mean of the ratios."""
+    gains: Array
+    """[R] what each run, or stretch of the only one, gains, summed over the outputs in shares of
+    their squared error before."""
+
+
+def _measure_change(before: Fitted, after: Fitted) -> _Change:
+    old, new = before.squares, after.squares
+    whole = old.sum(axis=0)
+    scale = np.where(whole > 0.0, whole, 1.0)
+    ratio = np.where(whole > 0.0, np.sqrt(new.sum(axis=0) / scale), 1.0)
+    overall = float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-12)))))
+    return _Change(ratio, overall, ((old - new) / scale).sum(axis=1))
+
+
+def measure_overall(before: Fitted, after: Fitted) -> float:
+    """Return the held-out RMSE after over before, geometric mean over the outputs."""
+    return _measure_change(before, after).overall
+
+
+def _tell(before: Fitted, after: Fitted, units: Sequence[str], k: int) -> str:
+    name = before.model.outputs[k]
+    return f"{name} from {before.rmse[k]:.4g} to {after.rmse[k]:.4g} {units[k]}"
+
+
+def judge(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[bool, str]:
+    """Return whether an effect helps on held-out data by more than runs differ, and why.
+
+    The runs that lose show by how much gains come and go by chance.
+    """
+    change = _measure_change(before, after)
+    ratio, runs = change.ratio, change.gains.size
+    best = int(np.argmin(ratio))
+    told = _tell(before, after, units, best)
+    if change.overall > WORTHWHILE and ratio[best] > WORTHWHILE_ON_ONE:
+        falls = "falls too little" if change.overall < 1.0 else "does not fall"
+        return False, (
+            f"the held-out error {falls}: {100.0 * (change.overall - 1.0):+.1f} % over all "
+            f"outputs, at best {told}"
+        )
+    one = before.is_one_run
+    if (runs < MANY_RUNS or one) and ratio[best] > WORTHWHILE_ON_FEW:
+        count = (
+            "stretches of one run" if one else f"{runs} held-out {'run' if runs == 1 else 'runs'}"
+        )
+        return False, (
+            f"the held-out error falls, {told}, but with {count} a fall of less than "
+            f"{100.0 * (1.0 - WORTHWHILE_ON_FEW):.0f} % may be chance"
+        )
+    noun = "stretches of the only run" if one else "runs"
+    better = int((change.gains > 0.0).sum())
+    gained = float(change.gains[change.gains > 0.0].sum())
+    lost = float(-change.gains[change.gains < 0.0].sum())
+    if gained < GAIN_OVER_LOSS * lost:
+        return False, (
+            f"the held-out error falls in {better} of {runs} {noun} and rises in the others by too "
+            f"much to rule out chance, at best {told}"
+        )
+    return True, f"the held-out error falls in {better} of {runs} {noun}, most for {told}"
+
+
+def judge_removal(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[bool, str]:
+    """Return whether the model is as good without an effect, and by how much it is not."""
+    change = _measure_change(before, after)
+    worst = int(np.argmax(change.ratio))
+    told = _tell(before, after, units, worst)
+    overall = f"{100.0 * (change.overall - 1.0):+.1f} % over all outputs"
+    if change.overall <= AS_GOOD and change.ratio[worst] <= 1.0 / WORTHWHILE_ON_ONE:
+        return True, f"without it the held-out error is as good: {overall}, at worst {told}"
+    return False, f"without it the held-out error is worse: {overall}, at worst {told}"
+
+
+def describe_parameters(fitted: FittedTerm) -> dict[str, dict[str, Any]]:
+    """Return the values of an effect that were fitted or held, ready for JSON."""
+    described: dict[str, dict[str, Any]] = {}
+    for name, value in fitted.term.values.items():
+        is_held = name in fitted.term.held
+        if name not in fitted.std_errors and not is_held:
+            continue
+        described[name] = {
+            "value": value,
+            "std_error": _finite(fitted.std_errors.get(name)),
+            "unit": fitted.term.effect.parameter(name).unit,
+            "held": is_held,
+            "at_bound": name in fitted.at_bound,
+        }
+    return described
+
+
+def _finite(value: float | None) -> float | None:
+    """Return a number that JSON can hold; None where the logs do not determine it."""
+    return value if value is not None and np.isfinite(value) else None
+
+
+def describe_coefficients(model: PhysicalModel, fitted: FittedTerm) -> list[dict[str, Any]]:
+    """Return the coefficients of an effect's features per output, ready for JSON."""
+    described = []
+    for j, feature in enumerate(model.feature_names):
+        if not feature.startswith(f"{fitted.term.name}: "):
+            continue
+        for k, (output, unit) in enumerate(zip(model.outputs, model.units, strict=True)):
+            if model.coefficients[j, k] == 0.0 and model.std_errors[j, k] == 0.0:
+                continue
+            per = "" if model.feature_units[j] == "1" else f"/{model.feature_units[j]}"
+            described.append(
+                {
+                    "feature": feature.removeprefix(f"{fitted.term.name}: "),
+                    "output": output,
+                    "value": float(model.coefficients[j, k]),
+                    "std_error": _finite(float(model.std_errors[j, k])),
+                    "unit": f"{unit}{per}",
+                }
+            )
+    return described
+
+
+def describe_revision(revision: Revision) -> dict[str, Any]:
+    """Return the command's JSON."""
+    model = revision.after.model
+    outputs = model.outputs
+
+    def by_output(values: Array) -> dict[str, float]:
+        return {name: float(value) for name, value in zip(outputs, values, strict=True)}
+
+    term = revision.term
+    return {
+        "effect": revision.change.effect.kind,
+        "parameters": describe_parameters(term) if term is not None else {},
+        "before": {"rmse_heldout": by_output(revision.before.rmse)},
+        "after": {"rmse_heldout": by_output(revision.after.rmse)},
+        "noise_floor": by_output(revision.floor.rms),
+        "noise_floor_source": revision.floor.source,
+        "units": dict(zip(outputs, model.units, strict=True)),
+        "held_out": revision.after.held_out.method,
+        "tared": revision.tared,
+        "helps": revision.helps,
+        "reason": revision.reason,
+        "effects": list(model.effects),
+        "coefficients": describe_coefficients(model, term) if term is not None else [],
+        "notes": list(model.notes),
+    }

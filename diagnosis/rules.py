@@ -1,0 +1,110 @@
+"""The rules by which an effect is named: real, worth having, told from others, and enough."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from zerodrift.diagnosis.case import Case
+from zerodrift.diagnosis.evidence import compare_runs
+from zerodrift.diagnosis.examination import Examination, Judged
+
+SIGNIFICANT = 0.05
+"""Largest p-value of an effect that is named, over all candidates together."""
+WORTHWHILE = 0.985
+"""An effect must bring the held-out RMSE below this share of what it was, ..."""
+WORTHWHILE_ON_ONE = 0.97
+"""... or that of one output below this."""
+AT_FLOOR = 1.1
+"""Held-out RMSE over the floor of a dwell that counts as having arrived."""
+AT_ESTIMATED_FLOOR = 1.4
+"""The same for a floor that was estimated, which is a lower bound."""
+EXPLAINED = 0.95
+"""Share of the excess over the floor that an effect of nearly the right form explains."""
+LEFT_WITHOUT_DWELL = 0.5
+"""Share of the held-out squared error that an effect may leave where no dwell tells the floor."""
+CONCENTRATED = 0.8
+"""An effect seen in too few runs for a small p-value must explain this share of the excess, ..."""
+ALL_GAIN = 0.95
+"""... and hardly lose anywhere."""
+ALIKE = 0.02
+"""Effects whose gains differ by less than this share cannot be told apart, ..."""
+ALIKE_UNLESS_SURE = 0.1
+"""... nor by less than this if the runs do not agree on it, ..."""
+ALIKE_UNITS = 10.0
+"""... nor by less than this in noise units."""
+IMPLAUSIBLE = 0.97
+"""An effect with values far from typical gives way to one with this share of its gain."""
+WANDERING = 0.3
+"""Share of slow variance in a dwell above which the sensor wanders even at rest, ..."""
+SLOW = 0.125
+"""... slow being noise whose memory is longer than this share of the dwell, ..."""
+GROWTH, GROWTH_SPREAD = 1.0, 0.5
+"""... if variance grows by more than this power of the time at its end, flicker having 1 and a
+random walk 2; the second is what one output's power may be off by, to be on the safe side."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One missing effect with the examination it came from."""
+
+    examination: Examination
+    judged: Judged
+
+
+def lead(examination: Examination) -> Judged | None:
+    """Return the effect to name: the one with most gain, unless its values are implausible."""
+    helpful = [judged for judged in examination.judged if helps(judged)]
+    if not helpful:
+        return None
+    best = helpful[0]
+    if best.plausible:
+        return best
+    rivals = [j for j in helpful if j.plausible and j.gain >= IMPLAUSIBLE * best.gain]
+    return rivals[0] if rivals else best
+
+
+def helps(judged: Judged) -> bool:
+    """Return whether an effect's held-out gain is real and worth having."""
+    worthwhile = judged.rmse_ratio <= WORTHWHILE or judged.best_output_ratio <= WORTHWHILE_ON_ONE
+    reachable = 2.0 ** -float(judged.gains.size)
+    sure = judged.p_value <= max(SIGNIFICANT, reachable)
+    # Seen in a few runs only, sign flips cannot be sure; reaching the floor by one effect can.
+    clear = judged.share >= CONCENTRATED and judged.positive_share >= ALL_GAIN
+    return worthwhile and judged.gain > 0.0 and (sure or clear)
+
+
+def list_lookalikes(finding: Finding) -> list[Judged]:
+    """Return the effects that these data cannot tell from the one found."""
+    leading = finding.judged
+    alike = []
+    for judged in finding.examination.judged:
+        if judged.kind == leading.kind or not helps(judged):
+            continue
+        # A play as wide as the range, a time constant without end: another effect in disguise.
+        if leading.plausible and not judged.plausible:
+            continue
+        behind = leading.gain - judged.gain
+        close = behind <= max(ALIKE_UNITS, ALIKE * leading.gain)
+        unsure = compare_runs(leading.gains, judged.gains) > SIGNIFICANT
+        if close or (unsure and behind <= ALIKE_UNLESS_SURE * leading.gain):
+            alike.append(judged)
+    return alike
+
+
+def has_arrived(case: Case, examination: Examination, ratio: float) -> bool:
+    """Return whether an RMSE of so many floors is at the floor, as well as that is known."""
+    if not case.dataset.dwell:
+        return ratio <= AT_ESTIMATED_FLOOR
+    return ratio <= AT_FLOOR + 2.0 * examination.noise.uncertainty
+
+
+def wanders(case: Case, examination: Examination) -> bool:
+    """Return whether the dwell wanders slowly, which no noise of a converter does."""
+    if not case.dataset.dwell:
+        return False
+    noise = examination.noise
+    longest = max(len(run) for run in case.dataset.dwell)
+    slow = noise.weights[noise.tau_samples > SLOW * longest].sum(axis=0)
+    share_of = slow / np.maximum(noise.weights.sum(axis=0), 1e-300)
+    limit = GROWTH + GROWTH_SPREAD / np.sqrt(share_of.size)
+    return float(share_of.mean()) > WANDERING and noise.measure_growth(longest) > limit

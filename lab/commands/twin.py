@@ -1,0 +1,286 @@
+"""`zerodrift twin`: writes simulated logs of the six-axis sensor, hidden effects on request."""
+
+from pathlib import Path
+
+import click
+
+from zerodrift.app.commands.common import json_option, print_json
+from zerodrift.lab.commands.six_axis import (
+    describe_campaign,
+    record_campaign,
+    refuse_foreign_options,
+    summarise_campaign,
+)
+from zerodrift.base.errors import InputError
+from zerodrift.lab.twin import Recipe, parse_choice, simulate, write_logs
+from zerodrift.lab.twin.logs import write_project
+from zerodrift.lab.twin.recipe import (
+    CHANNELS,
+    LISTED_EFFECTS,
+    NETWORKS,
+    PARAMETERS,
+    TARES,
+    UNLISTED_EFFECTS,
+    EffectChoice,
+    draw_mystery,
+    expand_channels,
+)
+from zerodrift.lab.twin.sensor import OUTPUTS, UNITS
+from zerodrift.lab.twin.simulate import Simulation
+from zerodrift.lab.twin.six_axis import list_protocols
+from zerodrift.lab.twin.six_axis.files import LEVELS, render_files
+from zerodrift.lab.twin.stimuli import EXERCISES, KINDS
+
+
+def list_effects() -> str:
+    """Return what can be hidden, with the parameters that can be stated."""
+    lines = ["Effects of the catalogue:"]
+    for heading, names in (("", LISTED_EFFECTS), ("Not in the catalogue:", UNLISTED_EFFECTS)):
+        lines += [heading] if heading else []
+        for name in sorted(names):
+            ranges = PARAMETERS.get(name, {})
+            stated = ", ".join(f"{key} {low:g}..{high:g}" for key, (low, high) in ranges.items())
+            lines.append(f"  {name:<20}{stated}".rstrip())
+    return "\n".join(lines)
+
+
+def split_list(text: str) -> tuple[str, ...]:
+    """Return the items of a comma-separated list; `none` and nothing are empty."""
+    if text.strip() in ("", "none"):
+        return ()
+    return tuple(item.strip() for item in text.split(","))
+
+
+def _is_given(context: click.Context, name: str) -> bool:
+    """Return whether the user gave this option."""
+    return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+
+
+def parse_choices(texts: tuple[str, ...]) -> tuple[EffectChoice, ...]:
+    """Return the effects asked for; the single word `none` is no effect."""
+    return () if texts == ("none",) else tuple(parse_choice(text) for text in texts)
+
+
+def describe_written(simulation: Simulation, directory: Path, files: list[str]) -> str:
+    """Return what was written, without a word about what is hidden."""
+    recipe = simulation.recipe
+    lines = [f"Simulated logs, seed {recipe.seed}, in {directory}:"]
+    for run in simulation.runs:
+        temperature = run.temperature_degC
+        lasts_s = run.time_s.size * recipe.sample_period_s
+        lines.append(
+            f"  logs/{run.name + '.csv':<22}{run.use:<6}{lasts_s:7.0f} s"
+            f"  {temperature.min():6.1f} to {temperature.max():5.1f} degC"
+        )
+    told = ", ".join(choice.name for choice in recipe.told) or "nothing"
+    lines.append(f"zerodrift.toml tells the model: {told}.")
+    lines.append("truth.json holds what the sensor does in fact; look only when you have decided.")
+    lines.append(f"{len(files)} files. Next: zerodrift compare -C {directory}")
+    return "\n".join(lines)
+
+
+@click.command(
+    epilog="Effect: NAME, NAME=SIZE, NAME=tau_s:60 or NAME=2.5,tau_s:60. "
+    "See `zerodrift twin --list` for names and parameters."
+)
+@click.option(
+    "-C",
+    "--out",
+    "directory",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path(),
+    help="Directory to write into; made if missing.",
+)
+@click.option(
+    "--runs", type=click.IntRange(1, 200), default=8, show_default=True, help="Training runs."
+)
+@click.option(
+    "--kinds",
+    default="chamber",
+    show_default=True,
+    help=f"Kinds that the training runs take in turn: {', '.join(KINDS)}.",
+)
+@click.option(
+    "--test",
+    default="chamber,heating,cooling,walking",
+    show_default=True,
+    help="Kinds of the test runs; none = leave one run out.",
+)
+@click.option("--dwell/--no-dwell", default=True, help="Log an isothermal, unloaded dwell too.")
+@click.option("--told", multiple=True, help="Effect that zerodrift.toml lists; none = no effect.")
+@click.option("--hidden", multiple=True, help="Effect that zerodrift.toml does not list.")
+@click.option(
+    "--mystery",
+    type=click.IntRange(0, 4),
+    default=0,
+    help="Hide that many effects drawn by the seed, without naming them.",
+)
+@click.option(
+    "--size",
+    type=float,
+    default=None,
+    help="RMS of each hidden effect beyond the told model, over the noise RMS.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--period", type=float, default=1.0, show_default=True, help="Seconds per sample.")
+@click.option(
+    "--duration", type=float, default=3600.0, show_default=True, help="Seconds per chamber run."
+)
+@click.option("--noise", type=float, default=1.0, show_default=True, help="Factor on the noise.")
+@click.option(
+    "--tare",
+    type=click.Choice(TARES),
+    default="start",
+    show_default=True,
+    help="Zero every log over its first ten seconds, or not (six-axis: none).",
+)
+@click.option(
+    "--missing", default="", help=f"Channels that are not logged: {', '.join(CHANNELS[:-1])}."
+)
+@click.option("--body-thermometer", is_flag=True, help="Log a second thermometer on the body.")
+@click.option("--still", default="", help=f"What runs do not move: {', '.join(EXERCISES)}.")
+@click.option(
+    "--network",
+    type=click.Choice(NETWORKS),
+    default="none",
+    show_default=True,
+    help="[network] kind to write.",
+)
+@click.option("--force", is_flag=True, help="Overwrite an earlier simulation.")
+@click.option("--list", "list_only", is_flag=True, help="List what can be hidden, and stop.")
+@click.option(
+    "--six-axis", is_flag=True, help="The deeper twin: photo-couplers, thirteen thermal nodes."
+)
+@click.option(
+    "--protocol",
+    "protocols",
+    multiple=True,
+    metavar="FILE|NAME",
+    help="Six-axis: protocol of the training runs, bundled or your own; repeat it.",
+)
+@click.option(
+    "--level",
+    type=click.Choice(LEVELS),
+    default="force",
+    show_default=True,
+    help="Six-axis: raw forces, converter codes, or forces and CAN frames.",
+)
+@click.option(
+    "--sensor",
+    "specimen",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Six-axis: which specimen.",
+)
+@json_option
+@click.pass_context
+def command(
+    context: click.Context,
+    directory: Path,
+    runs: int,
+    kinds: str,
+    test: str,
+    dwell: bool,
+    told: tuple[str, ...],
+    hidden: tuple[str, ...],
+    mystery: int,
+    size: float | None,
+    seed: int,
+    period: float,
+    duration: float,
+    noise: float,
+    tare: str,
+    missing: str,
+    body_thermometer: bool,
+    still: str,
+    network: str,
+    force: bool,
+    list_only: bool,
+    six_axis: bool,
+    protocols: tuple[str, ...],
+    level: str,
+    specimen: int,
+    as_json: bool,
+) -> None:
+    """Write simulated logs of the six-axis sensor, and a zerodrift.toml that knows only a part.
+
+    The truth lies beside them in truth.json, which no command reads.
+    """
+    given = {name for name in context.params if _is_given(context, name)}
+    if list_only:
+        click.echo(list_effects())
+        click.echo("Protocols of --six-axis: " + ", ".join(list_protocols()))
+        return
+    if six_axis:
+        refuse_foreign_options(given)
+        campaign = record_campaign(
+            specimen=specimen,
+            protocols=protocols,
+            runs=runs if "runs" in given else None,
+            test=split_list(test),
+            dwell=dwell,
+            hidden=parse_choices(hidden),
+            seed=seed,
+            period_s=period,
+            noise=noise,
+            tare=tare if "tare" in given else "none",
+            level=level,
+        )
+        left_out = expand_channels(split_list(missing))
+        logged = CHANNELS if body_thermometer else CHANNELS[:-1]
+        channels = tuple(name for name in logged if name not in left_out)
+        made = write_project(render_files(campaign, level, channels), directory, overwrite=force)
+        names = [path.relative_to(directory).as_posix() for path in made]
+        if as_json:
+            print_json(summarise_campaign(campaign, directory, names))
+        else:
+            click.echo(describe_campaign(campaign, directory, names, level))
+        return
+    if own := given & {"protocols", "level", "specimen"}:
+        option = {"protocols": "--protocol", "level": "--level", "specimen": "--sensor"}[min(own)]
+        raise InputError(f"twin: {option} belongs to the six-axis twin; add --six-axis.")
+    cycle = split_list(kinds)
+    if not cycle:
+        raise InputError(f"twin: --kinds names no kind of run. Known: {', '.join(KINDS)}.")
+    told_choices = parse_choices(told) if told else Recipe().told
+    hidden_choices = parse_choices(hidden)
+    left_out = expand_channels(split_list(missing))
+    logged = CHANNELS if body_thermometer else CHANNELS[:-1]
+    unmoved = split_list(still)
+    for name in unmoved:
+        if name not in EXERCISES:
+            raise InputError(f"twin: --still {name}: known are {', '.join(EXERCISES)}.")
+    recipe = Recipe(
+        seed=seed,
+        train=tuple(cycle[number % len(cycle)] for number in range(runs)),
+        test=split_list(test),
+        dwell=dwell,
+        told=told_choices,
+        hidden=hidden_choices + draw_mystery(seed, mystery, (*told_choices, *hidden_choices)),
+        size=size,
+        sample_period_s=period,
+        duration_s=duration,
+        noise=noise,
+        tare=tare,
+        channels=tuple(name for name in logged if name not in left_out),
+        exercise=tuple(name for name in EXERCISES if name not in unmoved),
+        network=network,
+    )
+    simulation = simulate(recipe)
+    written = write_logs(simulation, directory, overwrite=force)
+    files = [path.relative_to(directory).as_posix() for path in written]
+    if not as_json:
+        click.echo(describe_written(simulation, directory, files))
+        return
+    summary = {
+        "simulated": True,
+        "directory": str(directory),
+        "seed": seed,
+        "files": files,
+        "runs": {run.name: run.use for run in simulation.runs},
+        "told": [choice.name for choice in recipe.told],
+        "noise_rms": dict(zip(OUTPUTS, simulation.noise_rms.tolist(), strict=True)),
+        "units": dict(zip(OUTPUTS, UNITS, strict=True)),
+    }
+    print_json(summary)

@@ -1,0 +1,158 @@
+"""The command line: names the commands and loads each one's module only when it is called."""
+
+import importlib
+import os
+import re
+import sys
+import tempfile
+
+import click
+
+from zerodrift import __version__
+from zerodrift.base.errors import InputError, ZerodriftError
+from zerodrift.app.surroundings import describe_memory_limit, explain_memory, prepare_streams
+from zerodrift.base.threads import use_one_thread
+
+#: Command name -> one-line help. The command itself is `zerodrift.app.commands.<name>:command`.
+COMMANDS: dict[str, str] = {
+    "init": "Write a commented zerodrift.toml guessed from the logs' headers.",
+    "effects": "The catalogue of physical effects; with a name, everything about one.",
+    "compare": "Model against measurements, run by run; where it fails.",
+    "diagnose": "Name the physical effect that the model lacks.",
+    "add": "Add an effect, refit, and show the held-out error before and after.",
+    "remove": "Remove an effect, refit, and show the held-out error before and after.",
+    "history": "The staircase of errors so far.",
+    "train": "Fit the effects, then train the network on what is left.",
+    "export": "Write float ONNX, integer model, integer ONNX and golden vectors.",
+    "firmware": "Everything up to C sources, built and checked bit for bit on the host.",
+    "verify": "Replay the golden vectors on every back end there is.",
+    "package": "Write the model as a CMake, Zephyr, Arduino or PlatformIO package.",
+    "report": "One self-contained file: verdict, errors, effects, firmware, provenance.",
+    "workbench": "The same loop in a browser, on 127.0.0.1.",
+    "fleet": "Many sensors of one design: all of the above for each, and the yield.",
+    "twin": "Write simulated logs of the six-axis sensor.",
+    "paper": "The paper's tables and its fit figure, from the twin.",
+    "doctor": "What this machine has and lacks for all of this.",
+    "calibrate": "The calibration matrix from converter codes and test weights.",
+}
+
+
+class LazyGroup(click.Group):
+    """A click group that imports a command's module on first use, so that `--help` stays fast."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the command names in the order of a user's work."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import and return the command named `cmd_name`, or None for an unknown name."""
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"zerodrift.app.commands.{cmd_name}")
+        command = module.command
+        assert isinstance(command, click.Command)
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Resolve the command, naming the nearest ones when it is unknown."""
+        from zerodrift.base.errors import nearest
+
+        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
+            raise click.UsageError(f"no command '{args[0]}'{nearest(args[0], COMMANDS)}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the command list without importing any of the commands."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="zerodrift")
+def cli() -> None:
+    """Turn a sensor's temperature logs into fixed-point drift-compensation firmware."""
+
+
+def run() -> None:
+    """Run the command that the arguments name.
+
+    Raises:
+        InputError: code that is not zerodrift's, such as a file of effects, asked for the end of
+            the process in the midst of a command, which is then not done.
+    """
+    try:
+        cli.main(standalone_mode=False)
+        sys.stdout.flush()
+    except SystemExit as ended:
+        if is_own_exit(ended):
+            raise
+        raise InputError(
+            f"something that this command ran called sys.exit({ended.code!r}), so that the command"
+            " was not done; expected a file of effects, or an installed one, that only declares"
+            " effects. Take the call out."
+        ) from ended
+
+
+def is_own_exit(ended: SystemExit) -> bool:
+    """Tell whether one of zerodrift's own commands ended the process, after all was done."""
+    trace = ended.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    raised_in = trace.tb_frame.f_globals.get("__name__", "") if trace is not None else ""
+    return str(raised_in).startswith(("zerodrift.app.commands.", "zerodrift.workbench."))
+
+
+def explain_read(error: OSError) -> str | None:
+    """Return what to tell of a file that the system would not open or read; None if it is no file.
+
+    Polars gives the system's answer in its text alone: "Too many open files (os error 24): PATH".
+    """
+    place, answer = error.filename, error.strerror
+    if found := re.fullmatch(r"(.+) \(os error \d+\): (.+)", str(error)):
+        answer, place = found.groups()
+    if not place:
+        return None
+    return (
+        f"{place}: cannot be opened or read ({answer}); expected a file that the system hands out."
+        " Nothing was left half-written. See to the disk or the limit on open files (ulimit -n) and"
+        " run the command again."
+    )
+
+
+def main() -> None:
+    """Run the command line; a user's error becomes one message on stderr and its exit code."""
+    use_one_thread()
+    prepare_streams()
+    if note := describe_memory_limit():
+        click.echo(f"note: {note}", err=True)
+    try:
+        run()
+    except ZerodriftError as error:
+        click.echo(f"error: {error}", err=True)
+        sys.exit(error.exit_code)
+    except BrokenPipeError:
+        # who reads our output has gone; nothing more can be said to them
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except MemoryError:
+        click.echo(f"error: {explain_memory()}", err=True)
+        sys.exit(2)
+    except OSError as error:
+        from zerodrift.base.files import NOTHING_HALF, explain_write, is_refused_write
+
+        if is_refused_write(error):
+            place = error.filename or f"standard output, or {tempfile.gettempdir()}"
+            click.echo(f"error: {explain_write(place, error, NOTHING_HALF)}", err=True)
+        elif told := explain_read(error):
+            click.echo(f"error: {told}", err=True)
+        else:
+            raise
+        sys.exit(2)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except click.exceptions.Abort:
+        click.echo("interrupted; nothing was left half-written", err=True)
+        sys.exit(130)

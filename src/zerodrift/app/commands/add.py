@@ -1,0 +1,149 @@
+"""`zerodrift add EFFECT`: one more effect in the model, if it earns its place."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from zerodrift.app.commands.common import (
+    changes_project,
+    directory_option,
+    json_option,
+    print_json,
+    print_notes,
+    skip_invalid_option,
+)
+from zerodrift.base.errors import InputError
+
+if TYPE_CHECKING:
+    from zerodrift.diagnosis.revision import Revision
+
+
+def read_held(texts: tuple[str, ...]) -> dict[str, float]:
+    """Return the parameters of `--hold NAME=NUMBER`.
+
+    Raises:
+        InputError: one of them has another form, or stands there twice.
+    """
+    held: dict[str, float] = {}
+    for name, value in _split(texts, "--hold", "tau_s=60").items():
+        try:
+            held[name] = float(value)
+        except ValueError:
+            raise InputError(
+                f"--hold {name}={value}: '{value}' is no number; expected NAME=NUMBER, such as "
+                "--hold tau_s=60."
+            ) from None
+    return held
+
+
+def _split(texts: tuple[str, ...], option: str, example: str) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        name, value = name.strip(), value.strip()
+        if not (equals and name and value):
+            raise InputError(f"{option} {text}: expected NAME=VALUE, such as {option} {example}.")
+        if name in found:
+            raise InputError(f"{option} {text}: '{name}' is set twice; keep one of them.")
+        found[name] = value
+    return found
+
+
+@click.command()
+@click.argument("effect")
+@directory_option
+@click.option(
+    "--hold",
+    "hold",
+    multiple=True,
+    metavar="NAME=NUMBER",
+    help="Hold a parameter at a value instead of fitting it; may be repeated.",
+)
+@click.option(
+    "--set",
+    "options",
+    multiple=True,
+    metavar="NAME=TEXT",
+    help="Set an option, such as signal=body_temperature; may be repeated.",
+)
+@click.option("--force", is_flag=True, help="Keep the effect even if it does not help.")
+@json_option
+@skip_invalid_option
+@changes_project
+def command(
+    effect: str,
+    directory: Path,
+    hold: tuple[str, ...],
+    options: tuple[str, ...],
+    force: bool,
+    as_json: bool,
+    skip_invalid: bool,
+) -> None:
+    """Add EFFECT to zerodrift.toml, refit all effects together, and show what it brought.
+
+    An effect whose held-out error is not better by more than runs differ is not kept: the command
+    says so, leaves every file as it was and ends with exit code 1. --force keeps it.
+
+    Of an effect's forms, such as the order of a polynomial, the simplest is added unless a richer
+    one passes the same test against it; --hold leaves that choice to you. For an effect that is
+    in the model already, richer forms are tried, and --hold sets other values.
+    """
+    from zerodrift.app.commands.console import open_console, show_progress
+    from zerodrift.app.commands.project import open_project
+    from zerodrift.app.commands.revise import open_history, print_revision, read_text, write_revision
+    from zerodrift.base.config import EffectConfig
+    from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.diagnosis.changes import ADD, CHANGE, propose_forms
+    from zerodrift.diagnosis.revision import describe_revision, revise_best
+    from zerodrift.base.toml_edit import add_effect, set_parameters
+
+    held, texts = read_held(hold), _split(options, "--set", "signal=body_temperature")
+    with show_progress("reading logs") as say:
+        config, dataset = open_project(directory, skip_invalid)
+        catalogue = load_catalogue(config.plugin_files)
+        wanted = EffectConfig(effect, held, texts)
+        changes = propose_forms(config, dataset, catalogue, wanted)
+        text = read_text(config.path)
+        texts_after = [
+            add_effect(text, effect, c.effect.held, texts, path=config.path)
+            if c.action == ADD
+            else set_parameters(text, c.place, c.effect.held, path=config.path)
+            for c in changes
+        ]
+        open_history(config)
+        say(f"fitting without and with {effect}")
+        revision = revise_best(config, dataset, catalogue, changes)
+    text_after = texts_after[changes.index(revision.change)]
+    print_notes(dataset.notes)
+    if revision.change.action == CHANGE and not held and not revision.helps and not force:
+        raise InputError(
+            f"{config.path}: effect '{effect}' is in the model already, and no richer form of it "
+            f"helps: {revision.reason}. Expected one that is not; `zerodrift diagnose` names what "
+            "is missing."
+        )
+    is_kept = revision.helps or force
+    if is_kept:
+        write_revision(config, text, text_after, revision)
+    if as_json:
+        print_json({**describe_revision(revision), "added": is_kept})
+    else:
+        print_revision(revision)
+        open_console().print(_conclude(revision, force, config.path))
+    if not is_kept:
+        sys.exit(1)
+
+
+def _conclude(revision: "Revision", force: bool, path: Path) -> str:
+    """Return what became of the file, and why."""
+    from zerodrift.diagnosis.changes import ADD, name_effect
+
+    why = f"{revision.reason[0].upper()}{revision.reason[1:]}."
+    name = name_effect(revision.change.effect)
+    done = f"Added {name} to" if revision.change.action == ADD else f"Changed {name} in"
+    if revision.helps:
+        return f"{why} {done} {path.name}. Next: zerodrift diagnose"
+    if force:
+        return f"{why} {done} {path.name} all the same, as --force asks."
+    return f"{why} {path.name} is as it was; --force keeps {name} all the same."

@@ -1,0 +1,108 @@
+"""Options that the commands share, and how each of them prints."""
+
+import functools
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import click
+
+from zerodrift.base.files import write_whole
+from zerodrift.base.journal import hold_project, settle_project, write_all
+
+Command = TypeVar("Command", bound=Callable[..., object])
+Result = TypeVar("Result")
+
+
+def directory_option(function: Command) -> Command:
+    """Add `-C DIR`: the project directory, passed on as `directory: Path`.
+
+    A change of its files that a kill cut off is ended, or taken back, before the command begins.
+    """
+    return click.option(
+        "-C",
+        "directory",
+        type=click.Path(exists=True, file_okay=False, path_type=Path),
+        default=Path(),
+        metavar="DIR",
+        callback=_settle,
+        help="The directory of zerodrift.toml (default: the current one).",
+    )(function)
+
+
+def _settle(context: click.Context, _: click.Parameter, directory: Path) -> Path:
+    if not context.resilient_parsing:
+        settle_project(directory)
+    return directory
+
+
+def changes_project(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Hold the project against other writers for as long as the command runs."""
+
+    @functools.wraps(function)
+    def hold(*arguments: object, directory: Path, **options: object) -> Result:
+        with hold_project(directory):
+            return function(*arguments, directory=directory, **options)
+
+    return hold
+
+
+def json_option(function: Command) -> Command:
+    """Add `--json`, passed on as `as_json: bool`."""
+    return click.option(
+        "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else."
+    )(function)
+
+
+def skip_invalid_option(function: Command) -> Command:
+    """Add `--skip-invalid`, passed on as `skip_invalid: bool`."""
+    return click.option(
+        "--skip-invalid", is_flag=True, help="Drop invalid rows of the logs and say how many."
+    )(function)
+
+
+def trust_option(function: Command) -> Command:
+    """Add `--trust`, passed on as `trust: bool`."""
+    return click.option(
+        "--trust",
+        is_flag=True,
+        help="Run the project's own files of effects ([plugins]) without asking.",
+    )(function)
+
+
+def print_json(value: object) -> None:
+    """Print one JSON object on stdout; NaN and infinity, which JSON lacks, are refused.
+
+    Where stdout's encoding lacks a character, all but ASCII is written as JSON's own escapes.
+    """
+    text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:
+        text = json.dumps(value, indent=2, allow_nan=False)
+    click.echo(text)
+
+
+def print_notes(notes: tuple[str, ...]) -> None:
+    """Print what was noticed on stderr, so that stdout stays the command's result."""
+    for note in notes:
+        click.echo(f"note: {note}", err=True)
+
+
+def write_text(path: Path, text: str, project: Path | None = None) -> None:
+    """Write a file whole or not at all, in UTF-8 with line feeds.
+
+    Args:
+        path: the file.
+        text: what it is to hold.
+        project: the folder of zerodrift.toml, where the file is the project's own.
+
+    Raises:
+        InputError: the directory is missing, may not be written to, or has no room.
+    """
+    if project is None:
+        write_whole(path, text.encode())
+    else:
+        write_all(project, {path: text.encode()})

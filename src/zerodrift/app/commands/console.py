@@ -1,0 +1,92 @@
+"""Where the commands of the loop print: results on stdout, progress on stderr."""
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from zerodrift.diagnosis.advice import Advice
+
+PROGRESS_LINES = "ZERODRIFT_PROGRESS_LINES"
+"""Environment variable: progress is told in lines that begin with PROGRESS_MARK."""
+PROGRESS_MARK = "progress: "
+LEAST_WIDTH = 120
+"""Columns of a file or a pipe, which has no width of its own."""
+
+
+def open_console() -> "Console":
+    """Return the console for results: plain text of a fixed width unless it is a terminal."""
+    from rich.console import Console
+
+    width = None if sys.stdout.isatty() else LEAST_WIDTH
+    # Square brackets and colons are a user's own: [logs], log.csv:100:.
+    return Console(width=width, highlight=False, markup=False, emoji=False)
+
+
+def open_table(title: str, left: Sequence[str], right: Sequence[str]) -> "Table":
+    """Return an empty table whose first columns are text and whose others are numbers."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    for heading in left:
+        table.add_column(heading)
+    for heading in right:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def print_advice(advice: "Advice | None", console: "Console") -> None:
+    """Print what the logs can and cannot teach, and what to record next."""
+    if advice is None:
+        return
+    console.print("\nWhat these logs can teach:")
+    for sentence in advice.explain():
+        console.print(f"  {sentence}")
+
+
+def print_progress(text: str) -> None:
+    """Print a line of progress for another program."""
+    print(f"{PROGRESS_MARK}{text}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def show_progress(first: str) -> Iterator[Callable[[str], None]]:
+    """Show on stderr what is being done; gives a function that says what comes next.
+
+    Where `PROGRESS_LINES` is set in the environment, each step is a line that another program can
+    read.
+    """
+    if os.environ.get(PROGRESS_LINES):
+        print_progress(first)
+        yield print_progress
+        return
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda _: None
+        return
+    with console.status(first) as status:
+        yield status.update
+
+
+def print_chip_error(firmware: Mapping[str, Any], console: "Console") -> None:
+    """Print what separates a firmware from its float model, from `firmware --json`."""
+    table = open_table(
+        "The chip: integer minus float model by cause, RMS",
+        ("output", "unit"),
+        [cause.replace("_", " ") for cause in next(iter(firmware["chip_error"].values()))],
+    )
+    for name, split in firmware["chip_error"].items():
+        table.add_row(name, firmware["units"][name], *(f"{x:.2g}" for x in split.values()))
+    console.print(table)
+    for statement in firmware["warnings"]:
+        console.print(f"warning: {statement['text']}")
+    for statement in firmware["refused"]:
+        console.print(f"{'FORCED' if firmware['forced'] else 'REFUSED'}: {statement['text']}")

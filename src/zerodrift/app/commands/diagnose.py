@@ -1,0 +1,244 @@
+"""`zerodrift diagnose`: names the physical effect that the model lacks."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from zerodrift.app.commands.common import (
+    directory_option,
+    json_option,
+    print_json,
+    print_notes,
+    skip_invalid_option,
+)
+from zerodrift.app.commands.console import open_console, open_table, print_advice, show_progress
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from rich.console import Console
+
+    from zerodrift.physics.catalogue import Catalogue
+    from zerodrift.diagnosis.course import Course
+    from zerodrift.diagnosis.diagnosis import Diagnosis
+    from zerodrift.physics.effect import Effect
+
+MOST_LISTED = 8
+"""Candidates that the table lists; --json has all of them."""
+
+
+@click.command()
+@directory_option
+@click.option(
+    "--auto",
+    is_flag=True,
+    help="Add what is missing and look again, until nothing is missing or it has no name. "
+    "zerodrift.toml is left as it is; `zerodrift add` writes it.",
+)
+@json_option
+@skip_invalid_option
+def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> None:
+    """Name the physical effect that the model lacks.
+
+    Every effect of the catalogue that is not in the model is tried. What it would gain is judged
+    on training runs left out, against what chance could do, and beside the noise floor. The
+    verdict is the name of an effect, with those that these logs cannot tell from it; or that
+    nothing is missing; or that something is, which the catalogue does not know.
+    """
+    from zerodrift.app.commands.project import open_project
+    from zerodrift.app.commands.verdict import (
+        explain_others,
+        find_verdict,
+        list_commands,
+        name_directory,
+        tell_steps,
+    )
+    from zerodrift.diagnosis.advice import advise
+    from zerodrift.physics.catalogue import load_catalogue
+
+    with show_progress("reading logs") as say:
+        config, dataset = open_project(directory, skip_invalid)
+        catalogue = load_catalogue(config.plugin_files)
+        verdict = find_verdict(config, dataset, catalogue, auto=auto, say=say)
+        diagnosis, course = verdict.diagnosis, verdict.course
+        say("looking at what the logs can teach")
+        advice = advise(config, dataset, config.effects if course is None else course.effects)
+    print_notes((*dataset.notes, *diagnosis.notes))
+    commands = list_commands(config.effects, verdict.steps, catalogue, directory)
+    told = tell_steps(verdict, commands, directory)
+    if as_json:
+        told[-1]["advice"] = advice.to_dict() if advice is not None else None
+        print_json(told[-1] if course is None else {**told[-1], **_tell_course(course, told)})
+        return
+    console = open_console()
+    if course is not None:
+        _print_steps(verdict.steps, commands, catalogue, console)
+    print_diagnosis(diagnosis, commands[-1], catalogue, console)
+    for sentence in explain_others(told[-1]):
+        console.print(sentence)
+    for kind in course.drop if course is not None else ():
+        console.print(
+            f"{kind} no longer earns its place: runs left out are predicted as well without it. "
+            f"To remove it: zerodrift remove {kind}{name_directory(directory)}"
+        )
+    print_advice(advice, console)
+
+
+def _tell_course(course: "Course", told: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return what JSON has beside the last diagnosis: the steps before it."""
+    return {
+        "added": [
+            {"effect": step["effect"], "parameters": step["parameters"], "command": step["command"]}
+            for step in told
+            if step["effect"] is not None
+        ],
+        "steps": told,
+        "drop": list(course.drop),
+    }
+
+
+def print_diagnosis(
+    diagnosis: "Diagnosis", command: str, catalogue: "Catalogue", console: "Console"
+) -> None:
+    """Print the candidates and the errors, and then the verdict in sentences."""
+    table = open_table(
+        "Effects that the model lacks, one at a time",
+        ("effect", "term", "fitted values"),
+        ("error left", "p", "excited"),
+    )
+    for candidate in diagnosis.candidates[:MOST_LISTED]:
+        effect = catalogue[candidate.effect]
+        table.add_row(
+            effect.kind,
+            effect.title,
+            write_values(effect, candidate.parameters),
+            f"{100.0 * candidate.heldout_rmse_ratio:.1f} %",
+            f"{candidate.p_value:.2g}",
+            f"{100.0 * candidate.excitation:.0f} %",
+        )
+    if diagnosis.candidates:
+        console.print(table)
+        console.print(
+            "Error left: RMSE in runs left out, over that of the model as it is. p: how often "
+            "chance alone does as well. Excited: the part that the model cannot imitate.\n"
+        )
+    left_out = len(diagnosis.candidates) - MOST_LISTED
+    if left_out > 0:
+        console.print(f"{left_out} more that help less; --json lists all.\n")
+    reasons: dict[str, list[str]] = {}
+    for untested in diagnosis.not_testable:
+        reasons.setdefault(untested.why, []).append(untested.effect)
+    for why, names in reasons.items():
+        console.print(f"Not testable: {', '.join(names)}: {why}.")
+    if diagnosis.not_testable:
+        console.print()
+    _print_errors(diagnosis, console)
+    for sentence in explain_verdict(diagnosis, command, catalogue):
+        console.print(sentence)
+
+
+def write_values(effect: "Effect", values: "Mapping[str, float]") -> str:
+    """Return fitted values with their units."""
+    return ", ".join(
+        f"{name} {value:.4g} {_write_unit(effect.parameter(name).unit)}".rstrip()
+        for name, value in values.items()
+    )
+
+
+def _print_errors(diagnosis: "Diagnosis", console: "Console") -> None:
+    """Print each output's error in its unit, beside the noise floor."""
+    after = f"with {diagnosis.effect}" if diagnosis.effect is not None else ""
+    source = "noise floor" if diagnosis.floor_source == "dwell" else "noise floor (estimated)"
+    headings = ("RMSE now", *((after,) if after else ()), source)
+    table = open_table("Error in runs left out", ("output", "unit"), headings)
+    for name, output in diagnosis.outputs.items():
+        figures = [output.before, *((output.after,) if after else ()), output.noise_floor]
+        table.add_row(name, output.unit, *("-" if x is None else f"{x:.4g}" for x in figures))
+    console.print(table)
+
+
+def explain_verdict(diagnosis: "Diagnosis", command: str, catalogue: "Catalogue") -> list[str]:
+    """Return the verdict in sentences.
+
+    Args:
+        diagnosis: what was found.
+        command: what adds the missing effect.
+        catalogue: the known effects.
+    """
+    floor = f"{diagnosis.floor_ratio_before:.2f} times the noise floor"
+    if diagnosis.floor_source != "dwell":
+        floor += " (estimated)"
+    sentences = []
+    thin = " (thin evidence)" if diagnosis.evidence.startswith("thin") else ""
+    if diagnosis.verdict == "missing" and diagnosis.effect is not None:
+        effect = catalogue[diagnosis.effect]
+        sentences.append(f"MISSING{thin}: {effect.kind} ({effect.title}).")
+        values = write_values(effect, diagnosis.parameters)
+        if values:
+            sentences.append(f"Fitted: {values}.")
+        sentences.append(
+            f"Held-out error: {floor} now, {diagnosis.floor_ratio_after:.2f} times with it."
+        )
+        if diagnosis.lookalikes:
+            names = ", ".join(diagnosis.lookalikes)
+            sentences.append(f"These logs cannot tell it from: {names}.")
+        if diagnosis.also:
+            sentences.append(f"Missing beside it: {', '.join(diagnosis.also)}.")
+        sentences.append(effect.physics)
+    elif diagnosis.verdict == "complete":
+        sentences.append(f"COMPLETE{thin}: no effect that these logs can test helps.")
+        sentences.append(f"Held-out error: {floor}.")
+    else:
+        sentences.append(
+            f"UNKNOWN{thin}: something is missing that no effect of the catalogue explains."
+        )
+        sentences.append(f"Held-out error: {floor}.")
+        if diagnosis.nearest is not None:
+            sentences.append(f"Nearest, and not it: {diagnosis.nearest}.")
+        sentences += [
+            f"What is left follows {pattern.follows} ({100.0 * pattern.share:.0f} % of it)."
+            for pattern in diagnosis.remainder
+        ]
+        if not diagnosis.remainder:
+            sentences.append("What is left follows no signal in the logs.")
+    sentences.append(f"Evidence: {diagnosis.evidence}.")
+    if diagnosis.next_experiment:
+        sentences.append(f"Next experiment: {diagnosis.next_experiment}.")
+    if diagnosis.effect is not None:
+        sentences.append(f"To add it: {command}")
+        if thin:
+            sentences.append(
+                "On evidence this thin `add` may refuse it; --force keeps what the hardware has."
+            )
+    return sentences
+
+
+def _write_unit(unit: str) -> str:
+    """Return a unit for print; plain numbers have none."""
+    return "" if unit == "1" else unit
+
+
+def _print_steps(
+    steps: "Sequence[Diagnosis]",
+    commands: "Sequence[str]",
+    catalogue: "Catalogue",
+    console: "Console",
+) -> None:
+    """Print what was added one after the other."""
+    table = open_table(
+        "Added one after the other",
+        ("effect", "fitted values", "command"),
+        ("x floor before", "x floor with it"),
+    )
+    for step, command in zip(steps, commands, strict=True):
+        if step.effect is not None:
+            table.add_row(
+                step.effect,
+                write_values(catalogue[step.effect], step.parameters),
+                command,
+                f"{step.floor_ratio_before:.2f}",
+                f"{step.floor_ratio_after:.2f}",
+            )
+    if table.row_count:
+        console.print(table)

@@ -1,0 +1,69 @@
+"""`zerodrift export`: the trained compensator as float ONNX, integer model and golden vectors."""
+
+from pathlib import Path
+
+import click
+
+from zerodrift.app.commands.common import (
+    changes_project,
+    directory_option,
+    json_option,
+    print_json,
+    print_notes,
+    skip_invalid_option,
+)
+
+
+@click.command()
+@directory_option
+@json_option
+@skip_invalid_option
+@changes_project
+def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
+    """Write build/: network.onnx (float), model.json, integer.onnx, golden.npz, certificate.json.
+
+    The integer model is proven free of overflow for every input, or refused with the reason.
+    """
+    from rich.console import Console
+
+    from zerodrift.codegen.generate import generate
+    from zerodrift.app.commands.project import open_project, train_project
+    from zerodrift.export.compose import compose_integer_model, encode_inputs
+    from zerodrift.export.fine_tune import load_or_tune
+    from zerodrift.export.golden import compute_golden
+    from zerodrift.export.integer_onnx import build_integer_onnx
+    from zerodrift.base.journal import write_all
+    from zerodrift.verify.certificate import certify
+    from zerodrift.verify.vectors import draw_golden
+
+    console = Console(stderr=True)
+    config, dataset = open_project(directory, skip_invalid)
+    print_notes(dataset.notes)
+    compensator = train_project(config, dataset, console)
+    with console.status("quantizing"):
+        tuned = load_or_tune(compensator, config, dataset.train)
+        model = compose_integer_model(tuned, config, dataset)
+        run = (dataset.test or dataset.train)[0]
+        golden = compute_golden(model, draw_golden(model, encode_inputs(model, run)))
+    build = config.build_directory
+    contents = {
+        build / "model.json": model.to_text().encode(),
+        build / "integer.onnx": build_integer_onnx(model),
+        build / "golden.npz": golden.to_bytes(),
+        build / "certificate.json": certify(model, generate(model)).encode(),
+    }
+    write_all(config.directory, contents)
+    files = ["build/network.onnx"] if compensator.network is not None else []
+    files += [
+        "build/compensator.json",
+        "build/model.json",
+        "build/integer.onnx",
+        "build/golden.npz",
+        "build/certificate.json",
+    ]
+    bounds = model.prove()
+    if as_json:
+        print_json({"model_hash": model.hash, "bounds_proven": len(bounds), "files": files})
+        return
+    click.echo(f"model {model.hash[:12]}: {len(bounds)} bounds proven for every input")
+    click.echo("wrote " + ", ".join(files))

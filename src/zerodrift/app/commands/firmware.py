@@ -1,0 +1,283 @@
+"""`zerodrift firmware`: logs in, host-checked C out."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from zerodrift.app.commands.common import (
+    changes_project,
+    directory_option,
+    json_option,
+    print_json,
+    print_notes,
+    skip_invalid_option,
+)
+from zerodrift.app.commands.console import open_console, open_table, print_chip_error, show_progress
+from zerodrift.app.commands.onnx_option import OnnxRequest, onnx_options, open_import
+from zerodrift.base.config import Config
+from zerodrift.base.errors import CheckError
+from zerodrift.base.journal import change_together, write_all
+from zerodrift.base.sealed import render_sealed
+
+FILE_NAME = "firmware.json"
+"""In build/: what the last firmware achieved."""
+
+BUDGET_ROWS = 5
+"""Nodes of the error budget that are printed; --json has them all."""
+
+
+@click.command()
+@directory_option
+@json_option
+@skip_invalid_option
+@click.option(
+    "--force",
+    is_flag=True,
+    help="Write what the gate refuses; header and manifest say so.",
+)
+@onnx_options
+@changes_project
+def command(
+    directory: Path, as_json: bool, skip_invalid: bool, force: bool, request: OnnxRequest
+) -> None:
+    """Train if needed, quantize, generate C, and check it bit for bit on this host.
+
+    Writes <out>/<sensor>.h and .c with runtime, certificate.json and manifest.json beside them,
+    build/model.json, integer.onnx and golden.npz, and prints the errors in physical units with
+    flash, RAM and stack. Nothing is written unless every compared bit is equal and every bound of
+    the certificate is derived again from the C.
+
+    Nor is it where the chip is worse on held-out runs than no compensation, than the physical model
+    alone, or than the float model by more than rounding explains: exit code 1, unless --force.
+
+    With --onnx FILE the network comes from any program that exports ONNX, and takes the same road;
+    --calibrate LOG... names the logs that set the ranges of the integers.
+    """
+    from rich.console import Console
+
+    from zerodrift.app.commands.project import open_project, train_project
+    from zerodrift.verify.firmware import build_firmware
+
+    console = Console(stderr=True)
+    compensator: Any
+    if request:
+        config, dataset, compensator, notes = open_import(request, directory, skip_invalid)
+        print_notes((*dataset.notes, *notes))
+    else:
+        with show_progress("reading logs"):
+            config, dataset = open_project(directory, skip_invalid)
+        print_notes(dataset.notes)
+        compensator = train_project(config, dataset, console)
+    with change_together(config.directory):
+        with show_progress("quantizing") as say:
+            network = (request.path.absolute(),) if request and request.path else ()
+            firmware = build_firmware(
+                config, dataset, compensator, say, force=force, network=network
+            )
+        result = describe(firmware, config.directory)
+        written = bool(firmware.files)
+        if written:
+            keep(result, config)
+    if as_json:
+        print_json(result)
+    else:
+        _print(firmware, result, config.directory)
+    if not written:
+        raise CheckError(
+            f"{firmware.gate.explain()}\nNothing was written to"
+            f" {show_path(config.firmware_out, config.directory)}/. Mend what is named, or write it"
+            " all the same with --force."
+        )
+
+
+def describe(firmware: Any, directory: Path) -> dict[str, Any]:
+    """Return the command's JSON."""
+    size = firmware.footprint
+    return {
+        "bit_exact": firmware.check.failure is None,
+        "vectors": firmware.check.vectors,
+        "backends": [*firmware.check.backends, *([firmware.chip.core] if firmware.chip else [])],
+        "flash_bytes": size.flash_bytes,
+        "ram_bytes": size.ram_bytes,
+        "stack_bytes": size.stack_bytes,
+        "stack": {"compiler": size.compiler, "flags": list(size.flags), "of": dict(size.stacks)},
+        "core": size.core,
+        "instructions_per_step": (
+            {firmware.chip.core: firmware.chip.instructions_per_step} if firmware.chip else {}
+        ),
+        "rmse": {
+            "uncompensated": {e.name: e.uncompensated for e in firmware.errors},
+            **(
+                {"physics": {e.name: e.physics for e in firmware.errors}}
+                if _is_learnt(firmware)
+                else {}
+            ),
+            "float": {e.name: e.float_model for e in firmware.errors},
+            "integer": {e.name: e.integer_model for e in firmware.errors},
+            **(
+                {"integer_not_fine_tuned": {e.name: e.integer_model for e in firmware.untuned}}
+                if firmware.untuned
+                else {}
+            ),
+        },
+        "bias": {e.name: e.integer_bias for e in firmware.errors},
+        "rmse_integer_to_float": {e.name: e.integer_to_float for e in firmware.errors},
+        "error_budget": describe_budget(firmware),
+        "rmse_pct_fs": {e.name: e.percent_of_full_scale for e in firmware.errors},
+        "units": {e.name: e.unit for e in firmware.errors},
+        "held_out": firmware.held_out,
+        "tared": firmware.tared,
+        "runs": list(firmware.error_runs),
+        "model_hash": firmware.model.hash,
+        "certificate": {"claims": firmware.certificate.holds},
+        "gate": firmware.gate.method,
+        "chip_error": {
+            e.name: split.to_dict()
+            for e, split in zip(firmware.errors, firmware.gate.chip_error, strict=True)
+        },
+        "warnings": [statement.to_dict() for statement in firmware.gate.warnings],
+        "refused": [statement.to_dict() for statement in firmware.gate.refused],
+        "forced": bool(firmware.forced),
+        "written": bool(firmware.files),
+        "files": [show_path(path, directory) for path in firmware.files],
+    }
+
+
+def _is_learnt(firmware: Any) -> bool:
+    """Return whether something was learnt beside the physical model."""
+    return any(e.physics is not None for e in firmware.errors)
+
+
+def tell_hurt(errors: Any) -> str:
+    """Return a sentence on outputs that the physical model alone predicts better, or ""."""
+    worse = [
+        f"{e.name} {e.float_model:.4g} against {e.physics:.4g} {e.unit}"
+        for e in errors
+        if e.is_hurt
+    ]
+    if not worse:
+        return ""
+    return (
+        "On the held-out runs the physical model alone does better than with what was learnt"
+        f' beside it ({", ".join(worse)}): record more runs, or set kind = "none" under [network].'
+    )
+
+
+def describe_budget(firmware: Any) -> dict[str, Any]:
+    """Return where the error comes from: measurements, quantization, its nodes, and time."""
+
+    def name(values: Any) -> dict[str, float]:
+        return {e.name: float(v) for e, v in zip(firmware.errors, values, strict=True)}
+
+    budget = firmware.budget
+    return {
+        "float_to_measured": {e.name: e.float_model for e in firmware.errors},
+        "integer_to_float": name(budget.total),
+        "nodes": [{"node": n.node, "kind": n.kind, "rms": name(n.rms)} for n in budget.nodes],
+        "over_time": [
+            {"from_step": s.first_step, "to_step": s.last_step, "rms": name(s.rms)}
+            for s in budget.over_time
+        ],
+    }
+
+
+def keep(result: dict[str, Any], config: Config) -> None:
+    """Write the command's JSON to build/firmware.json, for the report."""
+    write_all(config.directory, {config.build_directory / FILE_NAME: render_sealed(result)})
+
+
+def show_path(path: Path, directory: Path) -> str:
+    """Return a path relative to the project where it lies inside it."""
+    return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
+
+
+def _print(firmware: Any, told: Mapping[str, Any], directory: Path) -> None:
+    console = open_console()
+    kind = "held-out runs" if firmware.held_out else "TRAINING runs (no test logs are configured)"
+    table = open_table(
+        f"RMSE over the {kind}: {', '.join(firmware.error_runs)}",
+        ("output", "unit"),
+        (
+            "uncompensated",
+            *(["physics alone"] if _is_learnt(firmware) else []),
+            "float",
+            "integer",
+            "% FS",
+            "int - float",
+        ),
+    )
+    for e in firmware.errors:
+        physics = [] if e.physics is None else [e.physics]
+        numbers = (*physics, e.float_model, e.integer_model, e.percent_of_full_scale)
+        cells = (f"{x:.4g}" for x in (e.uncompensated, *numbers))
+        table.add_row(e.name, e.unit, *cells, f"{e.integer_to_float:.2g}")
+    console.print(table)
+    if firmware.held_out and (hurt := tell_hurt(firmware.errors)):
+        console.print(hurt)
+    if firmware.tared:
+        console.print("The logs are tared: each run's own offset is taken off every error.")
+    if firmware.untuned:
+        pairs = zip(firmware.untuned, firmware.errors, strict=True)
+        losses = [
+            100.0 * (e.integer_model / max(e.float_model, 1e-300) - 1.0) for p in pairs for e in p
+        ]
+        console.print(
+            "The 8-bit weights were fine-tuned in the chip's arithmetic: the error against the"
+            f" measurements is up to {max(losses[1::2]):.2g} % larger than the float model's;"
+            f" only rounded it would be {max(losses[::2]):.2g} %."
+        )
+    print_chip_error(told, console)
+    _print_budget(firmware, console)
+    size = firmware.footprint
+    console.print(
+        f"flash {size.flash_bytes} B, RAM {size.ram_bytes} B, stack {size.stack_bytes} B"
+        f" ({size.stacks[0][0]}) on {size.core}, by {size.compiler} {' '.join(size.flags)}"
+    )
+    console.print(
+        f"bit-exact: {firmware.check.vectors} steps on {' = '.join(firmware.check.backends)}, every"
+        " node, state and flag, 0 LSB"
+    )
+    if firmware.chip is not None:
+        console.print(
+            f"{firmware.chip.core}, emulated: {firmware.chip.steps} steps with the same drifts and"
+            f" flags; {firmware.chip.instructions_per_step} instructions per step"
+        )
+    else:
+        console.print("not run on an emulated core: `pip install unicorn`")
+    console.print(
+        f"no overflow for any input: {firmware.certificate.holds} claims of certificate.json, each"
+        " derived again from the C"
+    )
+    for folder in sorted({path.parent for path in firmware.files}):
+        names = ", ".join(path.name for path in firmware.files if path.parent == folder)
+        console.print(f"wrote {show_path(folder, directory)}/: {names}")
+
+
+def _print_budget(firmware: Any, console: Any) -> None:
+    """Print what quantization costs, node by node, and over time."""
+    from zerodrift.operations.signal import IntegerInput
+
+    table = open_table(
+        "What quantization costs inside the calibrated ranges, RMS of integer minus float model",
+        ("",),
+        [f"{e.name} {e.unit}" for e in firmware.errors],
+    )
+    inputs = {
+        node.name: firmware.model.channels[node.channel].name
+        for node in firmware.model.nodes
+        if isinstance(node, IntegerInput)
+    }
+    budget = firmware.budget
+    table.add_row("whole model", *(f"{x:.2g}" for x in budget.total), end_section=True)
+    for node in budget.largest[:BUDGET_ROWS]:
+        label = node.node if node.kind in node.node else f"{node.node} ({node.kind})"
+        label = f"input {inputs[node.node]}" if node.node in inputs else label
+        table.add_row(f"of it {label}", *(f"{x:.2g}" for x in node.rms))
+    table.add_section()
+    for span in budget.over_time:
+        first = f"{span.first_step:.0e}" if span.first_step else "0"
+        label = f"steps {first} to {span.last_step:.0e}".replace("e+0", "e")
+        table.add_row(label, *(f"{x:.2g}" for x in span.rms))
+    console.print(table)

@@ -1,0 +1,261 @@
+"""`zerodrift fleet`: hundreds of sensors of one design, each to checked C, and the yield."""
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from zerodrift.app.commands.common import (
+    changes_project,
+    directory_option,
+    json_option,
+    print_json,
+    skip_invalid_option,
+)
+
+if TYPE_CHECKING:
+    from zerodrift.fleet.report import FleetReport
+    from zerodrift.fleet.run import Progress
+
+SHOWN = 10
+"""Sensors of each kind that the terminal shows; the report has all."""
+DEVICES = ("auto", "cpu", "cuda")
+
+
+@click.command("fleet")
+@directory_option
+@json_option
+@skip_invalid_option
+@click.option(
+    "--jobs",
+    type=click.IntRange(1, 512),
+    default=None,
+    help="Processes on this machine (default: one per core; 1 with a GPU).",
+)
+@click.option(
+    "--batch",
+    type=click.IntRange(1, 100_000),
+    default=None,
+    help="Sensors that are compiled, and trained, together (default: 16; 32 with a network).",
+)
+@click.option(
+    "--firmware/--no-firmware",
+    "with_firmware",
+    default=True,
+    help="Generate and check each sensor's C (default), or only fit, train and report.",
+)
+@click.option("--fresh", is_flag=True, help="Compute every sensor anew, kept results too.")
+@click.option(
+    "--device",
+    type=click.Choice(DEVICES),
+    default="auto",
+    show_default=True,
+    help="What trains the networks: a GPU if PyTorch has one, or what is named.",
+)
+@click.option("--ray", "over_ray", is_flag=True, help="Work over Ray instead of --jobs alone.")
+@click.option(
+    "--ray-address",
+    metavar="ADDRESS",
+    default=None,
+    help="Of a running cluster, such as auto or 10.0.0.5:6379; implies --ray.",
+)
+@changes_project
+def command(
+    directory: Path,
+    as_json: bool,
+    skip_invalid: bool,
+    jobs: int | None,
+    batch: int | None,
+    with_firmware: bool,
+    fresh: bool,
+    device: str,
+    over_ray: bool,
+    ray_address: str | None,
+) -> None:
+    """Calibrate all sensors of one design: fit, train, generate, check, and report the yield.
+
+    The design is zerodrift.toml; {sensor} in [fleet] folder or in the selectors of [logs] stands
+    for a sensor's name. Writes firmware/SENSOR/ with header, source, parameters and certificate,
+    the shared firmware/runtime/, and build/fleet/report.json, .csv and .md.
+
+    A rerun works only on sensors whose logs or design have changed, or that failed. A bad log
+    spoils its own sensor only. Exit code 1: a sensor has no result, is refused by the gate, or
+    exceeds a limit.
+    """
+    from zerodrift.base.config import load_config
+    from zerodrift.base.errors import CheckError
+    from zerodrift.fleet.design import Design
+    from zerodrift.fleet.executors import Executor, OverRay, Processes, Serial, import_ray
+    from zerodrift.fleet.report import ERROR, FAIL, describe_report, judge_fleet, write_report
+    from zerodrift.fleet.run import run_fleet
+
+    config = load_config(directory)
+    place = choose_device(device, config.network.kind != "none")
+    jobs = jobs or (1 if place != "cpu" else os.cpu_count() or 1)
+    design = Design(config, with_firmware, skip_invalid, place)
+    executor: Executor
+    if over_ray or ray_address:
+        import_ray()
+        executor = OverRay(ray_address, jobs)
+    else:
+        executor = Processes(jobs) if jobs > 1 else Serial()
+    state = _State()
+    try:
+        with _show_progress(state) as tell:
+            outcomes = run_fleet(design, executor, jobs=jobs, batch=batch, fresh=fresh, report=tell)
+    except (KeyboardInterrupt, CheckError):
+        click.echo(state.explain_stop(), err=True)
+        raise
+    report = judge_fleet(design, outcomes)
+    paths = write_report(design, report)
+    if as_json:
+        print_json(describe_report(report))
+    else:
+        _print(report, [str(path) for path in paths], config.directory)
+    if report.count(ERROR) or report.count(FAIL):
+        sys.exit(CheckError.exit_code)
+
+
+def choose_device(device: str, needed: bool) -> str:
+    """Return where networks are trained.
+
+    Raises:
+        InputError: a GPU is asked for and PyTorch has none.
+    """
+    if not needed or device == "cpu":
+        return "cpu"
+    import torch
+
+    from zerodrift.base.errors import InputError
+
+    there = torch.cuda.is_available()
+    if device == "cuda" and not there:
+        raise InputError(
+            "--device cuda: PyTorch finds no GPU here; expected one. Leave the option out to train"
+            " on the CPU."
+        )
+    return "cuda" if there else "cpu"
+
+
+class _State:
+    """How far the run is, for what is said when it ends early."""
+
+    def __init__(self) -> None:
+        self.progress: Progress | None = None
+
+    def explain_stop(self) -> str:
+        """Return what is kept and how to go on."""
+        if self.progress is None:
+            return "stopped before the first sensor was done"
+        p = self.progress
+        return (
+            f"stopped: {p.done - p.failed} of {p.total} sensors are done and kept; the same command"
+            " goes on with the others"
+        )
+
+
+@contextmanager
+def _show_progress(state: _State) -> "Iterator[Callable[[Progress], None]]":
+    """Show a bar on stderr, or lines for another program."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    from zerodrift.app.commands.console import PROGRESS_LINES, print_progress
+
+    def describe(p: "Progress") -> str:
+        parts = [f"{p.kept} kept"] * bool(p.kept) + [f"{p.failed} failed"] * bool(p.failed)
+        return ", ".join(parts)
+
+    if os.environ.get(PROGRESS_LINES):
+
+        def tell_line(p: "Progress") -> None:
+            state.progress = p
+            print_progress(f"{p.done} of {p.total} sensors {describe(p)}".strip())
+
+        yield tell_line
+        return
+    console = Console(stderr=True)
+    columns = (
+        *(TextColumn("sensors"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()),
+        TextColumn("{task.fields[text]}"),
+    )
+    with Bar(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None, text="")
+
+        def tell(p: "Progress") -> None:
+            state.progress = p
+            bar.update(task, completed=p.done, total=p.total, text=describe(p))
+
+        yield tell
+
+
+def _print(report: "FleetReport", paths: list[str], directory: Path) -> None:
+    """Print yield, spread, and the first sensors of each kind that need a look."""
+    from zerodrift.app.commands.console import open_console, open_table
+    from zerodrift.fleet.report import ERROR, FAIL, PASS
+
+    console = open_console()
+    total = len(report.verdicts)
+    kept = sum(v.kept for v in report.verdicts)
+    if report.results:
+        table = open_table(
+            "Held-out RMSE over the fleet",
+            ("output", "unit"),
+            ("uncompensated", "median", "95 %", "worst", "floor", "x floor", "worst", "limit"),
+        )
+        for name, row in report.spread().items():
+            keys = ("rmse_uncompensated_median", "rmse_median", "rmse_p95", "rmse_worst")
+            numbers = [f"{row[key]:.4g}" for key in (*keys, "noise_floor_median")]
+            numbers += [f"{row['ratio_median']:.3g}", f"{row['ratio_worst']:.3g}"]
+            limit = "-" if row["limit"] is None else f"{row['limit']:g}"
+            table.add_row(name, row["unit"], *numbers, limit)
+        console.print(table)
+    for title, lines in (
+        ("could not be worked on", _explain(report, ERROR)),
+        ("fail", _explain(report, FAIL)),
+        ("outliers", [f"{v.sensor}: {v.outliers[0]}" for v in report.outliers]),
+    ):
+        if lines:
+            console.print(f"{title}:")
+            for line in lines[:SHOWN]:
+                console.print(f"  {line}")
+            if len(lines) > SHOWN:
+                console.print(f"  ... and {len(lines) - SHOWN} more, in the report")
+    passed = report.count(PASS)
+    console.print(
+        f"{passed} of {total} sensors pass ({100.0 * passed / total:.1f} %), {report.count(FAIL)}"
+        f" fail, {report.count(ERROR)} without result, {len(report.outliers)} outliers"
+        + (f"; {kept} kept from earlier runs" if kept else "")
+    )
+    console.print(_tell_check(report))
+    console.print("wrote " + ", ".join(_relative(path, directory) for path in paths))
+
+
+def _tell_check(report: "FleetReport") -> str:
+    """Return how much was compared bit for bit."""
+    checked = [r.vectors for r in report.results if r.vectors]
+    if not checked:
+        return "no firmware was generated"
+    return (
+        f"bit-exact: {len(checked)} models on reference = host, {sum(checked)} steps, drift, flags"
+        " and states, 0 LSB"
+    )
+
+
+def _explain(report: "FleetReport", status: str) -> list[str]:
+    """Return a line per sensor of a status, with the first reason."""
+    lines = []
+    for v in report.verdicts:
+        if v.status == status:
+            more = f" (and {len(v.reasons) - 1} more)" if len(v.reasons) > 1 else ""
+            lines.append(f"{v.sensor}: {v.reasons[0]}{more}")
+    return lines
+
+
+def _relative(path: str, directory: Path) -> str:
+    return str(Path(path).relative_to(directory)) if Path(path).is_relative_to(directory) else path

@@ -1,0 +1,106 @@
+"""`zerodrift history`: the staircase of held-out errors so far."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from zerodrift.app.commands.common import directory_option, json_option, print_json
+from zerodrift.app.commands.console import open_console, open_table
+from zerodrift.diagnosis.history import Step
+
+BAR_WIDTH = 48
+EIGHTHS = " ▏▎▍▌▋▊▉█"
+
+
+def draw_bar(ratio: float, largest: float, width: int = BAR_WIDTH) -> str:
+    """Return a bar on a logarithmic scale from the floor, a ratio of 1, to the largest ratio."""
+    if largest <= 1.0 or ratio <= 1.0:
+        return ""
+    eighths = round(8 * width * math.log(ratio) / math.log(largest))
+    return "█" * (eighths // 8) + EIGHTHS[eighths % 8].strip()
+
+
+@click.command()
+@directory_option
+@click.option(
+    "--html",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=None,
+    help="Write the picture, output by output, as a self-contained page.",
+)
+@json_option
+def command(directory: Path, html: Path | None, as_json: bool) -> None:
+    """Show every effect that was added or removed, with the held-out errors it brought.
+
+    The table gives the errors in their units; the bars give them as multiples of the noise floor,
+    root mean square over the outputs, on a logarithmic scale that begins at the floor.
+    """
+    from zerodrift.app.commands.revise import open_history
+    from zerodrift.base.config import load_config
+    from zerodrift.diagnosis.history import list_steps
+
+    config = load_config(directory)
+    path, entries = open_history(config)
+    steps = list_steps(entries)
+    if html is not None:
+        from zerodrift.app.commands.common import write_text
+        from zerodrift.report.figures import draw_staircase, render_page
+
+        title = f"{config.sensor_name}: history of the model"
+        notes = [f"{step.label}: {step.reason}" for step in steps if step.reason]
+        write_text(html, render_page(title, [draw_staircase(steps)], notes), directory)
+    if as_json:
+        print_json({"steps": describe_steps(steps)})
+        return
+    if not steps:
+        click.echo(f"No history yet in {path}: `zerodrift add EFFECT` begins one.")
+        return
+    print_steps(steps)
+    if html is not None:
+        click.echo(f"Wrote {html}")
+
+
+def describe_steps(steps: Sequence[Step]) -> list[dict[str, object]]:
+    """Return the staircase as it stands in the command's JSON."""
+    return [_describe_step(step) for step in steps]
+
+
+def _describe_step(step: Step) -> dict[str, object]:
+    return {
+        "step": step.label,
+        "effects": list(step.effects),
+        "rmse_heldout": dict(step.errors),
+        "noise_floor": dict(step.noise_floor),
+        "units": dict(step.units),
+        "ratio_to_floor": step.ratio(),
+        "reason": step.reason,
+    }
+
+
+def print_steps(steps: Sequence[Step]) -> None:
+    """Print the table, the picture, and the reasons."""
+    console = open_console()
+    outputs = list(dict.fromkeys(name for step in steps for name in step.errors))
+    units = {name: unit for step in steps for name, unit in step.units.items()}
+    table = open_table(
+        "Held-out RMSE, step by step", ("", "change"), [f"{n} {units.get(n, '')}" for n in outputs]
+    )
+    for number, step in enumerate(steps):
+        errors = [f"{step.errors[n]:.4g}" if n in step.errors else "-" for n in outputs]
+        table.add_row(str(number), step.label, *errors)
+    floor = steps[-1].noise_floor
+    table.add_section()
+    table.add_row("", "noise floor", *(f"{floor[n]:.4g}" if n in floor else "-" for n in outputs))
+    console.print(table)
+    ratios = [step.ratio() for step in steps]
+    largest = max((ratio for ratio in ratios if ratio is not None), default=1.0)
+    width = max(len(step.label) for step in steps)
+    for number, (step, ratio) in enumerate(zip(steps, ratios, strict=True)):
+        if ratio is not None:
+            bar = draw_bar(ratio, largest)
+            console.print(f"{number:3} {step.label:<{width}} │{bar} {ratio:.2f} x floor")
+    for number, step in enumerate(steps):
+        if step.reason:
+            console.print(f"{number:3} {step.label}: {step.reason}.")

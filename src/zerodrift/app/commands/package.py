@@ -1,0 +1,59 @@
+"""`zerodrift package`: the model as a package of a build system."""
+
+from pathlib import Path
+
+import click
+
+from zerodrift.app.commands.common import (
+    changes_project,
+    directory_option,
+    json_option,
+    print_json,
+    print_notes,
+)
+from zerodrift.base.journal import write_all
+from zerodrift.base.ownership import MANIFEST, list_own, refuse_foreign, render_manifest
+
+
+@click.command()
+@click.argument("kind", type=click.Choice(["cmake", "zephyr", "arduino", "platformio"]))
+@directory_option
+@json_option
+@changes_project
+def command(kind: str, directory: Path, as_json: bool) -> None:
+    """Write the model as a package into <out>/packages/KIND, in place of the one that lies there.
+
+    Files that zerodrift did not write stay, and are never replaced.
+
+    Takes the C and its runtime as they lie in the firmware folder, which `zerodrift firmware`
+    writes once every compared bit is equal. Exit code 1: a file of it was changed or is missing, or
+    it is stale.
+    """
+    from zerodrift.codegen.packages import render_package
+    from zerodrift.app.commands.firmware import show_path
+    from zerodrift.base.config import load_config
+    from zerodrift.export.integer_model import load_model
+    from zerodrift.verify.manifest import check_manifest
+    from zerodrift.verify.replay import read_code
+
+    config = load_config(directory)
+    check = check_manifest(config).require(f"{show_path(config.firmware_out, config.directory)}/")
+    print_notes(tuple(f"not checked: {n.what}: {n.why}" for n in check.not_checked))
+    model = load_model(config.build_directory / "model.json")
+    code = read_code(model, config.firmware_out)
+    files = render_package(kind, model, code, code.runtime or {})
+    place = config.firmware_out / "packages" / kind
+    contents = {name: text.encode() for name, text in files.items()}
+    contents[MANIFEST] = render_manifest(contents, package=kind, model=model.hash)
+    refuse_foreign((place / name for name in contents), place)
+    changes: dict[Path, bytes | None] = {
+        place / name: None for name in list_own(place) if name not in contents
+    }
+    changes |= {place / name: content for name, content in contents.items()}
+    write_all(config.directory, changes)
+    shown = show_path(place, config.directory)
+    written = [f"{shown}/{name}" for name in sorted(contents)]
+    if as_json:
+        print_json({"package": kind, "model_hash": model.hash, "files": written})
+        return
+    click.echo("wrote " + ", ".join(written))

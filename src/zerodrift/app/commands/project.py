@@ -1,0 +1,56 @@
+"""Opens a project for a command: example logs, configuration, dataset, trained compensator."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zerodrift.base.config import Config, load_config
+from zerodrift.dataset.runs import Dataset
+from zerodrift.base.errors import InputError
+from zerodrift.app.trust import remember
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from zerodrift.train.compensator import Compensator
+
+
+def open_project(directory: Path, skip_invalid: bool = False) -> tuple[Config, Dataset]:
+    """Return a project's configuration and logs; a bundled example's logs are simulated first.
+
+    Raises:
+        InputError: zerodrift.toml or a log is missing or wrong.
+    """
+    from zerodrift.dataset.load import load_dataset
+    from zerodrift.lab.twin.example import ensure_example_logs
+
+    ensure_example_logs(directory)
+    config = load_config(directory)
+    remember(config.plugin_files)
+    return config, load_dataset(config, skip_invalid)
+
+
+def train_project(config: Config, dataset: Dataset, console: "Console") -> "Compensator":
+    """Return the project's compensator: that in build/ if configuration and logs are the same."""
+    from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.train.compensator import DESCRIPTION, Compensator
+    from zerodrift.train.progress import show_progress
+    from zerodrift.train.training import list_checkpoints, mark_inputs, train
+
+    catalogue = load_catalogue(config.plugin_files)
+    mark = mark_inputs(config, dataset)
+    try:
+        kept = Compensator.load(config.build_directory, catalogue)
+        if kept.trained_from == mark:
+            console.print("the logs and the model are those of the last training; not repeated")
+            return kept
+        console.print("the logs or the model have changed since the last training; trained again")
+    except InputError as error:
+        if (config.build_directory / DESCRIPTION).exists():
+            console.print(f"note: {error} It is trained again now.", markup=False)
+    config.build_directory.mkdir(parents=True, exist_ok=True)
+    with show_progress("training") as report:
+        trained = train(config, dataset, catalogue=catalogue, report=report)
+    trained.compensator.save(
+        config.directory, config.build_directory, done_with=list_checkpoints(config)
+    )
+    return trained.compensator

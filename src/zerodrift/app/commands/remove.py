@@ -1,0 +1,73 @@
+"""`zerodrift remove EFFECT`: one effect less, and what that costs."""
+
+from pathlib import Path
+
+import click
+
+from zerodrift.app.commands.common import (
+    changes_project,
+    directory_option,
+    json_option,
+    print_json,
+    print_notes,
+    skip_invalid_option,
+)
+from zerodrift.base.errors import InputError
+
+
+@click.command()
+@click.argument("effect")
+@directory_option
+@click.option(
+    "--set",
+    "options",
+    multiple=True,
+    metavar="NAME=TEXT",
+    help="signal=NAME says which one, where an effect is in the model for several thermometers.",
+)
+@json_option
+@skip_invalid_option
+@changes_project
+def command(
+    effect: str, directory: Path, options: tuple[str, ...], as_json: bool, skip_invalid: bool
+) -> None:
+    """Remove EFFECT from zerodrift.toml, refit the others together, and show what that costs.
+
+    The removal is made in any case; the history says whether the held-out error suffered.
+    """
+    from zerodrift.app.commands.console import open_console, show_progress
+    from zerodrift.app.commands.project import open_project
+    from zerodrift.app.commands.revise import open_history, print_revision, read_text, write_revision
+    from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.diagnosis.changes import propose_removal
+    from zerodrift.diagnosis.revision import describe_revision, revise
+    from zerodrift.base.toml_edit import remove_effect
+
+    signal = _read_signal(options)
+    with show_progress("reading logs") as say:
+        config, dataset = open_project(directory, skip_invalid)
+        catalogue = load_catalogue(config.plugin_files)
+        change = propose_removal(config, effect, signal)
+        text = read_text(config.path)
+        text_after = remove_effect(text, change.place, path=config.path)
+        open_history(config)
+        say(f"fitting with and without {effect}")
+        revision = revise(config, dataset, catalogue, change)
+    print_notes(dataset.notes)
+    write_revision(config, text, text_after, revision)
+    if as_json:
+        print_json({**describe_revision(revision), "removed": True})
+        return
+    print_revision(revision)
+    open_console().print(
+        f"{revision.reason[0].upper()}{revision.reason[1:]}. Removed {effect} from "
+        f"{config.path.name}; zerodrift add {effect} brings it back."
+    )
+
+
+def _read_signal(options: tuple[str, ...]) -> str:
+    for text in options:
+        name, _, value = text.partition("=")
+        if name.strip() != "signal" or not value.strip():
+            raise InputError(f"--set {text}: expected signal=NAME, the effect's thermometer.")
+    return options[-1].partition("=")[2].strip() if options else ""

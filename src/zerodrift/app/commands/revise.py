@@ -1,0 +1,148 @@
+"""What `add` and `remove` share: how a change is written, and how it is printed."""
+
+import os
+from pathlib import Path
+
+from zerodrift.app.commands.console import open_console, open_table
+from zerodrift.base.config import Config, parse_config
+from zerodrift.base.errors import InputError
+from zerodrift.base.journal import write_all
+from zerodrift.diagnosis.changes import name_effect
+from zerodrift.diagnosis.history import FILE_NAME, Entry, load_history, record, render_history
+from zerodrift.diagnosis.revision import (
+    Revision,
+    describe_coefficients,
+    describe_parameters,
+)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of zerodrift.toml with its own line ends.
+
+    Raises:
+        InputError: it may not be written, so that nothing should be computed in vain.
+    """
+    if not path.stat().st_mode & 0o222 or not os.access(path, os.W_OK):
+        raise InputError(
+            f"{path}: is read-only; expected a file that may be edited. Make it writable "
+            "(chmod u+w), or edit the effects by hand."
+        )
+    return path.read_bytes().decode("utf-8")
+
+
+def open_history(config: Config) -> tuple[Path, tuple[Entry, ...]]:
+    """Return where the project's history lies, and its entries.
+
+    Raises:
+        InputError: the history is damaged.
+    """
+    path = config.build_directory / FILE_NAME
+    return path, load_history(path)
+
+
+def write_revision(config: Config, before: str, text: str, revision: Revision) -> None:
+    """Write zerodrift.toml and append to the history, both or neither.
+
+    Args:
+        config: the project.
+        before: the text of zerodrift.toml that the revision was computed from.
+        text: its new text.
+        revision: what was computed.
+
+    Raises:
+        InputError: one of them cannot be written, or zerodrift.toml was edited meanwhile; both
+            are as they were.
+    """
+    # The edited text must say what was fitted, not only parse.
+    written = [
+        (e.kind, dict(e.held), dict(e.options)) for e in parse_config(text, config.path).effects
+    ]
+    wanted = [(e.kind, dict(e.held), dict(e.options)) for e in revision.change.effects]
+    if written != wanted:
+        raise InputError(
+            f"{config.path}: its layout is not understood well enough to edit it; expected "
+            "[[effect]] tables with one key to a line. Edit the effects by hand."
+        )
+    if read_text(config.path) != before:
+        raise InputError(
+            f"{config.path}: was edited while this command computed; expected it to stay as it was"
+            " read. Nothing was written; run the command again."
+        )
+    path, entries = open_history(config)
+    history = render_history([*entries, record(revision)])
+    write_all(config.directory, {path: history, config.path: text.encode()})
+
+
+def print_revision(revision: Revision) -> None:
+    """Print the errors before and after, and what was fitted."""
+    console = open_console()
+    model = revision.after.model
+    table = open_table(
+        f"Held-out RMSE ({revision.after.held_out.method})",
+        ("output", "unit"),
+        ("before", "after", "after/before", "noise floor", "x floor"),
+    )
+    for k, name in enumerate(model.outputs):
+        before, after = float(revision.before.rmse[k]), float(revision.after.rmse[k])
+        floor = float(revision.floor.rms[k])
+        table.add_row(
+            name,
+            model.units[k],
+            f"{before:.4g}",
+            f"{after:.4g}",
+            f"{after / before:.3f}" if before > 0.0 else "-",
+            f"{floor:.4g}",
+            f"{after / floor:.2f}" if floor > 0.0 else "-",
+        )
+    console.print(table)
+    notes = [revision.after.held_out.explain(), revision.floor.explain()]
+    if revision.tared:
+        notes.append("each run's own offset is taken off, as the logs are zeroed one by one")
+    for note in notes:
+        console.print(f"{note[0].upper()}{note[1:]}.")
+    _print_parameters(revision)
+    for note in model.notes:
+        console.print(f"note: {note}.")
+
+
+def _print_parameters(revision: Revision) -> None:
+    """Print the parameters of all effects, and the coefficients of the new one."""
+    console = open_console()
+    model = revision.after.model
+    table = open_table("Parameters", ("effect", "parameter", "unit", ""), ("value", "std error"))
+    for fitted in model.terms:
+        for name, told in describe_parameters(fitted).items():
+            remark = "held" if told["held"] else "at its bound" if told["at_bound"] else ""
+            table.add_row(
+                fitted.term.name,
+                name,
+                told["unit"],
+                remark,
+                f"{told['value']:.4g}",
+                _write_error(told["std_error"]),
+            )
+    if table.row_count:
+        console.print(table)
+    term = revision.term
+    rows = describe_coefficients(model, term) if term is not None else []
+    if not rows:
+        return
+    table = open_table(
+        f"Coefficients of {name_effect(revision.change.effect)}",
+        ("feature", "output", "unit"),
+        ("value", "std error"),
+    )
+    for row in rows:
+        table.add_row(
+            row["feature"],
+            row["output"],
+            row["unit"],
+            f"{row['value']:.4g}",
+            _write_error(row["std_error"]),
+        )
+    console.print(table)
+
+
+def _write_error(error: float | None) -> str:
+    """Return a standard error; a dash where there is none."""
+    return "-" if error is None else f"{error:.2g}"

@@ -1,0 +1,131 @@
+"""`zerodrift train`: fits the effects, then trains the network on what is left."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from zerodrift.app.commands.common import (
+    changes_project,
+    directory_option,
+    json_option,
+    print_json,
+    print_notes,
+    skip_invalid_option,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from zerodrift.train.compensator import Compensator
+    from zerodrift.train.scores import Errors, Scores
+
+
+@click.command("train")
+@directory_option
+@json_option
+@skip_invalid_option
+@click.option("--epochs", type=click.IntRange(min=1), help="Instead of [network] epochs.")
+@click.option("--starts", type=click.IntRange(min=1), help="Instead of [network] starts.")
+@click.option(
+    "--resume/--fresh",
+    default=True,
+    help="Take up an interrupted training (default), or begin again.",
+)
+@changes_project
+def command(
+    directory: Path,
+    as_json: bool,
+    skip_invalid: bool,
+    epochs: int | None,
+    starts: int | None,
+    resume: bool,
+) -> None:
+    """Fit the effects of zerodrift.toml, then train the network on what they leave.
+
+    Writes build/compensator.json and build/network.onnx. An interrupted training is taken up again
+    by the next call, with the same result to the bit.
+    """
+    from zerodrift.app.commands.console import open_console, print_advice
+    from zerodrift.app.commands.project import open_project
+    from zerodrift.diagnosis.advice import advise
+    from zerodrift.train.progress import show_progress
+    from zerodrift.train.training import list_checkpoints, train
+
+    config, dataset = open_project(directory, skip_invalid)
+    with show_progress("training") as report:
+        trained = train(config, dataset, epochs=epochs, starts=starts, resume=resume, report=report)
+    trained.compensator.save(
+        config.directory, config.build_directory, done_with=list_checkpoints(config)
+    )
+    advice = advise(config, dataset)
+    if as_json:
+        told = {"advice": advice.to_dict() if advice is not None else None}
+        print_json({**_describe(trained.compensator, trained.scores), **told})
+    else:
+        _print_table(trained.scores)
+        print_advice(advice, open_console())
+        print_notes((*dataset.notes, *trained.compensator.notes))
+
+
+def _describe(compensator: "Compensator", scores: "Scores") -> dict[str, Any]:
+    """Return the result as JSON values; what was not measured is null."""
+
+    def list_errors(errors: "Errors", k: int) -> dict[str, float | None]:
+        full_scale = scores.full_scale[k]
+        pairs = {
+            "rmse_uncompensated": errors.uncompensated[k],
+            "rmse_physics": errors.physics[k],
+            "rmse": errors.compensated[k],
+            "rmse_pct_fs": 100.0 * errors.compensated[k] / full_scale,
+        }
+        return {name: float(v) if math.isfinite(v) else None for name, v in pairs.items()}
+
+    return {
+        "outputs": {
+            name: {
+                "unit": scores.units[k],
+                "in_sample": list_errors(scores.in_sample, k),
+                "held_out": list_errors(scores.held_out, k),
+            }
+            for k, name in enumerate(scores.outputs)
+        },
+        "held_out": {"runs": list(scores.held_out_runs), "explanation": scores.explanation},
+        "effects": list(compensator.physics.effects),
+        "features": [str(tap) for tap in compensator.front_end.taps]
+        if compensator.front_end
+        else [],
+        "network": compensator.network is not None,
+        "notes": list(compensator.notes),
+    }
+
+
+def _print_table(scores: "Scores") -> None:
+    """Print the errors, held-out ones last since they are the ones to trust."""
+    from zerodrift.app.commands.console import open_console, open_table
+
+    stages = [
+        f"{use}\n{stage}"
+        for use in ("in-sample", "held out")
+        for stage in ("raw", "physics", "network")
+    ]
+    table = open_table("RMSE, in the unit and in % of full scale", ("output",), stages)
+    for k, name in enumerate(scores.outputs):
+        cells = [
+            _format(values, k, scores.full_scale[k])
+            for errors in (scores.in_sample, scores.held_out)
+            for values in (errors.uncompensated, errors.physics, errors.compensated)
+        ]
+        table.add_row(f"{name} [{scores.units[k]}]", *cells)
+    console = open_console()
+    console.print(table)
+    console.print(scores.explanation)
+
+
+def _format(values: "NDArray[np.float64]", k: int, full_scale: float) -> str:
+    value = float(values[k])
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.4g}\n{100.0 * value / full_scale:.3g} %"

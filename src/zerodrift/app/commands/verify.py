@@ -1,0 +1,127 @@
+"""`zerodrift verify`: what lies in the firmware folder and in build/, against the model."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from zerodrift.app.commands.common import directory_option, json_option, print_json
+from zerodrift.base.errors import CheckError, InputError
+
+if TYPE_CHECKING:
+    from zerodrift.verify.replay import Replay
+
+
+@click.command()
+@directory_option
+@json_option
+@click.option(
+    "--require",
+    "required",
+    metavar="CORE",
+    multiple=True,
+    help="Fail unless this was checked: a core such as cortex-m4, host, onnx or manifest."
+    " May be given more than once.",
+)
+@click.option(
+    "--certificate",
+    is_flag=True,
+    help="Instead, derive every bound of certificate.json again from the C alone.",
+)
+def command(directory: Path, as_json: bool, required: tuple[str, ...], certificate: bool) -> None:
+    """Build and run what lies in the firmware folder, and hold it against the model.
+
+    Every file is compared with firmware/manifest.json; the folder's own C and runtime are compiled
+    in each of their layouts, for this host and for emulated cores, and run with build/integer.onnx
+    over the golden vectors; names in the header are compared with the model. What cannot run here
+    is told as not checked.
+
+    Exit code 1: a file was changed, is missing or stale, a bit or a name in the header differs, a
+    core of --require was not checked, or with --certificate a claim does not hold.
+    """
+    from zerodrift.app.commands.console import show_progress
+    from zerodrift.base.config import load_config
+    from zerodrift.base.journal import read_together
+    from zerodrift.verify.replay import replay
+
+    if certificate:
+        _check_certificate(load_config(directory).firmware_out, as_json)
+        return
+    config = load_config(directory)
+    folders = (config.build_directory, config.firmware_out)
+    with show_progress("verifying") as say:
+        outcome = read_together(directory, folders, lambda: replay(config, say, required))
+    if as_json:
+        print_json(describe(outcome))
+    outcome.require(required)
+    if not as_json:
+        _print(outcome)
+
+
+def describe(outcome: "Replay") -> dict[str, Any]:
+    """Return the command's JSON."""
+    return {
+        "bit_exact": outcome.bit_exact,
+        "vectors": outcome.vectors,
+        "backends": list(outcome.backends),
+        "model_hash": outcome.model_hash,
+        "failures": list(outcome.failures),
+        "header": [
+            {"name": f.name, "found": f.found, "expected": f.expected} for f in outcome.header
+        ],
+        "changed": [
+            {"kind": f.kind, "name": f.name, "text": f.text}
+            for f in outcome.findings
+            if not f.is_stale
+        ],
+        "stale": [
+            {"kind": f.kind, "name": f.name, "text": f.text} for f in outcome.findings if f.is_stale
+        ],
+        "forced": list(outcome.forced),
+        "not_checked": [{"what": n.what, "why": n.why} for n in outcome.not_checked],
+    }
+
+
+def _print(outcome: "Replay") -> None:
+    if outcome.bit_exact:
+        click.echo(
+            f"bit-exact: {outcome.vectors} steps on the host, the golden vectors on"
+            f" {' = '.join(outcome.backends)}, 0 LSB (model {outcome.model_hash[:12]})"
+        )
+    for text in outcome.forced:
+        click.echo(f"FORCED when it was built: {text}")
+    for missing in outcome.not_checked:
+        click.echo(f"NOT CHECKED: {missing.what}: {missing.why}")
+
+
+def _check_certificate(folder: Path, as_json: bool) -> None:
+    """Tell which claims hold; needs nothing but the firmware folder."""
+    from zerodrift.app.commands.console import show_progress
+    from zerodrift.verify.certificate import FILE_NAME
+    from zerodrift.verify.certificate_check import check_certificate
+
+    if not (folder / FILE_NAME).is_file():
+        raise InputError(
+            f"{folder / FILE_NAME}: there is no certificate. Run `zerodrift firmware`."
+        )
+    with show_progress("deriving every bound again from the C"):
+        outcome = check_certificate(folder)
+    if as_json:
+        print_json(
+            {
+                "certificate": "refused" if outcome.failures else "holds",
+                "claims_that_hold": outcome.holds,
+                "failures": list(outcome.failures),
+            }
+        )
+    if outcome.failures:
+        lines = "\n  ".join(outcome.failures)
+        raise CheckError(
+            f"{folder / FILE_NAME} is refused; {outcome.holds} claims hold, these do not:\n"
+            f"  {lines}\nDo not flash this C; run `zerodrift firmware` again."
+        )
+    if not as_json:
+        click.echo(
+            f"certificate holds: {outcome.holds} bounds and shifts derived again from the C alone,"
+            " for any input"
+        )

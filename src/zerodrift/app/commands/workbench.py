@@ -1,0 +1,53 @@
+"""`zerodrift workbench`: the loop in a browser, on this machine alone."""
+
+import contextlib
+import webbrowser
+from pathlib import Path
+
+import click
+
+from zerodrift.app.commands.common import directory_option, skip_invalid_option, trust_option
+from zerodrift.base.config import FILE_NAME, load_config
+from zerodrift.base.errors import InputError
+from zerodrift.app.trust import require_trust
+
+
+@click.command()
+@directory_option
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, help="Port (default: any that is free)."
+)
+@click.option("--no-browser", is_flag=True, help="Print the address only; open no browser.")
+@trust_option
+@skip_invalid_option
+def command(directory: Path, port: int, no_browser: bool, trust: bool, skip_invalid: bool) -> None:
+    """Open a page on DIR: measurement, model and residual, the verdict, Add, Undo, firmware.
+
+    The page runs the commands of this command line and shows what they print. It is served on
+    127.0.0.1 to whoever has the token in its address; nothing leaves this machine. Without a
+    zerodrift.toml in DIR it begins a new project from logs, or a simulated one to practise on.
+    """
+    try:
+        from zerodrift.workbench.server import Workbench
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"the workbench needs the package '{error.name}'; install it with: pip install dash"
+        ) from error
+    require_trust(_list_plugins(directory), trusted=trust)
+    bench = Workbench(directory, port, skip_invalid=skip_invalid)
+    click.echo(f"Workbench on {bench.place.directory}: {bench.url}")
+    click.echo("Ctrl-C ends it.")
+    if not no_browser:
+        webbrowser.open(bench.url)
+    with contextlib.suppress(KeyboardInterrupt):
+        bench.serve()
+    bench.close()
+    click.echo("ended")
+
+
+def _list_plugins(directory: Path) -> tuple[Path, ...]:
+    """Return the project's files of effects; none where the page has yet to say what is wrong."""
+    try:
+        return load_config(directory).plugin_files if (directory / FILE_NAME).is_file() else ()
+    except InputError:
+        return ()

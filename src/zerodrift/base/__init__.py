@@ -1,0 +1,1 @@
+"""Configuration, errors and files: what every stage imports."""

@@ -1,0 +1,422 @@
+"""zerodrift.toml as frozen dataclasses; the names in it are the users' contract."""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+
+from zerodrift.base.column_config import CodesConfig, read_column
+from zerodrift.base.errors import InputError
+from zerodrift.base.files import name_kind
+from zerodrift.base.fleet_config import PLACEHOLDER, FleetConfig, read_fleet
+from zerodrift.base.toml_lines import find_line, index_lines
+from zerodrift.base.toml_table import LARGEST, TomlTable
+
+FILE_NAME = "zerodrift.toml"
+FOLDER = "firmware"
+"""Where the C goes unless `[firmware] out` says otherwise."""
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+"""Unit of a time column -> seconds."""
+USES = ("train", "test", "dwell")
+"""What `[logs]` selects runs for."""
+DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
+MOST = {"starts": 1000, "epochs": 1_000_000}
+"""Trainings from different weights, and passes over the logs, that are still meant."""
+MODEL_TABLES = ("effect", "network", "quantization", "firmware", "plugins", "fleet")
+NETWORK_KINDS = ("lag_bank", "gru", "mlp", "mlp_seq", "tcn", "none")
+WINDOWED_KINDS = ("mlp_seq", "tcn")
+"""These see a window of samples; the GRU may."""
+HIDDEN = {"mlp": 36, "mlp_seq": 36}
+"""Units of the kinds whose default is not the GRU's."""
+WINDOW = 10
+LONGEST_WINDOW = 4096
+"""A recurrent network goes through the whole window at every step."""
+WEIGHT_FORMATS = ("int16", "int8")
+MAX_OUTPUTS = 16
+MAX_HIDDEN = 256
+GRU_FORMS = ("reset_after", "reset_before")
+NETWORK_KEYS = ("kind", "hidden", "memory", "seed", "lags_s")
+NETWORK_OPTIONS = ("starts", "epochs", "form", "learning_rate", "spacing_s")
+
+
+@dataclass(frozen=True)
+class OutputConfig:
+    """One quantity that drifts (`[outputs.NAME]`)."""
+
+    name: str
+    measured: str
+    """Column before compensation, in `unit`."""
+    reference: str | float
+    """Column, or a number; 0.0 where the file names none."""
+    unit: str
+    full_scale: float
+
+
+@dataclass(frozen=True)
+class EffectConfig:
+    """One `[[effect]]` table: its kind, the parameters held at a value, other options (text)."""
+
+    kind: str
+    held: Mapping[str, float] = field(default_factory=dict)
+    """Parameters written in the table: held, not fitted."""
+    options: Mapping[str, str] = field(default_factory=dict)
+    """Text options such as `signal = "body_temperature"`."""
+    line: int = 0
+    """Line in zerodrift.toml, for messages."""
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """`[network]`: what learns the part that physics leaves."""
+
+    kind: str = "none"
+    """lag_bank | gru | mlp | mlp_seq | tcn | none."""
+    hidden: int = 16
+    memory: str | int = "stream"
+    """"stream", or the window's length in samples."""
+    seed: int = 0
+    options: Mapping[str, float | int | str | bool] = field(default_factory=dict)
+    """Any further documented key, for example `starts`, `epochs`, `form`."""
+    lags_s: tuple[float, ...] = ()
+    """Time constants of the lag bank that the network sees; empty = the trainer's own choice."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """A whole zerodrift.toml, checked."""
+
+    path: Path
+    """The zerodrift.toml itself; relative names in it are relative to its folder."""
+    sensor_name: str
+    time_column: str
+    temperature_column: str
+    sample_period_s: float
+    outputs: tuple[OutputConfig, ...]
+    inputs: Mapping[str, str]
+    """Channel name -> column."""
+    train_logs: tuple[str, ...]
+    test_logs: tuple[str, ...]
+    dwell_logs: tuple[str, ...]
+    effects: tuple[EffectConfig, ...]
+    network: NetworkConfig
+    weights: str
+    """int16 | int8."""
+    firmware_out: Path
+    """Absolute folder for the generated C."""
+    plugin_files: tuple[Path, ...]
+    where: Mapping[str, str] = field(default_factory=dict)
+    """`[logs] where`: column -> the value that a row must have there to be read."""
+    firmware_prefix: str = ""
+    """What the C's names begin with, `{sensor}` standing for a fleet's sensor; empty: its name."""
+    firmware_guard: bool = False
+    """Whether the C keeps a checksum over its state."""
+    fleet: FleetConfig = field(default_factory=FleetConfig)
+    """`[fleet]`: for `zerodrift fleet` alone."""
+    time_unit: str = ""
+    """Of `time_column`: s | ms | us | ns | min | h; empty where the table states none."""
+    temperature_codes: CodesConfig = field(default_factory=CodesConfig)
+    """What the chip is given of the thermometer."""
+    input_codes: Mapping[str, CodesConfig] = field(default_factory=dict)
+    """Channel name -> what the chip is given of it."""
+
+    @property
+    def directory(self) -> Path:
+        """The project directory: where zerodrift.toml lies."""
+        return self.path.parent
+
+    @property
+    def build_directory(self) -> Path:
+        """`build/` in the project directory: fitted values, checkpoints, artefacts."""
+        return self.directory / "build"
+
+
+def load_config(path_or_directory: Path) -> Config:
+    """Read and check a zerodrift.toml, given the file or the directory it lies in.
+
+    Raises:
+        InputError: the file is missing, is not TOML, has an unknown key, or a value of the wrong
+            type or range; the message names the line.
+    """
+    given = Path(path_or_directory)
+    path = given / FILE_NAME if given.is_dir() else given
+    if not path.exists():
+        raise InputError(
+            f"{path}: there is no such file. `zerodrift init LOG...` writes a {FILE_NAME} guessed "
+            "from your logs; `-C DIR` names the directory it lies in."
+        )
+    if not path.is_file():
+        # A named pipe would be waited for, for ever.
+        raise InputError(
+            f"{path}: is {name_kind(path)}; expected a file, the project's configuration. Remove "
+            f"it, and run `zerodrift init LOG...`, or name another directory by -C."
+        )
+    try:
+        # The mark that some editors put in front of UTF-8 text is not part of it.
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = path.read_bytes()[: error.start].count(b"\n") + 1
+        raise InputError(
+            f"{path}:{line}: byte 0x{error.object[error.start]:02x} is not UTF-8; expected UTF-8 "
+            "text. Save the file as UTF-8."
+        ) from error
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); expected a file that this user may read."
+        ) from error
+    return parse_config(text, path.absolute())
+
+
+def parse_config(text: str, path: Path) -> Config:
+    """Check the text of a zerodrift.toml that lies (or would lie) at `path`.
+
+    Raises:
+        InputError: as `load_config`.
+    """
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(_describe_syntax_error(path, str(error))) from error
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, deep nesting
+        raise InputError(
+            f"{path}: cannot be read ({str(error).split(';')[0]}); expected a {FILE_NAME} of plain "
+            "tables, numbers and text. Correct the value."
+        ) from error
+    root = TomlTable(path, index_lines(text), (), values)
+    root.refuse_unknown(DATA_TABLES + MODEL_TABLES)
+    sensor = root.table("sensor", ("name", "time", "temperature", "sample_period_s"))
+    logs = root.table("logs", ("train", "test", "dwell", "where"))
+    quantization = root.table("quantization", ("weights",), optional=True)
+    firmware = root.table("firmware", ("out", "prefix", "guard"), optional=True)
+    outputs = _read_outputs(root)
+    inputs = root.table("inputs", None, optional=True)
+    time_column, time_unit = _read_time(sensor)
+    temperature_column, temperature_codes = read_column(sensor, "temperature")
+    columns = {name: read_column(inputs, name) for name in inputs.values}
+    config = Config(
+        path=path,
+        sensor_name=sensor.text("name"),
+        time_column=time_column,
+        time_unit=time_unit,
+        temperature_column=temperature_column,
+        sample_period_s=sensor.positive("sample_period_s"),
+        outputs=outputs,
+        inputs={name: column for name, (column, _) in columns.items()},
+        train_logs=logs.texts("train"),
+        test_logs=logs.texts("test", optional=True),
+        dwell_logs=logs.texts("dwell", optional=True),
+        effects=_read_effects(root),
+        network=_read_network(root.table("network", None, optional=True)),
+        weights=quantization.choice("weights", WEIGHT_FORMATS, "int16"),
+        firmware_out=path.parent
+        / (firmware.text("out") if "out" in firmware.values else "firmware"),
+        firmware_prefix=_read_prefix(firmware),
+        firmware_guard=firmware.flag("guard"),
+        plugin_files=_read_plugins(root),
+        where=_read_where(logs),
+        fleet=read_fleet(
+            root.table("fleet", None, optional=True), tuple(output.name for output in outputs)
+        ),
+        temperature_codes=temperature_codes,
+        input_codes={name: codes for name, (_, codes) in columns.items()},
+    )
+    _refuse_shared_columns(config, root)
+    _refuse_file_as_build(config)
+    return config
+
+
+def locate_key(path: Path, *key: str) -> str:
+    """Return `zerodrift.toml:LINE` for a key, or the path alone when the file cannot be read."""
+    try:
+        if not path.is_file():
+            return str(path)
+        lines = _index_lines(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return str(path)
+    return f"{path}:{find_line(lines, key)}"
+
+
+@lru_cache(maxsize=4)
+def _index_lines(text: str) -> Mapping[tuple[str | int, ...], int]:
+    """Return `index_lines`, once for a text that a whole fleet shares."""
+    return MappingProxyType(index_lines(text))
+
+
+def _describe_syntax_error(path: Path, message: str) -> str:
+    """Turn tomllib's `... (at line 3, column 5)` into `file:3: ...`."""
+    match = re.search(r"\(at line (\d+), column (\d+)\)", message)
+    what = re.sub(r"\s*\(at .*\)$", "", message)
+    place = f"{path}:{match.group(1)}" if match else str(path)
+    return f"{place}: not valid TOML: {what}. Text needs quotes, tables are written [name]."
+
+
+def _read_time(sensor: TomlTable) -> tuple[str, str]:
+    """Return the time column and its unit, which is empty unless it is written as a table."""
+    if not isinstance(sensor.values.get("time"), dict):
+        return sensor.text("time"), ""
+    table = sensor.table("time", ("column", "unit"))
+    return table.text("column"), table.choice("unit", tuple(TIME_UNITS), "")
+
+
+def _read_outputs(root: TomlTable) -> tuple[OutputConfig, ...]:
+    tables = root.table("outputs", None)
+    if not 1 <= len(tables.values) <= MAX_OUTPUTS:
+        raise tables.error(
+            None,
+            f"{len(tables.values)} outputs found; expected 1 to {MAX_OUTPUTS} tables "
+            "[outputs.NAME], one per quantity that drifts.",
+        )
+    outputs = []
+    for name in tables.values:
+        table = tables.table(name, ("measured", "reference", "unit", "full_scale"))
+        reference: str | float = 0.0
+        if isinstance(table.values.get("reference"), str):
+            reference = table.text("reference")
+        elif "reference" in table.values:
+            reference = table.number("reference", "a column's name in quotes, or a number")
+        outputs.append(
+            OutputConfig(
+                name,
+                table.text("measured"),
+                reference,
+                table.text("unit"),
+                table.positive("full_scale"),
+            )
+        )
+    return tuple(outputs)
+
+
+def _read_effects(root: TomlTable) -> tuple[EffectConfig, ...]:
+    """Read the `[[effect]]` tables; which kinds and parameters exist is the catalogue's matter."""
+    found = root.values.get("effect", [])
+    if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
+        raise root.expect("effect", "tables in double brackets, written [[effect]]")
+    effects = []
+    for position, values in enumerate(found):
+        table = TomlTable(root.file, root.lines, ("effect", position), values)
+        held: dict[str, float] = {}
+        options: dict[str, str] = {}
+        for key, value in values.items():
+            if key == "kind":
+                continue
+            if isinstance(value, str):
+                options[key] = table.text(key)
+            else:
+                held[key] = table.number(key, "a number (held at it) or text (an option)")
+        effects.append(EffectConfig(table.text("kind"), held, options, table.line()))
+    return tuple(effects)
+
+
+def _read_network(table: TomlTable) -> NetworkConfig:
+    table.refuse_unknown(NETWORK_KEYS + NETWORK_OPTIONS)
+    default = NetworkConfig()
+    if table.values and "kind" not in table.values:
+        raise table.expect("kind", f"one of {', '.join(NETWORK_KINDS)}")
+    memory: str | int = default.memory
+    if "memory" in table.values and table.values["memory"] != "stream":
+        if isinstance(table.values["memory"], str):
+            raise table.expect("memory", f"'stream' or a window of 2 to {LONGEST_WINDOW} samples")
+        memory = table.integer("memory", 2, LONGEST_WINDOW)
+    options: dict[str, float | int | str | bool] = {}
+    for key in ("starts", "epochs"):
+        if key in table.values:
+            options[key] = table.integer(key, 1, MOST[key])
+    if "form" in table.values:
+        options["form"] = table.choice("form", GRU_FORMS, "")
+    for key in ("learning_rate", "spacing_s"):
+        if key in table.values:
+            options[key] = table.positive(key)
+    kind = table.choice("kind", NETWORK_KINDS, default.kind)
+    if kind in WINDOWED_KINDS and memory == "stream":
+        memory = WINDOW
+    if memory != "stream" and kind not in (*WINDOWED_KINDS, "gru"):
+        raise table.error(
+            "memory", f"a window is nothing to '{kind}', which sees no past samples; leave it out."
+        )
+    usual = HIDDEN.get(kind, default.hidden)
+    return NetworkConfig(
+        kind=kind,
+        hidden=table.integer("hidden", 1, MAX_HIDDEN) if "hidden" in table.values else usual,
+        memory=memory,
+        seed=table.integer("seed", 0) if "seed" in table.values else default.seed,
+        options=options,
+        lags_s=_read_lags(table),
+    )
+
+
+def _read_lags(table: TomlTable) -> tuple[float, ...]:
+    lags = table.values.get("lags_s", [])
+    expected = "a list of numbers > 0, in seconds"
+    if not isinstance(lags, list):
+        raise table.expect("lags_s", expected)
+    for lag in lags:
+        if isinstance(lag, bool) or not isinstance(lag, int | float) or not 0 < lag < LARGEST:
+            raise table.expect("lags_s", expected)
+    return tuple(float(lag) for lag in lags)
+
+
+def _read_plugins(root: TomlTable) -> tuple[Path, ...]:
+    table = root.table("plugins", ("files",), optional=True)
+    files = []
+    for name in table.texts("files", optional=not table.values):
+        file = root.file.parent / name
+        if not file.is_file():
+            raise table.error("files", f"plugin '{name}' is not a file; expected it at {file}.")
+        files.append(file)
+    return tuple(files)
+
+
+def _read_prefix(table: TomlTable) -> str:
+    if "prefix" not in table.values:
+        return ""
+    prefix = table.text("prefix")
+    if re.search(r"[{}]", prefix.replace(PLACEHOLDER, "")):
+        raise table.expect("prefix", f"text in which {PLACEHOLDER} alone stands in braces")
+    return prefix
+
+
+def _read_where(logs: TomlTable) -> dict[str, str]:
+    """Read the row filter; a whole number is compared by its digits, as the log writes it."""
+    table = logs.table("where", None, optional=True)
+    for column, value in table.values.items():
+        if isinstance(value, bool) or not isinstance(value, str | int):
+            raise table.expect(column, "text in quotes or a whole number")
+    return {column: str(value) for column, value in table.values.items()}
+
+
+def _refuse_file_as_build(config: Config) -> None:
+    """Refuse a file where the folders have to be that the commands write into."""
+    for folder in (config.build_directory, config.firmware_out):
+        if folder.exists() and not folder.is_dir():
+            raise InputError(
+                f"{folder}: is a file; expected a folder, or nothing, where zerodrift keeps what it"
+                " makes. Move the file away or give it another name."
+            )
+
+
+def _refuse_shared_columns(config: Config, root: TomlTable) -> None:
+    """Refuse a column in two roles: the mark of a table copied and not edited."""
+    sensor = root.table("sensor", None)
+    roles = {config.time_column: sensor.label("time")}
+    uses = [(sensor, "temperature", config.temperature_column)]
+    outputs = root.table("outputs", None)
+    uses += [
+        (outputs.table(output.name, None), "measured", output.measured) for output in config.outputs
+    ]
+    for table, key, column in uses:
+        if column in roles:
+            raise table.error(
+                key,
+                f"column '{column}' is both {roles[column]} and {table.label(key)}; "
+                "expected a column of its own for each.",
+            )
+        roles[column] = table.label(key)
+    for table, _, _ in uses[1:]:
+        if table.values.get("reference") == table.values["measured"]:
+            raise table.error(
+                "reference",
+                f"{table.label('reference')} is the measured column itself, so that the drift "
+                "would be 0; expected the column of the true value, a number, or no reference.",
+            )

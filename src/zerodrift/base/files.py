@@ -1,0 +1,154 @@
+"""One file that is there entirely or not at all, and one message where it cannot be written.
+
+Files that belong together are changed together by `zerodrift.base.journal`.
+"""
+
+import errno
+import os
+import secrets
+import shutil
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from zerodrift.base.errors import InputError
+
+REMAINDER = ".zd-new"
+"""End of the name of a file that is not in its place yet."""
+AS_BEFORE = "Every file is as it was before."
+NOTHING_HALF = "No file was left half-written."
+_REMEDIES = {
+    errno.ENOSPC: "Make room on that disk",
+    errno.EDQUOT: "Make room in this user's quota",
+    errno.EROFS: "Name a place that is not read-only",
+    errno.EACCES: "Make the directory writable for this user",
+    errno.EPERM: "Make the directory writable for this user",
+    errno.EIO: "Look after that disk",
+    errno.EFBIG: "Name a disk that takes files of this size",
+    errno.ENAMETOOLONG: "Choose a shorter name",
+    errno.EMFILE: "Allow this process more open files (ulimit -n)",
+    errno.ENFILE: "Close programs: this machine has too many files open",
+    errno.EISDIR: "Move the directory of that name away",
+    errno.ENOTDIR: "Move the file away that stands where a directory is needed",
+    errno.EEXIST: "Move away what stands there",
+}
+"""What a disk answers when it does not take a file, and what helps."""
+_KINDS = {
+    stat.S_IFREG: "a file",
+    stat.S_IFDIR: "a directory",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write one file beside its place, then put it there.
+
+    A disk that is full, an error or the end of the process leaves the old file. For the files of a
+    project see `zerodrift.base.journal.write_all`.
+
+    Raises:
+        InputError: the directory is missing, may not be written to, or has no room.
+    """
+    with telling_of_writes(path):
+        place = Path(os.path.realpath(path))
+        for left in place.parent.glob(f".{_escape(place.name)}.*{REMAINDER}"):
+            left.unlink(missing_ok=True)
+        temporary = place.with_name(f".{place.name}.{secrets.token_hex(4)}{REMAINDER}")
+        try:
+            write_beside(temporary, content, like=place)
+            temporary.replace(place)
+            with suppress(OSError):
+                sync_directory(place.parent)
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+
+
+def write_beside(path: Path, content: bytes, *, like: Path, durable: bool = True) -> None:
+    """Write a new file and wait until the disk has it.
+
+    Args:
+        path: of the new file, which must not be there.
+        content: its bytes.
+        like: the file whose permissions it takes, where that one is there.
+        durable: False does not wait for the disk.
+    """
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+    with os.fdopen(handle, "wb") as file:
+        file.write(content)
+        file.flush()
+        if durable:
+            os.fsync(file.fileno())
+    with suppress(OSError):  # a file system without permissions, or no file there yet
+        shutil.copymode(like, path)
+
+
+def sync_directory(directory: Path) -> None:
+    """Wait until the disk has the names in a directory; nothing where directories cannot be."""
+    if os.name == "nt":
+        return
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (
+            errno.EINVAL,
+            errno.ENOTSUP,
+        ):  # of file systems that need no such call
+            raise
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def telling_of_writes(path: Path) -> Iterator[None]:
+    """Turn what a disk answers while something is written to `path` into one message."""
+    try:
+        yield
+    except OSError as error:
+        raise explain_write(path, error) from error
+
+
+def make_directory(path: Path) -> None:
+    """Make a directory and those above it.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    with telling_of_writes(path):
+        path.mkdir(parents=True, exist_ok=True)
+
+
+def explain_write(path: Path | str, error: OSError, state: str = AS_BEFORE) -> InputError:
+    """Return the error for a file or directory that could not be written.
+
+    Args:
+        path: what was to be written.
+        error: what the disk answered.
+        state: a sentence on how the files are now.
+    """
+    remedy = _REMEDIES.get(error.errno or 0, "Check the directory")
+    return InputError(
+        f"{path}: cannot be written ({error.strerror or error}); expected a directory with room"
+        f" that this user may write to. {remedy}, or name another by -C. {state}"
+    )
+
+
+def name_kind(path: Path) -> str:
+    """Return what lies at a path, with its article: `a directory`, `a named pipe`, ..."""
+    kind = stat.S_IFMT(path.stat().st_mode)
+    return _KINDS.get(kind, "no ordinary file")
+
+
+def is_refused_write(error: OSError) -> bool:
+    """Tell whether an error is a disk's answer rather than a mistake in this program."""
+    return error.errno in _REMEDIES
+
+
+def _escape(name: str) -> str:
+    """Return a name with what `glob` reads as a pattern taken literally."""
+    return "".join(f"[{c}]" if c in "*?[" else c for c in name)

@@ -1,0 +1,487 @@
+"""Files that change together: all of them, or none, whenever the process ends or the disk refuses.
+
+A change goes through these steps; its record lies in `build/.zerodrift/` and is renamed as it goes.
+
+1. `ID.begin` names every file, where its new and its old contents will lie, and their SHA-256.
+2. The new contents are written beside their places, the old ones get a second name beside them.
+3. `ID.begin` becomes `ID.forward`: from here on the change is decided.
+4. Every file is put in its place; what the change removes is removed.
+5. The second names and the record are removed.
+
+Whatever ends the process, the next command finds the record: before step 3 it removes what was
+written, after it finishes the change. A disk that refuses in step 4 makes the record `ID.back`, and
+the old contents return. Between any two steps the disk is waited for.
+"""
+
+import hashlib
+import os
+import secrets
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+from zerodrift.base.errors import InputError, ZerodriftError
+from zerodrift.base.files import (
+    AS_BEFORE,
+    REMAINDER,
+    explain_write,
+    sync_directory,
+    telling_of_writes,
+    write_beside,
+)
+from zerodrift.base.lock import LOCK, STATE, find_state, lock_project, tell, try_lock
+from zerodrift.base.scratch import clean_scratch
+from zerodrift.base.sealed import read_sealed, render_sealed
+
+FORMAT = 1
+BEGIN, FORWARD, BACK = ".begin", ".forward", ".back"
+OLD = ".zd-old"
+UNFINISHED = (
+    "The change is not finished: the next zerodrift command on this project takes it back or ends"
+    " it before it does anything else."
+)
+PATIENCE_S = 60.0
+"""How long a reader waits for a writer that is putting files in their places."""
+T = TypeVar("T")
+
+_gathered: dict[Path, dict[Path, bytes | None]] = {}
+"""Projects whose files are changed together at the end of a block -> what they will hold."""
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One file of a change."""
+
+    path: str
+    new: str
+    """Where the new contents lie until they are put in place; "" where the file is removed."""
+    old: str
+    """A second name of the old contents; "" where there was no file."""
+    new_sha256: str
+    old_sha256: str
+
+
+@dataclass(frozen=True)
+class _Record:
+    """A change, as it stands in its record."""
+
+    steps: tuple[_Step, ...]
+    made: tuple[str, ...]
+    """Directories that were not there before, outermost first."""
+    durable: bool
+
+    def to_bytes(self, project: Path) -> bytes:
+        """Return the record's file; names inside the project are relative to it, which may move."""
+
+        def shorten(name: str) -> str:
+            inside = name and Path(name).is_relative_to(project)
+            return str(Path(name).relative_to(project)) if inside else name
+
+        body = asdict(self._rename(shorten))
+        body = {"format": FORMAT, **body}
+        return render_sealed(body)
+
+    @classmethod
+    def from_bytes(cls, content: bytes, project: Path) -> "_Record":
+        """Return what `to_bytes` wrote.
+
+        Raises:
+            ValueError, KeyError, TypeError, AttributeError: it is not whole.
+        """
+        body = read_sealed(content)
+        if body["format"] != FORMAT:
+            raise ValueError(f"format {body['format']}")
+        steps = tuple(_Step(**step) for step in body["steps"])
+        record = cls(steps, tuple(body["made"]), bool(body["durable"]))
+        return record._rename(lambda name: str(project / name) if name else "")
+
+    def _rename(self, change: Callable[[str], str]) -> "_Record":
+        steps = tuple(
+            replace(s, path=change(s.path), new=change(s.new), old=change(s.old))
+            for s in self.steps
+        )
+        return replace(self, steps=steps, made=tuple(change(name) for name in self.made))
+
+    @property
+    def count(self) -> str:
+        return "a file" if len(self.steps) == 1 else f"{len(self.steps)} files"
+
+    @property
+    def directories(self) -> list[Path]:
+        return list(dict.fromkeys(Path(step.path).parent for step in self.steps))
+
+
+def write_all(
+    project: Path,
+    contents: Mapping[Path, bytes | None],
+    *,
+    durable: bool = True,
+    under_lock: bool = False,
+    at_once: bool = False,
+    patient: bool = True,
+) -> None:
+    """Change files together.
+
+    Args:
+        project: the folder of zerodrift.toml, which the record of the change lies below.
+        contents: by the file; None removes it. Directories are made.
+        durable: False does not wait for the disk: a kill is survived, a power failure may not be.
+        under_lock: another process holds the project for this one.
+        at_once: do not wait for the end of `change_together`.
+        patient: wait for another command that holds the project.
+
+    Raises:
+        InputError: something cannot be written; the message says how the files are now.
+    """
+    if not at_once and find_state(project) in _gathered:
+        _gathered[find_state(project)].update(contents)
+        return
+    if under_lock:
+        _change(find_state(project), contents, durable)
+        return
+    with hold_project(project, patient=patient):
+        _change(find_state(project), contents, durable)
+
+
+@contextmanager
+def change_together(project: Path) -> Iterator[None]:
+    """Gather what `write_all` is given meanwhile, and write all of it at the end, as one change.
+
+    Raises:
+        InputError: as `write_all`.
+    """
+    state = find_state(project)
+    if state in _gathered:
+        yield
+        return
+    with hold_project(project):
+        contents = _gathered[state] = {}
+        try:
+            yield
+        finally:
+            del _gathered[state]
+        _change(state, contents, durable=True)
+
+
+@contextmanager
+def hold_project(project: Path, *, patient: bool = True) -> Iterator[None]:
+    """Hold a project against other writers; first end, or take back, what a kill left.
+
+    Args:
+        project: the folder of zerodrift.toml.
+        patient: wait for another command that holds it.
+
+    Raises:
+        InputError: as `lock_project`; or an unfinished change can neither be ended nor taken back.
+    """
+    with lock_project(project, patient=patient):
+        state = find_state(project)
+        _recover(state)
+        clean_scratch(state)
+        yield
+
+
+def settle_project(project: Path) -> None:
+    """See to it, before a command reads, that no change of the project is unfinished.
+
+    Costs a look into one folder where there is none. A writer at work is waited for.
+
+    Raises:
+        InputError: a change is unfinished and the folder cannot be written.
+    """
+    state = find_state(project)
+    deadline = time.monotonic() + PATIENCE_S
+    while found := _list_records(state):
+        try:
+            release = try_lock(state / LOCK)
+        except FileNotFoundError:
+            continue  # ended meanwhile
+        except OSError as error:
+            raise InputError(
+                f"{state}: holds an unfinished change of this project's files"
+                f" ({error.strerror or error}), so that they do not belong together; expected a"
+                " folder that may be written. Run a command where the project may be written."
+            ) from error
+        if time.monotonic() > deadline:
+            raise InputError(
+                f"{found[0]}: the change of files that it records has not ended for"
+                f" {PATIENCE_S:g} s; expected a change of less than one. Run this again when the"
+                " command that makes it is done, and look after the disk if none is."
+            )
+        if release is None:
+            time.sleep(0.02)
+            continue
+        try:
+            _recover(state)
+        finally:
+            release()
+
+
+def read_together(project: Path, folders: Sequence[Path], read: Callable[[], T]) -> T:
+    """Return what `read` returns, no command having changed the files it reads meanwhile.
+
+    Args:
+        project: the folder of zerodrift.toml.
+        folders: where the files lie that belong together.
+        read: reads them; called again where a change came between.
+
+    Raises:
+        InputError: as `settle_project`.
+    """
+    while True:
+        settle_project(project)
+        before = _mark_files(folders)
+        try:
+            found = read()
+        except ZerodriftError:
+            if before == _mark_files(folders):
+                raise
+            continue
+        if before == _mark_files(folders):
+            return found
+
+
+def _mark_files(folders: Sequence[Path]) -> frozenset[tuple[str, int, int]]:
+    """Return names, places on the disk and times of the files in folders; a change makes others."""
+    marks = set()
+    for folder in folders:
+        with suppress(OSError), os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.is_file():
+                    stat = entry.stat()
+                    marks.add((entry.path, stat.st_ino, stat.st_mtime_ns))
+    return frozenset(marks)
+
+
+def _change(state: Path, contents: Mapping[Path, bytes | None], durable: bool) -> None:
+    """Go through the steps of one change."""
+    if not contents:
+        return
+    name = secrets.token_hex(6)
+    record = _plan(name, contents, durable)
+    begin = state / f"{name}{BEGIN}"
+    place = state
+    forward = begin.with_suffix(FORWARD)
+    try:
+        state.mkdir(parents=True, exist_ok=True)
+        write_beside(begin, record.to_bytes(_find_project(state)), like=begin, durable=durable)
+        for directory in record.made:
+            place = Path(directory)
+            place.mkdir(exist_ok=True)
+        for step, content in zip(record.steps, contents.values(), strict=True):
+            place = Path(step.path)
+            if content is not None:
+                write_beside(Path(step.new), content, like=place, durable=durable)
+            if step.old:
+                _keep_old(place, Path(step.old), durable)
+        _sync(record, [*(Path(d).parent for d in record.made), *record.directories, state])
+        place = state
+        begin.replace(forward)
+        _sync(record, [state])
+        for step in record.steps:
+            place = Path(step.path)
+            _put(step)
+        _sync(record, record.directories)
+    except BaseException as error:
+        told = _take_back(begin, record, forward.exists())
+        if isinstance(error, OSError):
+            raise explain_write(place, error, told) from error
+        raise
+    _clean(forward, record)
+
+
+def _plan(name: str, contents: Mapping[Path, bytes | None], durable: bool) -> _Record:
+    """Return what a change will do, before it does anything.
+
+    Raises:
+        InputError: something that is no file stands in the place of one.
+    """
+    steps = []
+    made: dict[str, None] = {}
+    for number, (given, content) in enumerate(contents.items()):
+        path = Path(os.path.realpath(given))
+        if path.is_dir():
+            raise InputError(
+                f"{given}: is a directory; expected a file, or nothing, in this place. Move it"
+                f" away, or name another by -C. {AS_BEFORE}"
+            )
+        with telling_of_writes(given):
+            there = path.exists()
+            old_sha256 = _hash(path) if there else ""
+            missing = [p for p in (path.parent, *path.parent.parents) if not p.exists()]
+        made |= dict.fromkeys(str(p) for p in reversed(missing))
+        stem = str(path.with_name(f".{name}.{number}"))
+        steps.append(
+            _Step(
+                path=str(path),
+                new="" if content is None else stem + REMAINDER,
+                old=stem + OLD if there else "",
+                new_sha256="" if content is None else hashlib.sha256(content).hexdigest(),
+                old_sha256=old_sha256,
+            )
+        )
+    return _Record(tuple(steps), tuple(made), durable)
+
+
+def _keep_old(path: Path, old: Path, durable: bool) -> None:
+    """Give the old contents a second name; where the file system has none, a copy."""
+    try:
+        os.link(path, old)
+    except OSError:
+        old.unlink(missing_ok=True)
+        write_beside(old, path.read_bytes(), like=path, durable=durable)
+
+
+def _put(step: _Step) -> None:
+    """Put one file in its place, or remove it."""
+    if step.new:
+        os.replace(step.new, step.path)  # noqa: PTH105 - a string from the record
+    else:
+        Path(step.path).unlink(missing_ok=True)
+
+
+def _take_back(begin: Path, record: _Record, decided: bool) -> str:
+    """Return the old contents to their places after a failure; return how the files are now."""
+    try:
+        if not decided:
+            _clean(begin, record)
+            _remove_made(record)
+            return AS_BEFORE
+        back = begin.with_suffix(BACK)
+        begin.with_suffix(FORWARD).replace(back)
+        _return_old(record)
+        with suppress(OSError):
+            _sync(record, record.directories)
+        _clean(back, record)
+        _remove_made(record)
+    except OSError:
+        return (
+            UNFINISHED if decided else f"{AS_BEFORE} What is left is removed by the next command."
+        )
+    return AS_BEFORE
+
+
+def _return_old(record: _Record) -> list[str]:
+    """Put the old contents back; return the files that somebody else has changed since."""
+    foreign = []
+    for step in reversed(record.steps):
+        path = Path(step.path)
+        found = _hash(path) if path.is_file() else ""
+        if found == step.old_sha256:
+            continue
+        if found != step.new_sha256:
+            foreign.append(step.path)
+        elif step.old:
+            os.replace(step.old, path)  # noqa: PTH105 - a string from the record
+        else:
+            path.unlink()
+    return foreign
+
+
+def _clean(place: Path, record: _Record) -> None:
+    """Remove second names and what was not put in place, then the record; the files stay.
+
+    The next command repeats what the disk refuses here.
+    """
+    with suppress(OSError):
+        for step in record.steps:
+            for name in (step.new, step.old):
+                if name:
+                    Path(name).unlink(missing_ok=True)
+        place.unlink(missing_ok=True)
+        _sync(record, [place.parent])
+
+
+def _remove_made(record: _Record) -> None:
+    """Remove the directories that a change which came to nothing has made."""
+    with suppress(OSError):
+        for directory in reversed(record.made):
+            Path(directory).rmdir()
+
+
+def _list_records(state: Path) -> list[Path]:
+    """Return the records of changes that are decided, which a reader must not read through."""
+    return [p for p in _list_state(state) if p.suffix in (FORWARD, BACK)]
+
+
+def _list_state(state: Path) -> list[Path]:
+    try:
+        return sorted(state.iterdir())
+    except OSError:
+        return []
+
+
+def _recover(state: Path) -> None:
+    """End or take back every change that a kill left unfinished; the lock is held.
+
+    Raises:
+        InputError: the disk refuses.
+    """
+    for place in _list_state(state):
+        if place.suffix in (BEGIN, FORWARD, BACK):
+            with telling_of_writes(place):
+                try:
+                    record = _Record.from_bytes(place.read_bytes(), _find_project(state))
+                except (ValueError, KeyError, TypeError, AttributeError):
+                    # Not written to its end, so that nothing else was begun either.
+                    place.unlink(missing_ok=True)
+                    continue
+                _end(place, record)
+
+
+def _end(place: Path, record: _Record) -> None:
+    """End one change, or take it back, and say so."""
+    is_done = place.suffix == FORWARD and _finish(record)
+    if is_done:
+        tell(f"a command that was cut off was changing {record.count}; that is done now")
+    elif place.suffix != BEGIN:
+        back = place.with_suffix(BACK)
+        place.replace(back)
+        place = back
+        kept = "".join(f"; {name} was edited since and stays" for name in _return_old(record))
+        tell(f"a command that was cut off was changing {record.count}; taken back{kept}")
+    _sync(record, [d for d in record.directories if d.is_dir()])
+    _clean(place, record)
+    if not is_done:
+        _remove_made(record)
+
+
+def _finish(record: _Record) -> bool:
+    """Put in place what is not yet; return False where that cannot be done as it was meant.
+
+    A file that somebody has edited since is not replaced; nor are contents put in place that are
+    not those which were written.
+    """
+    waiting = [step for step in record.steps if not _is_put(step)]
+    for step in waiting:
+        path = Path(step.path)
+        found = _hash(path) if path.is_file() else ""
+        new = _hash(Path(step.new)) if step.new and Path(step.new).is_file() else ""
+        if found not in (step.old_sha256, step.new_sha256) or new != step.new_sha256:
+            return False
+    for step in waiting:
+        _put(step)
+    return True
+
+
+def _is_put(step: _Step) -> bool:
+    """Return whether a file was put in its place; what became of it afterwards is its user's."""
+    return not Path(step.new).exists() if step.new else not Path(step.path).exists()
+
+
+def _find_project(state: Path) -> Path:
+    return state.parents[len(STATE.parts) - 1]
+
+
+def _sync(record: _Record, directories: list[Path]) -> None:
+    if record.durable:
+        for directory in directories:
+            sync_directory(directory)
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,166 @@
+"""One writer at a time on a project; the next one waits, and is told for whom.
+
+The lock is a file in `build/.zerodrift/`, held by the operating system for as long as the process
+lives, so that a kill frees it.
+"""
+
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from zerodrift.base.errors import InputError
+from zerodrift.base.files import telling_of_writes
+
+STATE = Path("build") / ".zerodrift"
+"""Below the project: the lock, changes under way, scratch folders."""
+LOCK, HOLDER = "lock", "holder.json"
+WAIT_VARIABLE = "ZERODRIFT_WAIT_S"
+WAIT_S = 600.0
+"""How long a second writer waits, unless the variable says otherwise."""
+POLL_S = 0.1
+LONGEST_COMMAND = 120
+
+_held: dict[Path, int] = {}
+"""Projects that this process holds -> how many times over."""
+
+
+def find_state(project: Path) -> Path:
+    """Return the folder of a project's lock and journal."""
+    return Path(os.path.realpath(project)) / STATE
+
+
+@contextmanager
+def lock_project(project: Path, *, patient: bool = True) -> Iterator[None]:
+    """Hold a project against other writers; within one process it may be held several times over.
+
+    Args:
+        project: the folder of zerodrift.toml.
+        patient: wait for another process that holds it.
+
+    Raises:
+        InputError: another one held it all the while, or the folder cannot be written.
+    """
+    state = find_state(project)
+    if _held.get(state):
+        _held[state] += 1
+        try:
+            yield
+        finally:
+            _held[state] -= 1
+        return
+    wait_s = _read_wait() if patient else 0.0
+    deadline = time.monotonic() + wait_s
+    is_told = not patient
+    release = None
+    while release is None:
+        with telling_of_writes(state):
+            try:
+                state.mkdir(parents=True, exist_ok=True)
+                release = try_lock(state / LOCK)
+            except (FileNotFoundError, FileExistsError, NotADirectoryError) as error:
+                # The last holder has removed the empty folder, or a file is in its way.
+                for folder in (state.parent, state):
+                    if folder.exists() and not folder.is_dir():
+                        raise InputError(
+                            f"{folder}: is a file; expected a folder, or nothing, where zerodrift"
+                            " keeps what it computes. Move the file away."
+                        ) from None
+                if isinstance(error, NotADirectoryError):
+                    raise
+                continue
+        if release is not None:
+            break
+        if time.monotonic() >= deadline:
+            raise InputError(
+                f"{project}: is being changed by {describe_holder(state)}; waited {wait_s:g} s for"
+                f" it. Run this again when that is done, or set {WAIT_VARIABLE} to wait longer."
+                " Nothing was changed."
+            )
+        if not is_told:
+            tell(f"waiting for {describe_holder(state)}, up to {wait_s:g} s")
+            is_told = True
+        time.sleep(POLL_S)
+    _held[state] = 1
+    try:
+        _sign(state)
+        yield
+    finally:
+        del _held[state]
+        _leave(state)
+        release()
+
+
+def try_lock(path: Path) -> Callable[[], None] | None:
+    """Return what releases a lock, or None where another process holds it.
+
+    Raises:
+        OSError: the file cannot be made.
+    """
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(path, thread_local=False)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        return None
+    return lock.release
+
+
+def describe_holder(state: Path) -> str:
+    """Return who holds the lock, as far as it says."""
+    try:
+        told = json.loads((state / HOLDER).read_text(encoding="utf-8"))
+        return (
+            f"`{told['command']}` (process {told['process']} on {told['machine']}, since"
+            f" {told['since']})"
+        )
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another zerodrift command"
+
+
+def _sign(state: Path) -> None:
+    """Say who holds the lock; a disk that does not take it is no reason to stop."""
+    command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:LONGEST_COMMAND]
+    told = {
+        "process": os.getpid(),
+        "machine": platform.node(),
+        "command": command,
+        "since": time.strftime("%Y-%m-%d %H:%M:%S"),
+    }
+    with suppress(OSError):
+        (state / HOLDER).write_text(json.dumps(told) + "\n", encoding="utf-8")
+
+
+def _leave(state: Path) -> None:
+    """Leave no folder behind that holds nothing; the lock is still held.
+
+    One who has opened the lock already finds, holding it, that it is gone, and begins anew.
+    """
+    with suppress(OSError):
+        (state / HOLDER).unlink(missing_ok=True)
+        (state / LOCK).unlink(missing_ok=True)
+        state.rmdir()
+        state.parent.rmdir()
+
+
+def _read_wait() -> float:
+    text = os.environ.get(WAIT_VARIABLE, "")
+    try:
+        value = float(text) if text else WAIT_S
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < float("inf"):
+        raise InputError(
+            f"{WAIT_VARIABLE}={text}: expected a number of seconds, 0 or more, such as 60."
+        )
+    return value
+
+
+def tell(text: str) -> None:
+    """Say something on stderr at once, so that stdout stays the command's result."""
+    print(f"note: {text}", file=sys.stderr, flush=True)

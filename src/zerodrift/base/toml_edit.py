@@ -1,0 +1,190 @@
+"""Adds an `[[effect]]` table to the text of zerodrift.toml or takes one out; all else stays.
+
+The text is edited line by line: a library that rewrites the document moves the comment above the
+next table, and tables that stand apart, to other places. The result is read back and compared, so
+that an edit either does what was asked or is refused.
+"""
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+from zerodrift.base.errors import InputError
+from zerodrift.base.toml_lines import index_lines
+
+_VALUE = re.compile(r"(?P<before>\s*[^=]+=\s*)[^#]*?(?P<after>\s*(?:#.*)?)\Z", re.DOTALL)
+
+
+def add_effect(
+    text: str,
+    kind: str,
+    held: Mapping[str, float] | None = None,
+    options: Mapping[str, str] | None = None,
+    *,
+    path: Path = Path("zerodrift.toml"),
+) -> str:
+    """Return the text with one more `[[effect]]`, after the last one.
+
+    Args:
+        text: a valid zerodrift.toml.
+        kind: the effect's name.
+        held: parameters to hold at a value.
+        options: text options, such as `signal`.
+        path: the file, for messages.
+
+    Raises:
+        InputError: the effects stand in an inline array, which is not edited.
+    """
+    table: dict[str, object] = {"kind": kind, **(options or {}), **(held or {})}
+    rows = text.splitlines(keepends=True)
+    end = "\r\n" if any(row.endswith("\r\n") for row in rows) else "\n"
+    block = ["[[effect]]" + end]
+    block += [f"{key} = {_write_value(value)}{end}" for key, value in table.items()]
+    blocks = _find_blocks(text, path)
+    if blocks:
+        at = blocks[-1][1]
+        before, after = rows[:at], rows[at:]
+        if before and not before[-1].endswith("\n"):
+            before[-1] += end
+        block = [end, *block]
+    else:
+        at = _find_model_tables(text)
+        before, after = rows[:at], rows[at:]
+        if before and not before[-1].endswith("\n"):
+            before[-1] += end
+        block = [end, *block] if not after else [*block, end]
+    edited = "".join([*before, *block, *after])
+    effects = [*_read_effects(text), table]
+    return _confirm(text, edited, effects, path)
+
+
+def set_parameters(
+    text: str, position: int, held: Mapping[str, float], *, path: Path = Path("zerodrift.toml")
+) -> str:
+    """Return the text with parameters of its `[[effect]]` at `position` held at other values.
+
+    Raises:
+        InputError: the effects stand in an inline array, or a value is not on its key's line.
+    """
+    rows = text.splitlines(keepends=True)
+    end = "\r\n" if any(row.endswith("\r\n") for row in rows) else "\n"
+    start, stop = _find_blocks(text, path)[position]
+    lines = index_lines(text.lstrip("\ufeff"))
+    new = []
+    for key, value in held.items():
+        if ("effect", position, key) in lines:
+            at = lines[("effect", position, key)] - 1
+            parts = _VALUE.match(rows[at])
+            if parts is not None:
+                rows[at] = f"{parts['before']}{_write_value(value)}{parts['after']}"
+        else:
+            new.append(f"{key} = {_write_value(value)}{end}")
+    last = max(n for n in lines.values() if start < n <= stop)
+    if new and not rows[last - 1].endswith("\n"):
+        rows[last - 1] += end
+    edited = "".join([*rows[:last], *new, *rows[last:]])
+    effects = _read_effects(text)
+    effects[position] = {**effects[position], **held}
+    return _confirm(text, edited, effects, path)
+
+
+def remove_effect(text: str, position: int, *, path: Path = Path("zerodrift.toml")) -> str:
+    """Return the text without its `[[effect]]` at `position`, counted from 0.
+
+    The comment above the table stays; comments inside it go with it.
+
+    Raises:
+        InputError: the effects stand in an inline array, which is not edited.
+    """
+    rows = text.splitlines(keepends=True)
+    start, stop = _find_blocks(text, path)[position]
+    while start > 0 and not rows[start - 1].strip():
+        start -= 1
+    edited = "".join(rows[:start] + rows[stop:])
+    effects = _read_effects(text)
+    del effects[position]
+    return _confirm(text, edited, effects, path)
+
+
+def _write_value(value: object) -> str:
+    """Return a TOML value; JSON's strings and Python's shortest floats are TOML's too."""
+    if isinstance(value, float):
+        return repr(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _read_effects(text: str) -> list[dict[str, object]]:
+    return list(tomllib.loads(text.lstrip("\ufeff")).get("effect", []))
+
+
+def _find_blocks(text: str, path: Path) -> list[tuple[int, int]]:
+    """Return (first row, row after the last) of each `[[effect]]` table, rows from 0."""
+    lines = index_lines(text.lstrip("\ufeff"))
+    rows = text.splitlines()
+    count = len(_read_effects(text))
+    starts = [lines[("effect", i)] - 1 for i in range(count) if ("effect", i) in lines]
+    if len(starts) != count:
+        raise InputError(
+            f"{path}:{lines.get(('effect',), 1)}: the effects stand in an inline array, which is "
+            "not edited; write each of them as a table, [[effect]] with its keys below."
+        )
+    # Only headers begin with a bracket at a line that holds a table or key of its own.
+    headers = sorted({n - 1 for n in lines.values() if rows[n - 1].lstrip().startswith("[")})
+    blocks = []
+    for start in starts:
+        limit = next((row for row in headers if row > start), len(rows))
+        last = max(n - 1 for n in lines.values() if start <= n - 1 < limit)
+        blocks.append((start, _end_block(rows, last, limit)))
+    return blocks
+
+
+def _end_block(rows: list[str], last_key: int, limit: int) -> int:
+    """Return the row after a table that ends before row `limit`.
+
+    A value may go on over several lines; a comment right below the last key belongs to the table,
+    unless it runs on into the next table's header, whose comment it then is.
+    """
+    stop = limit
+    while stop > last_key + 1 and (not rows[stop - 1].strip() or _is_comment(rows[stop - 1])):
+        stop -= 1
+    below = stop
+    while below < limit and rows[below].strip():
+        below += 1
+    return stop if below == limit and limit < len(rows) else below
+
+
+def _is_comment(row: str) -> bool:
+    return row.lstrip().startswith("#")
+
+
+def _find_model_tables(text: str) -> int:
+    """Return the row before which the first effect goes: [network] with its comment, or the end."""
+    lines = index_lines(text.lstrip("\ufeff"))
+    rows = text.splitlines()
+    for table in ("network", "quantization", "firmware", "plugins"):
+        if (table,) in lines:
+            row = lines[(table,)] - 1
+            while row > 0 and _is_comment(rows[row - 1]):
+                row -= 1
+            return row
+    return len(rows)
+
+
+def _confirm(text: str, edited: str, effects: list[dict[str, object]], path: Path) -> str:
+    """Return `edited` if it differs from `text` in its effects alone, and there as asked."""
+    wanted = tomllib.loads(text.lstrip("\ufeff"))
+    wanted["effect"] = effects
+    if not effects:
+        del wanted["effect"]
+    try:
+        found = tomllib.loads(edited.lstrip("\ufeff"))
+    except tomllib.TOMLDecodeError:
+        found = {}
+    if found != wanted:
+        raise InputError(
+            f"{path}: its layout is not understood well enough to edit it; expected [[effect]] "
+            "tables with one key to a line. Edit the effects by hand."
+        )
+    return edited
