@@ -14,14 +14,14 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: bench-paper bench-foreign setup-browser setup-page test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: test-wheel bench-paper bench-foreign setup-browser setup-page test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
 
 setup: $(READY) ## create .venv with the pinned dependencies and zerodrift itself
 
-$(READY): requirements.lock pyproject.toml
+$(READY): requirements.lock pyproject.toml setup.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "zerodrift needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1). Set PYTHON=."; exit 2; }
 	@echo "installing into $(VENV): some minutes, and on Linux 6 GB, most of it PyTorch's"
@@ -55,14 +55,16 @@ setup-page: $(READY) ## optional, by npm: the small Plotly, with which the workb
 
 docs: $(READY) ## the manual as a site, in build/site
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-docs.lock
+	$(RUN) .ci/link_packages.py
 	NO_MKDOCS_2_WARNING=1 DISABLE_MKDOCS_2_WARNING=true $(RUN) -m mkdocs build --quiet --strict
 	@echo "build/site/index.html; for its search, serve it: $(RUN) -m http.server -b 127.0.0.1 -d build/site"
 
 firmware-model: $(READY) ## logs -> trained, quantized, generated and host-checked C (SENSOR=examples/ft40)
+	@test ! -f $(SENSOR)/twin.json || $(VENV)/bin/zerodrift twin --example -C $(SENSOR)
 	$(VENV)/bin/zerodrift firmware -C $(SENSOR)
 
 flash-image: $(READY) ## ELF and BIN of the example firmware for QEMU's Cortex-M4 board (SENSOR=examples/ft40)
-	@test -f $(SENSOR)/build/model.json || $(VENV)/bin/zerodrift firmware -C $(SENSOR)
+	@test -f $(SENSOR)/build/model.json || $(MAKE) --no-print-directory firmware-model
 	$(RUN) examples/firmware/build.py $(SENSOR)
 
 test: $(READY) ## the tests (under 6 minutes on two cores)
@@ -74,12 +76,16 @@ test-boards: $(READY) ## every core on QEMU's boards, in short; says what could 
 test-browser: $(READY) ## after setup-browser: the page in Chromium; pictures of it in build/screenshots
 	$(RUN) -m pytest -q -n 2 tests/workbench
 
+test-wheel: $(READY) ## build the wheel, install it elsewhere, and go from a log to checked C with it
+	$(RUN) -m pytest -q tests/house/test_wheel.py
+
 test-all: $(READY) ## every test, the long proofs included
 	$(RUN) -m pytest -q -n 2 tests
 
 check: $(READY) ## formatting, lint, types, C format and static analysis
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/ruff check .
+	$(RUN) .ci/link_packages.py
 	$(VENV)/bin/mypy
 	$(VENV)/bin/clang-format --dry-run --Werror c_runtime/include/zerodrift/*.h c_runtime/tests/*.c
 	$(RUN) -m zerodrift.c_runtime.analyse

@@ -10,15 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
+from zerodrift.base.config import EffectConfig, NetworkConfig, load_config
 from zerodrift.c_runtime.compilers import Compiler
 from zerodrift.c_runtime.cores import GCC_CORES, find_cross_compilers
 from zerodrift.c_runtime.footprint import measure_footprint
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import generate
-from zerodrift.base.config import EffectConfig, NetworkConfig, load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import compose_integer_model
-from zerodrift.export.integer_model import FLAG_DAMAGED, IntegerModel, load_model
+from zerodrift.export.integer_model import FLAG_DAMAGED, IntegerModel
+from zerodrift.export.model_files import load_model
 from zerodrift.lab.twin.example import ensure_example_logs
 from zerodrift.train.training import train
 from zerodrift.verify.vectors import draw_sequences

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bench_kernels import draw_temperature
+from zerodrift.base.config import EffectConfig
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Run
 from zerodrift.export.feedback import predict_fed_back
 from zerodrift.export.integer_model import Channel, OutputFormat

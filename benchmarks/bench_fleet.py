@@ -25,9 +25,9 @@ from pathlib import Path
 from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.fleet.sensors import configure_sensor, find_sensors
-from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.lab.twin import EffectChoice, Recipe, simulate
 from zerodrift.lab.twin.logs import render_config, render_logs
+from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.batch import Problem, train_batch
 from zerodrift.train.optimise import Result, Trainer
 from zerodrift.train.together import pose_rehearsal, prepare

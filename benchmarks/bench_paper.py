@@ -29,13 +29,13 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.lab.twin.project import name_outputs
-from zerodrift.lab.twin.six_axis import draw_sensor, load_protocol, record
-from zerodrift.lab.twin.six_axis.project import render_config
 from zerodrift.lab.paper.plan import DEFAULT, PAPER_GRU, PROJECTED_GRU
 from zerodrift.lab.paper.store import Cell, Store
 from zerodrift.lab.paper.study import Outcome, run_study
 from zerodrift.lab.paper.summary import Outcomes, Spread, summarise
+from zerodrift.lab.twin.project import name_outputs
+from zerodrift.lab.twin.six_axis import draw_sensor, load_protocol, record
+from zerodrift.lab.twin.six_axis.project import render_config
 
 BENCH = ("heating", "cooling", "walking_still")
 LOADED = ("chamber_loaded", "walking")

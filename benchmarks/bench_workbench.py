@@ -22,7 +22,7 @@ import numpy as np
 import polars
 
 from zerodrift.report.figures_runs import Window, draw_run
-from zerodrift.workbench.child import DIAGNOSED
+from zerodrift.workbench.events import DIAGNOSED
 from zerodrift.workbench.jobs import EVENT_MARK
 from zerodrift.workbench.server import Workbench
 from zerodrift.workbench.workplace import CHILD

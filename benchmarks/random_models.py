@@ -22,10 +22,10 @@ from tests.golden.model_factory import (
     draw_network,
 )
 
-from zerodrift.codegen.selftest import limits_of
 from zerodrift.base.config import EffectConfig
-from zerodrift.dataset.runs import Run
 from zerodrift.base.errors import CheckError
+from zerodrift.codegen.selftest import limits_of
+from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import calibrate, describe_compensator, encode_inputs
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import Calibration, FloatModel, quantize

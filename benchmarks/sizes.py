@@ -14,11 +14,12 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from zerodrift.base.files import write_whole
 from zerodrift.c_runtime.cores import CORES
 from zerodrift.c_runtime.footprint import measure_footprint
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.export.integer_model import IntegerModel, load_model
-from zerodrift.base.files import write_whole
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.model_files import load_model
 from zerodrift.operations.layers import IntegerGruStack
 from zerodrift.verify.vectors import draw_sequences
 

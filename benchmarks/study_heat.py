@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.lowpass import lowpass
 from zerodrift.lab.paper.world import (
     BODY,
     CHAMBER_CYCLES,
@@ -28,6 +27,7 @@ from zerodrift.lab.paper.world import (
     record_test,
     record_training,
 )
+from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.front_end import TEMPERATURE, Tap, fit_front_end, read_source
 from zerodrift.train.lag_bank.data import BankData, Lag
 from zerodrift.train.lag_bank.search import Rows

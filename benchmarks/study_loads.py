@@ -21,17 +21,7 @@ from numpy.typing import NDArray
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Run
 from zerodrift.export.feedback import predict_fed_back
-from zerodrift.physics.fit import fit
-from zerodrift.physics.model import PhysicalModel
-from zerodrift.lab.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
-from zerodrift.lab.twin.six_axis import (
-    Recording,
-    draw_sensor,
-    load_protocol,
-    parse_protocol,
-    record,
-    to_run,
-)
+from zerodrift.lab.methods import METHODS, Options
 from zerodrift.lab.paper.plan import DEFAULT
 from zerodrift.lab.paper.world import (
     PERIOD_S,
@@ -41,13 +31,23 @@ from zerodrift.lab.paper.world import (
     record_test,
     record_training,
 )
+from zerodrift.lab.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
+from zerodrift.lab.twin.six_axis import (
+    Recording,
+    draw_sensor,
+    load_protocol,
+    parse_protocol,
+    record,
+    to_run,
+)
+from zerodrift.physics.fit import fit
+from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.front_end import TEMPERATURE
 from zerodrift.train.lag_bank.fit import prepare
 from zerodrift.train.lag_bank.loads import LoadPart, fit_loads, see_loads
 from zerodrift.train.lag_bank.model import POWERS
 from zerodrift.train.lag_bank.projection import solve_ridge
 from zerodrift.train.lag_bank.search import Rows, choose_bank, pick
-from zerodrift.lab.methods import METHODS, Options
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.lab.methods import METHODS, Fitted, Options
 from zerodrift.lab.twin.six_axis import draw_sensor, load_protocol, record, to_dataset
 from zerodrift.lab.twin.six_axis.record import Recording
-from zerodrift.lab.methods import METHODS, Fitted, Options
 
 Array = NDArray[np.float64]
 

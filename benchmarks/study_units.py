@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 
 from benchmarks.study_heat import JUDGED, measure_heat
 from zerodrift.dataset.runs import Run
-from zerodrift.physics.fit import fit as fit_effects
+from zerodrift.lab.methods.interface import Options, list_outputs
+from zerodrift.lab.methods.physical import DEFAULT_EFFECTS
 from zerodrift.lab.paper.world import BODY, CHAMBER_CYCLES, record_test, record_training
+from zerodrift.physics.fit import fit as fit_effects
 from zerodrift.train.front_end import TEMPERATURE
 from zerodrift.train.lag_bank.data import DEGREE
 from zerodrift.train.lag_bank.fit import assemble_fit, prepare
 from zerodrift.train.lag_bank.search import choose_bank, pick, span_of
 from zerodrift.train.lag_bank.unit_choice import Choice, Trial
-from zerodrift.lab.methods.interface import Options, list_outputs
-from zerodrift.lab.methods.physical import DEFAULT_EFFECTS
 
 Array = NDArray[np.float64]
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from platform import machine
 
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import (
     INCLUDE_DIRECTORY,
     RUNTIME_DIRECTORY,
@@ -23,8 +24,7 @@ from zerodrift.c_runtime.compilers import (
 )
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import generate
-from zerodrift.base.errors import CheckError
-from zerodrift.export.integer_model import load_model
+from zerodrift.export.model_files import load_model
 
 ROOT = RUNTIME_DIRECTORY.resolve().parent
 GOLDEN_DIRECTORY = ROOT / "tests" / "golden"

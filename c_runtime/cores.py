@@ -4,8 +4,8 @@ import importlib.util
 import shutil
 import sys
 
-from zerodrift.c_runtime.compilers import Compiler
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.c_runtime.compilers import Compiler
 
 _OMIT = "-fomit-frame-pointer"
 """zig keeps a frame pointer unless it is told not to; gcc and plain clang do not."""

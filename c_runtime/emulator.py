@@ -34,11 +34,11 @@ from unicorn.riscv_const import (
     UC_RISCV_REG_SP,
 )
 
+from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.compilers import Compiler
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.base.errors import CheckError, InputError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray

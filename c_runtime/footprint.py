@@ -18,10 +18,10 @@ from typing import Any
 from elftools.elf.elffile import ELFFile
 from elftools.elf.relocation import RelocationSection
 
+from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.base.errors import CheckError, InputError
 
 FLAGS = (
     "-std=c99",

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.tables import Table
 from zerodrift.dataset.units import read_unit
-from zerodrift.base.errors import InputError
 
 Mask = NDArray[np.bool_]
 Limits = tuple[float, float]

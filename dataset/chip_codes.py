@@ -8,12 +8,12 @@ import numpy as np
 
 from zerodrift.base.column_config import CodesConfig
 from zerodrift.base.config import Config, locate_key
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import guess_temperature_unit
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.runs import Array, Dataset, Run
 from zerodrift.dataset.tables import label_log, open_source, read_table
 from zerodrift.dataset.time_units import measure_unit_s
-from zerodrift.base.errors import InputError
 
 TEMPERATURE, MEASURED, CLOCK = "temperature_degC", "measured:", "clock"
 """Sources of codes: the thermometer, `measured:Fz` of an output, or an input; one is the clock."""

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.checks import explain_invalid_row, find_invalid_rows, widen_plausible
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.tables import Source, open_source, read_table
-from zerodrift.base.errors import InputError, nearest
 
 CODE_COLUMNS = tuple(f"adc_{number}" for number in range(1, 7))
 REFERENCE_PREFIX = "ref_"

@@ -9,10 +9,10 @@ import numpy as np
 import polars as pl
 
 from zerodrift.base.config import MAX_OUTPUTS, TIME_UNITS
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.tables import RUN_COLUMN, Source, open_source
 from zerodrift.dataset.time_units import guess_time_unit, read_time_unit
 from zerodrift.dataset.units import TEMPERATURE_UNITS, read_unit, strip_unit
-from zerodrift.base.errors import InputError
 
 TIME_NAMES = ("time_s", "t_s", "elapsed_s", "time", "t", "elapsed", "seconds", "timestamp_s")
 CLOCK_WORDS = ("clock", "unix", "epoch", "utc")

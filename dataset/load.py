@@ -10,6 +10,7 @@ import numpy as np
 
 from zerodrift.base.column_config import CodesConfig
 from zerodrift.base.config import Config, locate_key
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.checks import (
     check_period,
     check_sampling,
@@ -35,7 +36,6 @@ from zerodrift.dataset.time_units import (
     write_time,
 )
 from zerodrift.dataset.units import are_alike, read_unit
-from zerodrift.base.errors import InputError, nearest
 
 USES = ("train", "test", "dwell")
 SMALL_SPAN_K = 2.0

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import polars as pl
 
-from zerodrift.dataset.tables import Source, explain_unreadable
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.tables import Source, explain_unreadable
 
 
 @dataclass(frozen=True)

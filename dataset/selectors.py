@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from zerodrift.base.config import Config, locate_key
-from zerodrift.dataset.runs import Array
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.dataset.runs import Array
 
 CSV_SUFFIXES = (".csv", ".tsv", ".txt")
 PARQUET_SUFFIXES = (".parquet", ".pq")
@@ -169,7 +169,7 @@ def _explain_no_match(directory: Path, pattern: str, where: str) -> str:
         found = f"{folder} holds {shown}{nearest(Path(pattern).name, logs) or '.'}"
     else:
         found = f"{folder} holds no CSV or Parquet file."
-    return (
-        f"{where}: no file matches '{pattern}': {found} Expected at least one log; correct the "
-        f"glob, which is relative to {directory}."
-    )
+    remedy = f"correct the glob, which is relative to {directory}."
+    if (directory / "twin.json").is_file():
+        remedy = f"`zerodrift twin --example -C {directory}` simulates them from twin.json."
+    return f"{where}: no file matches '{pattern}': {found} Expected at least one log; {remedy}"

@@ -4,13 +4,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.copies import Marks, SharedRows, confirm, find_alignments, mark_run
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.naming import RunKey
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.selectors import Selection
 from zerodrift.dataset.tables import Table
-from zerodrift.base.errors import InputError
 
 WHOLLY = 0.95
 """A run is a copy if so many of its rows are another one's."""

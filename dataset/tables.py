@@ -14,12 +14,12 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from zerodrift.base.errors import InputError, nearest
+from zerodrift.base.files import name_kind
 from zerodrift.dataset.columns import GrowingColumns
 from zerodrift.dataset.quotes import check_quotes
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.selectors import PARQUET_SUFFIXES
-from zerodrift.base.errors import InputError, nearest
-from zerodrift.base.files import name_kind
 
 RUN_COLUMN = "run"
 BATCH_ROWS = 100_000

@@ -20,10 +20,10 @@ from zerodrift.diagnosis.heat_paths import (
     describe_programme,
     measure_untold,
 )
-from zerodrift.physics.live import find_live
 from zerodrift.diagnosis.memory import MemoryTable, TimeConstant, find_time_constants
 from zerodrift.diagnosis.network_memory import Memory, judge_memory, list_windows
 from zerodrift.diagnosis.thermometers import list_thermometers
+from zerodrift.physics.live import find_live
 
 SLOW_SHARE = 0.05
 """A lag longer than this share of the longest run differs from run to run by chance."""

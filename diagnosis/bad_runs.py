@@ -7,11 +7,11 @@ import numpy as np
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
-from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.fit import fit
 from zerodrift.diagnosis.floor import measure_floor
 from zerodrift.diagnosis.held_out import LEAVE_ONE_RUN_OUT, hold_out
 from zerodrift.diagnosis.run_errors import collect_errors
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.fit import fit
 
 MOST = 0.6
 """Share of the squared error beyond the floor that makes a run stand out, ..."""

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import EffectConfig
+from zerodrift.diagnosis.evidence import Errors, hold_out
 from zerodrift.physics.campaign import Campaign, Sums
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Effect, Parameter
-from zerodrift.diagnosis.evidence import Errors, hold_out
 from zerodrift.physics.projection import (
     get_coordinates,
     invert_scaled,

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.offsets import lay_out_runs
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import check_terms
 from zerodrift.physics.live import leave_out_still
-from zerodrift.diagnosis.offsets import lay_out_runs
 from zerodrift.physics.signals import SignalPlan, plan_signals
 from zerodrift.physics.terms import Term, start_term
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from zerodrift.base.config import Config, EffectConfig
-from zerodrift.dataset.runs import Dataset
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.dataset.runs import Dataset
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Effect
 from zerodrift.physics.signals import explain_missing, plan_signals

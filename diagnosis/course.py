@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.case import Advance, open_case
-from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.diagnosis.diagnose import diagnose, list_idle
 from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
 
 MOST_ADDED = 6
 """Effects that repeated diagnosis adds at most."""

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.case import Advance, Case, open_case
-from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.diagnosis_report import report
 from zerodrift.diagnosis.examination import Examination, examine, share_explained
@@ -19,6 +18,7 @@ from zerodrift.diagnosis.rules import (
     lead,
     wanders,
 )
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.terms import Term
 
 MOST_EFFECTS = 4

@@ -5,15 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.physics.campaign import FEWEST_RUNS
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.case import Case
 from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis, OutputErrors
 from zerodrift.diagnosis.examination import Examination, Judged, predict
 from zerodrift.diagnosis.experiments import choose_experiment
-from zerodrift.physics.fit import flat_weights
 from zerodrift.diagnosis.remainder import Pattern, describe_remainder, single_out_runs
 from zerodrift.diagnosis.rules import Finding, list_lookalikes, wanders
+from zerodrift.physics.campaign import FEWEST_RUNS
+from zerodrift.physics.fit import flat_weights
 from zerodrift.physics.search import search
 from zerodrift.physics.signals import explain_missing
 from zerodrift.physics.terms import tidy_terms

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
-from zerodrift.physics.campaign import Campaign
 from zerodrift.diagnosis.candidates import (
     Candidate,
     Untested,
@@ -15,10 +14,11 @@ from zerodrift.diagnosis.candidates import (
     propose,
     try_candidates,
 )
-from zerodrift.physics.catalogue import Catalogue
 from zerodrift.diagnosis.evidence import Errors, flip_signs, hold_in, hold_out
 from zerodrift.diagnosis.floor import estimate_fast_noise
 from zerodrift.diagnosis.noise import Noise, measure_noise
+from zerodrift.physics.campaign import Campaign
+from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.projection import get_coordinates, list_coordinates
 from zerodrift.physics.search import Found, search, search_beyond_rails, sum_with_slopes
 from zerodrift.physics.signals import SignalPlan

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.physics.live import find_live
 from zerodrift.diagnosis.noise import describe_noise, measure_noise
+from zerodrift.physics.live import find_live
 from zerodrift.physics.octaves import cut_octaves
 
 Array = NDArray[np.float64]

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.sealed import read_sealed, render_sealed
 from zerodrift.diagnosis.changes import name_effect
 from zerodrift.diagnosis.revision import Revision, describe_revision
-from zerodrift.base.sealed import read_sealed, render_sealed
 
 FORMAT = 2
 UNSEALED = 1

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
+from zerodrift.diagnosis.candidates import Proposal, propose
 from zerodrift.operations.graph import Node
 from zerodrift.physics.campaign import Campaign
-from zerodrift.diagnosis.candidates import Proposal, propose
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Feature
 from zerodrift.physics.fit import TARE_RATIO, flat_weights

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from zerodrift.base.config import EffectConfig
-from zerodrift.physics.campaign import Campaign
 from zerodrift.diagnosis.case import Case
 from zerodrift.diagnosis.evidence import hold_in, hold_out
 from zerodrift.diagnosis.examination import Examination, Judged, share_explained
-from zerodrift.physics.projection import get_coordinates, list_coordinates
 from zerodrift.diagnosis.rules import Finding
+from zerodrift.physics.campaign import Campaign
+from zerodrift.physics.projection import get_coordinates, list_coordinates
 from zerodrift.physics.search import sum_with_slopes
 from zerodrift.physics.terms import start_term
 

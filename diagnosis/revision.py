@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
 from zerodrift.dataset.runs import Dataset
-from zerodrift.physics.catalogue import Catalogue
 from zerodrift.diagnosis.changes import REMOVE, Change, name_effect
-from zerodrift.physics.fit import fit_config
 from zerodrift.diagnosis.floor import NoiseFloor, measure_floor
 from zerodrift.diagnosis.held_out import BLOCKS, BLOCKS_OF_ONE_RUN, HeldOut, hold_out
-from zerodrift.physics.model import FittedTerm, PhysicalModel
 from zerodrift.diagnosis.run_errors import RunError, collect_errors, pool_rmse
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.fit import fit_config
+from zerodrift.physics.model import FittedTerm, PhysicalModel
 
 Array = NDArray[np.float64]
 

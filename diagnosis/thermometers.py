@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.units import read_unit
-from zerodrift.physics.catalogue import Catalogue
 from zerodrift.diagnosis.changes import name_effect, propose_forms
 from zerodrift.diagnosis.revision import measure_overall, revise_best
+from zerodrift.physics.catalogue import Catalogue
 
 KIND = "zero_tempco"
 """The effect that is tried with each thermometer: of all that drifts with temperature the first."""

@@ -6,10 +6,10 @@ import numpy as np
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
-from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.fit import fit
 from zerodrift.diagnosis.floor import measure_floor
 from zerodrift.diagnosis.run_errors import collect_errors, pool_rmse
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.fit import fit
 
 FAR = 1.3
 """Test logs whose RMSE is this many times the noise floor hold something more, if the error of

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.chip_codes import (
     CLOCK,
@@ -22,7 +23,6 @@ from zerodrift.dataset.chip_codes import (
     refuse_outside,
 )
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.base.errors import InputError
 from zerodrift.export.feedback import predict_fed_back
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.formats import RANGE_SPANS
@@ -36,7 +36,7 @@ from zerodrift.operations.graph import GraphOperations, Node, evaluate, list_nod
 from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S, graph_inputs, read_signals
 
 if TYPE_CHECKING:  # torch is not needed to read what training left
-    from zerodrift.export.compose_import import ImportedCompensator
+    from zerodrift.export.imported import ImportedCompensator
     from zerodrift.train.compensator import Compensator
 
 Array = NDArray[np.float64]

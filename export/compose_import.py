@@ -1,16 +1,15 @@
 """From a network that another program trained, and logs to calibrate on, to the integer model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import LONGEST_WINDOW, Config
-from zerodrift.dataset.bridges import predict_along
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.chip_codes import FLAG_MARGIN_K, RANGE_MARGIN
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.base.errors import InputError, nearest
 from zerodrift.export.compose import (
     choose_lsb_per_unit,
     encode_inputs,
@@ -23,6 +22,7 @@ from zerodrift.export.compose import (
     widen,
 )
 from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.imported import TEMPERATURE, ImportedCompensator, Scaling, read_features
 from zerodrift.export.integer_model import IntegerModel, OutputFormat
 from zerodrift.export.onnx_reader import ImportedNetwork
 from zerodrift.export.quantize import Calibration, FloatModel, quantize
@@ -30,53 +30,6 @@ from zerodrift.operations.graph import GraphOperations
 from zerodrift.operations.gru import FloatGru
 
 Array = NDArray[np.float64]
-
-TEMPERATURE = "temperature"
-"""Name of the feature that is the chip's own thermometer; others are names of [inputs]."""
-
-
-@dataclass(frozen=True)
-class Scaling:
-    """Brings logged columns to -1 .. 1 before they become int16; the network takes it back."""
-
-    features: tuple[str, ...]
-    center: Array  # [I]
-    scale: Array  # [I]
-
-    def compute(self, run: Run) -> Array:
-        """Return the scaled features [n, I] of a run."""
-        return np.asarray((read_features(run, self.features) - self.center) / self.scale)
-
-
-@dataclass(frozen=True)
-class ImportedCompensator:
-    """A network from an ONNX file as a compensator: its outputs are the drift, in their units."""
-
-    network: FloatNetwork
-    """On the columns as they are logged: degC, V, ..."""
-    window: int
-    """0: the state is carried from sample to sample."""
-    front_end: Scaling
-    tared: bool = False
-    """A network knows nothing of the logs' tares."""
-    physics: None = None
-    """There is none beside it."""
-
-    def predict(self, run: Run) -> Array:
-        """Return the predicted drift [n, K] of a run that starts at rest."""
-        if run.before is not None:
-            return predict_along(self.predict, run)
-        features = read_features(run, self.front_end.features)
-        if self.window:
-            return self.network.run_windows(features, self.window)
-        drift = self.network.run(features[None], self.network.settle(features[:1]))
-        return np.asarray(drift[0])
-
-
-def read_features(run: Run, features: Sequence[str]) -> Array:
-    """Return the network's inputs [n, I] of a run, as logged."""
-    columns = [run.temperature_degC if f == TEMPERATURE else run.inputs[f] for f in features]
-    return np.stack(columns, axis=1)
 
 
 def import_compensator(

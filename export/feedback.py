@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Run
 from zerodrift.base.errors import CheckError
+from zerodrift.dataset.runs import Run
 
 Array = NDArray[np.float64]
 

@@ -12,15 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
-from zerodrift.dataset.runs import Run
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import calibrate, describe_compensator, encode_inputs
-from zerodrift.export.compose_import import (
-    ImportedCompensator,
-    calibrate_imported,
-    describe_imported,
-)
+from zerodrift.export.compose_import import calibrate_imported, describe_imported
 from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.imported import ImportedCompensator
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import FEATURE_HEADROOM, Calibration, FloatModel, quantize
 from zerodrift.export.quantize_layers import quantize_layers, quantize_state_read_out

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.files import write_whole
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
-from zerodrift.base.files import write_whole
 from zerodrift.operations.arithmetic import CodeArray
 
 FIELDS = ("codes", "drift", "flags", "hidden", "hash")

@@ -12,6 +12,7 @@ import onnx
 from onnx import TensorProto, helper
 
 from zerodrift.base.errors import CheckError
+from zerodrift.base.files import write_whole
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_INPUT_RANGE,
@@ -30,7 +31,6 @@ from zerodrift.export.integer_onnx_nodes import (
 )
 from zerodrift.export.onnx_writer import IR_VERSION, OPSET, OnnxWriter, Shape
 from zerodrift.export.reference import Reference
-from zerodrift.base.files import write_whole
 from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import CODES, PREVIOUS_DRIFT
 

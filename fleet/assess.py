@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset
-from zerodrift.fleet.result import OutputResult, ParameterResult
 from zerodrift.diagnosis.floor import measure_floor
 from zerodrift.diagnosis.held_out import TEST_LOGS, HeldOut, hold_out
 from zerodrift.diagnosis.run_errors import collect_errors, pool_rmse
+from zerodrift.fleet.result import OutputResult, ParameterResult
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.scores import Trained
 from zerodrift.verify.chip_error import Replay

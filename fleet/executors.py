@@ -9,9 +9,9 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Protocol
 
 from zerodrift.base.errors import CheckError, InputError
+from zerodrift.base.threads import BLAS
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import Outcome
-from zerodrift.base.threads import BLAS
 
 Batch = tuple[str, ...]
 ONE_THREAD = (*BLAS, "POLARS_MAX_THREADS")

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from zerodrift.base.journal import write_all
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.outliers import Outlier, find_outliers
 from zerodrift.fleet.result import Outcome, SensorResult
-from zerodrift.base.journal import write_all
 
 FORMAT = 1
 NAME = "report"

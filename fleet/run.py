@@ -4,16 +4,16 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 
-from zerodrift.c_runtime.compilers import RUNTIME_FILES
-from zerodrift.codegen.identifiers import sanitize_prefix
 from zerodrift.base.config import locate_key
 from zerodrift.base.errors import InputError, ZerodriftError
+from zerodrift.base.fleet_config import PLACEHOLDER
+from zerodrift.base.journal import write_all
+from zerodrift.c_runtime.compilers import RUNTIME_FILES
+from zerodrift.codegen.identifiers import sanitize_prefix
 from zerodrift.fleet.design import RUNTIME, Design
 from zerodrift.fleet.executors import Batch, Executor
 from zerodrift.fleet.result import RESULT, Outcome, SensorResult, load_result
 from zerodrift.fleet.sensors import configure_sensor, find_sensors
-from zerodrift.base.fleet_config import PLACEHOLDER
-from zerodrift.base.journal import write_all
 from zerodrift.verify.manifest import check_manifest
 
 BATCH = 32

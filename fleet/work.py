@@ -10,14 +10,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from zerodrift.base.config import Config
+from zerodrift.base.errors import CheckError, ZerodriftError
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.c_runtime.host_batch import build_host_batch
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.base.config import Config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.base.errors import CheckError, ZerodriftError
 from zerodrift.export.compose import compose_integer_model
 from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.integer_model import IntegerModel

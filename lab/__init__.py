@@ -1,1 +1,1 @@
-"""The laboratory: twins, the paper's experiments, other methods. Imports the product, never the reverse."""
+"""The laboratory: twins, the paper, other methods; imports the product, never the reverse."""

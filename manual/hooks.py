@@ -146,8 +146,8 @@ on_files.mkdocs_priority = -100  # type: ignore[attr-defined]
 def on_page_markdown(text: str, page: Any, **_: Any) -> str:
     """Ask for the effects' pictures; name files of the repository that are no pages."""
     if page.file.src_uri == "reference/effects.md":
-        from zerodrift.physics.catalogue import load_catalogue
         from zerodrift.diagnosis.fingerprint import draw_fingerprint
+        from zerodrift.physics.catalogue import load_catalogue
 
         catalogue = load_catalogue()
         text = ask_for_effects(

@@ -6,7 +6,7 @@ from importlib import import_module
 
 import click
 
-from zerodrift.app.cli import COMMANDS, cli
+from zerodrift.app.cli import cli, list_commands
 
 MODULES = {
     "effects": (
@@ -17,14 +17,14 @@ MODULES = {
     "logs": (
         "Projects and logs",
         "zerodrift.toml and the logs as the commands read them.",
-        ("config", "errors", "dataset.load", "dataset.runs"),
+        ("base.config", "base.errors", "dataset.load", "dataset.runs"),
     ),
     "physics": (
         "Fit, compare, diagnose",
         "The loop behind the commands.",
         (
-            *("physics.fit", "physics.model", "physics.compare"),
-            *("physics.diagnose", "physics.diagnosis", "physics.revision"),
+            *("physics.fit", "physics.model", "diagnosis.compare"),
+            *("diagnosis.diagnose", "diagnosis.diagnosis", "diagnosis.revision"),
         ),
     ),
     "integers": (
@@ -62,11 +62,11 @@ def render_commands() -> str:
         "|---|---|",
         *(
             f"| [`{name}`](#zerodrift-{name}) | {help_line} |"
-            for name, help_line in COMMANDS.items()
+            for name, (help_line, _) in list_commands().items()
         ),
     ]
     context = click.Context(cli, info_name="zerodrift")
-    for name in COMMANDS:
+    for name in list_commands():
         command = cli.get_command(context, name)
         assert command is not None
         text = command.get_help(click.Context(command, info_name=name, parent=context))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 from scipy.stats import t as student
 
-from zerodrift.operations.arithmetic import round_shift
 from zerodrift.diagnosis.evidence import flip_signs
+from zerodrift.operations.arithmetic import round_shift
 from zerodrift.report.figures import draw_fingerprint
 from zerodrift.report.style import ACCENT, FLOOR, HEATING, LEFT, apply_style
 

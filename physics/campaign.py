@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Run
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.runs import Run
 from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.physics.effect import Feature
 from zerodrift.physics.octaves import MEANS

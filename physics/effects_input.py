@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from zerodrift.operations.backend import Operations
-from zerodrift.physics.catalogue import register
 from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values
+from zerodrift.physics.registry import register
 
 
 def build_supply_sensitivity(

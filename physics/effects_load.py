@@ -6,8 +6,8 @@ They are fitted on the true load, the reference; on the chip they see the compen
 from collections.abc import Callable, Sequence
 
 from zerodrift.operations.backend import Operations
-from zerodrift.physics.catalogue import register
 from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values
+from zerodrift.physics.registry import register
 
 CROSS_AXES = Parameter(
     "cross_axes",

@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 
 from zerodrift.operations.backend import Operations
-from zerodrift.physics.catalogue import register
 from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values
+from zerodrift.physics.registry import register
 
 DAY_S = 86400.0
 

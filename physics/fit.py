@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from zerodrift.base.config import Config, EffectConfig
-from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.campaign import Campaign, Sums
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.live import find_live

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.runs import Dataset, Run
 
 ROUND_OFF = 1e-12
 """Share of the largest reading below which a difference is no movement."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Run
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.dataset.runs import Run
 from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.physics.effect import Effect, Signals
 from zerodrift.physics.rails import find_rails

@@ -12,8 +12,8 @@ import plotly.graph_objects as go
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
-from zerodrift.report.page import render_template
 from zerodrift.base.scratch import make_scratch
+from zerodrift.report.page import render_template
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 VARIABLE = "ZERODRIFT_BROWSER"

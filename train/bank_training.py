@@ -8,10 +8,10 @@ import numpy as np
 from zerodrift.base.config import Config
 from zerodrift.dataset.bridges import join_stretches
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.thermometers import list_thermometers
 from zerodrift.operations.dense import FloatDense, FloatFeedForward
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.diagnosis.thermometers import list_thermometers
 from zerodrift.train.compensator import Compensator, calibrate
 from zerodrift.train.lag_bank.fit import (
     FEWEST_RUNS,

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.bridges import predict_all, predict_along
-from zerodrift.dataset.runs import Run
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
+from zerodrift.base.sealed import read_sealed, render_sealed
+from zerodrift.dataset.bridges import predict_all, predict_along
+from zerodrift.dataset.runs import Run
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import list_nodes
 from zerodrift.operations.gru import FloatGru
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.base.sealed import read_sealed, render_sealed
 from zerodrift.train.front_end import FrontEnd
 from zerodrift.train.lag_bank.model import LagBank
 from zerodrift.train.onnx_export import read_onnx_gru, read_onnx_layers, read_onnx_weights

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from zerodrift.dataset.runs import Run
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import NumpyOperations, Operations
 from zerodrift.operations.graph import GraphOperations, Node
 

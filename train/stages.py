@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from zerodrift.base.config import WINDOWED_KINDS, Config
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.thermometers import list_thermometers
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import TARE_RATIO, fit
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.diagnosis.thermometers import list_thermometers
 from zerodrift.train.front_end import FrontEnd, Tap, fit_front_end
 from zerodrift.train.lags import choose_lags
 from zerodrift.train.linear import fit_linear

@@ -6,8 +6,8 @@ from dataclasses import replace
 import torch
 
 from zerodrift.base.config import Config
-from zerodrift.dataset.runs import Dataset
 from zerodrift.base.errors import ZerodriftError
+from zerodrift.dataset.runs import Dataset
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.train.batch import Problem, train_batch
 from zerodrift.train.networks import GruNetwork, build_network

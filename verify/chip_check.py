@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import CodeArray
 
 CHIP_STEPS = 1000

@@ -17,7 +17,7 @@ from zerodrift.dataset.bridges import predict_all
 from zerodrift.dataset.chip_codes import MEASURED
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
-from zerodrift.export.compose_import import ImportedCompensator
+from zerodrift.export.imported import ImportedCompensator
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_RATE_RANGE,

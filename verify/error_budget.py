@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
-from zerodrift.export.compose_import import ImportedCompensator
 from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.imported import ImportedCompensator
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.lowering import Lowering
 from zerodrift.export.quantize import FEATURE_HEADROOM, Calibration, FloatModel

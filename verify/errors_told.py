@@ -10,7 +10,7 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
-from zerodrift.export.compose_import import ImportedCompensator
+from zerodrift.export.imported import ImportedCompensator
 from zerodrift.train.compensator import Compensator
 
 Array = NDArray[np.float64]

@@ -7,14 +7,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.config import Config
+from zerodrift.base.errors import CheckError
+from zerodrift.base.journal import write_all
+from zerodrift.base.ownership import refuse_foreign
+from zerodrift.base.scratch import make_scratch
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.footprint import Footprint, measure_footprint
 from zerodrift.c_runtime.host import HostModel, render_sources, write_sources
 from zerodrift.codegen.application import render_dbc
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.base.config import Config
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.base.errors import CheckError
 from zerodrift.export.compose import (
     calibrate,
     compose_integer_model,
@@ -22,19 +25,16 @@ from zerodrift.export.compose import (
     encode_inputs,
 )
 from zerodrift.export.compose_import import (
-    ImportedCompensator,
     calibrate_imported,
     compose_imported_model,
     describe_imported,
 )
 from zerodrift.export.fine_tune import load_or_tune, load_or_tune_imported
 from zerodrift.export.golden import GoldenVectors, compute_golden
+from zerodrift.export.imported import ImportedCompensator
 from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx
-from zerodrift.base.journal import write_all
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.base.ownership import refuse_foreign
-from zerodrift.base.scratch import make_scratch
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify

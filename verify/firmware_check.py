@@ -4,10 +4,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.host_check import check_host

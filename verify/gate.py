@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.c_runtime.host import HostModel
 from zerodrift.base.config import Config
+from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.bridges import predict_all
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.export.compose import predict_on_chip
-from zerodrift.export.compose_import import ImportedCompensator
 from zerodrift.diagnosis.held_out import TEST_LOGS
 from zerodrift.diagnosis.run_errors import FindUsable
+from zerodrift.export.compose import predict_on_chip
+from zerodrift.export.imported import ImportedCompensator
 from zerodrift.verify.chip_error import AnyCompensator, ChipError, Replay, replay_runs
 from zerodrift.verify.excursions import Excursion, list_excursions
 from zerodrift.verify.left_out import leave_out

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from zerodrift.base.config import Config
 from zerodrift.dataset.chip_codes import FLAG_MARGIN_K, RANGE_MARGIN
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.export.compose_import import ImportedCompensator
-from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.diagnosis.held_out import hold_out
+from zerodrift.export.imported import ImportedCompensator
+from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.bank_training import assemble_bank, fit_bank
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.stages import fit_physics

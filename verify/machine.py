@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift import __version__
-from zerodrift.c_runtime.compilers import find_compilers
-from zerodrift.c_runtime.cores import CORES, GCC_CORES, find_cross_compilers
 from zerodrift.base.errors import InputError
 from zerodrift.base.lock import LOCK, describe_holder, find_state, try_lock
+from zerodrift.c_runtime.compilers import find_compilers
+from zerodrift.c_runtime.cores import CORES, GCC_CORES, find_cross_compilers
 
 PACKAGES: dict[str, str] = {
     "numpy": "arithmetic",

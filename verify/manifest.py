@@ -16,8 +16,8 @@ from typing import Any
 
 from zerodrift import __version__
 from zerodrift.base.config import USES, Config
-from zerodrift.dataset.selectors import expand_selectors
 from zerodrift.base.errors import CheckError, InputError
+from zerodrift.dataset.selectors import expand_selectors
 
 FILE_NAME = "manifest.json"
 FORMAT = 1

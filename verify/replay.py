@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
-from zerodrift.export.golden import GoldenVectors, load_golden
-from zerodrift.export.integer_model import IntegerModel, load_model
 from zerodrift.base.scratch import make_scratch
+from zerodrift.codegen.generate import GeneratedCode, generate
+from zerodrift.export.golden import GoldenVectors, load_golden
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.model_files import load_model
 from zerodrift.verify.expected import Expected, expect
 from zerodrift.verify.firmware_check import Failure, Progress
 from zerodrift.verify.folder_check import FolderCheck, check_folder

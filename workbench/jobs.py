@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import IO
 
-from zerodrift.app.commands.console import PROGRESS_LINES, PROGRESS_MARK
+from zerodrift.base.progress import PROGRESS_LINES, PROGRESS_MARK
 
 EVENT_MARK = "event: "
 GRACE_S = 4.0

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from zerodrift.base.config import FILE_NAME
 from zerodrift.base.errors import InputError
 from zerodrift.report.findings import Findings, load_findings
-from zerodrift.workbench.child import (
+from zerodrift.workbench.events import (
     DIAGNOSED,
     DIAGNOSIS,
     PREVIEWED,
@@ -36,7 +36,7 @@ from zerodrift.workbench.undo import Snapshot, Undo, take_back, take_snapshot
 
 Array = NDArray[np.float64]
 
-CHILD = "zerodrift.workbench.child"
+CHILD = "zerodrift.app.page"
 READS_LOGS = ("add", "remove", "train", "firmware", "report")
 """Commands that the page runs and that can drop invalid rows."""
 

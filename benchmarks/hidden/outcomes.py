@@ -10,11 +10,11 @@ from pathlib import Path
 from benchmarks.hidden.cases import Case, make_recipe, read_simulation
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
-from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.diagnosis.course import Course, diagnose_until_done, extend_model
 from zerodrift.diagnosis.diagnose import diagnose
-from zerodrift.physics.fit import fit
 from zerodrift.lab.twin.simulate import simulate
+from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.fit import fit
 
 SHAPES = {
     "dark_current": ("doubling_K", "doubling_K"),

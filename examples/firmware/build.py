@@ -12,14 +12,15 @@ import numpy as np
 from elftools.elf.elffile import ELFFile
 from numpy.typing import NDArray
 
+from zerodrift.base.errors import InputError
 from zerodrift.c_runtime.compilers import WARNINGS
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.application import render_application, render_dbc
 from zerodrift.codegen.generate import generate
 from zerodrift.codegen.identifiers import sanitize_prefix
-from zerodrift.base.errors import InputError
-from zerodrift.export.integer_model import IntegerModel, load_model
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.model_files import load_model
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.vectors import draw_sequences
 

@@ -1,1 +1,13 @@
-"""The laboratory's commands, registered by entry points."""
+"""The laboratory's commands, which the command line finds by an entry point of its package."""
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "twin": (
+        "Write simulated logs of the six-axis sensor.",
+        "zerodrift.lab.commands.twin:command",
+    ),
+    "paper": (
+        "The paper's tables and its fit figure, from the twin.",
+        "zerodrift.lab.commands.paper:command",
+    ),
+}
+"""Name -> one-line help, and where the command is."""

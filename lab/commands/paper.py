@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from zerodrift.app.commands.common import json_option, print_json, print_notes, write_text
+from zerodrift.app.commands.common import json_option, print_json, print_notes
 from zerodrift.app.commands.console import open_console, show_progress
 from zerodrift.base.errors import InputError
+from zerodrift.base.journal import write_text
 
 if TYPE_CHECKING:
     from zerodrift.lab.paper.findings import Finding
@@ -131,9 +132,9 @@ def render_page(
     found: "list[Outcome]",
 ) -> str:
     """Return everything as Markdown."""
+    from zerodrift.lab.methods import METHODS
     from zerodrift.lab.paper.published import RECIPE, SOURCE
     from zerodrift.lab.paper.tables import render_table
-    from zerodrift.lab.methods import METHODS
 
     lines = [
         CALLED,

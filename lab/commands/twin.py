@@ -5,14 +5,15 @@ from pathlib import Path
 import click
 
 from zerodrift.app.commands.common import json_option, print_json
+from zerodrift.base.errors import InputError
 from zerodrift.lab.commands.six_axis import (
     describe_campaign,
     record_campaign,
     refuse_foreign_options,
     summarise_campaign,
 )
-from zerodrift.base.errors import InputError
 from zerodrift.lab.twin import Recipe, parse_choice, simulate, write_logs
+from zerodrift.lab.twin.example import RECIPE_FILE, ensure_example_logs
 from zerodrift.lab.twin.logs import write_project
 from zerodrift.lab.twin.recipe import (
     CHANNELS,
@@ -77,6 +78,24 @@ def describe_written(simulation: Simulation, directory: Path, files: list[str]) 
     lines.append("truth.json holds what the sensor does in fact; look only when you have decided.")
     lines.append(f"{len(files)} files. Next: zerodrift compare -C {directory}")
     return "\n".join(lines)
+
+
+def write_example(directory: Path, *, as_json: bool) -> None:
+    """Write the simulated logs of a bundled example and say whether they were there.
+
+    Raises:
+        InputError: the directory is none of an example.
+    """
+    if not (directory / RECIPE_FILE).is_file():
+        raise InputError(
+            f"{directory / RECIPE_FILE}: there is no such file; expected the recipe of an example's"
+            " simulated logs. Leave --example out to simulate others."
+        )
+    written = ensure_example_logs(directory)
+    if as_json:
+        print_json({"simulated": True, "directory": str(directory), "written": written})
+    elif written:
+        click.echo(f"wrote the example's simulated logs into {directory / 'logs'}")
 
 
 @click.command(
@@ -147,6 +166,11 @@ def describe_written(simulation: Simulation, directory: Path, files: list[str]) 
     help="[network] kind to write.",
 )
 @click.option("--force", is_flag=True, help="Overwrite an earlier simulation.")
+@click.option(
+    "--example",
+    is_flag=True,
+    help="Write the logs of the twin.json in that directory, unless they are there.",
+)
 @click.option("--list", "list_only", is_flag=True, help="List what can be hidden, and stop.")
 @click.option(
     "--six-axis", is_flag=True, help="The deeper twin: photo-couplers, thirteen thermal nodes."
@@ -196,6 +220,7 @@ def command(
     still: str,
     network: str,
     force: bool,
+    example: bool,
     list_only: bool,
     six_axis: bool,
     protocols: tuple[str, ...],
@@ -211,6 +236,10 @@ def command(
     if list_only:
         click.echo(list_effects())
         click.echo("Protocols of --six-axis: " + ", ".join(list_protocols()))
+        return
+    if example:
+        refuse_foreign_options(given - {"example"})
+        write_example(directory, as_json=as_json)
         return
     if six_axis:
         refuse_foreign_options(given)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Run
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.runs import Run
 from zerodrift.lab.methods.interface import Fit, Fitted, FittedFunction, Options
 from zerodrift.lab.methods.networks import WINDOW
 from zerodrift.lab.methods.windows import fit_windows

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Run
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.runs import Run
 from zerodrift.lab.methods.interface import (
     RECIPE,
     SCHEDULES,

@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 
 from zerodrift.base.config import Config, EffectConfig, NetworkConfig, OutputConfig
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.physics.fit import fit as fit_effects
-from zerodrift.physics.model import PhysicalModel
-from zerodrift.train.lag_bank.fit import UNITS, fit_lag_bank
 from zerodrift.lab.methods.interface import (
     Fit,
     Fitted,
@@ -21,6 +18,9 @@ from zerodrift.lab.methods.interface import (
     Options,
     list_outputs,
 )
+from zerodrift.physics.fit import fit as fit_effects
+from zerodrift.physics.model import PhysicalModel
+from zerodrift.train.lag_bank.fit import UNITS, fit_lag_bank
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from zerodrift.lab.twin.sensor import OUTPUTS, UNITS
+from zerodrift.lab.methods import METHODS
 from zerodrift.lab.paper.plan import DEFAULT, PAPER_GRU, Plan
 from zerodrift.lab.paper.published import CHAMBER, COOLING, HEATING, NONE
 from zerodrift.lab.paper.store import Cell
@@ -15,6 +15,7 @@ from zerodrift.lab.paper.study import Outcome
 from zerodrift.lab.paper.summary import Outcomes, Spread, compare_errors, summarise
 from zerodrift.lab.paper.tables import find_cells
 from zerodrift.lab.paper.why import Heat, Spans, Training, Why
+from zerodrift.lab.twin.sensor import OUTPUTS, UNITS
 from zerodrift.report.style import (
     ACCENT,
     FLOOR,
@@ -25,7 +26,6 @@ from zerodrift.report.style import (
     mark_of,
     wash,
 )
-from zerodrift.lab.methods import METHODS
 
 SHOWN = ("lsm_linear", "mlp", PAPER_GRU, DEFAULT)
 """Lines of the fit figures."""

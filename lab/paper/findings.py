@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from zerodrift.lab.twin.sensor import FULL_SCALE, OUTPUTS
+from zerodrift.lab.methods import METHODS
 from zerodrift.lab.paper.plan import DEFAULT, PAPER_GRU, TRAINED, Plan
 from zerodrift.lab.paper.published import (
     CHAMBER,
@@ -25,7 +25,7 @@ from zerodrift.lab.paper.summary import (
     summarise,
 )
 from zerodrift.lab.paper.tables import find_cells
-from zerodrift.lab.methods import METHODS
+from zerodrift.lab.twin.sensor import FULL_SCALE, OUTPUTS
 
 HOLDS = "comes out"
 WEAKER = "comes out, but weaker"

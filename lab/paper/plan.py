@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from zerodrift.lab.paper.store import Cell
 from zerodrift.lab.methods import METHODS
+from zerodrift.lab.paper.store import Cell
 
 DEFAULT = "lag_bank"
 PAPER_GRU = "gru_window_paper"

@@ -38,16 +38,17 @@ PHYSICS = tuple(
     f"physics/{name}.py"
     for name in (
         "campaign", "catalogue", "effect", "effects_element", "effects_input", "effects_load",
-        "effects_temperature", "effects_time", "fit", "live", "model", "octaves", "offsets",
-        "projection", "rates", "reduction", "search", "signals", "terms",
+        "effects_temperature", "effects_time", "fit", "live", "model", "octaves",
+        "projection", "rates", "reduction", "registry", "search", "signals", "terms",
     )
 )  # fmt: skip
+OFFSETS = "diagnosis/offsets.py"
 SOURCES: Mapping[str, tuple[str, ...]] = {
     "linear": ("lab/methods/interface.py", "lab/methods/windows.py", "lab/methods/linear.py"),
     "network": NETWORK,
     "gru_window_projected": (*NETWORK, "lab/methods/projected.py"),
     "baseline": ("lab/methods/windows.py", "lab/methods/baselines.py"),
-    "physics": ("operations", *PHYSICS, "train"),
+    "physics": ("operations", *PHYSICS, OFFSETS, "train"),
 }
 """Family of methods, or one method -> the files, or folders of them, that decide its results."""
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import EffectConfig
-from zerodrift.lab.twin.sensor import FULL_SCALE, OUTPUTS
+from zerodrift.lab.methods import METHODS, Options
+from zerodrift.lab.methods.interface import Fitted
 from zerodrift.lab.paper.store import Cell, Store
 from zerodrift.lab.paper.world import (
     BODY,
@@ -22,8 +23,7 @@ from zerodrift.lab.paper.world import (
     record_test,
     record_training,
 )
-from zerodrift.lab.methods import METHODS, Options
-from zerodrift.lab.methods.interface import Fitted
+from zerodrift.lab.twin.sensor import FULL_SCALE, OUTPUTS
 
 Array = NDArray[np.float64]
 Say = Callable[[int, int, str], None]

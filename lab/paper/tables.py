@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zerodrift.lab.twin.sensor import OUTPUTS, UNITS
+from zerodrift.lab.methods import METHODS
 from zerodrift.lab.paper.plan import Plan
 from zerodrift.lab.paper.published import NONE, SOURCE, TABLES, WALKING, PublishedTable
 from zerodrift.lab.paper.store import Cell
 from zerodrift.lab.paper.study import Outcome
 from zerodrift.lab.paper.summary import Outcomes, Spread, pool_percent, summarise
-from zerodrift.lab.methods import METHODS
+from zerodrift.lab.twin.sensor import OUTPUTS, UNITS
 
 FLOOR = "noise floor"
 FEET = ("left foot", "right foot")

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 
 from zerodrift.diagnosis.memory import MemoryTable, find_time_constants
+from zerodrift.lab.methods import METHODS
+from zerodrift.lab.methods.networks import WINDOW
 from zerodrift.lab.paper.plan import (
     DEFAULT,
     HEATED,
@@ -19,8 +21,6 @@ from zerodrift.lab.paper.store import Cell
 from zerodrift.lab.paper.study import COURSE_TESTS
 from zerodrift.lab.paper.summary import Outcomes, Spread, pool_floors, pool_percent, summarise
 from zerodrift.lab.paper.world import record_training
-from zerodrift.lab.methods import METHODS
-from zerodrift.lab.methods.networks import WINDOW
 
 HEAT_TESTS = ("chamber", "heating", "cooling", "walking_still")
 

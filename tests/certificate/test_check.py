@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from tests.fixed_point.strategies import shapes
 from tests.golden.model_factory import Shape, draw_model
 from tests.golden.models import CASES
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import FORMAT, IntegerModel
 from zerodrift.verify import known_runtime
 from zerodrift.verify.c_model import Model, read_models

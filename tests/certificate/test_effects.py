@@ -14,9 +14,9 @@ from tests.effects_on_chip.bench import (
     make_dataset,
     make_physics,
 )
+from zerodrift.base.config import EffectConfig
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.base.config import EffectConfig
 from zerodrift.export.compose import (
     calibrate,
     compose_integer_model,

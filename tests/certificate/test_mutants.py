@@ -19,10 +19,10 @@ import pytest
 
 from tests.certificate.test_check import list_texts
 from tests.golden.model_factory import Shape, draw_model
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import Compiler, find_compilers
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import compare

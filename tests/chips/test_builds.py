@@ -9,11 +9,11 @@ import pytest
 from tests.golden.model_factory import Shape, draw_model
 from tests.golden.vectors import load
 
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, WARNINGS, Compiler, find_compilers
 from zerodrift.c_runtime.cores import CORES, GCC_CORES, find_cross_compilers
 from zerodrift.c_runtime.host import render_sources, write_sources
 from zerodrift.codegen.generate import generate
-from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import IntegerModel
 
 PHYSICS = Shape(hidden=0, front_end=("lowpass", "product", "delay", "root"), outputs=2)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from tests.golden.model_factory import Draw, Shape, draw_model
 
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.base.errors import CheckError
 from zerodrift.verify.chip_check import check_chip
 
 if importlib.util.find_spec("unicorn") is None:

@@ -9,7 +9,8 @@ from tests.golden.model_factory import Draw, Shape, draw_model
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.export.integer_model import FLAG_DAMAGED, IntegerModel, load_model
+from zerodrift.export.integer_model import FLAG_DAMAGED, IntegerModel
+from zerodrift.export.model_files import load_model
 from zerodrift.verify.certificate import FILE_NAME, certify
 from zerodrift.verify.certificate_check import check_certificate
 from zerodrift.verify.host_check import check_host

@@ -13,11 +13,11 @@ from tests.fixed_point.test_cmake import run
 from tests.golden.vectors import load
 from tests.verify.conftest import write_firmware
 
-from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
 from zerodrift.app.cli import cli
+from zerodrift.base.errors import CheckError
+from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
 from zerodrift.codegen.generate import generate
 from zerodrift.codegen.packages import PACKAGES, render_package
-from zerodrift.base.errors import CheckError
 
 ROOT = Path(__file__).parents[2]
 RUNTIME = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}

@@ -5,14 +5,14 @@ import pytest
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
-from zerodrift.operations.lowpass import lowpass
-from zerodrift.physics.fit import fit
 from zerodrift.diagnosis.held_out import (
     BLOCKS_OF_ONE_RUN,
     LEAVE_ONE_RUN_OUT,
     TEST_LOGS,
     hold_out,
 )
+from zerodrift.operations.lowpass import lowpass
+from zerodrift.physics.fit import fit
 
 OUTPUTS, UNITS, SCALE = ("Fz", "Mx"), ("N", "Nm"), (2000.0, 20.0)
 EFFECTS = (EffectConfig("zero_tempco"), EffectConfig("thermal_lag"))

@@ -9,9 +9,9 @@ import pytest
 from tests.projects import FORCE, render_toml
 
 from zerodrift.base.config import Config, load_config
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.base.errors import InputError
 
 TOML = render_toml(
     """\

@@ -10,10 +10,10 @@ from benchmarks.bench_copies import CLEAN_KINDS, COPIES, find, make_clean, try_c
 from tests.projects import FORCE, render_toml
 
 from zerodrift.base.config import load_config
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.copies import LEAST_NOISE_STEPS, measure_noise, measure_step
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.base.errors import InputError
 
 HEADER = "time_s,temperature_degC,Fz_N,ref_Fz_N"
 

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from zerodrift.base.config import parse_config
-from zerodrift.dataset.load import load_dataset
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.load import load_dataset
 
 TOML = """\
 [sensor]

@@ -8,10 +8,10 @@ from click.testing import CliRunner
 
 from zerodrift.app.commands.init import command
 from zerodrift.base.config import load_config
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.guess import guess_project
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.units import are_alike, read_unit, strip_unit
-from zerodrift.base.errors import InputError
 
 HEADER = (
     *("time_s", "temperature_degC", "t_body_degC", "Fx_N", "Mz [Nm]", "ref_Fx_N", "ref_Mz [Nm]"),

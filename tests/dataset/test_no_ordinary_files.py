@@ -9,9 +9,9 @@ import pytest
 from tests.dataset.conftest import Project
 
 from zerodrift.base.config import load_config
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.guess import guess_project
 from zerodrift.dataset.tables import open_source
-from zerodrift.base.errors import InputError
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 HANGS_AFTER_S = 30

@@ -16,9 +16,9 @@ from tests.effects_on_chip.bench import (
     make_physics,
 )
 
+from zerodrift.base.config import EffectConfig
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.base.config import EffectConfig
 from zerodrift.export.compose import (
     compose_integer_model,
     encode_inputs,

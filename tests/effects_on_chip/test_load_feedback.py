@@ -14,11 +14,11 @@ from tests.effects_on_chip.bench import (
     make_physics,
 )
 
+from zerodrift.base.config import EffectConfig
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Run
-from zerodrift.base.errors import CheckError
 from zerodrift.export.compose import (
     compose_integer_model,
     encode_inputs,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from tests.effects_on_chip.bench import draw_runs, make_config, make_dataset
 
+from zerodrift.base.config import Config, EffectConfig, NetworkConfig
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.base.config import Config, EffectConfig, NetworkConfig
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import (
     compose_integer_model,

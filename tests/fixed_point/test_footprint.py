@@ -9,10 +9,10 @@ import pytest
 from tests.golden.model_factory import Shape, draw_model
 from tests.golden.vectors import load
 
+from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.cores import CORES, find_cross_compilers
 from zerodrift.c_runtime.footprint import HELPER_STACK_BYTES, measure_footprint
 from zerodrift.codegen.generate import generate
-from zerodrift.base.errors import CheckError, InputError
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("ziglang") is None, reason="sizes need the ziglang wheel"

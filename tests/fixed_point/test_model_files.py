@@ -11,7 +11,8 @@ import pytest
 from tests.golden.model_factory import Shape, draw_model
 
 from zerodrift.base.errors import InputError
-from zerodrift.export.integer_model import FORMAT, load_model
+from zerodrift.export.integer_model import FORMAT
+from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference
 
 SHAPES = [

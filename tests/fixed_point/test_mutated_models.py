@@ -14,9 +14,9 @@ import pytest
 from tests.certificate.test_check import list_texts
 from tests.golden.model_factory import Shape, draw_model
 
-from zerodrift.codegen.generate import generate
 from zerodrift.base.errors import ZerodriftError
-from zerodrift.export.integer_model import load_model
+from zerodrift.codegen.generate import generate
+from zerodrift.export.model_files import load_model
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import compare
 

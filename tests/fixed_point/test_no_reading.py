@@ -10,10 +10,10 @@ import pytest
 from tests.golden.model_factory import Shape, draw_model
 from tests.golden.models import LOWEST
 
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.application import render_application
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import (
     FLAG_INPUT_RANGE,
     FLAG_NO_READING,
@@ -22,8 +22,8 @@ from zerodrift.export.integer_model import (
     FORMAT,
     OLDER_FORMAT,
     IntegerModel,
-    load_model,
 )
+from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.firmware import recheck

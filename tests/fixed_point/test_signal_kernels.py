@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import (
     INCLUDE_DIRECTORY,
     RUNTIME_DIRECTORY,
     WARNINGS,
     find_compilers,
 )
-from zerodrift.base.errors import CheckError
 from zerodrift.operations.delay import delay
 from zerodrift.operations.exp2 import OCTAVE_Q29, IntegerExp2
 from zerodrift.operations.intervals import Interval

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from tests.fleet.conftest import NETWORK, SENSORS
 
+from zerodrift.base.config import load_config
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
-from zerodrift.export.integer_model import load_model
+from zerodrift.export.model_files import load_model
 from zerodrift.fleet.sensors import configure_sensor
 from zerodrift.train.training import train
 from zerodrift.verify.host_check import check_host

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tests.golden.model_factory import Shape, draw_model
 
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.host_batch import build_host_batch, include_renamed
 from zerodrift.codegen.generate import generate
-from zerodrift.base.errors import CheckError
 from zerodrift.verify.host_check import check_host
 
 SHAPES = (

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from zerodrift.base.config import load_config
-from zerodrift.dataset.selectors import expand_selectors
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.selectors import expand_selectors
 from zerodrift.fleet.sensors import configure_sensor, find_sensors, match_names
 
 BASE = """

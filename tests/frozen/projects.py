@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from tests.projects import render_toml
-from zerodrift.codegen.generate import generate
 from zerodrift.base.config import load_config
+from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import compose_integer_model
 from zerodrift.export.compose_import import compose_imported_model, import_compensator
 from zerodrift.export.onnx_reader import read_imported
-from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.lab.twin.example import ensure_example_logs
+from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.compensator import Compensator
 
 ROOT = Path(__file__).parents[2]

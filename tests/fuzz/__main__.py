@@ -23,7 +23,7 @@ from pathlib import Path
 from tests.fuzz import build, loaders
 
 from zerodrift.c_runtime.compilers import Compiler
-from zerodrift.export.integer_model import load_model
+from zerodrift.export.model_files import load_model
 
 ROOT = Path(__file__).parents[2]
 CORPUS = Path(__file__).parent / "corpus"

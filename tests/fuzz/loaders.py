@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from zerodrift.codegen.generate import generate
 from zerodrift.base.config import load_config, parse_config
-from zerodrift.dataset.load import load_dataset
 from zerodrift.base.errors import ZerodriftError
-from zerodrift.export.integer_model import canonical_json, load_model
+from zerodrift.codegen.generate import generate
+from zerodrift.dataset.load import load_dataset
+from zerodrift.export.integer_model import canonical_json
+from zerodrift.export.model_files import load_model
 from zerodrift.export.onnx_reader import read_imported
 from zerodrift.export.reference import Reference
 from zerodrift.verify.vectors import draw_sequences

@@ -9,7 +9,8 @@ from tests.fuzz import build, loaders
 
 from zerodrift.c_runtime.compilers import find_compilers
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.export.integer_model import IntegerModel, load_model
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.model_files import load_model
 
 CORPUS = Path(__file__).parent / "corpus"
 SANITIZED = [c for c in find_compilers() if c.name in ("gcc", "clang", "cc")]

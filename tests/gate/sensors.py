@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.config import load_config
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import compose_integer_model
 from zerodrift.operations.lowpass import lowpass

@@ -10,8 +10,8 @@ from tests.gate.sensors import TESTS, TRAIN, ask_gate, heat, list_kinds, write_s
 from tests.main_job.conftest import invoke
 
 from zerodrift.base.config import load_config
-from zerodrift.dataset.load import load_dataset
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.load import load_dataset
 from zerodrift.report.tables import tabulate_chip_error
 from zerodrift.train.training import train
 from zerodrift.verify import chip_error, left_out

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.c_runtime.host import HostModel
-from zerodrift.export.integer_model import IntegerModel, load_model
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.mismatch import label_columns

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from zerodrift.base.config import EffectConfig
+from zerodrift.diagnosis.changes import write_command
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.diagnosis.changes import write_command
 
 
 def rewrite_outputs(project, drift):

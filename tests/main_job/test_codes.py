@@ -8,16 +8,16 @@ import pytest
 from tests.main_job.conftest import invoke
 
 from zerodrift.base.config import load_config
-from zerodrift.dataset.load import load_dataset
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import compose_integer_model, encode_inputs
 from zerodrift.export.integer_model import (
     FLAG_INPUT_RANGE,
     FLAG_NO_READING,
     FLAG_TEMPERATURE_RANGE,
     IntegerModel,
-    load_model,
 )
+from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference
 from zerodrift.train.training import train
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from tests.main_job.conftest import invoke, write_project
 
+from zerodrift.base.config import load_config
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import calibrate, describe_compensator, predict_integer

@@ -11,15 +11,16 @@ from tests.main_job.conftest import invoke, write_project
 
 from zerodrift.app.commands.firmware import tell_hurt
 from zerodrift.base.config import load_config
-from zerodrift.dataset.load import load_dataset
 from zerodrift.base.errors import CheckError
+from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import (
     encode_inputs,
     measure_warm_up,
     predict_integer,
     predict_on_chip,
 )
-from zerodrift.export.integer_model import FLAG_TEMPERATURE_RANGE, FLAG_WARMING_UP, load_model
+from zerodrift.export.integer_model import FLAG_TEMPERATURE_RANGE, FLAG_WARMING_UP
+from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.compensator import Compensator

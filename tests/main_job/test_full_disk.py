@@ -13,13 +13,13 @@ from tests.projects import render_toml
 from tests.verify.conftest import write_firmware
 
 from zerodrift.app.cli import main
-from zerodrift.codegen.generate import generate
-from zerodrift.app.commands.common import write_text
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.base.journal import write_text
+from zerodrift.base.lock import STATE
+from zerodrift.codegen.generate import generate
 from zerodrift.export.golden import GoldenVectors, compute_golden
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.base.lock import STATE
 from zerodrift.verify.firmware import write_artefacts
 
 ROOT = Path(__file__).parents[2]

@@ -10,9 +10,10 @@ from onnx import TensorProto, helper, numpy_helper
 from tests.golden.model_factory import Shape, draw_model
 from tests.onnx.graphs import Graph
 
-from zerodrift.codegen.generate import generate
 from zerodrift.base.errors import InputError, ZerodriftError
-from zerodrift.export.integer_model import canonical_json, load_model
+from zerodrift.codegen.generate import generate
+from zerodrift.export.integer_model import canonical_json
+from zerodrift.export.model_files import load_model
 from zerodrift.export.onnx_reader import LARGEST_FILE, read_imported
 
 

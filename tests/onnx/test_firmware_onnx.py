@@ -11,18 +11,15 @@ from tests.onnx.graphs import Graph, keras
 from tests.onnx.torch_networks import Form, export
 
 from zerodrift.app.cli import cli
-from zerodrift.codegen.generate import generate
 from zerodrift.app.commands.onnx_option import OnnxRequest, open_import
 from zerodrift.base.config import Config, load_config
+from zerodrift.base.errors import InputError
+from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.base.errors import InputError
 from zerodrift.export.compose import predict_integer
-from zerodrift.export.compose_import import (
-    compose_imported_model,
-    import_compensator,
-    read_features,
-)
+from zerodrift.export.compose_import import compose_imported_model, import_compensator
+from zerodrift.export.imported import read_features
 from zerodrift.export.onnx_reader import read_imported_bytes
 from zerodrift.verify.firmware_check import check_firmware
 from zerodrift.verify.vectors import draw_sequences

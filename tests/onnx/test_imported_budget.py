@@ -16,9 +16,9 @@ from tests.onnx.test_firmware_onnx import (
 )
 from tests.onnx.torch_networks import Form, export
 
+from zerodrift.base.config import load_config
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import predict_integer
 from zerodrift.export.compose_import import (

@@ -16,7 +16,8 @@ from tests.oracle.machine import Answer, Oracle
 from tests.oracle.primitives import TANH_Q19
 from tests.oracle.signals import OCTAVE_Q29
 from tests.oracle.vector_file import compute_crc, read_vectors
-from zerodrift.export.integer_model import IntegerModel, load_model
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference
 from zerodrift.operations.exp2 import OCTAVE_Q29 as REFERENCE_OCTAVE_Q29
 from zerodrift.operations.tables import tanh_nodes

@@ -7,9 +7,10 @@ from tests.physics.conftest import FULL_SCALE, OUTPUTS, UNITS, linear, make_data
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.operations.backend import NumpyOperations
-from zerodrift.physics.catalogue import READING_ORDER, load_catalogue, register
+from zerodrift.physics.catalogue import load_catalogue, register
 from zerodrift.physics.effect import Effect, Feature, Parameter, Signals
 from zerodrift.physics.fit import fit
+from zerodrift.physics.registry import READING_ORDER
 from zerodrift.physics.terms import build_features, start_term
 
 CONTRACT = [

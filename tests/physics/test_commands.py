@@ -8,7 +8,7 @@ from tests.projects import render_toml
 
 from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
-from zerodrift.physics.catalogue import READING_ORDER
+from zerodrift.physics.registry import READING_ORDER
 
 TOML = render_toml(
     """\

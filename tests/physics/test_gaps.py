@@ -18,8 +18,8 @@ from tests.physics.conftest import (
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.bridges import join_stretches, predict_all, predict_along
 from zerodrift.diagnosis.diagnose import diagnose
-from zerodrift.physics.fit import fit
 from zerodrift.diagnosis.held_out import hold_out
+from zerodrift.physics.fit import fit
 from zerodrift.physics.signals import plan_signals
 from zerodrift.physics.tracks import lay_tracks
 

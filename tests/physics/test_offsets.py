@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from tests.physics.conftest import SLOPE, linear, make_dataset
 
-from zerodrift.physics.campaign import Campaign
-from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.offsets import lay_out_runs
+from zerodrift.physics.campaign import Campaign
+from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.signals import plan_signals, read_signals
 from zerodrift.physics.terms import start_term
 

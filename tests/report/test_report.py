@@ -7,7 +7,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from zerodrift.app.commands.survey import read_certificate, survey_project
+from zerodrift.app.commands.built import read_certificate
+from zerodrift.app.commands.survey import survey_project
 from zerodrift.report.figures_runs import bin_means, draw_residual, list_means
 from zerodrift.report.findings import (
     ARRAYS,

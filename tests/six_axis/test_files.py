@@ -10,13 +10,13 @@ import pytest
 from click.testing import CliRunner
 from tests.golden.vectors import load
 
-from zerodrift.codegen.application import render_dbc as generate_dbc
-from zerodrift.lab.commands.twin import command
 from zerodrift.base.config import load_config
-from zerodrift.dataset.load import load_dataset
 from zerodrift.base.errors import InputError
+from zerodrift.codegen.application import render_dbc as generate_dbc
+from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import choose_lsb_per_unit
 from zerodrift.export.integer_model import OutputFormat
+from zerodrift.lab.commands.twin import command
 from zerodrift.lab.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
 from zerodrift.lab.twin.six_axis import (
     CHANNELS,

@@ -14,7 +14,7 @@ from tests.loop.conftest import write_log
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.export.golden import load_golden
-from zerodrift.export.integer_model import load_model
+from zerodrift.export.model_files import load_model
 
 TOML = """\
 # SIMULATED logs: no sensor was measured.

@@ -19,8 +19,8 @@ from tests.surroundings.conftest import REST, write_project
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import REMAINDER
 from zerodrift.base.lock import STATE, WAIT_VARIABLE, lock_project
-from zerodrift.diagnosis.history import load_history
 from zerodrift.base.sealed import read_sealed, render_sealed
+from zerodrift.diagnosis.history import load_history
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 
 Command = Callable[..., Result]

@@ -10,15 +10,15 @@ import pytest
 import torch
 
 from zerodrift.base.config import EffectConfig, NetworkConfig, parse_config
-from zerodrift.dataset.runs import Run
 from zerodrift.base.errors import InputError
-from zerodrift.operations.dense import FloatFeedForward
-from zerodrift.operations.lowpass import lowpass
-from zerodrift.train.front_end import Tap, compute_taps
+from zerodrift.dataset.runs import Run
 from zerodrift.lab.methods import METHODS, Options
 from zerodrift.lab.methods.networks import make_gru
 from zerodrift.lab.methods.projected import Projected, fit_whitening
 from zerodrift.lab.methods.windows import fit_windows
+from zerodrift.operations.dense import FloatFeedForward
+from zerodrift.operations.lowpass import lowpass
+from zerodrift.train.front_end import Tap, compute_taps
 from zerodrift.train.networks import (
     FeedForwardNetwork,
     GruNetwork,

@@ -10,10 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 import zerodrift.lab.twin as twin
-from zerodrift.lab.commands.twin import command, split_list
 from zerodrift.base.config import load_config
-from zerodrift.dataset.load import load_dataset
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.load import load_dataset
+from zerodrift.lab.commands.twin import command, split_list
 from zerodrift.lab.twin import (
     EffectChoice,
     Recipe,

@@ -7,8 +7,8 @@ import pytest
 from tests.golden.vectors import load
 from tests.projects import render_toml
 
-from zerodrift.codegen.generate import generate
 from zerodrift.base.config import load_config
+from zerodrift.codegen.generate import generate
 from zerodrift.export.golden import compute_golden
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.firmware import write_artefacts

@@ -9,11 +9,11 @@ import pytest
 from tests.golden.vectors import load
 from tests.verify.conftest import write_firmware
 
-from zerodrift.c_runtime.compilers import RUNTIME_FILES
-from zerodrift.app.commands.survey import read_firmware
+from zerodrift.app.commands.built import read_firmware
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import CheckError
 from zerodrift.base.sealed import render_sealed
+from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.verify.manifest import FILE_NAME, Finding, check_manifest, load_manifest
 from zerodrift.verify.vectors import count_lines, draw_golden, draw_sequences
 

@@ -5,15 +5,18 @@ import os
 import re
 import sys
 import tempfile
+from functools import cache
+from importlib.metadata import entry_points
 
 import click
 
 from zerodrift import __version__
-from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.app.surroundings import describe_memory_limit, explain_memory, prepare_streams
+from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.threads import use_one_thread
 
-#: Command name -> one-line help. The command itself is `zerodrift.app.commands.<name>:command`.
+#: Command name -> one-line help. The command itself is `zerodrift.app.commands.<name>:command`;
+#: further commands come from installed packages, by the entry point GROUP.
 COMMANDS: dict[str, str] = {
     "init": "Write a commented zerodrift.toml guessed from the logs' headers.",
     "effects": "The catalogue of physical effects; with a name, everything about one.",
@@ -30,11 +33,25 @@ COMMANDS: dict[str, str] = {
     "report": "One self-contained file: verdict, errors, effects, firmware, provenance.",
     "workbench": "The same loop in a browser, on 127.0.0.1.",
     "fleet": "Many sensors of one design: all of the above for each, and the yield.",
-    "twin": "Write simulated logs of the six-axis sensor.",
-    "paper": "The paper's tables and its fit figure, from the twin.",
     "doctor": "What this machine has and lacks for all of this.",
     "calibrate": "The calibration matrix from converter codes and test weights.",
 }
+
+
+GROUP = "zerodrift.commands"
+"""Entry points that each give a mapping: command name -> (one-line help, "module:attribute")."""
+
+
+@cache
+def list_commands() -> dict[str, tuple[str, str]]:
+    """Return every command there is: its help, and the place it is loaded from."""
+    own = {
+        name: (text, f"zerodrift.app.commands.{name}:command") for name, text in COMMANDS.items()
+    }
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        for name, told in point.load().items():
+            own.setdefault(name, told)
+    return own
 
 
 class LazyGroup(click.Group):
@@ -42,14 +59,14 @@ class LazyGroup(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the command names in the order of a user's work."""
-        return list(COMMANDS)
+        return list(list_commands())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import and return the command named `cmd_name`, or None for an unknown name."""
-        if cmd_name not in COMMANDS:
+        if cmd_name not in list_commands():
             return None
-        module = importlib.import_module(f"zerodrift.app.commands.{cmd_name}")
-        command = module.command
+        module, _, attribute = list_commands()[cmd_name][1].partition(":")
+        command = getattr(importlib.import_module(module), attribute)
         assert isinstance(command, click.Command)
         return command
 
@@ -59,14 +76,15 @@ class LazyGroup(click.Group):
         """Resolve the command, naming the nearest ones when it is unknown."""
         from zerodrift.base.errors import nearest
 
-        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
-            raise click.UsageError(f"no command '{args[0]}'{nearest(args[0], COMMANDS)}", ctx)
+        known = list_commands()
+        if args and not args[0].startswith("-") and args[0] not in known:
+            raise click.UsageError(f"no command '{args[0]}'{nearest(args[0], known)}", ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the command list without importing any of the commands."""
         with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+            formatter.write_dl([(name, text) for name, (text, _) in list_commands().items()])
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
@@ -101,7 +119,7 @@ def is_own_exit(ended: SystemExit) -> bool:
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     raised_in = trace.tb_frame.f_globals.get("__name__", "") if trace is not None else ""
-    return str(raised_in).startswith(("zerodrift.app.commands.", "zerodrift.workbench."))
+    return str(raised_in).startswith("zerodrift.")
 
 
 def explain_read(error: OSError) -> str | None:

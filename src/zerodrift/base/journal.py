@@ -31,6 +31,7 @@ from zerodrift.base.files import (
     sync_directory,
     telling_of_writes,
     write_beside,
+    write_whole,
 )
 from zerodrift.base.lock import LOCK, STATE, find_state, lock_project, tell, try_lock
 from zerodrift.base.scratch import clean_scratch
@@ -112,6 +113,23 @@ class _Record:
     @property
     def directories(self) -> list[Path]:
         return list(dict.fromkeys(Path(step.path).parent for step in self.steps))
+
+
+def write_text(path: Path, text: str, project: Path | None = None) -> None:
+    """Write a file whole or not at all, in UTF-8 with line feeds.
+
+    Args:
+        path: the file.
+        text: what it is to hold.
+        project: the folder of zerodrift.toml, where the file is the project's own.
+
+    Raises:
+        InputError: the directory is missing, may not be written to, or has no room.
+    """
+    if project is None:
+        write_whole(path, text.encode())
+    else:
+        write_all(project, {path: text.encode()})
 
 
 def write_all(

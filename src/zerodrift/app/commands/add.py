@@ -92,12 +92,17 @@ def command(
     """
     from zerodrift.app.commands.console import open_console, show_progress
     from zerodrift.app.commands.project import open_project
-    from zerodrift.app.commands.revise import open_history, print_revision, read_text, write_revision
+    from zerodrift.app.commands.revise import (
+        open_history,
+        print_revision,
+        read_text,
+        write_revision,
+    )
     from zerodrift.base.config import EffectConfig
-    from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.base.toml_edit import add_effect, set_parameters
     from zerodrift.diagnosis.changes import ADD, CHANGE, propose_forms
     from zerodrift.diagnosis.revision import describe_revision, revise_best
-    from zerodrift.base.toml_edit import add_effect, set_parameters
+    from zerodrift.physics.catalogue import load_catalogue
 
     held, texts = read_held(hold), _split(options, "--set", "signal=body_temperature")
     with show_progress("reading logs") as say:

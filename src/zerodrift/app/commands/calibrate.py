@@ -213,14 +213,14 @@ def command(
     A set of weights that leaves a direction out is refused, and the direction named.
     """
     from zerodrift.app.commands.console import show_progress
+    from zerodrift.calibration.files import describe_calibration
+    from zerodrift.calibration.matrix import fit_calibration
     from zerodrift.dataset.codes import (
         CODE_COLUMNS,
         list_references,
         read_calibration_log,
     )
     from zerodrift.dataset.tables import open_source
-    from zerodrift.calibration.matrix import fit_calibration
-    from zerodrift.calibration.files import describe_calibration
 
     if bool(targets) != (out is not None):
         raise InputError("calibrate: --apply and --out belong together; give both or neither.")

@@ -9,8 +9,7 @@ from typing import TypeVar
 
 import click
 
-from zerodrift.base.files import write_whole
-from zerodrift.base.journal import hold_project, settle_project, write_all
+from zerodrift.base.journal import hold_project, settle_project
 
 Command = TypeVar("Command", bound=Callable[..., object])
 Result = TypeVar("Result")
@@ -89,20 +88,3 @@ def print_notes(notes: tuple[str, ...]) -> None:
     """Print what was noticed on stderr, so that stdout stays the command's result."""
     for note in notes:
         click.echo(f"note: {note}", err=True)
-
-
-def write_text(path: Path, text: str, project: Path | None = None) -> None:
-    """Write a file whole or not at all, in UTF-8 with line feeds.
-
-    Args:
-        path: the file.
-        text: what it is to hold.
-        project: the folder of zerodrift.toml, where the file is the project's own.
-
-    Raises:
-        InputError: the directory is missing, may not be written to, or has no room.
-    """
-    if project is None:
-        write_whole(path, text.encode())
-    else:
-        write_all(project, {path: text.encode()})

@@ -70,9 +70,9 @@ def command(
     in turn. Then it says where the model fails: under which conditions the squared error is
     concentrated, found by a scan and checked on runs left out, and the worst segments of time.
     """
+    from zerodrift.app.commands.built import read_firmware
     from zerodrift.app.commands.predictors import compare_predictor, open_predictor
     from zerodrift.app.commands.project import open_project
-    from zerodrift.app.commands.survey import read_firmware
     from zerodrift.diagnosis.advice import advise
     from zerodrift.physics.catalogue import load_catalogue
 
@@ -87,7 +87,7 @@ def command(
         firmware, _, _ = read_firmware(config)
     print_notes((*dataset.notes, *predictor.notes))
     if html is not None:
-        from zerodrift.app.commands.common import write_text
+        from zerodrift.base.journal import write_text
         from zerodrift.report.figures import draw_comparison, render_page
 
         figures = draw_comparison(dataset, predictor.predict, comparison)

@@ -6,15 +6,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from zerodrift.base.progress import PROGRESS_LINES, print_progress
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
     from zerodrift.diagnosis.advice import Advice
 
-PROGRESS_LINES = "ZERODRIFT_PROGRESS_LINES"
-"""Environment variable: progress is told in lines that begin with PROGRESS_MARK."""
-PROGRESS_MARK = "progress: "
 LEAST_WIDTH = 120
 """Columns of a file or a pipe, which has no width of its own."""
 
@@ -48,11 +47,6 @@ def print_advice(advice: "Advice | None", console: "Console") -> None:
     console.print("\nWhat these logs can teach:")
     for sentence in advice.explain():
         console.print(f"  {sentence}")
-
-
-def print_progress(text: str) -> None:
-    """Print a line of progress for another program."""
-    print(f"{PROGRESS_MARK}{text}", file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from zerodrift.physics.catalogue import Catalogue
     from zerodrift.diagnosis.course import Course
     from zerodrift.diagnosis.diagnosis import Diagnosis
+    from zerodrift.physics.catalogue import Catalogue
     from zerodrift.physics.effect import Effect
 
 MOST_LISTED = 8

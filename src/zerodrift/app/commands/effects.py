@@ -5,15 +5,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from zerodrift.app.commands.common import json_option, print_json, write_text
+from zerodrift.app.commands.common import json_option, print_json
 from zerodrift.app.commands.console import open_console, open_table
+from zerodrift.base.journal import write_text
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from zerodrift.diagnosis.fingerprint import Fingerprint
     from zerodrift.physics.catalogue import Catalogue
     from zerodrift.physics.effect import Effect, Parameter
-    from zerodrift.diagnosis.fingerprint import Fingerprint
 
 WIDTH = 88
 """Columns of running text."""
@@ -44,8 +45,8 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
     """
     from zerodrift.base.config import load_config
     from zerodrift.base.errors import InputError
-    from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.diagnosis.fingerprint import draw_fingerprint
+    from zerodrift.physics.catalogue import load_catalogue
 
     plugins: tuple[Path, ...] = ()
     if (directory / "zerodrift.toml").is_file():

@@ -165,7 +165,7 @@ def _show_progress(state: _State) -> "Iterator[Callable[[Progress], None]]":
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
-    from zerodrift.app.commands.console import PROGRESS_LINES, print_progress
+    from zerodrift.base.progress import PROGRESS_LINES, print_progress
 
     def describe(p: "Progress") -> str:
         parts = [f"{p.kept} kept"] * bool(p.kept) + [f"{p.failed} failed"] * bool(p.failed)

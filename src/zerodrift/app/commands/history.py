@@ -45,7 +45,7 @@ def command(directory: Path, html: Path | None, as_json: bool) -> None:
     path, entries = open_history(config)
     steps = list_steps(entries)
     if html is not None:
-        from zerodrift.app.commands.common import write_text
+        from zerodrift.base.journal import write_text
         from zerodrift.report.figures import draw_staircase, render_page
 
         title = f"{config.sensor_name}: history of the model"

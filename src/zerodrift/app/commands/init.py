@@ -7,11 +7,12 @@ from pathlib import Path
 
 import click
 
-from zerodrift.app.commands.common import directory_option, json_option, print_json, write_text
+from zerodrift.app.commands.common import directory_option, json_option, print_json
 from zerodrift.base.config import FILE_NAME, TIME_UNITS, parse_config
+from zerodrift.base.errors import InputError
+from zerodrift.base.journal import write_text
 from zerodrift.dataset.guess import Guess, GuessedOutput, guess_project
 from zerodrift.dataset.selectors import CSV_SUFFIXES, PARQUET_SUFFIXES, order_path
-from zerodrift.base.errors import InputError
 
 #: Use -> words in a log's name that suggest it.
 USE_WORDS = {"dwell": ("dwell", "isothermal", "noise"), "test": ("test", "walk", "valid")}

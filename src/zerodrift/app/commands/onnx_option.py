@@ -12,7 +12,7 @@ from zerodrift.base.errors import InputError
 if TYPE_CHECKING:
     from zerodrift.base.config import Config
     from zerodrift.dataset.runs import Dataset
-    from zerodrift.export.compose_import import ImportedCompensator
+    from zerodrift.export.imported import ImportedCompensator
 
 
 @dataclass(frozen=True)
@@ -138,9 +138,7 @@ def _open_config(calibrate: Sequence[Path], directory: Path) -> tuple["Config", 
     from zerodrift.base.config import FILE_NAME, load_config, parse_config
     from zerodrift.dataset.guess import guess_project
     from zerodrift.dataset.selectors import expand_selectors
-    from zerodrift.lab.twin.example import ensure_example_logs
 
-    ensure_example_logs(directory)
     logs = [path.absolute() for path in find_logs(calibrate, directory)]
     for path in logs:
         if not path.is_file():

@@ -29,10 +29,10 @@ def command(kind: str, directory: Path, as_json: bool) -> None:
     writes once every compared bit is equal. Exit code 1: a file of it was changed or is missing, or
     it is stale.
     """
-    from zerodrift.codegen.packages import render_package
     from zerodrift.app.commands.firmware import show_path
     from zerodrift.base.config import load_config
-    from zerodrift.export.integer_model import load_model
+    from zerodrift.codegen.packages import render_package
+    from zerodrift.export.model_files import load_model
     from zerodrift.verify.manifest import check_manifest
     from zerodrift.verify.replay import read_code
 

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.dataset.units import read_unit
-from zerodrift.base.errors import InputError
-from zerodrift.physics.catalogue import Catalogue
 from zerodrift.diagnosis.compare import Comparison, compare
-from zerodrift.physics.fit import fit_config
 from zerodrift.diagnosis.held_out import HeldOut, hold_out
 from zerodrift.diagnosis.run_errors import FindUsable
 from zerodrift.diagnosis.segments import MOST_SEGMENTS
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.fit import fit_config
 
 if TYPE_CHECKING:
     from zerodrift.train.compensator import Compensator
@@ -174,7 +174,7 @@ def _open_network(compensator: "Compensator") -> Predictor:
 def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Predictor:
     """Return the integer model, computed by its reference in Python or by its C on this host."""
     from zerodrift.export.compose import predict_integer
-    from zerodrift.export.integer_model import load_model
+    from zerodrift.export.model_files import load_model
 
     model = load_model(config.build_directory / "model.json")
     physics = compensator.physics

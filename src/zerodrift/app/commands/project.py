@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zerodrift.base.config import Config, load_config
-from zerodrift.dataset.runs import Dataset
-from zerodrift.base.errors import InputError
 from zerodrift.app.trust import remember
+from zerodrift.base.config import Config, load_config
+from zerodrift.base.errors import InputError
+from zerodrift.dataset.runs import Dataset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -15,15 +15,13 @@ if TYPE_CHECKING:
 
 
 def open_project(directory: Path, skip_invalid: bool = False) -> tuple[Config, Dataset]:
-    """Return a project's configuration and logs; a bundled example's logs are simulated first.
+    """Return a project's configuration and logs.
 
     Raises:
         InputError: zerodrift.toml or a log is missing or wrong.
     """
     from zerodrift.dataset.load import load_dataset
-    from zerodrift.lab.twin.example import ensure_example_logs
 
-    ensure_example_logs(directory)
     config = load_config(directory)
     remember(config.plugin_files)
     return config, load_dataset(config, skip_invalid)

@@ -37,11 +37,16 @@ def command(
     """
     from zerodrift.app.commands.console import open_console, show_progress
     from zerodrift.app.commands.project import open_project
-    from zerodrift.app.commands.revise import open_history, print_revision, read_text, write_revision
-    from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.app.commands.revise import (
+        open_history,
+        print_revision,
+        read_text,
+        write_revision,
+    )
+    from zerodrift.base.toml_edit import remove_effect
     from zerodrift.diagnosis.changes import propose_removal
     from zerodrift.diagnosis.revision import describe_revision, revise
-    from zerodrift.base.toml_edit import remove_effect
+    from zerodrift.physics.catalogue import load_catalogue
 
     signal = _read_signal(options)
     with show_progress("reading logs") as say:

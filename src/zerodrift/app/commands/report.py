@@ -13,10 +13,10 @@ from zerodrift.app.commands.common import (
     print_notes,
     skip_invalid_option,
     trust_option,
-    write_text,
 )
 from zerodrift.app.commands.console import show_progress
 from zerodrift.base.errors import InputError
+from zerodrift.base.journal import write_text
 
 if TYPE_CHECKING:
     from zerodrift.report.findings import Findings
@@ -71,10 +71,10 @@ def command(
     files give the same bytes.
     """
     from zerodrift.app.commands.survey import describe_survey, survey_project
+    from zerodrift.app.trust import require_trust
     from zerodrift.base.config import load_config
     from zerodrift.report.browser import find_browser
     from zerodrift.report.datasheet import measure_datasheet
-    from zerodrift.app.trust import require_trust
 
     require_trust(load_config(directory).plugin_files, trusted=trust)
     target = out or directory / {"html": "report.html", "pdf": "report.pdf"}.get(

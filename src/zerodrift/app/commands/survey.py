@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift import __version__
+from zerodrift.app.commands.built import read_firmware, read_kept
 from zerodrift.app.commands.compare import describe_patterns, explain_figures
 from zerodrift.app.commands.diagnose import explain_verdict
 from zerodrift.app.commands.effects import describe_effect
@@ -23,18 +23,18 @@ from zerodrift.app.commands.project import open_project
 from zerodrift.app.commands.revise import open_history
 from zerodrift.app.commands.verdict import explain_others, find_verdict, list_commands, tell_steps
 from zerodrift.base.config import Config, EffectConfig
-from zerodrift.dataset.runs import Dataset
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
+from zerodrift.base.sealed import render_sealed
+from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.advice import advise
-from zerodrift.physics.catalogue import Catalogue, load_catalogue
-from zerodrift.physics.fit import fit_config
 from zerodrift.diagnosis.history import list_steps
-from zerodrift.physics.model import PhysicalModel
 from zerodrift.diagnosis.revision import describe_coefficients, describe_parameters
 from zerodrift.diagnosis.run_errors import collect_errors
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.physics.fit import fit_config
+from zerodrift.physics.model import PhysicalModel
 from zerodrift.report.findings import Findings, trace_runs
-from zerodrift.base.sealed import read_sealed, render_sealed
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
@@ -42,11 +42,8 @@ Say = Callable[[str], None]
 DIAGNOSIS = "diagnosis.json"
 """In build/: the last diagnosis, with the mark of what it was made from."""
 DIAGNOSIS_FORMAT = 3
-FIRMWARE, CERTIFICATE = "firmware.json", "certificate.json"
-AGAIN = "`zerodrift firmware` builds it again."
 SIMULATED_FILES = ("truth.json", "twin.json")
 PACKAGES = ("numpy", "scipy", "polars", "torch", "onnx", "onnxruntime", "plotly")
-TIGHTEST = 8
 
 
 def survey_project(
@@ -210,7 +207,7 @@ def diagnose_once(
     A new diagnosis is kept, where build/ can be written to.
     """
     path = config.build_directory / DIAGNOSIS
-    kept = _read_kept(path)
+    kept = read_kept(path)
     if kept is not None and (kept.get("format"), kept.get("mark")) == (DIAGNOSIS_FORMAT, mark):
         return kept
     if not wanted:
@@ -284,94 +281,6 @@ def preview_effects(
             for group, curve in joined.items()
         }
     return previews
-
-
-def _read_kept(path: Path) -> dict[str, Any] | None:
-    """Return what a file of build/ holds that carries its hash; None where it does not match."""
-    try:
-        return read_sealed(path.read_bytes())
-    except (OSError, ValueError):
-        return None
-
-
-def _read_json(path: Path) -> dict[str, Any] | None:
-    """Return what a file of build/ holds; None where it is missing or damaged."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return content if isinstance(content, dict) else None
-
-
-def read_firmware(
-    config: Config,
-) -> tuple[dict[str, Any] | None, dict[str, Any] | None, str]:
-    """Return the last `firmware --json`, the certificate's summary, and what is to be said of them.
-
-    Firmware that is not as its manifest says, files, logs and configuration alike, is not shown,
-    and no certificate but its own.
-    """
-    firmware = _read_kept(config.build_directory / FIRMWARE)
-    if firmware is None:
-        return None, None, "No firmware was built yet: `zerodrift firmware` builds and checks it."
-    from zerodrift.verify.manifest import check_manifest
-
-    check = check_manifest(config)
-    if check.manifest is None or check.findings:
-        reasons = [f.text for f in check.findings] or [n.why for n in check.not_checked]
-        return None, None, f"The firmware cannot be shown: {' '.join(reasons)} {AGAIN}"
-    if check.manifest.model_hash != firmware.get("model_hash") or "chip_error" not in firmware:
-        why = f"{FIRMWARE} is of another model or of an earlier version."
-        return None, None, f"The firmware cannot be shown: {why} {AGAIN}"
-    certificate, note = read_certificate(
-        config.build_directory / CERTIFICATE, check.manifest.model_hash
-    )
-    return firmware, certificate, note
-
-
-def read_certificate(path: Path, model_hash: str) -> tuple[dict[str, Any] | None, str]:
-    """Return the summary of a model's certificate.json, or None and why it is not shown."""
-    certificate = _read_json(path)
-    if certificate is None:
-        return None, (
-            f"No bounds are shown: {path.name} is missing in build/, or damaged."
-            " `zerodrift firmware` writes it again."
-        )
-    if certificate.get("model") != model_hash:
-        return None, (
-            f"No bounds are shown: {path.name} in build/ is of another model than model.json."
-            " `zerodrift firmware` writes both again."
-        )
-    try:
-        return summarise_certificate(certificate), ""
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        return None, (
-            f"No bounds are shown: {path.name} in build/ is not built like a certificate"
-            f" ({type(error).__name__}: {error}). `zerodrift firmware` writes it again."
-        )
-
-
-def summarise_certificate(certificate: Mapping[str, Any]) -> dict[str, Any]:
-    """Return how many bounds are claimed, and those that come closest to their limits."""
-    bounds = []
-    for bound in certificate["bounds"]:
-        low, high, bits = (int(bound[key]) for key in ("low", "high", "bits"))
-        reach = max(-low, high + 1, 1)
-        bounds.append(
-            {
-                "where": str(bound["where"]),
-                "low": low,
-                "high": high,
-                "bits": bits,
-                "headroom_bits": float(bits - 1 - math.log2(reach)),
-            }
-        )
-    bounds.sort(key=lambda b: (b["headroom_bits"], b["where"]))
-    return {
-        "model_hash": certificate["model"],
-        "bounds": len(bounds),
-        "tightest": bounds[:TIGHTEST],
-    }
 
 
 def describe_survey(findings: Findings) -> Mapping[str, Any]:

@@ -9,13 +9,13 @@ from typing import Any
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.bad_runs import describe_bad_run
-from zerodrift.physics.catalogue import Catalogue
 from zerodrift.diagnosis.changes import write_command
 from zerodrift.diagnosis.course import Course, diagnose_until_done, extend_model
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.thermometers import OtherThermometer, try_thermometers
 from zerodrift.diagnosis.unseen import describe_unseen
+from zerodrift.physics.catalogue import Catalogue
 
 
 @dataclass(frozen=True)

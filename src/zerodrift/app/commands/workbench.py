@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from zerodrift.app.commands.common import directory_option, skip_invalid_option, trust_option
+from zerodrift.app.trust import require_trust
 from zerodrift.base.config import FILE_NAME, load_config
 from zerodrift.base.errors import InputError
-from zerodrift.app.trust import require_trust
 
 
 @click.command()

@@ -1,6 +1,6 @@
 """What the page asks of processes of its own: the survey of a project, and its diagnosis.
 
-python -m zerodrift.workbench.child survey|diagnose PROJECT RESULT [--skip-invalid]
+python -m zerodrift.app.page survey|diagnose PROJECT RESULT [--skip-invalid]
 
 Both write into the directory RESULT and say by an event when something there is complete.
 """
@@ -12,15 +12,20 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.app.commands.console import print_progress
 from zerodrift.app.commands.survey import diagnose_once, preview_effects, survey_project
 from zerodrift.base.errors import ZerodriftError
+from zerodrift.base.progress import print_progress
 from zerodrift.report.findings import save_findings
+from zerodrift.workbench.events import (
+    DIAGNOSED,
+    DIAGNOSIS,
+    PREVIEWED,
+    SKIP_INVALID,
+    SURVEYED,
+    name_preview,
+)
 from zerodrift.workbench.jobs import EVENT_MARK
 
-SURVEYED, DIAGNOSED, PREVIEWED = "surveyed", "diagnosed", "previewed"
-DIAGNOSIS = "diagnosis.json"
-SKIP_INVALID = "--skip-invalid"
 PREVIEWS = 4
 
 
@@ -58,11 +63,6 @@ def diagnose(directory: Path, result: Path, skip_invalid: bool) -> None:
         for run, curve in curves.items():
             np.save(name_preview(result, effect, run), curve, allow_pickle=False)
     _tell(PREVIEWED)
-
-
-def name_preview(result: Path, effect: str, run: str) -> Path:
-    """Return where the preview of an effect in a run lies; names may hold any character."""
-    return result / f"preview.{effect.encode().hex()}.{run.encode().hex()}.npy"
 
 
 def _tell(event: str) -> None:

@@ -1,0 +1,141 @@
+"""Reads an integer model back from its file, and believes nothing in it unseen."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zerodrift.base.errors import InputError
+from zerodrift.export.integer_model import (
+    FORMAT,
+    NEWER_FIELDS,
+    NODE_CLASSES,
+    OLDER_FORMAT,
+    Channel,
+    Guards,
+    IntegerModel,
+    OutputFormat,
+)
+from zerodrift.export.model_checks import check_model
+from zerodrift.operations.gru import IntegerGru
+from zerodrift.operations.network import IntegerDrift
+from zerodrift.operations.node import IntegerNode
+
+_INTEGER_TYPES = ("int8", "int16", "int32", "int64")
+
+
+def _array(path: str, body: Any) -> np.ndarray[Any, np.dtype[Any]]:
+    try:
+        dtype, shape, data = body["dtype"], body["shape"], body["data"]
+    except (TypeError, KeyError) as error:
+        raise InputError(f"{path}: expected an array with dtype, shape and data") from error
+    if dtype not in _INTEGER_TYPES or not all(isinstance(n, int) and n >= 0 for n in shape):
+        raise InputError(f"{path}: array of {dtype!r} with shape {shape!r}; expected integers")
+    size = 1
+    for n in shape:
+        size *= n
+    if len(data) != size or not all(type(v) is int for v in data):
+        raise InputError(f"{path}: {len(data)} entries do not fill shape {shape}")
+    info = np.iinfo(dtype)
+    if any(v < info.min or v > info.max for v in data):
+        raise InputError(f"{path}: an entry does not fit {dtype}")
+    return np.array(data, dtype=dtype).reshape(shape)
+
+
+def _typed(path: str, value: Any) -> Any:
+    if isinstance(value, dict) and "dtype" in value:
+        return _array(path, value)
+    if isinstance(value, list):
+        return tuple(_typed(path, v) for v in value)
+    return value
+
+
+def _build(cls: type[Any], path: str, body: Any) -> Any:
+    names = {f.name for f in fields(cls)}
+    if not isinstance(body, dict) or not names - {*NEWER_FIELDS} <= set(body) <= names:
+        found = sorted(body) if isinstance(body, dict) else type(body).__name__
+        raise InputError(f"{path}: expected the fields {sorted(names)}, found {found}")
+    return cls(**{k: _read_field(f"{path}.{k}", k, v) for k, v in body.items()})
+
+
+def _read_field(path: str, key: str, value: Any) -> Any:
+    """Return a field of a node; `gru` is a layer, `lower` a list of them."""
+    if key == "gru":
+        return _build(IntegerGru, path, value)
+    if key == "lower" and value and isinstance(value, list):
+        return tuple(_build(IntegerGru, f"{path}[{i}]", v) for i, v in enumerate(value))
+    return _typed(path, value)
+
+
+def _nodes(path: str, bodies: Any) -> Iterator[IntegerNode]:
+    seen: set[str] = set()
+    for i, body in enumerate(bodies):
+        where = f"{path}: nodes[{i}]"
+        kind = body.get("kind") if isinstance(body, dict) else None
+        if kind not in NODE_CLASSES:
+            raise InputError(
+                f"{where}: unknown kind {kind!r}; expected one of {list(NODE_CLASSES)}"
+            )
+        node = _build(NODE_CLASSES[kind], where, {k: v for k, v in body.items() if k != "kind"})
+        missing = [name for name in node.inputs if name not in seen]
+        if missing or node.name in seen:
+            raise InputError(f"{where}: '{node.name}' reads {missing}, which are not earlier nodes")
+        seen.add(node.name)
+        yield node
+
+
+def load_model(path: Path) -> IntegerModel:
+    """Read a model written by `IntegerModel.save`.
+
+    Raises:
+        InputError: no such file, not JSON, another format, fields missing or unknown, entries that
+            do not fit their type, or a hash that does not match (the file was edited or damaged).
+        CheckError: a bound of the arithmetic does not hold.
+    """
+    try:
+        body = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: there is no integer model. Run `zerodrift firmware`.") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path}: cannot be read as a model ({error}). Run `zerodrift export`."
+        ) from error
+    if not isinstance(body, dict) or body.get("format") not in (OLDER_FORMAT, FORMAT):
+        raise InputError(
+            f"{path}: not an integer model of format {OLDER_FORMAT} or {FORMAT}."
+            " Run `zerodrift export`."
+        )
+    claimed = body.pop("hash", None)
+    try:
+        model = IntegerModel(
+            name=body["name"],
+            sample_period_s=body["sample_period_s"],
+            channels=tuple(_build(Channel, f"{path}: channels", c) for c in body["channels"]),
+            nodes=tuple(_nodes(str(path), body["nodes"])),
+            outputs=tuple(_build(OutputFormat, f"{path}: outputs", o) for o in body["outputs"]),
+            guards=_build(Guards, f"{path}: guards", body["guards"]),
+            notes=body["notes"],
+            prefix=body.get("prefix", ""),
+            guarded=body.get("guarded", False),
+        )
+        found = model.hash
+    except KeyError as error:
+        raise InputError(
+            f"{path}: the field {error} is missing. Run `zerodrift export`."
+        ) from error
+    except (TypeError, AttributeError, ValueError) as error:
+        raise InputError(
+            f"{path}: not built like an integer model ({error}). Run `zerodrift export`."
+        ) from error
+    if not model.nodes or not isinstance(model.nodes[-1], IntegerDrift):
+        raise InputError(f"{path}: the last node is not 'drift'. Run `zerodrift export`.")
+    if found != claimed:
+        raise InputError(
+            f"{path}: its hash is {found[:12]}, the file claims {str(claimed)[:12]}; it was"
+            " edited or damaged. Run `zerodrift export`."
+        )
+    check_model(str(path), model)
+    return model

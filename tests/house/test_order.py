@@ -1,0 +1,76 @@
+"""The folders are the way of the data: each imports only from those before it."""
+
+import ast
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+from setup import ROOT, find_stages
+
+ORDER = (
+    *("base", "dataset", "operations", "physics", "calibration", "diagnosis", "train", "export"),
+    *("codegen", "c_runtime", "verify", "fleet", "report", "workbench", "app", "lab"),
+)
+FOLDERS = {name: ROOT / name for name in find_stages()} | {
+    name: ROOT / "src/zerodrift" / name for name in ("base", "app")
+}
+
+
+def list_modules() -> dict[str, Path]:
+    """Return every module of the product and the laboratory by its dotted name."""
+    found = {}
+    for stage, folder in FOLDERS.items():
+        for path in folder.rglob("*.py"):
+            parts = path.relative_to(folder).with_suffix("").parts
+            found[".".join(("zerodrift", stage, *(p for p in parts if p != "__init__")))] = path
+    return found
+
+
+MODULES = list_modules()
+
+
+def list_imports(path: Path) -> Iterator[tuple[str, int]]:
+    """Yield each imported module of zerodrift and the line, imports within functions too."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            inner = [f"{node.module}.{alias.name}" for alias in node.names]
+            names = [name if name in MODULES else node.module for name in inner]
+        else:
+            continue
+        for name in names:
+            if name.startswith("zerodrift."):
+                yield name, node.lineno
+
+
+def test_every_folder_has_its_place_in_the_order() -> None:
+    assert set(FOLDERS) == set(ORDER)
+
+
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_no_import_climbs(name: str) -> None:
+    place = ORDER.index(name.split(".")[1])
+    climbing = [
+        f"{MODULES[name].relative_to(ROOT)}:{line}: {imported}"
+        for imported, line in list_imports(MODULES[name])
+        if ORDER.index(imported.split(".")[1]) > place
+    ]
+    assert not climbing
+
+
+def test_no_import_goes_in_a_circle() -> None:
+    graph = {
+        name: {imported for imported, _ in list_imports(path) if imported in MODULES} - {name}
+        for name, path in MODULES.items()
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_git_holds_no_symbolic_links() -> None:
+    shipped = [path for folder in FOLDERS.values() for path in folder.rglob("*")]
+    assert not [path for path in shipped if path.is_symlink()]

@@ -1,0 +1,67 @@
+"""A wheel holds what the commands need, from a log to checked C: no source tree, no compiler."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from setup import ROOT
+from tests.surroundings.conftest import write_project
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder into which the wheel of this tree is installed."""
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check")
+    build = ("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT))
+    subprocess.run([*pip, *build], check=True)
+    (wheel,) = folder.glob("*.whl")
+    place = folder / "site"
+    subprocess.run([*pip, "install", "--no-deps", "--target", str(place), str(wheel)], check=True)
+    return place
+
+
+def run(site: Path, tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run an installed wheel's command where no compiler but the ziglang wheel is to be found."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("CC", "PYTHONPATH")}
+    return subprocess.run(
+        [sys.executable, "-m", "zerodrift", *arguments],
+        env=environment | {"PATH": str(tmp_path), "PYTHONPATH": str(site)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_a_wheel_goes_from_logs_to_checked_c(site: Path, tmp_path: Path) -> None:
+    project = write_project(tmp_path / "project")
+    done = run(site, tmp_path, "firmware", "-C", str(project))
+    assert done.returncode == 0, done.stderr
+    assert "bit-exact" in done.stdout
+    assert run(site, tmp_path, "verify", "-C", str(project)).returncode == 0
+    report = run(site, tmp_path, "report", "-C", str(project), "--no-diagnose")
+    assert report.returncode == 0, report.stderr
+
+
+def test_a_wheel_brings_the_laboratory(site: Path, tmp_path: Path) -> None:
+    done = run(site, tmp_path, "twin", "-C", str(tmp_path / "twin"), "--runs", "1")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "twin/zerodrift.toml").is_file()
+
+
+def test_a_wheel_is_what_runs(site: Path, tmp_path: Path) -> None:
+    code = "import zerodrift.app.cli as cli; print(cli.__file__)"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": str(site)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.startswith(str(site))

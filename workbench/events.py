@@ -1,0 +1,12 @@
+"""What the processes behind the page say, and where they leave what they found."""
+
+from pathlib import Path
+
+SURVEYED, DIAGNOSED, PREVIEWED = "surveyed", "diagnosed", "previewed"
+DIAGNOSIS = "diagnosis.json"
+SKIP_INVALID = "--skip-invalid"
+
+
+def name_preview(result: Path, effect: str, run: str) -> Path:
+    """Return where the preview of an effect in a run lies; names may hold any character."""
+    return result / f"preview.{effect.encode().hex()}.{run.encode().hex()}.npy"
