@@ -136,6 +136,15 @@ def judge_mutant(
     return Record(subject.name, number, mutant.kind, mutant.file, mutant.line, finding, diff)
 
 
+def name_mutant(subject: Subject, seed: int, number: int) -> Record:
+    """Return the record of a mutant of which the oracle is not asked."""
+    mutant = draw_mutant(subject, seed, number)
+    diff = mutant.diff(subject.files[mutant.file])
+    return Record(
+        subject.name, number, mutant.kind, mutant.file, mutant.line, Finding("not asked"), diff
+    )
+
+
 class JudgeHangsError(Exception):
     """The judge on trial did not end."""
 

@@ -4,7 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ MODELS = (
     "odd_hidden",
     "physics",
     "stack",
+    "guarded",
 )
 _EXTRA = {
     "physics": Shape(
@@ -31,6 +32,10 @@ _EXTRA = {
         front_end=("lowpass", "product", "late", "root", "exp2", "play", "clip", "power"),
     ),
     "stack": Shape(inputs=2, hidden=6, outputs=2, upper=(5,), dense=((4, "relu6"), (3, "tanh"))),
+    "guarded": Shape(
+        inputs=2, hidden=4, window=3, outputs=2, measured=(0,),
+        front_end=("lowpass", "delay", "load"),
+    ),
 }  # fmt: skip
 _STEPS = 100
 
@@ -76,7 +81,7 @@ def make_model(name: str, folder: Path) -> Subject:
     from zerodrift.verify.certificate import certify
 
     shape = _EXTRA[name] if name in _EXTRA else CASES[name].shape
-    model = draw_model(shape, sum(name.encode()))
+    model = replace(draw_model(shape, sum(name.encode())), guarded=name == "guarded")
     code = generate(model)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

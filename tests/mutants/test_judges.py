@@ -1,11 +1,14 @@
 """What traps or leaves a bound is refused by the certificate's checker, its hashes made to fit."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from benchmarks.mutants import __main__ as driver
 from benchmarks.mutants.judge import Mutant, ask_certificate, write_mutant
+from benchmarks.mutants.oracle import Finding
 from benchmarks.mutants.subjects import Subject, make_model
 
 ROOT = Path(__file__).parents[2]
@@ -98,6 +101,23 @@ def test_certificate_refuses_a_trap_of_each_class(
     write_mutant(subject, change(subject, *CASES[case]), tmp_path / "mutant")
     told, why = ask_certificate(tmp_path / "mutant")
     assert told == "refused", why
+
+
+def test_oracle_is_asked_of_what_the_judge_accepts_alone(
+    subject: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Silent:
+        def judge(self, *_: object, bit_suffices: bool) -> Finding:
+            return Finding("equivalent")
+
+    monkeypatch.setattr(driver, "load_subject", lambda way, name: subject)
+    monkeypatch.setattr(driver, "load_oracle", lambda way, name: Silent())
+    found = set()
+    for number in range(12):
+        task = ("certificate", "front_end", 1, number, driver.JUDGE_FIRST)
+        line = json.loads(driver.work(task))
+        found.add((line["told"][0], line["finding"]["kind"]))
+    assert found == {("refused", "not asked"), ("accepted", "equivalent")}
 
 
 @pytest.mark.slow
