@@ -27,7 +27,7 @@ from zerodrift.dataset.oddities import find_oddities
 from zerodrift.dataset.resample import COARSEST, MIN_STEPS, Stretch, plan_stretches
 from zerodrift.dataset.runs import Array, Dataset, Run
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
-from zerodrift.dataset.shared_rows import KnownRun, find_copies
+from zerodrift.dataset.shared_rows import KnownRun, Repeats, find_repeats
 from zerodrift.dataset.tables import Table, label_log, open_source, read_table
 from zerodrift.dataset.time_units import (
     measure_unit_s,
@@ -91,10 +91,14 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
     learnt_or_tested = pieces["train"] + pieces["test"]
     refuse_overlaps([piece.key for piece in learnt_or_tested if piece.part == 0])
     known.sort(key=lambda run: (USES.index(run.use), _order(run.key, config.directory)))
-    copies = find_copies(known, lambda selection: _open_log(config, selection, skip_invalid, [])[0])
-    notes += copies.values()
+    repeats = find_repeats(
+        known,
+        lambda selection: _open_log(config, selection, skip_invalid, [])[0],
+        config.time_column,
+    )
+    notes += repeats.notes
     for use in USES:
-        pieces[use] = [piece for piece in pieces[use] if piece.key not in copies]
+        pieces[use] = _keep_once(pieces[use], repeats)
     names = name_runs([piece.key for use in USES for piece in pieces[use]], config.directory)
     runs = {use: _link(_finish(piece, names, config) for piece in pieces[use]) for use in USES}
     _check_training(config, runs["train"], notes)
@@ -335,6 +339,31 @@ def _fill(config: Config, table: Table, pieces: Sequence[_Piece]) -> None:
             for name, input_column in config.inputs.items():
                 if input_column == column:
                     piece.inputs[name] = steps.copy()
+
+
+def _keep_once(pieces: Sequence[_Piece], repeats: Repeats) -> list[_Piece]:
+    """Return the stretches without those, and without the steps, that another run has too."""
+    kept = []
+    for piece in pieces:
+        if piece.key in repeats.left_out:
+            continue
+        time_s = piece.stretch.time_s
+        steps = int(np.searchsorted(time_s, repeats.ends_s.get(piece.key, math.inf)))
+        if steps == time_s.size:
+            kept.append(piece)
+        elif steps >= MIN_STEPS:
+            first = slice(steps)
+            kept.append(
+                replace(
+                    piece,
+                    stretch=replace(piece.stretch, time_s=time_s[first]),
+                    temperature_degC=piece.temperature_degC[first],
+                    measured=piece.measured[first],
+                    reference=piece.reference[first],
+                    inputs={name: values[first] for name, values in piece.inputs.items()},
+                )
+            )
+    return kept
 
 
 def _finish(piece: _Piece, names: dict[RunKey, str], config: Config) -> Run:

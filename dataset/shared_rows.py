@@ -1,6 +1,6 @@
 """What becomes of runs that hold the same rows: refused between uses, counted once within one."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from zerodrift.base.config import Config
@@ -51,21 +51,39 @@ class KnownRun:
         return " to ".join(locate_row(table.source, table.position(row)).text for row in ends)
 
 
-def find_copies(runs: Sequence[KnownRun], read: Callable[[Selection], Table]) -> dict[RunKey, str]:
-    """Return the runs to leave out, as another of the same use holds all of their rows, with why.
+@dataclass(frozen=True)
+class Repeats:
+    """What of a project's runs is there twice within one use, and so is counted once."""
+
+    left_out: Mapping[RunKey, str]
+    """Run of which another holds all rows -> why."""
+    ends_s: Mapping[RunKey, float]
+    """Run with whose last rows another begins, or goes on -> when, by the log's own clock, the
+    first of them was measured."""
+    notes: tuple[str, ...]
+
+
+def find_repeats(
+    runs: Sequence[KnownRun], read: Callable[[Selection], Table], time_column: str
+) -> Repeats:
+    """Return the runs to leave out, and those to end early, as another of the same use goes on.
+
+    Of two runs that overlap the one is cut short whose last rows are shared: to begin later would
+    take a run its power-on and what it remembers.
 
     Args:
         runs: of a project, in the order in which they are fitted. Parts that selectors cut out of
             one run are not held against each other.
         read: reads a log again, as it was read before.
+        time_column: the column of times, which `read` has converted to seconds.
 
     Raises:
-        InputError: runs of different use share rows, or runs of one use share a part of theirs.
+        InputError: runs of different use share rows, or runs of one use share rows amid both.
     """
     groups = [(run.key.path.resolve(), run.key.run) for run in runs]
     alignments = find_alignments([run.marks for run in runs], groups)
     if not alignments:
-        return {}
+        return Repeats({}, {}, ())
     kept: dict[Selection, Table] = {}
 
     def read_table(number: int) -> Table:
@@ -78,6 +96,8 @@ def find_copies(runs: Sequence[KnownRun], read: Callable[[Selection], Table]) ->
 
     shared = confirm(alignments, lambda number: runs[number].take(read_table(number)))
     left_out: dict[RunKey, str] = {}
+    ends_s: dict[RunKey, float] = {}
+    overlaps: dict[tuple[RunKey, RunKey], str] = {}
     for (one, other), found in shared.items():
         first, second = runs[one], runs[other]
         if first.use == second.use and {first.key, second.key} & left_out.keys():
@@ -89,13 +109,46 @@ def find_copies(runs: Sequence[KnownRun], read: Callable[[Selection], Table]) ->
         count = sum(stretch.rows for stretch in found)
         sizes = [run.rows.stop - run.rows.start for run in (first, second)]
         if count < WHOLLY * min(sizes):
-            raise InputError(_explain_part(first, second, same))
+            end_s, early, late = _find_end(first, second, found, tables, time_column, same)
+            ends_s[early.key] = min(end_s, ends_s.get(early.key, end_s))
+            overlaps[early.key, late.key] = (
+                f"{_write(early)} and {_write(late)} overlap ({same}): counted once, "
+                f"{_write(early)} ends there, as by '@:{end_s - early.key.start_s:.10g}'"
+            )
+            continue
         copy, other_name = (second, first) if sizes[1] <= sizes[0] else (first, second)
         left_out[copy.key] = (
             f"{_write(copy)} is a copy of rows of {_write(other_name)} ({same}): counted once, "
             f"{_write(copy)} is left out"
         )
-    return left_out
+    told = [note for keys, note in overlaps.items() if not left_out.keys() & set(keys)]
+    return Repeats(left_out, ends_s, (*left_out.values(), *told))
+
+
+def _find_end(
+    first: KnownRun,
+    second: KnownRun,
+    found: Sequence[SharedRows],
+    tables: tuple[Table, Table],
+    time_column: str,
+    same: str,
+) -> tuple[float, KnownRun, KnownRun]:
+    """Return when the run of two ends whose last rows they share, that run, and the other one.
+
+    Raises:
+        InputError: neither ends with what they share.
+    """
+    if len(found) == 1:
+        (shared,) = found
+        # Where both end so, the later one in order is cut: of three alike one stays whole.
+        for run, other, table, row in (
+            (second, first, tables[1], shared.other_row),
+            (first, second, tables[0], shared.row),
+        ):
+            if row + shared.rows == run.rows.stop - run.rows.start:
+                time_s = table.columns[time_column]
+                return float(time_s[run.rows.start + row]), run, other
+    raise InputError(_explain_part(first, second, same))
 
 
 def _write(run: KnownRun) -> str:
@@ -122,6 +175,7 @@ def _explain_leak(first: KnownRun, second: KnownRun, same: str) -> str:
 def _explain_part(first: KnownRun, second: KnownRun, same: str) -> str:
     return (
         f"{second.key.where}: {_write(second)} and {_write(first)} overlap: {same} with the same "
-        "noise; expected every row once, as one that is there twice counts double. Cut the "
-        "overlap off one of the two, by '@FROM:TO' in seconds since its first row."
+        "noise, and neither ends with them; expected every row once, as one that is there twice "
+        "counts double. Take one of the two out of [logs], or select what only it holds, by "
+        "'@FROM:TO' in seconds since its first row."
     )

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from benchmarks.bench_memory import write_project as write_long_project
 from tests.surroundings.conftest import (
     OUTPUT,
     REST,
@@ -86,6 +87,27 @@ def test_little_memory_is_told_before_a_library_gives_up(
     )
     assert "GB of address space (ulimit -v)" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@needs_posix
+@pytest.mark.slow
+def test_a_million_rows_within_two_gigabytes_give_a_result_or_one_message(
+    tmp_path: Path, run: Run
+) -> None:
+    import resource
+
+    write_long_project(tmp_path, 1_000_000)
+    limit = (2_000_000_000, 2_000_000_000)
+    done = run(
+        *("compare", "--json", "-C", tmp_path),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, limit),
+    )
+    assert "Traceback" not in done.stderr
+    if done.returncode == 0:
+        assert json.loads(done.stdout)["outputs"]
+    else:
+        assert done.returncode == 2
+        assert done.stderr.count("error: not enough memory") == 1
 
 
 @pytest.mark.parametrize("command", ["compare", "train", "export", "firmware", "verify", "report"])
