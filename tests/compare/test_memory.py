@@ -8,9 +8,9 @@ import pytest
 from benchmarks.bench_memory import LIMIT_BYTES_PER_ROW, write_project
 from click.testing import CliRunner
 
-from zerodrift.cli import cli
-from zerodrift.physics import memory
-from zerodrift.physics.memory import average
+from zerodrift.app.cli import cli
+from zerodrift.diagnosis import memory
+from zerodrift.diagnosis.memory import average
 
 ROWS = (100_000, 260_000)
 """More than the rows at which block means stand for samples, so that only what grows counts."""
