@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from zerodrift.verify.c_arguments import Action, check, number, typed
 from zerodrift.verify.c_gru import COLUMNS, PAIRS, ROWS, run_packed, run_portable, shift_right
 from zerodrift.verify.c_intervals import Machine
 from zerodrift.verify.c_values import (
@@ -23,60 +24,6 @@ from zerodrift.verify.c_values import (
 
 SAVED_EXTRA = 16
 """Bytes that a saved state has more than the state."""
-Action = Callable[..., Any]
-"""(machine, *arguments) -> what the function returns."""
-
-
-def _typed(types: str, action: Action, result: str = "") -> Action:
-    """Return a rule that first holds the arguments against the function's parameters.
-
-    Args:
-        types: of the parameters: a number's type; `const T *` or `T *`, of which the second is
-            written to; `&S`, a struct of the runtime.
-        action: what it does with them.
-        result: the type of what it returns.
-    """
-    kinds = [kind.strip() for kind in types.split(",")] if types else []
-
-    def rule(machine: Machine, *arguments: Any) -> Any:
-        if len(arguments) != len(kinds):
-            raise FaultError(f"{len(arguments)} arguments where {len(kinds)} are expected")
-        given = [_check(machine, k, a) for k, a in zip(kinds, arguments, strict=True)]
-        found = action(machine, *given)
-        return replace(found, type=result, copy_of=None) if result else None
-
-    return rule
-
-
-def _check(machine: Machine, kind: str, argument: Any) -> Any:
-    """Return an argument as the parameter holds it."""
-    if kind in TYPES:
-        value = machine.as_number(argument)
-        return machine.keep(value, kind)
-    if kind[0] == "&":
-        if not isinstance(argument, Address) or argument.struct.type != kind[1:] or argument.bytes:
-            raise FaultError(f"another type than {kind[1:]} is given")
-        return argument.struct
-    base = kind.removeprefix("const ").removesuffix(" *")
-    if not isinstance(argument, Pointer) or argument.block.type != base:
-        raise FaultError(f"another type than {kind} is given")
-    if len(argument.sizes) != 1:
-        raise FaultError(f"{argument.block.name} is given where a row of numbers is expected")
-    constant = argument.constant or argument.block.constant
-    if constant and not kind.startswith("const"):
-        raise FaultError(f"{argument.block.name} is constant, and is written")
-    return argument
-
-
-def number(value: Value, least: int, most: int, what: str) -> int:
-    """Return a parameter that must be one known number in a range.
-
-    Raises:
-        FaultError: it is not.
-    """
-    if value.exact is None or not least <= value.exact <= most:
-        raise FaultError(f"{what} is {value.low} .. {value.high}; {least} .. {most} is allowed")
-    return value.exact
 
 
 def _clamp(machine: Machine, x: Value, low: Value, high: Value) -> Value:
@@ -273,18 +220,18 @@ def _bytes_of(machine: Machine, state: Any, written: bool) -> Struct:
 
 def _hold_saved(machine: Machine, saved: Any, struct: Struct, size: Any, identity: Any) -> None:
     own = machine.size_of(struct.type)
-    wide = _check(machine, "uint32_t", size)
+    wide = check(machine, "uint32_t", size)
     if wide.exact != own:
         raise FaultError(f"{wide.low} .. {wide.high} bytes of a state that has {own}")
-    _check(machine, "const uint8_t *", saved).hold(own + SAVED_EXTRA)
-    if _check(machine, "uint32_t", identity).exact != machine.guard.identity:
+    check(machine, "const uint8_t *", saved).hold(own + SAVED_EXTRA)
+    if check(machine, "uint32_t", identity).exact != machine.guard.identity:
         raise FaultError("a state is saved or restored as another model's")
 
 
 def _save(machine: Machine, saved: Any, state: Any, size: Any, identity: Any) -> None:
     struct = _bytes_of(machine, state, written=False)
     _hold_saved(machine, saved, struct, size, identity)
-    target = _check(machine, "uint8_t *", saved)
+    target = check(machine, "uint8_t *", saved)
     target.fill([anything("uint8_t")] * (machine.size_of(struct.type) + SAVED_EXTRA))
 
 
@@ -320,51 +267,51 @@ def _size(of: Callable[..., int]) -> Action:
 
 GRU = "uint32_t, uint32_t, const int16_t *, int32_t *"
 RULES: dict[str, Action] = {
-    "zd_clamp32": _typed("int32_t, int32_t, int32_t", _clamp, "int32_t"),
-    "zd_clamp64": _typed("int64_t, int64_t, int64_t", _clamp_wide, "int64_t"),
-    "zd_asr32": _typed(
+    "zd_clamp32": typed("int32_t, int32_t, int32_t", _clamp, "int32_t"),
+    "zd_clamp64": typed("int64_t, int64_t, int64_t", _clamp_wide, "int64_t"),
+    "zd_asr32": typed(
         "int32_t, uint32_t", lambda machine, x, s: shift_right(machine, x, s, 31), "int32_t"
     ),
-    "zd_asr64": _typed("int64_t, uint32_t", _shift_sum, "int64_t"),
-    "zd_tanh_q30": _typed(
+    "zd_asr64": typed("int64_t, uint32_t", _shift_sum, "int64_t"),
+    "zd_tanh_q30": typed(
         "int32_t", lambda machine, t: Value(-machine.tanh_max, machine.tanh_max), "int32_t"
     ),
-    "zd_round_shift64": _typed("int64_t, uint32_t", _round_shift, "int64_t"),
-    "zd_load": _typed("int32_t, int32_t, int32_t, int32_t", _load, "int32_t"),
-    "zd_play": _typed("int32_t *, int32_t, int32_t", _play, "int32_t"),
-    "zd_between": _typed("int32_t, int32_t, int32_t", _between, "int32_t"),
-    "zd_exp2": _typed("int32_t, int32_t", _exp2, "int32_t"),
-    "zd_power": _typed("&zd_power_t, int32_t", _power, "int32_t"),
-    "zd_dot_i16": _typed("const int16_t *, const int16_t *, uint32_t", _dot, "int32_t"),
-    "zd_lowpass_rest": _typed("int32_t, int32_t", _lowpass_rest, "int64_t"),
-    "zd_lowpass": _typed("int64_t *, int32_t, int32_t, int32_t, uint32_t", _lowpass, "int32_t"),
-    "zd_gru_copy_state": _typed("const int32_t *, int16_t *, uint32_t", _copy_state),
-    "zd_gru_step_after": _typed(
+    "zd_round_shift64": typed("int64_t, uint32_t", _round_shift, "int64_t"),
+    "zd_load": typed("int32_t, int32_t, int32_t, int32_t", _load, "int32_t"),
+    "zd_play": typed("int32_t *, int32_t, int32_t", _play, "int32_t"),
+    "zd_between": typed("int32_t, int32_t, int32_t", _between, "int32_t"),
+    "zd_exp2": typed("int32_t, int32_t", _exp2, "int32_t"),
+    "zd_power": typed("&zd_power_t, int32_t", _power, "int32_t"),
+    "zd_dot_i16": typed("const int16_t *, const int16_t *, uint32_t", _dot, "int32_t"),
+    "zd_lowpass_rest": typed("int32_t, int32_t", _lowpass_rest, "int64_t"),
+    "zd_lowpass": typed("int64_t *, int32_t, int32_t, int32_t, uint32_t", _lowpass, "int32_t"),
+    "zd_gru_copy_state": typed("const int32_t *, int16_t *, uint32_t", _copy_state),
+    "zd_gru_step_after": typed(
         f"&zd_gru_t, {GRU}, int16_t *, int32_t",
         lambda machine, *given: run_portable(machine, True, *given),
     ),
-    "zd_gru_step_before": _typed(
+    "zd_gru_step_before": typed(
         f"&zd_gru_t, {GRU}, int16_t *, int16_t *, int32_t",
         lambda machine, *given: run_portable(machine, False, *given),
     ),
-    "zd_gru_step_pairs": _typed(
+    "zd_gru_step_pairs": typed(
         f"&zd_gru_pairs_t, {GRU}, int32_t *, int32_t",
         lambda machine, *given: run_packed(machine, PAIRS, *given),
     ),
-    "zd_gru_step_columns": _typed(
+    "zd_gru_step_columns": typed(
         f"&zd_gru_columns_t, {GRU}, int32_t *, int32_t *, int32_t",
         lambda machine, *given: run_packed(machine, COLUMNS, *given),
     ),
-    "zd_gru_step_rows": _typed(
+    "zd_gru_step_rows": typed(
         f"&zd_gru_rows_t, {GRU}, int16_t *, int32_t",
         lambda machine, *given: run_packed(machine, ROWS, *given),
     ),
-    "zd_crc32_i16": _typed("uint32_t, const int16_t *, uint32_t", _crc, "uint32_t"),
-    "zd_crc32_i32": _typed("uint32_t, const int32_t *, uint32_t", _crc, "uint32_t"),
-    "zd_crc32_word": _typed("uint32_t, uint32_t", _crc_word, "uint32_t"),
-    "zd_tables_are_sound": _typed("", lambda machine: Value(1, 1), "uint32_t"),
-    "zd_tanh_is_sound": _typed("", lambda machine: Value(1, 1), "uint32_t"),
-    "zd_exp2_is_sound": _typed("", lambda machine: Value(1, 1), "uint32_t"),
+    "zd_crc32_i16": typed("uint32_t, const int16_t *, uint32_t", _crc, "uint32_t"),
+    "zd_crc32_i32": typed("uint32_t, const int32_t *, uint32_t", _crc, "uint32_t"),
+    "zd_crc32_word": typed("uint32_t, uint32_t", _crc_word, "uint32_t"),
+    "zd_tables_are_sound": typed("", lambda machine: Value(1, 1), "uint32_t"),
+    "zd_tanh_is_sound": typed("", lambda machine: Value(1, 1), "uint32_t"),
+    "zd_exp2_is_sound": typed("", lambda machine: Value(1, 1), "uint32_t"),
     "zd_save": _save,
     "zd_restore": _restore,
     "ZD_OBSERVE": _observe,

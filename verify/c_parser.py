@@ -63,6 +63,11 @@ class Parser:
         self.at += 1
         return token
 
+    def take_all(self, *expected: str) -> None:
+        """Go on over these tokens."""
+        for token in expected:
+            self.take(token)
+
     def take_if(self, token: str) -> bool:
         """Go on if this is the token."""
         if self.look() != token:
@@ -103,16 +108,11 @@ class Parser:
         if any(name == other.name for other in self.program.constants):
             raise self.error(f"{name} stands here twice")
         sizes = self._read_sizes()
-        self._skip_used()
+        if self.take_if("__attribute__"):  # keeps a table in a program; nothing else is known
+            self.take_all("(", "(", "used", ")", ")")
         self.take("=")
         self.program.constants.append(Variable(kind, name, sizes, start, self._initialiser()))
         self.take(";")
-
-    def _skip_used(self) -> None:
-        """An attribute that keeps a table in a program; nothing else is known."""
-        if self.take_if("__attribute__"):
-            for word in ("(", "(", "used", ")", ")"):
-                self.take(word)
 
     def _read_claim(self) -> None:
         self.take("ZD_CLAIM")
@@ -158,8 +158,7 @@ class Parser:
             raise self.error(f"{name} was declared with other parameters")
         naked = False
         if self.take_if("__attribute__"):
-            for word in ("(", "(", "naked", ",", "noinline", ",", "used", ")", ")"):
-                self.take(word)
+            self.take_all("(", "(", "naked", ",", "noinline", ",", "used", ")", ")")
             naked = True
         if self.take_if(";"):
             return
@@ -278,8 +277,7 @@ class Parser:
             self.take(";")
             return Node("declare", start, (Variable(kind, name, sizes, start, first),))
         if word == "(" and self.look(1) == "void":
-            for expected in ("(", "void", ")"):
-                self.take(expected)
+            self.take_all("(", "void", ")")
             value = self.expression()
             self.take(";")
             return Node("discard", start, (value,))
