@@ -3,11 +3,9 @@
 import hashlib
 import re
 from functools import cache
-from pathlib import Path
+from importlib.resources import files
 
-import zerodrift
-
-_RUNTIME = Path(zerodrift.__file__).parent / "c_runtime" / "include" / "zerodrift" / "zd_runtime.h"
+_RUNTIME = files("zerodrift.c_runtime") / "include" / "zerodrift" / "zd_runtime.h"
 PLACEHOLDER = "ZD_CODE_ID_UNKNOWN"
 """Stands in header and source until their identity is known."""
 

@@ -65,3 +65,23 @@ def test_a_wheel_is_what_runs(site: Path, tmp_path: Path) -> None:
         check=True,
     )
     assert done.stdout.startswith(str(site))
+
+
+def test_a_checkout_runs_without_links(tmp_path: Path) -> None:
+    """As `make setup` installs it: packages are found by setup.py's mapping alone."""
+    code = (
+        "from zerodrift.codegen.identity import read_runtime_identity;"
+        "from zerodrift.c_runtime.compilers import RUNTIME_FILES;"
+        "assert all(path.is_file() for path in RUNTIME_FILES); print(read_runtime_identity())"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("0x")
