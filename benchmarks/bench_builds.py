@@ -17,7 +17,7 @@ from zerodrift.c_runtime.footprint import measure_footprint
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
-from zerodrift.export.compose import compose_integer_model
+from zerodrift.export.compose import compose_integer_model, describe_compensator
 from zerodrift.export.integer_model import FLAG_DAMAGED, IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.lab.twin.example import ensure_example_logs
@@ -128,7 +128,8 @@ def fit_physics(kinds: tuple[str, ...]) -> IntegerModel:
         config = replace(load_config(project), network=nothing, effects=effects)
         dataset = load_dataset(config)
         config.build_directory.mkdir(exist_ok=True)
-        return compose_integer_model(train(config, dataset).compensator, config, dataset)
+        described = describe_compensator(train(config, dataset).compensator, config, dataset.train)
+        return compose_integer_model(described, config, dataset)
 
 
 def print_stacks(names: tuple[str, ...]) -> None:

@@ -18,9 +18,10 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.runs import Run
 from zerodrift.export.feedback import predict_fed_back
+from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import Channel, OutputFormat
 from zerodrift.export.onnx_reader import FloatNetwork
-from zerodrift.export.quantize import Calibration, FloatModel, quantize
+from zerodrift.export.quantize import quantize
 from zerodrift.operations.graph import GraphOperations, evaluate, list_nodes
 from zerodrift.operations.gru import FloatGru
 from zerodrift.physics.catalogue import load_catalogue

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
-from zerodrift.export.compose import compose_integer_model, predict_integer
+from zerodrift.export.compose import compose_integer_model, describe_compensator, predict_integer
 from zerodrift.export.fine_tune import tune_for_int8
 from zerodrift.lab.twin.example import ensure_example_logs
 from zerodrift.train.training import train
@@ -46,18 +46,19 @@ def measure(name: str, changes: dict[str, str], project: Path) -> None:
     dataset = load_dataset(config)
     (project / "build").mkdir(exist_ok=True)
     trained = train(config, dataset).compensator
-    start = time.process_time()
-    tuned, told = tune_for_int8(trained, config, dataset.train)
-    seconds = time.process_time() - start
-    if told is None:
+    if not trained.is_recurrent:
         print(f"{name}: training left the network out")
         return
+    start = time.process_time()
+    described = describe_compensator(trained, config, dataset.train)
+    tuned, told = tune_for_int8(described, dataset.train)
+    seconds = time.process_time() - start
     print(
         f"{name} (simulated): fine-tuned in {seconds:.1f} s of CPU; on the training runs off the"
         f" float network by {100 * told.before:.2g} % before, {100 * told.after:.2g} % after"
     )
     forms = {
-        "rounded": compose_integer_model(trained, config, dataset),
+        "rounded": compose_integer_model(described, config, dataset),
         "fine-tuned": compose_integer_model(tuned, config, dataset),
     }
     drift = {run.name: trained.predict(run) for run in dataset.test}

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.compilers import Compiler, find_compilers
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
+from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.onnx_reader import FloatNetwork
-from zerodrift.export.quantize import Calibration, FloatModel, quantize
+from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
 from zerodrift.operations.graph import GraphOperations, evaluate
 from zerodrift.operations.gru import FloatGru

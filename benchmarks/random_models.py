@@ -27,8 +27,9 @@ from zerodrift.base.errors import CheckError
 from zerodrift.codegen.selftest import limits_of
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import calibrate, describe_compensator, encode_inputs
+from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.export.quantize import Calibration, FloatModel, quantize
+from zerodrift.export.quantize import quantize
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.physics.catalogue import load_catalogue
@@ -87,7 +88,7 @@ def draw_effects(rng: np.random.Generator) -> tuple[Described, list[Run]]:
     compensator, drifting = make_compensator(make_physics(effects, runs), runs)
     config = make_config(period_s)
     model = describe_compensator(compensator, config, drifting)
-    calibration = calibrate(compensator, model, drifting)
+    calibration = calibrate(model, drifting)
     nodes = [n for n in list_nodes(model.features) if n in calibration.ranges]
     taps = [(n, max(map(abs, calibration.ranges[n])) or 1.0) for n in nodes]
     return add_network(rng, model, calibration, taps), list(drifting)

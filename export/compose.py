@@ -23,28 +23,26 @@ from zerodrift.dataset.chip_codes import (
     refuse_outside,
 )
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.export.feedback import predict_fed_back
+from zerodrift.export.float_model import LOAD, Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.formats import RANGE_SPANS
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat, code_type
 from zerodrift.export.onnx_reader import read_network_bytes
-from zerodrift.export.quantize import Calibration, FloatModel, quantize
+from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import GraphOperations, Node, evaluate, list_nodes
-from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S, graph_inputs, read_signals
+from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S
+from zerodrift.train.onnx_network import OnnxNetwork
 
 if TYPE_CHECKING:  # torch is not needed to read what training left
-    from zerodrift.export.imported import ImportedCompensator
     from zerodrift.train.compensator import Compensator
 
 Array = NDArray[np.float64]
 
 OUTPUT_STEPS = 1e6
 """One count of an output is the power of ten at or below full scale / 1e6."""
-LOAD = "load:"
-"""What names of the graph's signals of loads begin with."""
 WARM_SHARE = 1e-3
 """The model is warm when starts from cold and from rest differ by less than this share of the
 correction's range, for good."""
@@ -53,30 +51,20 @@ POWER_ON, FIRST_ROW = "power_on", "first row of a log"
 """Note of a model whose logs do not count their time from power-on."""
 
 
-def compose_integer_model(
-    compensator: "Compensator", config: Config, dataset: Dataset
-) -> IntegerModel:
+def compose_integer_model(model: FloatModel, config: Config, dataset: Dataset) -> IntegerModel:
     """Return the quantized compensator, with its warm-up time measured on the training logs.
 
     Raises:
         CheckError: an effect has no fixed-point form, or no safe format exists.
         InputError: a log leaves what the codes can say.
     """
-    model = describe_compensator(compensator, config, dataset.train)
     refuse_logs_outside(config, model, dataset)
-    calibration = calibrate(compensator, model, dataset.train)
-    cold = quantize(model, calibration, config.weights)
-    if compensator.physics.plan.starts_at_first_row:
+    cold = quantize(model, calibrate(model, dataset.train), config.weights)
+    if model.plan is not None and model.plan.starts_at_first_row:
         cold = replace(cold, notes={**cold.notes, POWER_ON: FIRST_ROW})
-    steps = measure_warm_up(cold, dataset.train)
-    return finish_model(cold, config, steps)
-
-
-def finish_model(cold: IntegerModel, config: Config, warm_up_steps: int) -> IntegerModel:
-    """Return the model with its warm-up and what `[firmware]` says of its C."""
     return replace(
         cold,
-        guards=replace(cold.guards, warm_up_steps=warm_up_steps),
+        guards=replace(cold.guards, warm_up_steps=measure_warm_up(cold, dataset.train)),
         prefix=config.firmware_prefix,
         guarded=config.firmware_guard,
     )
@@ -117,10 +105,7 @@ def describe_compensator(
             features = (*features, *taps)
             names = (*names, *(str(tap) for tap in front_end.taps))
             coefficients = np.concatenate([coefficients, compensator.tap_coefficients])
-    outputs = tuple(
-        OutputFormat(o.name, o.unit, choose_lsb_per_unit(o.full_scale), o.full_scale)
-        for o in config.outputs
-    )
+    outputs = list_outputs(config)
     channels, sources = list_channels([*features, *taps], config, runs, outputs)
     return FloatModel(
         name=config.sensor_name,
@@ -137,16 +122,39 @@ def describe_compensator(
         tap_mean=front_end.mean if front_end is not None else None,
         whitening=front_end.matrix if front_end is not None else None,
         network=_read_network(compensator),
-        window=0 if compensator.memory == "stream" else int(compensator.memory),
+        window=compensator.window,
+        plan=physics.plan,
+        tared=compensator.tared,
+        set_aside=physics.set_aside,
+        physics=_describe_physics(compensator, config, runs),
     )
+
+
+def _describe_physics(
+    compensator: "Compensator", config: Config, runs: Sequence[Run]
+) -> FloatModel | None:
+    """Return the physical model alone, if something was learnt beside it."""
+    if compensator.network is None and compensator.bank is None:
+        return None
+    alone = replace(compensator, front_end=None, network=None, bank=None)
+    return describe_compensator(alone, config, runs)
 
 
 def _read_network(compensator: "Compensator") -> FloatNetwork | FloatFeedForward | None:
     if compensator.network is None:
         return None
     if compensator.is_recurrent:
-        return read_network_bytes(compensator.network, "the trained network")
+        network = read_network_bytes(compensator.network, "the trained network")
+        return replace(network, trained=OnnxNetwork(compensator.network))
     return compensator.feed_forward
+
+
+def list_outputs(config: Config) -> tuple[OutputFormat, ...]:
+    """Return how the chip counts each of the project's outputs."""
+    return tuple(
+        OutputFormat(o.name, o.unit, choose_lsb_per_unit(o.full_scale), o.full_scale)
+        for o in config.outputs
+    )
 
 
 def list_channels(
@@ -242,27 +250,14 @@ def count_elapsed(model: IntegerModel, run: Run) -> int:
     return round(first_s / run.sample_period_s)
 
 
-def predict_on_chip(compensator: "Compensator | ImportedCompensator", run: Run) -> Array:
-    """Return the float model's drift [n, K] with loads as the chip knows them."""
-    if run.before is not None:
-        return predict_along(lambda whole: predict_on_chip(compensator, whole), run)
-    if compensator.physics is None:
-        return compensator.predict(run)
-    nodes = list_nodes(compensator.physics.graph().features)
-    bank = getattr(compensator, "bank", None)
-    if (bank is not None and bank.loads) or any(node.source.startswith(LOAD) for node in nodes):
-        return predict_fed_back(compensator.predict, run)
-    return compensator.predict(run)
-
-
-def calibrate(compensator: "Compensator", model: FloatModel, runs: Sequence[Run]) -> Calibration:
+def calibrate(model: FloatModel, runs: Sequence[Run]) -> Calibration:
     """Return the ranges that the training runs showed, with their margins."""
     limits, ranges = [], []
     names = [output.name for output in model.outputs]
     codes = [encode_inputs(model, run).astype(np.int64) for run in runs]
     for index, channel in enumerate(model.channels):
         columns = [c[:, index] for c in codes]
-        spans = RANGE_SPANS if channel.source == CLOCK else RANGE_MARGIN
+        spans = RANGE_SPANS if model.sources.get("clock_s") == index else RANGE_MARGIN
         if index:
             ranges.append((index, *find_flagged(channel, columns, spans)))
         if channel.source.startswith(MEASURED):  # the limits are those of the load
@@ -274,10 +269,10 @@ def calibrate(compensator: "Compensator", model: FloatModel, runs: Sequence[Run]
     span = (min(int(c[:, 0].min()) for c in codes), max(int(c[:, 0].max()) for c in codes))
     rate = max(int(np.abs(np.diff(c[:, 0])).max(initial=0)) for c in codes)
     largest = np.zeros(0)
-    if compensator.front_end is not None:
-        features = [compensator.front_end.compute(run) for run in runs]
-        largest = np.max([np.abs(x).max(axis=0) for x in features], axis=0)
-    drifts = [predict_on_chip(compensator, run) for run in runs] + [run.drift for run in runs]
+    if model.taps:
+        inputs = [model.compute_network_inputs(run) for run in runs]
+        largest = np.max([np.abs(x).max(axis=0) for x in inputs], axis=0)
+    drifts = [model.predict_on_chip(run) for run in runs] + [run.drift for run in runs]
     low_drift = np.min([d.min(axis=0) for d in drifts], axis=0)
     high_drift = np.max([d.max(axis=0) for d in drifts], axis=0)
     margin_drift = RANGE_MARGIN * (high_drift - low_drift)
@@ -292,7 +287,7 @@ def calibrate(compensator: "Compensator", model: FloatModel, runs: Sequence[Run]
         temperature_range=widen(
             *span, FLAG_MARGIN_K / model.channels[0].lsb, model.channels[0].bits
         ),
-        ranges=measure_ranges(compensator, model, runs),
+        ranges=measure_ranges(model, runs),
     )
 
 
@@ -310,15 +305,12 @@ def limit_rate(thermometer: Channel, largest: int) -> int:
     return min(math.ceil(largest * (1.0 + RANGE_MARGIN)) + 2, 2 * thermometer.most + 1, 2**31 - 1)
 
 
-def measure_ranges(
-    compensator: "Compensator", model: FloatModel, runs: Sequence[Run]
-) -> dict[Node, tuple[float, float]]:
+def measure_ranges(model: FloatModel, runs: Sequence[Run]) -> dict[Node, tuple[float, float]]:
     """Return the lowest and highest value of every node of the graph over the runs."""
     nodes = list_nodes([*model.features, *model.taps])
     lows, highs = np.full(len(nodes), np.inf), np.full(len(nodes), -np.inf)
     for run in runs:
-        inputs = graph_inputs(read_signals(run, compensator.physics.plan))
-        values = evaluate(nodes, {**run.inputs, **inputs}, run.sample_period_s)
+        values = evaluate(nodes, model.read_inputs(run), run.sample_period_s)
         lows = np.minimum(lows, [float(v.min()) for v in values])
         highs = np.maximum(highs, [float(v.max()) for v in values])
     return {

@@ -1,45 +1,34 @@
-"""From a network that another program trained, and logs to calibrate on, to the integer model."""
+"""From a network that another program trained, and logs to scale by, to the float model."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import LONGEST_WINDOW, Config
 from zerodrift.base.errors import InputError, nearest
-from zerodrift.dataset.chip_codes import FLAG_MARGIN_K, RANGE_MARGIN
-from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.export.compose import (
-    choose_lsb_per_unit,
-    encode_inputs,
-    find_flagged,
-    finish_model,
-    limit_rate,
-    list_channels,
-    measure_warm_up,
-    refuse_logs_outside,
-    widen,
-)
-from zerodrift.export.float_network import FloatNetwork
-from zerodrift.export.imported import TEMPERATURE, ImportedCompensator, Scaling, read_features
-from zerodrift.export.integer_model import IntegerModel, OutputFormat
+from zerodrift.dataset.runs import Run
+from zerodrift.export.compose import list_channels, list_outputs
+from zerodrift.export.float_model import FloatModel
 from zerodrift.export.onnx_reader import ImportedNetwork
-from zerodrift.export.quantize import Calibration, FloatModel, quantize
 from zerodrift.operations.graph import GraphOperations
-from zerodrift.operations.gru import FloatGru
 
 Array = NDArray[np.float64]
 
+TEMPERATURE = "temperature"
+"""Name of the feature that is the chip's own thermometer; others are names of [inputs]."""
 
-def import_compensator(
+
+def describe_imported(
     imported: ImportedNetwork,
     config: Config,
     runs: Sequence[Run],
     features: Sequence[str] | None = None,
     memory: str | int | None = None,
-) -> tuple[ImportedCompensator, list[str]]:
-    """Return an imported network as the compensator of a project, and what is to be noted.
+) -> tuple[FloatModel, list[str]]:
+    """Return an imported network as the float model of a project, and what is to be noted.
+
+    Its features are brought to -1 .. 1 before they become int16; the network takes it back.
 
     Args:
         imported: from the ONNX file.
@@ -63,8 +52,33 @@ def import_compensator(
     columns = np.concatenate([read_features(run, names) for run in runs])
     low, high = columns.min(axis=0), columns.max(axis=0)
     half = 0.5 * (high - low)
-    scaling = Scaling(names, 0.5 * (low + high), np.where(half > 0.0, half, 1.0))
-    return ImportedCompensator(imported.network, window, scaling), notes
+    center, scale = 0.5 * (low + high), np.where(half > 0.0, half, 1.0)
+    ops = GraphOperations(config.sample_period_s)
+    taps = tuple(ops.input("temperature_degC" if n == TEMPERATURE else n) for n in names)
+    outputs = list_outputs(config)
+    channels, sources = list_channels(taps, config, runs, outputs)
+    model = FloatModel(
+        name=config.sensor_name,
+        sample_period_s=config.sample_period_s,
+        channels=channels,
+        sources=sources,
+        outputs=outputs,
+        features=(),
+        coefficients=np.zeros((0, count)),
+        offset=np.zeros(count),
+        taps=taps,
+        tap_mean=center,
+        whitening=np.diag(1.0 / scale),
+        network=imported.network.rescale_inputs(center, scale),
+        window=window,
+    )
+    return model, notes
+
+
+def read_features(run: Run, features: Sequence[str]) -> Array:
+    """Return the network's inputs [n, I] of a run, as logged."""
+    columns = [run.temperature_degC if f == TEMPERATURE else run.inputs[f] for f in features]
+    return np.stack(columns, axis=1)
 
 
 def _choose_features(
@@ -118,95 +132,3 @@ def _choose_window(imported: ImportedNetwork, memory: str | int | None) -> tuple
             " from zero (init)."
         )
     return window, notes
-
-
-def compose_imported_model(
-    compensator: ImportedCompensator,
-    config: Config,
-    dataset: Dataset,
-    layers: Sequence[FloatGru] | None = None,
-) -> IntegerModel:
-    """Return the quantized network, with its warm-up time measured on the calibration logs.
-
-    Args:
-        compensator: the network as it came; sets the ranges.
-        config: the project.
-        dataset: its logs.
-        layers: fine-tuned recurrent layers, on the features of `describe_imported`; None for its
-            own.
-
-    Raises:
-        CheckError: no safe format exists.
-        InputError: a log leaves what the codes can say.
-    """
-    model = describe_imported(compensator, config, dataset.train)
-    refuse_logs_outside(config, model, dataset)
-    calibration = calibrate_imported(compensator, model, dataset.train)
-    if layers is not None and isinstance(model.network, FloatNetwork):
-        model = replace(model, network=model.network.with_layers(layers))
-    cold = quantize(model, calibration, config.weights)
-    steps = measure_warm_up(cold, dataset.train)
-    return finish_model(cold, config, steps)
-
-
-def describe_imported(
-    compensator: ImportedCompensator, config: Config, runs: Sequence[Run]
-) -> FloatModel:
-    """Return the imported network as a float model with raw input channels."""
-    scaling = compensator.front_end
-    ops = GraphOperations(config.sample_period_s)
-    names = ["temperature_degC" if name == TEMPERATURE else name for name in scaling.features]
-    taps = tuple(ops.input(name) for name in names)
-    count = len(config.outputs)
-    outputs = tuple(
-        OutputFormat(o.name, o.unit, choose_lsb_per_unit(o.full_scale), o.full_scale)
-        for o in config.outputs
-    )
-    channels, sources = list_channels(taps, config, runs, outputs)
-    return FloatModel(
-        name=config.sensor_name,
-        sample_period_s=config.sample_period_s,
-        channels=channels,
-        sources=sources,
-        outputs=outputs,
-        features=(),
-        coefficients=np.zeros((0, count)),
-        offset=np.zeros(count),
-        taps=taps,
-        tap_mean=scaling.center,
-        whitening=np.diag(1.0 / scaling.scale),
-        network=compensator.network.rescale_inputs(scaling.center, scaling.scale),
-        window=compensator.window,
-    )
-
-
-def calibrate_imported(
-    compensator: ImportedCompensator, model: FloatModel, runs: Sequence[Run]
-) -> Calibration:
-    """Return the ranges that the calibration runs showed, with their margins."""
-    codes = np.concatenate([encode_inputs(model, run).astype(np.int64) for run in runs])
-    limits, ranges = [], []
-    for index, (column, channel) in enumerate(zip(codes.T, model.channels, strict=True)):
-        low, high = int(column.min()), int(column.max())
-        if index:
-            ranges.append((index, *find_flagged(channel, [column], RANGE_MARGIN)))
-        limits.append(widen(low, high, RANGE_MARGIN * (high - low) + 1, channel.bits))
-    steps = [np.abs(np.diff(encode_inputs(model, run)[:, 0].astype(np.int64))) for run in runs]
-    rate = max(int(step.max(initial=0)) for step in steps)
-    features = np.concatenate([compensator.front_end.compute(run) for run in runs])
-    drifts = np.concatenate([compensator.predict(run) for run in runs] + [r.drift for r in runs])
-    low_drift, high_drift = drifts.min(axis=0), drifts.max(axis=0)
-    margin = RANGE_MARGIN * (high_drift - low_drift)
-    low, high = int(codes[:, 0].min()), int(codes[:, 0].max())
-    return Calibration(
-        code_limits=tuple(limits),
-        feature_max=np.abs(features).max(axis=0),
-        drift_low=low_drift - margin,
-        drift_high=high_drift + margin,
-        rate_max=limit_rate(model.channels[0], rate),
-        warm_up_steps=0,
-        input_ranges=tuple(ranges),
-        temperature_range=widen(
-            low, high, FLAG_MARGIN_K / model.channels[0].lsb, model.channels[0].bits
-        ),
-    )

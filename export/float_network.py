@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru import FloatGru
+from zerodrift.train.onnx_network import OnnxNetwork
 
 Array = NDArray[np.float64]
 
@@ -28,6 +29,8 @@ class FloatNetwork:
     """Further layers, each on the state of the one before it."""
     dense: tuple[FloatDense, ...] = ()
     """Between the topmost state and the head."""
+    trained: OnnxNetwork | None = None
+    """The file that training left, where it is one of ours: its answers are asked of it."""
 
     @property
     def layers(self) -> tuple[FloatGru, ...]:
@@ -36,7 +39,7 @@ class FloatNetwork:
 
     def with_layers(self, layers: Sequence[FloatGru]) -> "FloatNetwork":
         """Return the network with other recurrent layers."""
-        return replace(self, gru=layers[0], upper=tuple(layers[1:]))
+        return replace(self, gru=layers[0], upper=tuple(layers[1:]), trained=None)
 
     def start(self, batch: int) -> list[Array]:
         """Return states of zero, [B, H] each."""
@@ -75,6 +78,19 @@ class FloatNetwork:
                 now[i] = x[:, -1]
             parts.append(self.read_out(x))
         return np.concatenate(parts, axis=1)
+
+    def answer(self, features: Array, window: int) -> Array:
+        """Return the outputs [n, K] for features [n, I] of a run that starts at rest.
+
+        Args:
+            features: of the whole run.
+            window: samples that each answer is from; 0 carries the state from sample to sample.
+        """
+        if self.trained is not None:
+            return self.trained.run(features, window)
+        if window:
+            return self.run_windows(features, window)
+        return np.asarray(self.run(features[None], self.settle(features[:1]))[0])
 
     def run_windows(self, features: Array, length: int) -> Array:
         """Return the outputs [n, K] for features [n, I], each from zero over the last `length`.

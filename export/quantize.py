@@ -1,15 +1,15 @@
 """The quantizer: a float compensator and what it saw in calibration become an integer model."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
+from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.formats import COEFFICIENT_LIMIT, Signal
-from zerodrift.export.integer_model import Channel, Guards, IntegerModel, OutputFormat
+from zerodrift.export.integer_model import Guards, IntegerModel
 from zerodrift.export.lowering import Lowering
 from zerodrift.export.quantize_layers import append_network
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN, choose_exponent
@@ -26,58 +26,6 @@ FEATURE_HEADROOM = 2.0
 """A feature may grow to this multiple of its calibrated maximum before it saturates: a lag of the
 temperature is as large as its rate, and users heat faster than chambers do. The bit is not missed:
 16 bits over twice the range give the same error as over 1.25 times (`make bench`)."""
-
-
-@dataclass(frozen=True)
-class FloatModel:
-    """A whole compensator in float: drift = features . coefficients + offset + network(taps)."""
-
-    name: str
-    sample_period_s: float
-    channels: tuple[Channel, ...]
-    sources: dict[str, int]
-    """Signal name of the graph -> channel index."""
-    outputs: tuple[OutputFormat, ...]
-    features: tuple[Node, ...]
-    coefficients: Array
-    """[J, K] output units per feature unit."""
-    offset: Array
-    """[K] output units."""
-    taps: tuple[Node, ...] = ()
-    tap_mean: Array | None = None
-    """[I]."""
-    whitening: Array | None = None
-    """[I', I]: the network's input is whitening @ (taps - mean)."""
-    network: FloatNetwork | FloatFeedForward | None = None
-    window: int = 0
-    """0: the network's state is carried from sample to sample."""
-    feature_names: tuple[str, ...] = ()
-    """Of the features, for messages."""
-    clock_origin_s: float = 0.0
-    """Where clock_s counts from on the clock's channel."""
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """What the training logs showed: the ranges that formats and guards are chosen from."""
-
-    code_limits: tuple[tuple[int, int], ...]
-    """Per channel: inputs outside are limited to these codes; for a raw output, the load is."""
-    feature_max: Array
-    """[I'] largest absolute value of each network input."""
-    drift_low: Array
-    drift_high: Array
-    """[K] the correction is limited to this range, in output units."""
-    rate_max: int
-    """Temperature codes per step."""
-    warm_up_steps: int
-    temperature_range: tuple[int, int] | None = None
-    """Codes outside of which the temperature is flagged; None for its code limits."""
-    input_ranges: tuple[tuple[int, int, int], ...] = ()
-    """(channel, lowest, highest code) of the other inputs, outside of which they are flagged."""
-    ranges: Mapping[Node, tuple[float, float]] = field(default_factory=dict)
-    """Lowest and highest value of the graph's nodes, as far as known: results are limited where
-    they could go far beyond, so that their formats suit what they are."""
 
 
 def quantize(model: FloatModel, calibration: Calibration, weights: str = "int16") -> IntegerModel:

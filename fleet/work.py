@@ -18,8 +18,9 @@ from zerodrift.c_runtime.host_batch import build_host_batch
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.export.compose import compose_integer_model
+from zerodrift.export.compose import compose_integer_model, describe_compensator
 from zerodrift.export.fine_tune import load_or_tune
+from zerodrift.export.float_model import FloatModel
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.fleet.assess import assess, describe_parameters
 from zerodrift.fleet.design import RUNTIME, Design
@@ -34,6 +35,7 @@ from zerodrift.verify.certificate_check import check_certificate
 from zerodrift.verify.firmware import list_sequences
 from zerodrift.verify.gate import judge_firmware
 from zerodrift.verify.host_check import check_host, check_starts
+from zerodrift.verify.left_out import leave_out
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import write_manifest
 
@@ -57,6 +59,7 @@ class _Job:
     mark: str
     dataset: Dataset
     trained: Trained | None = None
+    described: FloatModel | None = None
     model: IntegerModel | None = None
     code: GeneratedCode | None = None
     notes: list[str] = field(default_factory=list)
@@ -153,8 +156,8 @@ def _generate(design: Design, job: _Job) -> bool:
     assert job.trained is not None
     place = design.place(job.config, job.sensor)
     runs = job.dataset.train
-    tuned = load_or_tune(job.trained.compensator, place, runs)
-    job.model = compose_integer_model(tuned, place, job.dataset)
+    job.described = describe_compensator(job.trained.compensator, place, runs)
+    job.model = compose_integer_model(load_or_tune(job.described, place, runs), place, job.dataset)
     job.code = generate(job.model)
     return True
 
@@ -214,11 +217,12 @@ def _finish(
     verdict, replay = None, None
     certificate = ""
     if host is not None and scratch is not None:
-        assert job.model is not None and job.code is not None
+        assert job.model is not None and job.code is not None and job.described is not None
         vectors = check_bits(host, job.dataset)
         certificate = certify(job.model, job.code)
         _recheck(job.code, certificate, scratch)
-        verdict, replay = judge_firmware(job.config, compensator, host, job.dataset)
+        left_out = leave_out(job.config, job.dataset, compensator)
+        verdict, replay = judge_firmware(job.described, host, job.dataset, left_out)
     figures = assess(job.trained, job.dataset, replay)
     result = SensorResult(
         sensor=job.sensor,

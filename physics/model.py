@@ -103,13 +103,19 @@ class PhysicalModel:
             for columns in build_stretches(runs, self.plan, terms, self.order)
         ]
 
+    @property
+    def set_aside(self) -> tuple[str, ...]:
+        """Outputs whose samples at a converter's rail say nothing, as some effect knows."""
+        knows = any(fitted.term.effect.sets_aside for fitted in self.terms)
+        return self.plan.saturated if knows else ()
+
     def find_usable(self, run: Run) -> NDArray[np.bool_]:
         """Return [n, K] which samples say something about the drift.
 
         All of them do unless the model knows of a converter's rails (adc_saturation).
         """
         usable = np.ones(run.measured.shape, dtype=bool)
-        if any(fitted.term.effect.sets_aside for fitted in self.terms):
+        if self.set_aside:
             for name, flags in read_signals(run, self.plan).saturated.items():
                 usable[:, self.outputs.index(name)] = flags == 0.0
         return usable

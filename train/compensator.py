@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,22 +21,18 @@ from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import list_nodes
-from zerodrift.operations.gru import FloatGru
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.front_end import FrontEnd
 from zerodrift.train.lag_bank.model import LagBank
-from zerodrift.train.onnx_export import read_onnx_gru, read_onnx_layers, read_onnx_weights
-
-if TYPE_CHECKING:
-    import onnxruntime
+from zerodrift.train.onnx_export import read_onnx_layers, read_onnx_weights
+from zerodrift.train.onnx_network import OnnxNetwork
 
 Array = NDArray[np.float64]
 
 FORMAT = 3
 """Version of compensator.json; another one is refused."""
 DESCRIPTION, NETWORK = "compensator.json", "network.onnx"
-WINDOWS_AT_ONCE = 4096
 BIASES = (".B", ".bias")
 """Ends of the names of weights that are added, not multiplied by."""
 
@@ -143,7 +139,7 @@ class Compensator:
             count += self.front_end.width * (self.front_end.width + 1) // 2
             count += 2 * sum(tap.tau_s > 0.0 for tap in self.front_end.taps)
         if self.network is not None:
-            steps = 1 if self.memory == "stream" else int(self.memory)
+            steps = self.window or 1
             for name, weights in self._network_weights.items():
                 if not name.endswith(BIASES):
                     count += (1 if name.startswith("head") else steps) * weights.size
@@ -169,45 +165,20 @@ class Compensator:
         return read_onnx_layers(self.network, NETWORK)
 
     @cached_property
-    def gru(self) -> FloatGru:
-        """The network's recurrence in float64."""
+    def _recurrence(self) -> OnnxNetwork:
         assert self.network is not None
-        return read_onnx_gru(self.network, NETWORK)
+        return OnnxNetwork(self.network)
 
-    @cached_property
-    def _session(self) -> "onnxruntime.InferenceSession":
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 3
-        return onnxruntime.InferenceSession(
-            self.network, options, providers=["CPUExecutionProvider"]
-        )
+    @property
+    def window(self) -> int:
+        """Samples of the network's window; 0 where its state goes from sample to sample."""
+        return 0 if self.memory == "stream" else int(self.memory)
 
     def _run_network(self, features: Array) -> Array:
         """Return the network's drift [n, K] for features [n, I] of a run that starts at rest."""
         if not self.is_recurrent:
             return self.feed_forward.run(features)
-        if self.memory == "stream":
-            rest = self.gru.settle(features[:1])
-            return self._ask(features[:, None, :], rest)[:, 0]
-        memory = int(self.memory)
-        padded = np.concatenate([np.repeat(features[:1], memory - 1, axis=0), features])
-        windows = np.lib.stride_tricks.sliding_window_view(padded, memory, axis=0)  # [n, I, N]
-        answers = []
-        for begin in range(0, len(features), WINDOWS_AT_ONCE):
-            part = windows[begin : begin + WINDOWS_AT_ONCE].transpose(2, 0, 1)
-            answers.append(self._ask(part, np.zeros((part.shape[1], self.gru.w_h.shape[1])))[-1])
-        return np.concatenate(answers)
-
-    def _ask(self, features: Array, state: Array) -> Array:
-        """Return drift [T, B, K] for features [T, B, I] and first states [B, H]."""
-        feed = {
-            "features": np.ascontiguousarray(features, dtype=np.float32),
-            "initial_h": state[None].astype(np.float32),
-        }
-        return np.asarray(self._session.run(["drift"], feed)[0], dtype=np.float64)
+        return self._recurrence.run(features, self.window)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the network as JSON values."""

@@ -16,8 +16,8 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.bridges import predict_all
 from zerodrift.dataset.chip_codes import MEASURED
 from zerodrift.dataset.runs import Run
-from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
-from zerodrift.export.imported import ImportedCompensator
+from zerodrift.export.compose import count_elapsed, encode_inputs
+from zerodrift.export.float_model import FloatModel
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_RATE_RANGE,
@@ -31,11 +31,9 @@ from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.network import IntegerFeatures
 from zerodrift.operations.signal import IntegerInput, IntegerProduct
 from zerodrift.operations.total import IntegerSum
-from zerodrift.train.compensator import Compensator
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-AnyCompensator = Compensator | ImportedCompensator
 
 ROUNDING_SHARE = 0.002
 """What the arithmetic's rounding may cost, as a share of the drift's own RMS."""
@@ -164,24 +162,24 @@ class Replay:
         return np.asarray(np.abs(replayed.difference) > BEYOND_ROUNDING * self.budget)
 
 
-def replay_runs(compensator: AnyCompensator, host: HostModel, runs: Sequence[Run]) -> Replay:
+def replay_runs(floating: FloatModel, host: HostModel, runs: Sequence[Run]) -> Replay:
     """Run the integer and the float model over the same rows.
 
     Args:
-        compensator: the float model.
+        floating: the float model.
         host: the integer model's C, shown equal to the reference.
         runs: measurements.
     """
     model = host.model
     chip = predict_all(lambda run: _run_chip(host, run), runs)
-    floating = predict_all(lambda run: predict_on_chip(compensator, run), runs)
-    budget = measure_rounding(compensator, model, runs, floating)
+    answers = floating.predict_all_on_chip(runs)
+    budget = measure_rounding(floating, model, runs, answers)
     outputs = len(model.outputs)
     scale = np.array([output.lsb_per_unit for output in model.outputs], dtype=np.float64)
     low, high = np.array(model.drift.low), np.array(model.drift.high)
     names = [*(channel.name for channel in model.channels), RATE]
     replays = []
-    for run, columns, answer in zip(runs, chip, floating, strict=True):
+    for run, columns, answer in zip(runs, chip, answers, strict=True):
         drift, flags = columns[:, :outputs], columns[:, outputs].astype(np.int64)
         outside = columns[:, outputs + 1 : outputs + 1 + len(names)] > 0.0
         limited = ((flags & FLAG_CLAMPED) > 0)[:, None] & ((drift <= low) | (drift >= high))
@@ -196,7 +194,7 @@ def replay_runs(compensator: AnyCompensator, host: HostModel, runs: Sequence[Run
                 rail=columns[:, outputs + 1 + len(names) :] > 0.0,
             )
         )
-    replays = _find_after_effects(compensator, model, replays, budget)
+    replays = _find_after_effects(floating, model, replays, budget)
     return Replay(model, tuple(replays), budget)
 
 
@@ -251,15 +249,15 @@ def find_rails(model: IntegerModel, codes: CodeArray) -> Mask:
 
 
 def measure_rounding(
-    compensator: AnyCompensator, model: IntegerModel, runs: Sequence[Run], floating: Sequence[Array]
+    floating: FloatModel, model: IntegerModel, runs: Sequence[Run], answers: Sequence[Array]
 ) -> Array:
     """Return the RMS [K] that rounding is budgeted with, in the outputs' units.
 
     It is what the float model answers differently when its inputs are rounded to codes, which
     nothing on the chip can mend, and ROUNDING_SHARE of the drift for all arithmetic after that.
     """
-    rounded = predict_all(lambda run: predict_on_chip(compensator, _round_inputs(model, run)), runs)
-    inputs = np.concatenate(rounded) - np.concatenate(floating)
+    rounded = predict_all(lambda run: floating.predict_on_chip(_round_inputs(model, run)), runs)
+    inputs = np.concatenate(rounded) - np.concatenate(answers)
     drift = np.concatenate([run.drift - run.drift.mean(axis=0) for run in runs])
     own = ROUNDING_SHARE**2 * np.mean(drift**2, axis=0)
     return np.asarray(np.sqrt(np.mean(inputs**2, axis=0) + own))
@@ -287,7 +285,7 @@ def _round_inputs(model: IntegerModel, run: Run) -> Run:
 
 
 def _find_after_effects(
-    compensator: AnyCompensator, model: IntegerModel, replays: Sequence[RunReplay], budget: Array
+    floating: FloatModel, model: IntegerModel, replays: Sequence[RunReplay], budget: Array
 ) -> list[RunReplay]:
     """Mark the rows on which the float model remembers more than the chip could see.
 
@@ -299,7 +297,7 @@ def _find_after_effects(
     groups = {r.run.group for r in replays if r.is_outside.any()}
     concerned = [r for r in replays if r.run.group in groups]
     limited = predict_all(
-        lambda run: predict_on_chip(compensator, _limit_outside(model, run)),
+        lambda run: floating.predict_on_chip(_limit_outside(model, run)),
         [replayed.run for replayed in concerned],
     )
     by_name = {r.run.name: answer for r, answer in zip(concerned, limited, strict=True)}

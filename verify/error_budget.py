@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Run
-from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
+from zerodrift.export.compose import count_elapsed, encode_inputs
+from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
-from zerodrift.export.imported import ImportedCompensator
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.lowering import Lowering
-from zerodrift.export.quantize import FEATURE_HEADROOM, Calibration, FloatModel
+from zerodrift.export.quantize import FEATURE_HEADROOM
 from zerodrift.export.quantize_layers import (
     ReadOut,
     quantize_read_out,
@@ -32,8 +32,6 @@ from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.layers import COPY_BITS
-from zerodrift.physics.signals import graph_inputs, read_signals
-from zerodrift.train.compensator import Compensator
 from zerodrift.verify.mismatch import label_columns
 
 Array = NDArray[np.float64]
@@ -83,7 +81,6 @@ class ErrorBudget:
 def measure_budget(
     described: FloatModel,
     calibration: Calibration,
-    compensator: Compensator | ImportedCompensator,
     host: HostModel,
     runs: Sequence[Run],
     steps: int = DECADES[-1],
@@ -95,7 +92,6 @@ def measure_budget(
     Args:
         described: the float model that was quantized.
         calibration: what it was quantized with.
-        compensator: the same float model, for its signals and long runs.
         host: the integer model's C, built to be observed and shown equal to the reference.
         runs: measurements, preferably held out.
         steps: length of the run that is followed over time.
@@ -108,7 +104,7 @@ def measure_budget(
     runs = [run.at_rest().take(slice(LONGEST_RUN_STEPS)) for run in runs]  # as the C is started
     levels = _Levels(described, calibration, host.model)
     traces = [_observe(host, run) for run in runs]
-    inputs = [_read_inputs(compensator, run) for run in runs]
+    inputs = [described.read_inputs_on_chip(run) for run in runs]
     answers = [
         np.concatenate(parts) for parts in zip(*levels.answer_all(inputs, traces), strict=True)
     ]
@@ -121,7 +117,7 @@ def measure_budget(
             NodeCost(name, kinds[name], _rms(cost))
             for name, cost in zip(levels.order, costs, strict=True)
         ),
-        over_time=follow_over_time(compensator, host, longest, steps),
+        over_time=follow_over_time(described, host, longest, steps),
     )
 
 
@@ -138,12 +134,12 @@ def _take_longest(run: Run, mask: Mask) -> Run:
 
 
 def follow_over_time(
-    compensator: Compensator | ImportedCompensator, host: HostModel, run: Run, steps: int
+    described: FloatModel, host: HostModel, run: Run, steps: int
 ) -> tuple[Span, ...]:
     """Return the difference of integer and float model by decades of a run without end.
 
     Args:
-        compensator: the float model.
+        described: the float model.
         host: the integer model's C.
         run: is played forwards and backwards in turn, so that nothing jumps.
         steps: how far.
@@ -159,7 +155,7 @@ def follow_over_time(
             elapsed=count_elapsed(host.model, endless),
         )
         drift[first : first + LONGEST_RUN_STEPS] = part.drift / scale
-    difference = drift - predict_on_chip(compensator, endless)
+    difference = drift - described.predict_on_chip(endless)
     ends = [0, *(d for d in DECADES if d < steps), steps]
     return tuple(
         Span(first, last, _rms(difference[first:last])) for first, last in itertools.pairwise(ends)
@@ -344,17 +340,6 @@ def _run_windows(network: FloatNetwork, x: Array, window: int) -> Array:
     for k in range(window):
         now = network.step(padded[k : k + len(x)], now)
     return now[-1]
-
-
-def _read_inputs(compensator: Compensator | ImportedCompensator, run: Run) -> dict[str, Array]:
-    """Return the float model's signals, the loads as the compensator leaves them."""
-    if compensator.physics is None:  # nothing but what was logged
-        return {**run.inputs, "temperature_degC": run.temperature_degC}
-    drift = predict_on_chip(compensator, run)
-    before = np.concatenate([drift[:1], drift[:-1]])
-    fed_back = replace(run, reference=run.measured - before)
-    signals = graph_inputs(read_signals(fed_back, compensator.physics.plan))
-    return {**run.inputs, **signals}
 
 
 def _observe(host: HostModel, run: Run) -> dict[str, Array]:

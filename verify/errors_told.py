@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.runs import Run
-from zerodrift.export.compose import count_elapsed, encode_inputs, predict_on_chip
-from zerodrift.export.imported import ImportedCompensator
-from zerodrift.train.compensator import Compensator
+from zerodrift.export.compose import count_elapsed, encode_inputs
+from zerodrift.export.float_model import FloatModel
 
 Array = NDArray[np.float64]
 
@@ -44,27 +43,26 @@ class OutputError:
         return 100.0 * self.integer_model / self.full_scale
 
 
-def tell_errors(
-    compensator: Compensator | ImportedCompensator, host: HostModel, runs: Sequence[Run]
-) -> tuple[OutputError, ...]:
+def tell_errors(model: FloatModel, host: HostModel, runs: Sequence[Run]) -> tuple[OutputError, ...]:
     """Return the errors over all samples of `runs`.
 
-    Where the compensator found the logs tared, the offset of each run is nobody's to predict and
+    Where training found the logs tared, the offset of each run is nobody's to predict and
     is taken off every error, as `compare` and `train` do.
 
     Args:
-        compensator: the float model.
+        model: the float model.
         host: the integer model's C, already shown equal to the reference.
         runs: measurements, preferably held out.
     """
     outputs = host.model.outputs
-    floats = predict_all(lambda run: predict_on_chip(compensator, run), runs)
+    floats = model.predict_all_on_chip(runs)
     integers = predict_all(lambda run: predict_by_c(host, run), runs)
     none = [np.zeros_like(run.drift) for run in runs]
     uncompensated, float_error, integer_error = (
-        _join(runs, answer, compensator.tared) for answer in (none, floats, integers)
+        _join(runs, answer, model.tared) for answer in (none, floats, integers)
     )
-    physics = _err_by_physics(compensator, runs)
+    alone = model.physics
+    physics = None if alone is None else _join(runs, alone.predict_all(runs), model.tared)
     difference = np.concatenate(floats) - np.concatenate(integers)
     return tuple(
         OutputError(
@@ -90,17 +88,6 @@ def predict_by_c(host: HostModel, run: Run) -> Array:
     trace = host.run(encode_inputs(model, run), elapsed=count_elapsed(model, run))
     scale = np.array([output.lsb_per_unit for output in model.outputs], dtype=np.float64)
     return np.asarray(trace.drift / scale)
-
-
-def _err_by_physics(
-    compensator: Compensator | ImportedCompensator, runs: Sequence[Run]
-) -> Array | None:
-    """Return the errors [n, K] of the physical model alone, if something was learnt beside it."""
-    if isinstance(compensator, ImportedCompensator):
-        return None
-    if compensator.network is None and compensator.bank is None:
-        return None
-    return _join(runs, compensator.physics.predict_all(runs), compensator.tared)
 
 
 def _join(runs: Sequence[Run], predictions: Sequence[Array], tared: bool) -> Array:

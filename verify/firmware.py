@@ -21,21 +21,14 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.compose import (
     calibrate,
     compose_integer_model,
-    describe_compensator,
     encode_inputs,
 )
-from zerodrift.export.compose_import import (
-    calibrate_imported,
-    compose_imported_model,
-    describe_imported,
-)
-from zerodrift.export.fine_tune import load_or_tune, load_or_tune_imported
+from zerodrift.export.fine_tune import load_or_tune
+from zerodrift.export.float_model import FloatModel
 from zerodrift.export.golden import GoldenVectors, compute_golden
-from zerodrift.export.imported import ImportedCompensator
 from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.train.compensator import Compensator
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import Outcome, check_certificate
@@ -45,6 +38,7 @@ from zerodrift.verify.error_budget import ErrorBudget, measure_budget
 from zerodrift.verify.errors_told import OutputError, tell_errors
 from zerodrift.verify.firmware_check import FirmwareCheck, check_firmware
 from zerodrift.verify.gate import GateVerdict, judge_firmware
+from zerodrift.verify.left_out import LeftOut
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import write_manifest
 from zerodrift.verify.vectors import draw_golden, draw_sequences
@@ -91,20 +85,22 @@ class Firmware:
 def build_firmware(
     config: Config,
     dataset: Dataset,
-    compensator: Compensator | ImportedCompensator,
+    described: FloatModel,
     progress: Progress = lambda _: None,
     *,
+    left_out: LeftOut | None = None,
     network: tuple[Path, ...] = (),
     force: bool = False,
 ) -> Firmware:
-    """Build the firmware of a trained compensator and write it, if all bits agree and the gate lets
+    """Build the firmware of a float model and write it, if all bits agree and the gate lets
     it pass.
 
     Args:
         config: the project; says where the C goes.
         dataset: its logs; the test runs are the held-out ones.
-        compensator: the trained model, or a network from an ONNX file.
+        described: the float model.
         progress: is told what is being done.
+        left_out: without test runs, what models say of runs that they did not learn from.
         network: the ONNX file that the network comes from.
         force: write what the gate refuses, and mark the C with it.
 
@@ -116,7 +112,7 @@ def build_firmware(
             hold; nothing is written then.
     """
     progress("quantizing")
-    model, rounded = _compose(config, dataset, compensator, progress)
+    model, rounded = _compose(config, dataset, described, progress)
     code = generate(model)
     sequences = list_sequences(model, dataset)
     with make_scratch(config.directory) as scratch:
@@ -125,26 +121,19 @@ def build_firmware(
         chip = check_chip(CORE, code, check.host, sequences, scratch / "chip")
         progress("measuring errors and sizes")
         runs = dataset.test or dataset.train
-        gate, replay = judge_firmware(config, compensator, check.host, dataset)
+        gate, replay = judge_firmware(described, check.host, dataset, left_out)
         forced = tuple(statement.text for statement in gate.refused) if force else ()
         if forced:
             model = replace(model, notes={**model.notes, FORCED: "\n".join(forced)})
             code = generate(model)
-        errors = tell_errors(compensator, check.host, runs)
+        errors = tell_errors(described, check.host, runs)
         untuned: tuple[OutputError, ...] = ()
         if rounded is not None:
             host = HostModel(rounded, generate(rounded), scratch / "rounded")
-            untuned = tell_errors(compensator, host, runs)
-        if isinstance(compensator, ImportedCompensator):
-            described = describe_imported(compensator, config, dataset.train)
-            calibration = calibrate_imported(compensator, described, dataset.train)
-        else:
-            described = describe_compensator(compensator, config, dataset.train)
-            calibration = calibrate(compensator, described, dataset.train)
+            untuned = tell_errors(described, host, runs)
+        calibration = calibrate(described, dataset.train)
         plain_runs, plain = find_plain(replay, dataset)
-        budget = measure_budget(
-            described, calibration, compensator, check.observed, plain_runs, plain=plain
-        )
+        budget = measure_budget(described, calibration, check.observed, plain_runs, plain=plain)
         footprint = measure_footprint(code, CORE)
         progress("checking the certificate")
         certificate = certify(model, code)
@@ -165,7 +154,7 @@ def build_firmware(
         budget=budget,
         error_runs=tuple(run.name for run in runs),
         held_out=bool(dataset.test),
-        tared=compensator.tared,
+        tared=described.tared,
         footprint=footprint,
         chip=chip,
         certificate=outcome,
@@ -188,21 +177,15 @@ def find_plain(
 def _compose(
     config: Config,
     dataset: Dataset,
-    compensator: Compensator | ImportedCompensator,
+    described: FloatModel,
     progress: Progress,
 ) -> tuple[IntegerModel, IntegerModel | None]:
     """Return the integer model and, where it was fine-tuned, what only rounding would give."""
-    if isinstance(compensator, ImportedCompensator):
-        layers = load_or_tune_imported(compensator, config, dataset.train, progress)
-        model = compose_imported_model(compensator, config, dataset, layers)
-        if layers is None:
-            return model, None
-        return model, compose_imported_model(compensator, config, dataset)
-    tuned = load_or_tune(compensator, config, dataset.train, progress)
+    tuned = load_or_tune(described, config, dataset.train, progress)
     model = compose_integer_model(tuned, config, dataset)
-    if tuned is compensator:
+    if tuned is described:
         return model, None
-    return model, compose_integer_model(compensator, config, dataset)
+    return model, compose_integer_model(described, config, dataset)
 
 
 def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> Outcome:

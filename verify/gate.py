@@ -7,22 +7,19 @@ over all rows it must not be worse than no compensation. What fails is not writt
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.config import Config
 from zerodrift.c_runtime.host import HostModel
-from zerodrift.dataset.bridges import predict_all
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.held_out import TEST_LOGS
 from zerodrift.diagnosis.run_errors import FindUsable
-from zerodrift.export.compose import predict_on_chip
-from zerodrift.export.imported import ImportedCompensator
-from zerodrift.verify.chip_error import AnyCompensator, ChipError, Replay, replay_runs
+from zerodrift.export.float_model import FloatModel
+from zerodrift.verify.chip_error import ChipError, Replay, replay_runs
 from zerodrift.verify.excursions import Excursion, list_excursions
-from zerodrift.verify.left_out import leave_out
+from zerodrift.verify.left_out import LeftOut
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -115,28 +112,27 @@ class _Pool:
 
 
 def judge_firmware(
-    config: Config, compensator: AnyCompensator, host: HostModel, dataset: Dataset
+    model: FloatModel, host: HostModel, dataset: Dataset, left_out: LeftOut | None
 ) -> tuple[GateVerdict, Replay]:
     """Return whether the firmware may be written, and the rows that say so.
 
     Args:
-        config: the project.
-        compensator: the float model.
+        model: the float model.
         host: the integer model's C, shown equal to the reference.
-        dataset: its logs; the test runs are the held-out ones. Without them each training run is
-            held against a model that did not learn from it, where that is quickly fitted.
+        dataset: its logs; the test runs are the held-out ones.
+        left_out: without those, what models say of each training run that did not learn from it;
+            None where that is not quickly fitted.
     """
     runs = dataset.test or dataset.train
-    replay = replay_runs(compensator, host, runs)
+    replay = replay_runs(model, host, runs)
     method, covered = TEST_LOGS, None
     if dataset.test:
         answers = Answers(
             [r.chip for r in replay.runs],
             [r.floating for r in replay.runs],
-            _predict_by_physics(compensator, runs),
+            None if model.physics is None else model.physics.predict_all_on_chip(runs),
         )
     else:
-        left_out = leave_out(config, dataset, compensator)
         if left_out is None:
             why = "no test logs are configured, and this network is not trained anew for each run"
             return leave_unjudged(replay, f"{why}. Record a test run."), replay
@@ -147,28 +143,17 @@ def judge_firmware(
             left_out.physics,
         )
         method, covered = left_out.method, left_out.covered
-    physics = compensator.physics
     verdict = judge(
         replay,
         list_excursions(replay, dataset.train),
         answers,
         list(zip(dataset.outputs, dataset.units, strict=True)),
         method=method,
-        tared=compensator.tared,
-        find_usable=None if physics is None else physics.find_usable,
+        tared=model.tared,
+        find_usable=model.find_usable,
         covered=covered,
     )
     return verdict, replay
-
-
-def _predict_by_physics(compensator: AnyCompensator, runs: Sequence[Run]) -> list[Array] | None:
-    """Return the answers of the physical model alone, if something was learnt beside it."""
-    if isinstance(compensator, ImportedCompensator):
-        return None
-    if compensator.network is None and compensator.bank is None:
-        return None
-    alone = replace(compensator, front_end=None, network=None, bank=None)
-    return predict_all(lambda run: predict_on_chip(alone, run), runs)
 
 
 def judge(

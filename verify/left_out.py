@@ -10,12 +10,10 @@ from zerodrift.base.config import Config
 from zerodrift.dataset.chip_codes import FLAG_MARGIN_K, RANGE_MARGIN
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.held_out import hold_out
-from zerodrift.export.imported import ImportedCompensator
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.bank_training import assemble_bank, fit_bank
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.stages import fit_physics
-from zerodrift.verify.chip_error import AnyCompensator
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,7 +34,7 @@ class LeftOut:
     """[n] per training run: rows whose temperature, inputs and loads the other runs reach."""
 
 
-def leave_out(config: Config, dataset: Dataset, compensator: AnyCompensator) -> LeftOut | None:
+def leave_out(config: Config, dataset: Dataset, compensator: Compensator) -> LeftOut | None:
     """Return what is predicted for each training run from the others.
 
     The physical model and the lag bank are fitted again without each run; a network is not, for it
@@ -48,12 +46,12 @@ def leave_out(config: Config, dataset: Dataset, compensator: AnyCompensator) -> 
         compensator: trained on all training runs.
 
     Returns:
-        None where nothing can be left out: an imported or a trained network, or a lag bank of a
-        single run.
+        None where nothing need be left out, since there are test runs, or nothing can be: a
+        network, or a lag bank of a single run.
     """
-    if isinstance(compensator, ImportedCompensator):
+    if dataset.test:
         return None
-    alone = hold_out(compensator.physics, replace(dataset, test=()))
+    alone = hold_out(compensator.physics, dataset)
     physics = tuple(alone.predictions[run.name] for run in dataset.train)
     groups = tuple(dict.fromkeys(run.group for run in dataset.train))
     if len(groups) > 1:

@@ -22,7 +22,6 @@ from zerodrift.export.compose import (
     compose_integer_model,
     describe_compensator,
     predict_integer,
-    predict_on_chip,
 )
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.verify.certificate_check import compare
@@ -38,7 +37,8 @@ def test_certificate_of_every_effect_is_derived_again(first: int) -> None:
         others = [effect for effect in WITH if effect.kind != kind]
         physics = make_physics([*others, EffectConfig(kind, variant)], draw_runs())
         compensator, runs = make_compensator(physics, draw_runs())
-        model = compose_integer_model(compensator, make_config(), make_dataset(runs))
+        described = describe_compensator(compensator, make_config(), runs)
+        model = compose_integer_model(described, make_config(), make_dataset(runs))
         certificate, texts = build_files(model)
         claims = json.loads(certificate)
         outcome = compare(claims, texts)
@@ -52,11 +52,11 @@ def test_budget_adds_up_with_loads_and_time(kind: str, tmp_path: Path) -> None:
     physics = make_physics([*WITH, EffectConfig(kind)], draw_runs())
     compensator, runs = make_compensator(physics, draw_runs())
     config, dataset = make_config(), make_dataset(runs)
-    model = compose_integer_model(compensator, config, dataset)
     described = describe_compensator(compensator, config, dataset.train)
-    calibration = calibrate(compensator, described, dataset.train)
+    model = compose_integer_model(described, config, dataset)
+    calibration = calibrate(described, dataset.train)
     host = HostModel(model, generate(model), tmp_path, flags=("-O1",))
-    budget = measure_budget(described, calibration, compensator, host, runs, steps=1000)
-    errors = [predict_integer(model, run) - predict_on_chip(compensator, run) for run in runs]
+    budget = measure_budget(described, calibration, host, runs, steps=1000)
+    errors = [predict_integer(model, run) - described.predict_on_chip(run) for run in runs]
     measured = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
     np.testing.assert_allclose(budget.total, measured, rtol=0.01)

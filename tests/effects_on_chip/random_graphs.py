@@ -5,8 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
-from zerodrift.export.quantize import Calibration, FloatModel, quantize
+from zerodrift.export.quantize import quantize
 from zerodrift.operations.graph import GraphOperations, Node, evaluate, list_nodes
 
 Array = NDArray[np.float64]

@@ -21,9 +21,9 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.export.compose import (
     compose_integer_model,
+    describe_compensator,
     encode_inputs,
     predict_integer,
-    predict_on_chip,
 )
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.verify.host_check import check_host
@@ -62,9 +62,10 @@ def test_effect_on_another_thermometer_is_the_same_on_the_chip(tmp_path: Path) -
 def check(effects: list[EffectConfig], folder: Path) -> None:
     """Build a compensator of these effects; compare float, reference and host C."""
     compensator, runs = make_compensator(make_physics(effects, draw_runs()), draw_runs())
-    model = compose_integer_model(compensator, make_config(), make_dataset(runs))
+    described = describe_compensator(compensator, make_config(), runs)
+    model = compose_integer_model(described, make_config(), make_dataset(runs))
     for run in runs:
-        wanted = predict_on_chip(compensator, run)
+        wanted = described.predict_on_chip(run)
         error = predict_integer(model, run) - wanted
         share = np.sqrt(np.mean(error**2, axis=0) / np.mean(wanted**2, axis=0))
         assert (100.0 * share).max() < LARGEST_ERROR_PCT

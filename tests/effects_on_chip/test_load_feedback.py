@@ -21,9 +21,9 @@ from zerodrift.codegen.generate import generate
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import (
     compose_integer_model,
+    describe_compensator,
     encode_inputs,
     predict_integer,
-    predict_on_chip,
 )
 from zerodrift.export.feedback import predict_fed_back
 from zerodrift.export.integer_model import FLAG_DAMAGED, IntegerModel
@@ -69,7 +69,8 @@ def make_model() -> tuple[IntegerModel, tuple[Run, ...]]:
         replace(run, reference=run.reference + np.array([300.0, 2.0])) for run in draw_runs()
     )
     compensator, drifting = make_compensator(make_physics(EFFECTS, runs), runs)
-    return compose_integer_model(compensator, make_config(), make_dataset(drifting)), drifting
+    described = describe_compensator(compensator, make_config(), drifting)
+    return compose_integer_model(described, make_config(), make_dataset(drifting)), drifting
 
 
 def test_start_is_at_rest_with_the_load_that_remains() -> None:
@@ -86,9 +87,10 @@ def test_start_is_at_rest_with_the_load_that_remains() -> None:
 def test_first_drift_is_that_of_the_float_loop() -> None:
     runs = draw_runs()
     compensator, drifting = make_compensator(make_physics(EFFECTS, runs), runs)
-    model = compose_integer_model(compensator, make_config(), make_dataset(drifting))
+    described = describe_compensator(compensator, make_config(), drifting)
+    model = compose_integer_model(described, make_config(), make_dataset(drifting))
     counts = np.array([output.lsb_per_unit for output in model.outputs])
-    error = predict_integer(model, drifting[0]) - predict_on_chip(compensator, drifting[0])
+    error = predict_integer(model, drifting[0]) - described.predict_on_chip(drifting[0])
     assert (np.abs(error[0]) * counts <= 2.0).all()
 
 

@@ -14,9 +14,9 @@ from zerodrift.codegen.generate import generate
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import (
     compose_integer_model,
+    describe_compensator,
     encode_inputs,
     predict_integer,
-    predict_on_chip,
 )
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.compensator import Compensator
@@ -113,9 +113,10 @@ def compare(
     compensator: Compensator, config: Config, runs: tuple[Run, ...], largest: float, folder: Path
 ) -> None:
     """Compare float, reference, host C, integer ONNX; check the certificate against the C."""
-    model = compose_integer_model(compensator, config, make_dataset(runs))
+    described = describe_compensator(compensator, config, runs)
+    model = compose_integer_model(described, config, make_dataset(runs))
     for run in runs[:2]:
-        wanted = predict_on_chip(compensator, run)
+        wanted = described.predict_on_chip(run)
         error = predict_integer(model, run) - wanted
         share = np.sqrt(np.mean(error**2, axis=0) / np.mean(wanted**2, axis=0))
         assert (100.0 * share).max() < largest

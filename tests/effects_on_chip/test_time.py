@@ -17,9 +17,9 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import (
     compose_integer_model,
+    describe_compensator,
     encode_inputs,
     predict_integer,
-    predict_on_chip,
 )
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
@@ -32,7 +32,8 @@ def make_model(
 ) -> tuple[IntegerModel, tuple[Run, ...]]:
     """Return the integer model of effects, and the runs with their drift."""
     compensator, drifting = make_compensator(make_physics(effects, runs), runs)
-    return compose_integer_model(compensator, make_config(), make_dataset(drifting)), drifting
+    described = describe_compensator(compensator, make_config(), drifting)
+    return compose_integer_model(described, make_config(), make_dataset(drifting)), drifting
 
 
 def test_counter_saturates_and_never_wraps() -> None:
@@ -62,8 +63,9 @@ def test_log_that_begins_after_power_on_is_compared_from_there() -> None:
     compensator, drifting = make_compensator(
         make_physics([EffectConfig("warm_up", {"tau_s": 300.0})], late), late
     )
-    model = compose_integer_model(compensator, make_config(), make_dataset(drifting))
-    error = predict_integer(model, drifting[0]) - predict_on_chip(compensator, drifting[0])
+    described = describe_compensator(compensator, make_config(), drifting)
+    model = compose_integer_model(described, make_config(), make_dataset(drifting))
+    error = predict_integer(model, drifting[0]) - described.predict_on_chip(drifting[0])
     counts = np.array([output.lsb_per_unit for output in model.outputs])
     assert (np.abs(error) * counts).max() <= 2.0
 

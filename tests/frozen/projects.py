@@ -12,8 +12,8 @@ from tests.projects import render_toml
 from zerodrift.base.config import load_config
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
-from zerodrift.export.compose import compose_integer_model
-from zerodrift.export.compose_import import compose_imported_model, import_compensator
+from zerodrift.export.compose import compose_integer_model, describe_compensator
+from zerodrift.export.compose_import import describe_imported
 from zerodrift.export.onnx_reader import read_imported
 from zerodrift.lab.twin.example import ensure_example_logs
 from zerodrift.physics.catalogue import load_catalogue
@@ -135,11 +135,11 @@ def render_texts(name: str, folder: Path) -> dict[str, str]:
     config = load_config(folder)
     dataset = load_dataset(config)
     if name == "imported":
-        network, _ = import_compensator(read_imported(IMPORTED), config, dataset.train)
-        model = compose_imported_model(network, config, dataset)
+        described, _ = describe_imported(read_imported(IMPORTED), config, dataset.train)
     else:
         compensator = Compensator.load(folder / "build", load_catalogue(config.plugin_files))
-        model = compose_integer_model(compensator, config, dataset)
+        described = describe_compensator(compensator, config, dataset.train)
+    model = compose_integer_model(described, config, dataset)
     code = generate(model)
     return {"model.json": model.to_text(), ".h": code.header, ".c": code.source}
 

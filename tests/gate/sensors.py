@@ -12,10 +12,11 @@ from zerodrift.base.config import load_config
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
-from zerodrift.export.compose import compose_integer_model
+from zerodrift.export.compose import compose_integer_model, describe_compensator
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.training import train
 from zerodrift.verify.gate import GateVerdict, judge_firmware
+from zerodrift.verify.left_out import leave_out
 
 Array = NDArray[np.float64]
 
@@ -125,10 +126,12 @@ def ask_gate(directory: Path) -> GateVerdict:
     config = load_config(directory)
     dataset = load_dataset(config)
     compensator = train(config, dataset).compensator
-    model = compose_integer_model(compensator, config, dataset)
+    described = describe_compensator(compensator, config, dataset.train)
+    model = compose_integer_model(described, config, dataset)
     with tempfile.TemporaryDirectory() as scratch:
         host = HostModel(model, generate(model), Path(scratch), observe=False)
-        return judge_firmware(config, compensator, host, dataset)[0]
+        left_out = leave_out(config, dataset, compensator)
+        return judge_firmware(described, host, dataset, left_out)[0]
 
 
 def list_kinds(verdict: GateVerdict) -> set[str]:

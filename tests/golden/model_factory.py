@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
-from zerodrift.export.quantize import Calibration, FloatModel, quantize
+from zerodrift.export.quantize import quantize
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.graph import GraphOperations, Node
 from zerodrift.operations.gru import FloatGru

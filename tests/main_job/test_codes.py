@@ -10,7 +10,7 @@ from tests.main_job.conftest import invoke
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.load import load_dataset
-from zerodrift.export.compose import compose_integer_model, encode_inputs
+from zerodrift.export.compose import compose_integer_model, describe_compensator, encode_inputs
 from zerodrift.export.integer_model import (
     FLAG_INPUT_RANGE,
     FLAG_NO_READING,
@@ -81,7 +81,8 @@ def write_project(
 def compose(folder: Path) -> IntegerModel:
     config = load_config(folder)
     dataset = load_dataset(config)
-    return compose_integer_model(train(config, dataset).compensator, config, dataset)
+    described = describe_compensator(train(config, dataset).compensator, config, dataset.train)
+    return compose_integer_model(described, config, dataset)
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,9 @@ import numpy as np
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
+from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import Channel, OutputFormat
-from zerodrift.export.quantize import Calibration, FloatModel, quantize
+from zerodrift.export.quantize import quantize
 from zerodrift.operations.graph import GraphOperations
 from zerodrift.verify.host_check import check_host
 

@@ -35,11 +35,11 @@ def measure(
     described = describe_compensator(compensator, config, dataset.train)
     outputs = tuple(replace(o, lsb_per_unit=o.lsb_per_unit // coarser) for o in described.outputs)
     described = replace(described, outputs=outputs)
-    calibration = calibrate(compensator, described, dataset.train)
+    calibration = calibrate(described, dataset.train)
     model = quantize(described, calibration, weights)
     host = HostModel(model, generate(model), folder)
     runs = [change(run) for run in dataset.test]
-    budget = measure_budget(described, calibration, compensator, host, runs, steps)
+    budget = measure_budget(described, calibration, host, runs, steps)
     errors = [predict_integer(model, run) - compensator.predict(run) for run in dataset.test]
     return budget, np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
 

@@ -14,10 +14,10 @@ from zerodrift.base.config import load_config
 from zerodrift.base.errors import CheckError
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import (
+    describe_compensator,
     encode_inputs,
     measure_warm_up,
     predict_integer,
-    predict_on_chip,
 )
 from zerodrift.export.integer_model import FLAG_TEMPERATURE_RANGE, FLAG_WARMING_UP
 from zerodrift.export.model_files import load_model
@@ -187,8 +187,9 @@ def share_of_quantization(directory: Path) -> float:
     """Return the RMS of integer less float over that of the drift, on a log that was calibrated."""
     config = load_config(directory)
     compensator = Compensator.load(directory / "build", load_catalogue(config.plugin_files))
-    run = load_dataset(config).train[0]  # the test run is hotter, and the correction limited there
-    wanted = predict_on_chip(compensator, run)
+    runs = load_dataset(config).train
+    run = runs[0]  # the test run is hotter, and the correction limited there
+    wanted = describe_compensator(compensator, config, runs).predict_on_chip(run)
     error = predict_integer(load_model(directory / "build" / "model.json"), run) - wanted
     return float(np.sqrt((error**2).mean(axis=0) / (wanted**2).mean(axis=0)).max())
 

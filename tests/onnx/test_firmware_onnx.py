@@ -17,9 +17,8 @@ from zerodrift.base.errors import InputError
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.export.compose import predict_integer
-from zerodrift.export.compose_import import compose_imported_model, import_compensator
-from zerodrift.export.imported import read_features
+from zerodrift.export.compose import compose_integer_model, predict_integer
+from zerodrift.export.compose_import import describe_imported, read_features
 from zerodrift.export.onnx_reader import read_imported_bytes
 from zerodrift.verify.firmware_check import check_firmware
 from zerodrift.verify.vectors import draw_sequences
@@ -125,13 +124,13 @@ def test_network_becomes_equal_firmware(name: str, weights: str, project: Path) 
     config = replace(config, weights=weights)
     content = NETWORKS[name]
     imported = read_imported_bytes(scale_inputs(content), "net.onnx")
-    compensator, _ = import_compensator(imported, config, dataset.train, FEATURES)
-    model = compose_imported_model(compensator, config, dataset)
+    described, _ = describe_imported(imported, config, dataset.train, FEATURES)
+    model = compose_integer_model(described, config, dataset)
     sequences = draw_sequences(model, 300)
     check_firmware(model, generate(model), sequences, project / "scratch").require()
 
     run = dataset.train[0]  # within the calibrated ranges, so that nothing is limited
-    float_drift, drift = compensator.predict(run), predict_integer(model, run)
+    float_drift, drift = described.predict(run), predict_integer(model, run)
     error = np.sqrt(np.mean((drift - float_drift) ** 2, axis=0))
     size = np.sqrt(np.mean(float_drift**2, axis=0))
     limit = 2e-3 if weights == "int16" else 3e-2
@@ -146,13 +145,13 @@ def test_window_is_that_of_the_file(name: str, project: Path) -> None:
     config, dataset = open_project(project)
     content = scale_inputs(NETWORKS[name])
     imported = read_imported_bytes(content, "net.onnx")
-    compensator, notes = import_compensator(imported, config, dataset.train, FEATURES)
+    described, notes = describe_imported(imported, config, dataset.train, FEATURES)
     run = dataset.test[0]
     raw = read_features(run, FEATURES).astype(np.float32)
     session = onnxruntime.InferenceSession(content)
-    at = np.arange(compensator.window, 400, 37)
-    expected = [session.run(None, {"x": raw[None, t + 1 - compensator.window : t + 1]}) for t in at]
-    found = compensator.predict(run)[at]
+    at = np.arange(described.window, 400, 37)
+    expected = [session.run(None, {"x": raw[None, t + 1 - described.window : t + 1]}) for t in at]
+    found = described.predict(run)[at]
     np.testing.assert_allclose(found, np.reshape(expected, found.shape), atol=2e-5)
     assert notes == []
 
@@ -200,10 +199,10 @@ def test_project_is_guessed_from_the_logs(tmp_path: Path) -> None:
     write_logs(tmp_path / "logs")
     (tmp_path / "net.onnx").write_bytes(NETWORKS["keras, reset before"])
     request = OnnxRequest(tmp_path / "net.onnx", (tmp_path / "logs",), FEATURES)
-    config, dataset, compensator, notes = open_import(request, tmp_path, False)
+    config, dataset, described, notes = open_import(request, tmp_path, False)
     assert [o.name for o in config.outputs] == ["Fz", "Mx"]
     assert {"supply", "humidity"} <= set(config.inputs)
-    assert len(dataset.train) == 3 and compensator.front_end.features == FEATURES
+    assert len(dataset.train) == 3 and len(described.taps) == len(FEATURES)
     assert "guessed from the logs" in notes[0]
 
 
@@ -306,11 +305,11 @@ def test_file_decides_on_the_memory_unless_told_otherwise(project: Path) -> None
     )
     for name, memory, window, told in cases:
         imported = read_imported_bytes(NETWORKS[name], "net.onnx")
-        compensator, notes = import_compensator(imported, config, dataset.train, FEATURES, memory)
-        assert compensator.window == window
+        described, notes = describe_imported(imported, config, dataset.train, FEATURES, memory)
+        assert described.window == window
         assert (told in " ".join(notes)) and bool(notes) == bool(told)
     imported = read_imported_bytes(export(Form(last="output")), "net.onnx")
-    _, notes = import_compensator(imported, config, dataset.train, FEATURES)
+    _, notes = describe_imported(imported, config, dataset.train, FEATURES)
     assert "give --memory N" in notes[0]
 
 
@@ -322,6 +321,6 @@ def test_initial_state_other_than_zero_needs_a_stream(project: Path) -> None:
     imported = read_imported_bytes(g.build({"x": (9, 1, 3)}, [answer]), "net.onnx")
     config, dataset = open_project(project)
     with pytest.raises(InputError, match="a state other than zero"):
-        import_compensator(imported, config, dataset.train, FEATURES)
-    _, notes = import_compensator(imported, config, dataset.train, FEATURES, "stream")
+        describe_imported(imported, config, dataset.train, FEATURES)
+    _, notes = describe_imported(imported, config, dataset.train, FEATURES, "stream")
     assert "initial state in the file is not used" in notes[0]

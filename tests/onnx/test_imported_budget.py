@@ -20,12 +20,8 @@ from zerodrift.base.config import load_config
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
-from zerodrift.export.compose import predict_integer
-from zerodrift.export.compose_import import (
-    calibrate_imported,
-    describe_imported,
-    import_compensator,
-)
+from zerodrift.export.compose import calibrate, predict_integer
+from zerodrift.export.compose_import import describe_imported
 from zerodrift.export.onnx_reader import read_imported_bytes
 from zerodrift.export.quantize import quantize
 from zerodrift.verify.error_budget import ErrorBudget, measure_budget
@@ -56,15 +52,14 @@ def measure(
     config = load_config(project)
     dataset = load_dataset(config)
     imported = read_imported_bytes(scale_inputs(NETWORKS[name]), "net.onnx")
-    compensator, _ = import_compensator(imported, config, dataset.train, FEATURES)
-    described = describe_imported(compensator, config, dataset.train)
+    described, _ = describe_imported(imported, config, dataset.train, FEATURES)
     outputs = tuple(replace(o, lsb_per_unit=o.lsb_per_unit // coarser) for o in described.outputs)
     described = replace(described, outputs=outputs)
-    calibration = calibrate_imported(compensator, described, dataset.train)
+    calibration = calibrate(described, dataset.train)
     model = quantize(described, calibration, weights)
     host = HostModel(model, generate(model), folder, flags=("-O1",))
-    budget = measure_budget(described, calibration, compensator, host, dataset.test, 1000)
-    errors = [predict_integer(model, run) - compensator.predict(run) for run in dataset.test]
+    budget = measure_budget(described, calibration, host, dataset.test, 1000)
+    errors = [predict_integer(model, run) - described.predict(run) for run in dataset.test]
     return budget, np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
 
 

@@ -16,10 +16,13 @@ from tests.onnx.test_firmware_onnx import (
 )
 from tests.onnx.torch_networks import Form, export
 
-from zerodrift.export.compose import predict_integer
-from zerodrift.export.compose_import import compose_imported_model, import_compensator
-from zerodrift.export.fine_tune import FOLDER, IMPORTED, load_or_tune_imported
+from zerodrift.export.compose import compose_integer_model, predict_integer
+from zerodrift.export.compose_import import describe_imported
+from zerodrift.export.fine_tune import FOLDER, LAYERS, load_or_tune
+from zerodrift.export.float_model import FloatModel
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.onnx_reader import read_imported_bytes
+from zerodrift.operations.gru import FloatGru
 
 CASES = {
     "two layers and tanh, stream": export(Form(layers=2, activation="tanh", hidden=6)),
@@ -37,37 +40,43 @@ def project(tmp_path: Path) -> Path:
     return directory
 
 
+def list_layers(model: FloatModel) -> tuple[FloatGru, ...]:
+    assert isinstance(model.network, FloatNetwork)
+    return model.network.layers
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_fine_tuning_brings_an_imported_network_nearer(name: str, project: Path) -> None:
     config, dataset = open_project(project)
     config = replace(config, weights="int8")
     imported = read_imported_bytes(scale_inputs(CASES[name]), "net.onnx")
-    compensator, _ = import_compensator(imported, config, dataset.train, FEATURES)
-    layers = load_or_tune_imported(compensator, config, dataset.train)
-    assert layers is not None and len(layers) == len(imported.network.layers)
+    described, _ = describe_imported(imported, config, dataset.train, FEATURES)
+    tuned = load_or_tune(described, config, dataset.train)
+    layers = list_layers(tuned)
+    assert tuned is not described and len(layers) == len(imported.network.layers)
     off = []
-    for tuned in (None, layers):
-        model = compose_imported_model(compensator, config, dataset, tuned)
+    for form in (described, tuned):
+        model = compose_integer_model(form, config, dataset)
         run = dataset.train[0]
-        error = predict_integer(model, run) - compensator.predict(run)
-        off.append(float(np.sqrt(np.mean((error / compensator.predict(run).std(axis=0)) ** 2))))
+        error = predict_integer(model, run) - described.predict(run)
+        off.append(float(np.sqrt(np.mean((error / described.predict(run).std(axis=0)) ** 2))))
     assert off[1] < 0.9 * off[0], off
     told: list[str] = []
-    again = load_or_tune_imported(compensator, config, dataset.train, told.append)
-    assert again is not None and told == []  # from build/
-    for mine, kept in zip(layers, again, strict=True):
+    again = load_or_tune(described, config, dataset.train, told.append)
+    assert again is not described and told == []  # from build/
+    for mine, kept in zip(layers, list_layers(again), strict=True):
         assert np.array_equal(mine.w_h, kept.w_h) and mine.reset == kept.reset
-    path = config.build_directory / FOLDER / IMPORTED
+    path = config.build_directory / FOLDER / LAYERS
     path.write_bytes(path.read_bytes()[:-100])
-    assert load_or_tune_imported(compensator, config, dataset.train, told.append) is not None
+    assert load_or_tune(described, config, dataset.train, told.append) is not described
     assert told  # a damaged file is replaced
 
 
 def test_16_bit_weights_are_taken_as_they_came(project: Path) -> None:
     config, dataset = open_project(project)
     imported = read_imported_bytes(scale_inputs(next(iter(CASES.values()))), "net.onnx")
-    compensator, _ = import_compensator(imported, config, dataset.train, FEATURES)
-    assert load_or_tune_imported(compensator, config, dataset.train) is None
+    described, _ = describe_imported(imported, config, dataset.train, FEATURES)
+    assert load_or_tune(described, config, dataset.train) is described
     assert not (config.build_directory / FOLDER).exists()
 
 

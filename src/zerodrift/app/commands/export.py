@@ -29,7 +29,11 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     from zerodrift.app.commands.project import open_project, train_project
     from zerodrift.base.journal import write_all
     from zerodrift.codegen.generate import generate
-    from zerodrift.export.compose import compose_integer_model, encode_inputs
+    from zerodrift.export.compose import (
+        compose_integer_model,
+        describe_compensator,
+        encode_inputs,
+    )
     from zerodrift.export.fine_tune import load_or_tune
     from zerodrift.export.golden import compute_golden
     from zerodrift.export.integer_onnx import build_integer_onnx
@@ -41,7 +45,8 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     print_notes(dataset.notes)
     compensator = train_project(config, dataset, console)
     with console.status("quantizing"):
-        tuned = load_or_tune(compensator, config, dataset.train)
+        described = describe_compensator(compensator, config, dataset.train)
+        tuned = load_or_tune(described, config, dataset.train)
         model = compose_integer_model(tuned, config, dataset)
         run = (dataset.test or dataset.train)[0]
         golden = compute_golden(model, draw_golden(model, encode_inputs(model, run)))

@@ -58,23 +58,28 @@ def command(
     from rich.console import Console
 
     from zerodrift.app.commands.project import open_project, train_project
+    from zerodrift.export.compose import describe_compensator
     from zerodrift.verify.firmware import build_firmware
+    from zerodrift.verify.left_out import leave_out
 
     console = Console(stderr=True)
-    compensator: Any
+    left_out = None
     if request:
-        config, dataset, compensator, notes = open_import(request, directory, skip_invalid)
+        config, dataset, described, notes = open_import(request, directory, skip_invalid)
         print_notes((*dataset.notes, *notes))
     else:
         with show_progress("reading logs"):
             config, dataset = open_project(directory, skip_invalid)
         print_notes(dataset.notes)
         compensator = train_project(config, dataset, console)
+        described = describe_compensator(compensator, config, dataset.train)
+        with show_progress("leaving runs out"):
+            left_out = leave_out(config, dataset, compensator)
     with change_together(config.directory):
         with show_progress("quantizing") as say:
             network = (request.path.absolute(),) if request and request.path else ()
             firmware = build_firmware(
-                config, dataset, compensator, say, force=force, network=network
+                config, dataset, described, say, left_out=left_out, force=force, network=network
             )
         result = describe(firmware, config.directory)
         written = bool(firmware.files)

@@ -12,7 +12,7 @@ from zerodrift.base.errors import InputError
 if TYPE_CHECKING:
     from zerodrift.base.config import Config
     from zerodrift.dataset.runs import Dataset
-    from zerodrift.export.imported import ImportedCompensator
+    from zerodrift.export.float_model import FloatModel
 
 
 @dataclass(frozen=True)
@@ -104,8 +104,8 @@ def _read_memory(memory: str | None) -> str | int | None:
 
 def open_import(
     request: OnnxRequest, directory: Path, skip_invalid: bool
-) -> tuple["Config", "Dataset", "ImportedCompensator", list[str]]:
-    """Return the project, its logs, the network as its compensator, and what is to be noted.
+) -> tuple["Config", "Dataset", "FloatModel", list[str]]:
+    """Return the project, its logs, the network as their float model, and what is to be noted.
 
     Without a zerodrift.toml the project is guessed from the logs' headers, as `init` does.
 
@@ -113,14 +113,14 @@ def open_import(
         InputError: the network, the project or a log cannot be read, or they do not fit together.
     """
     from zerodrift.dataset.load import load_dataset
-    from zerodrift.export.compose_import import import_compensator
+    from zerodrift.export.compose_import import describe_imported
     from zerodrift.export.onnx_reader import read_imported
 
     assert request.path is not None
     imported = read_imported(request.path, request.output)
     config, notes = _open_config(request.calibrate, directory)
     dataset = load_dataset(config, skip_invalid)
-    compensator, more = import_compensator(
+    model, more = describe_imported(
         imported, config, dataset.train, request.features, request.memory
     )
     if config.effects or config.network.kind != "none":
@@ -130,7 +130,7 @@ def open_import(
         )
     if dataset.test:
         notes.append("whether the network was trained on the test logs, its file does not tell.")
-    return config, dataset, compensator, notes + more
+    return config, dataset, model, notes + more
 
 
 def _open_config(calibrate: Sequence[Path], directory: Path) -> tuple["Config", list[str]]:

@@ -1,0 +1,171 @@
+"""The float model: a graph of operations with parameters, in which every compensator ends.
+
+Physics, lag bank, trained and imported networks are described as one; what comes after training
+reads nothing else.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.bridges import predict_all, predict_along
+from zerodrift.dataset.chip_codes import TEMPERATURE
+from zerodrift.dataset.runs import Run
+from zerodrift.export.feedback import predict_fed_back
+from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.integer_model import Channel, OutputFormat
+from zerodrift.operations.dense import FloatFeedForward
+from zerodrift.operations.graph import Node, evaluate, list_nodes
+from zerodrift.physics.signals import SignalPlan, graph_inputs, read_signals
+
+Array = NDArray[np.float64]
+
+LOAD = "load:"
+"""What names of the graph's signals of loads begin with."""
+SATURATED = "saturated:"
+"""And of the marks of converters at a rail."""
+
+
+@dataclass(frozen=True)
+class FloatModel:
+    """A whole compensator in float: drift = features . coefficients + offset + network(taps)."""
+
+    name: str
+    sample_period_s: float
+    channels: tuple[Channel, ...]
+    sources: dict[str, int]
+    """Signal name of the graph -> channel index."""
+    outputs: tuple[OutputFormat, ...]
+    features: tuple[Node, ...]
+    coefficients: Array
+    """[J, K] output units per feature unit."""
+    offset: Array
+    """[K] output units."""
+    taps: tuple[Node, ...] = ()
+    tap_mean: Array | None = None
+    """[I]."""
+    whitening: Array | None = None
+    """[I', I]: the network's input is whitening @ (taps - mean)."""
+    network: FloatNetwork | FloatFeedForward | None = None
+    window: int = 0
+    """0: the network's state is carried from sample to sample."""
+    feature_names: tuple[str, ...] = ()
+    """Of the features, for messages."""
+    clock_origin_s: float = 0.0
+    """Where clock_s counts from on the clock's channel."""
+    plan: SignalPlan | None = None
+    """What loads, times and saturation are read by; None: the graph reads only logged columns."""
+    tared: bool = False
+    """Whether each log had an offset of its own, that of its tare, which is not predicted."""
+    set_aside: tuple[str, ...] = ()
+    """Outputs whose samples at a converter's rail say nothing of the drift."""
+    physics: "FloatModel | None" = None
+    """The physical model alone, where something was learnt beside it."""
+
+    def read_inputs(self, run: Run) -> dict[str, Array]:
+        """Return the graph's signals [n] of a run by name, loads those of its reference."""
+        if self.plan is None:
+            return {**run.inputs, TEMPERATURE: run.temperature_degC}
+        return {**run.inputs, **graph_inputs(read_signals(run, self.plan))}
+
+    def read_inputs_on_chip(self, run: Run) -> dict[str, Array]:
+        """Return the graph's signals [n] of a run by name, loads as the chip knows them."""
+        if self._reads_loads:
+            drift = self.predict_on_chip(run)
+            before = np.concatenate([drift[:1], drift[:-1]])
+            run = replace(run, reference=run.measured - before)
+        return self.read_inputs(run)
+
+    def predict(self, run: Run) -> Array:
+        """Return the drift [n, K] of a run with loads as its reference tells, each in its unit.
+
+        The run is taken to be at rest before its first sample, and gaps in it for straight lines.
+        """
+        if run.before is not None:
+            return predict_along(self.predict, run)
+        values = evaluate([*self.features, *self.taps], self.read_inputs(run), self.sample_period_s)
+        count = len(self.features)
+        drift = np.broadcast_to(self.offset, (len(run), len(self.outputs))).copy()
+        if count:
+            drift += np.stack(values[:count], axis=1) @ self.coefficients
+        if self.network is not None:
+            drift += self._run_network(np.stack(values[count:], axis=1))
+        return drift
+
+    def predict_on_chip(self, run: Run) -> Array:
+        """Return the drift [n, K] of a run with loads as the chip knows them."""
+        if run.before is not None:
+            return predict_along(self.predict_on_chip, run)
+        if self._reads_loads:
+            return predict_fed_back(self.predict, run)
+        return self.predict(run)
+
+    def predict_all(self, runs: Sequence[Run]) -> list[Array]:
+        """Return `predict` of every run [n, K], each chain of stretches gone through once."""
+        return predict_all(self.predict, runs)
+
+    def predict_all_on_chip(self, runs: Sequence[Run]) -> list[Array]:
+        """Return `predict_on_chip` of every run [n, K], chains of stretches gone through once."""
+        return predict_all(self.predict_on_chip, runs)
+
+    def predict_network(self, run: Run) -> Array:
+        """Return what the network adds to the drift [n, K] of a stretch from rest."""
+        return self._run_network(self._compute_taps(run.at_rest()))
+
+    def compute_network_inputs(self, run: Run) -> Array:
+        """Return the network's input [n, I'] of a run."""
+        return self._whiten(self._compute_taps(run))
+
+    def find_usable(self, run: Run) -> NDArray[np.bool_]:
+        """Return [n, K] which samples say something about the drift."""
+        usable = np.ones(run.measured.shape, dtype=np.bool_)
+        if self.set_aside:
+            names = [output.name for output in self.outputs]
+            inputs = self.read_inputs(run)
+            for name in self.set_aside:
+                usable[:, names.index(name)] = inputs[SATURATED + name] == 0.0
+        return usable
+
+    @property
+    def _reads_loads(self) -> bool:
+        return any(node.source.startswith(LOAD) for node in list_nodes(self.features))
+
+    def _compute_taps(self, run: Run) -> Array:
+        return np.stack(evaluate(self.taps, self.read_inputs(run), self.sample_period_s), axis=1)
+
+    def _whiten(self, taps: Array) -> Array:
+        assert self.tap_mean is not None and self.whitening is not None
+        return np.asarray((taps - self.tap_mean) @ self.whitening.T)
+
+    def _run_network(self, taps: Array) -> Array:
+        """Return the network's outputs [n, K] for taps [n, I] that begin at rest."""
+        assert self.network is not None
+        x = self._whiten(taps)
+        if isinstance(self.network, FloatFeedForward):
+            return self.network.run(x)
+        return self.network.answer(x, self.window)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What the training logs showed: the ranges that formats and guards are chosen from."""
+
+    code_limits: tuple[tuple[int, int], ...]
+    """Per channel: inputs outside are limited to these codes; for a raw output, the load is."""
+    feature_max: Array
+    """[I'] largest absolute value of each network input."""
+    drift_low: Array
+    drift_high: Array
+    """[K] the correction is limited to this range, in output units."""
+    rate_max: int
+    """Temperature codes per step."""
+    warm_up_steps: int
+    temperature_range: tuple[int, int] | None = None
+    """Codes outside of which the temperature is flagged; None for its code limits."""
+    input_ranges: tuple[tuple[int, int, int], ...] = ()
+    """(channel, lowest, highest code) of the other inputs, outside of which they are flagged."""
+    ranges: Mapping[Node, tuple[float, float]] = field(default_factory=dict)
+    """Lowest and highest value of the graph's nodes, as far as known: results are limited where
+    they could go far beyond, so that their formats suit what they are."""

@@ -1,0 +1,67 @@
+"""The file of a trained recurrent network, run by onnxruntime: PyTorch is not needed."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.gru import FloatGru
+from zerodrift.train.onnx_export import read_onnx_gru
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+Array = NDArray[np.float64]
+
+WINDOWS_AT_ONCE = 4096
+
+
+@dataclass(frozen=True)
+class OnnxNetwork:
+    """What `zerodrift.train.onnx_export.build_onnx` wrote."""
+
+    content: bytes
+
+    def run(self, features: Array, window: int) -> Array:
+        """Return the network's drift [n, K] for features [n, I] of a run that starts at rest.
+
+        Args:
+            features: of the whole run.
+            window: samples that each answer is from; 0 carries the state from sample to sample.
+        """
+        if not window:
+            rest = self._gru.settle(features[:1])
+            return self._ask(features[:, None, :], rest)[:, 0]
+        padded = np.concatenate([np.repeat(features[:1], window - 1, axis=0), features])
+        windows = np.lib.stride_tricks.sliding_window_view(padded, window, axis=0)  # [n, I, N]
+        answers = []
+        for begin in range(0, len(features), WINDOWS_AT_ONCE):
+            part = windows[begin : begin + WINDOWS_AT_ONCE].transpose(2, 0, 1)
+            zero = np.zeros((part.shape[1], self._gru.w_h.shape[1]))
+            answers.append(self._ask(part, zero)[-1])
+        return np.concatenate(answers)
+
+    @cached_property
+    def _gru(self) -> FloatGru:
+        return read_onnx_gru(self.content, "the trained network")
+
+    @cached_property
+    def _session(self) -> "onnxruntime.InferenceSession":
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        return onnxruntime.InferenceSession(
+            self.content, options, providers=["CPUExecutionProvider"]
+        )
+
+    def _ask(self, features: Array, state: Array) -> Array:
+        """Return drift [T, B, K] for features [T, B, I] and first states [B, H]."""
+        feed = {
+            "features": np.ascontiguousarray(features, dtype=np.float32),
+            "initial_h": state[None].astype(np.float32),
+        }
+        return np.asarray(self._session.run(["drift"], feed)[0], dtype=np.float64)
