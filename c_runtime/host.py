@@ -15,6 +15,8 @@ from zerodrift.operations.arithmetic import CodeArray
 
 SAVED_EXTRA_BYTES = 16
 """Bytes of a saved state beyond the state itself: version, model, size, CRC."""
+_UNWRITTEN = 123456789
+"""In what a step has to write: memory used before might hold the right answer by chance."""
 
 
 @dataclass(frozen=True)
@@ -170,8 +172,8 @@ class HostModel:
         """
         codes = np.ascontiguousarray(codes, dtype=self.model.code_type)
         steps = codes.shape[0]
-        drift = np.empty((steps, len(self.model.outputs)), dtype=np.int32)
-        flags = np.empty(steps, dtype=np.uint32)
+        drift = np.full((steps, len(self.model.outputs)), _UNWRITTEN, dtype=np.int32)
+        flags = np.full(steps, _UNWRITTEN, dtype=np.uint32)
         nodes = np.zeros((steps, self._values), dtype=np.int32)
         if restart:
             self._start(self._state, _pointer(codes), ctypes.c_int(int(settled)))

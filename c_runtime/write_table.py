@@ -3,9 +3,6 @@
 The identity is a hash of the runtime's text: `make golden` after every change of one of its files.
 """
 
-import hashlib
-import re
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +10,13 @@ from numpy.typing import NDArray
 
 from zerodrift.c_runtime.compilers import INCLUDE_DIRECTORY, RUNTIME_FILES
 from zerodrift.codegen.generate import make_environment
+from zerodrift.codegen.identity import NO_IDENTITY, identify_runtime
 from zerodrift.codegen.layouts import crc_of_words
 from zerodrift.operations.exp2 import OCTAVE_Q29
 from zerodrift.operations.tables import STEP_BITS, tanh_nodes
 
 GENERATED = ("zd_tanh_table.h", "zd_exp2.h")
 """Headers made of a template of the same name in codegen/templates."""
-NO_IDENTITY = "@IDENTITY@"
 
 
 def compute_lines() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -55,22 +52,9 @@ def compute_half() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 def render_runtime() -> dict[Path, str]:
     """Return the runtime as it has to be: path -> text, with its tables and its identity."""
     texts = {path: path.read_text(encoding="utf-8") for path in RUNTIME_FILES if path.exists()}
-    before = re.search(
-        r"#define ZD_RUNTIME_ID 0x(\w{8})", texts[INCLUDE_DIRECTORY / "zd_runtime.h"]
-    )
-    assert before is not None
-    texts = {path: text.replace(before[1], NO_IDENTITY) for path, text in texts.items()}
     texts |= _render_tables()
-    identity = compute_identity({path.name: text for path, text in texts.items()})
-    return {path: text.replace(NO_IDENTITY, identity) for path, text in texts.items()}
-
-
-def compute_identity(texts: Mapping[str, str]) -> str:
-    """Return eight hexadecimal digits of a hash over files, name -> text without an identity."""
-    digest = hashlib.sha256()
-    for name in sorted(texts):
-        digest.update(f"{name}\0{texts[name]}\0".encode())
-    return digest.hexdigest()[:8]
+    identified = identify_runtime({path.name: text for path, text in texts.items()})
+    return {path: identified[path.name] for path in texts}
 
 
 def _render_tables() -> dict[Path, str]:

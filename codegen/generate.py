@@ -10,7 +10,7 @@ import numpy as np
 
 from zerodrift import __version__
 from zerodrift.codegen.identifiers import sanitize_comment
-from zerodrift.codegen.identity import PLACEHOLDER, identify, read_runtime_identity
+from zerodrift.codegen.identity import PLACEHOLDER, find_runtime_identity, identify
 from zerodrift.codegen.layouts import (
     crc_of_words,
     has_fast_kernels,
@@ -79,7 +79,7 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "version": __version__,
         "format": FORMAT,
         "code_id": PLACEHOLDER,
-        "runtime_id": read_runtime_identity(),
+        "runtime_id": find_runtime_identity(),
         "uses_tanh": uses_tanh,
         "uses_exp2": uses_exp2,
         "prefix": prefix,

@@ -20,8 +20,9 @@ _FLIPPED = 64
 def compare_behaviour(host: HostModel, fresh: HostModel, codes: CodeArray) -> str:
     """Return where a host build answers a damaged state or copy otherwise than C made afresh.
 
-    Every byte of a state is changed in three ways, and one bit of every byte of a saved copy; what
-    step and restore then do must be the same. States of the two must lie alike.
+    Every byte of a state is changed in three ways: as it lies there, and in a copy whose CRC fits.
+    One bit of every byte of a saved copy is changed, too. What step and restore then do must be the
+    same, over a state that runs and over one that never did. States of the two must lie alike.
 
     Args:
         host: the source as it is flashed.
@@ -44,17 +45,23 @@ def compare_behaviour(host: HostModel, fresh: HostModel, codes: CodeArray) -> st
                 found = []
                 for build in (host, fresh):
                     build.overwrite(damaged)
+                    copy = build.save()
                     trace = build.run(codes[:2], restart=False)
-                    found.append((trace.drift.tolist(), trace.flags.tolist(), build.save()))
+                    after = build.save()
+                    build.overwrite(state)
+                    answer = build.restore(copy), build.save()
+                    found.append((trace.drift.tolist(), trace.flags.tolist(), after, answer))
                 if found[0] != found[1]:
                     return f"a state whose byte {at} is 0x{byte:02x} is answered otherwise"
         for at in np.unique(np.linspace(0, len(saved[0]) - 1, _MOST_PLACES).astype(int)):
-            copy = bytearray(saved[0])
-            copy[at] ^= 1 << (at % 8)
-            answers: list[tuple[int, bytes]] = []
+            spoilt = bytearray(saved[0])
+            spoilt[at] ^= 1 << (at % 8)
+            answers: list[list[tuple[int, bytes]]] = []
             for build in (host, fresh):
-                build.overwrite(b"\xa5" * build.state_bytes)
-                answers.append((build.restore(bytes(copy)), build.save()))
+                answers.append([])
+                for before in (b"\xa5" * build.state_bytes, state):
+                    build.overwrite(before)
+                    answers[-1].append((build.restore(bytes(spoilt)), build.save()))
             if answers[0] != answers[1]:
                 return f"a copy whose byte {at} is damaged is answered otherwise"
     return ""

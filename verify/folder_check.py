@@ -12,6 +12,12 @@ from zerodrift.c_runtime.compilers import RUNTIME_FILES, Compiler, find_compiler
 from zerodrift.c_runtime.cores import CORES, find_cross_compilers
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, generate
+from zerodrift.codegen.identity import (
+    identify_again,
+    identify_runtime,
+    read_code_identities,
+    read_runtime_identity,
+)
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.behaviour import check_behaviour, compare_behaviour
@@ -38,8 +44,6 @@ STANDARD = ("-std=c99",)
 COLD_STEPS = 2000
 """Of each random sequence, after init rather than settle."""
 _FORMAT = re.compile(r"_FORMAT \d+")
-_CODE_ID = re.compile(r"_CODE_ID (\d+)")
-_RUNTIME_ID = re.compile(r"#define ZD_RUNTIME_ID (0x\w+)")
 AT_ONCE = 2
 """Compilers that run at the same time."""
 
@@ -160,29 +164,45 @@ def _build(
 
 
 def compare_texts(code: GeneratedCode, fresh: GeneratedCode) -> list[str]:
-    """Return where files differ from those that their own identity stands for; [] for other ones.
+    """Return where files differ from what their own identity stands for.
 
-    Header and source carry a number that stands for their text, the runtime one for its own. Where
-    it is that of what is generated now, comments and all must be the same.
+    Header and source carry a number that is a hash of their text, and so do the runtime's files.
+    Where it is that of what is generated now, the differing line is told; C of another version has
+    to have the text that its own number was made of. C from before identities has none.
     """
-    pairs: list[tuple[str, str, str]] = []
-    if _CODE_ID.findall(code.header) == _CODE_ID.findall(fresh.header):
-        pairs.append((code.header_name, code.header, fresh.header))
-        pairs.append((code.source_name, code.source, fresh.source))
     there = code.runtime or {}
     runtime = {p.name: p.read_text(encoding="utf-8") for p in RUNTIME_FILES}
-    own = [_RUNTIME_ID.findall(texts.get("zd_runtime.h", "")) for texts in (there, runtime)]
-    if own[0] == own[1]:
-        pairs += [(name, there[name], runtime[name]) for name in sorted(there.keys() & runtime)]
-    found = []
-    for name, text, expected in pairs:
-        lines = zip_longest(text.split("\n"), expected.split("\n"), fillvalue="")
-        for number, (line, wanted) in enumerate(lines, 1):
-            if line != wanted:
-                told = f"'{line.strip()[:80]}' where '{wanted.strip()[:80]}' was generated"
-                found.append(f"{name}:{number}: {told}")
-                break
+    found: list[str] = []
+    own = read_code_identities(code.header)
+    if own == read_code_identities(fresh.header):
+        found += _compare_lines(code.header_name, code.header, fresh.header)
+        found += _compare_lines(code.source_name, code.source, fresh.source)
+    elif own and identify_again(code.header, code.source) != (code.header, code.source):
+        found.append(
+            f"header: {code.prefix.upper()}_CODE_ID is {own[0]}; the text of {code.header_name} and"
+            f" {code.source_name} gives another: they were changed"
+        )
+    named = {name: text for name, text in there.items() if "ZD_RUNTIME_ID" in text}
+    identity = read_runtime_identity(named)
+    if identity == read_runtime_identity(runtime):
+        for name in sorted(there.keys() & runtime):
+            found += _compare_lines(name, there[name], runtime[name])
+    elif identity and identify_runtime(named) != named:
+        found.append(
+            f"header: ZD_RUNTIME_ID is {identity}; the text of the zd_ files gives another: they"
+            " were changed"
+        )
     return found
+
+
+def _compare_lines(name: str, text: str, expected: str) -> list[str]:
+    """Return the first line that differs, or nothing."""
+    lines = zip_longest(text.split("\n"), expected.split("\n"), fillvalue="")
+    for number, (line, wanted) in enumerate(lines, 1):
+        if line != wanted:
+            told = f"'{line.strip()[:80]}' where '{wanted.strip()[:80]}' was generated"
+            return [f"{name}:{number}: {told}"]
+    return []
 
 
 def _compare_afresh(

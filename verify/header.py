@@ -21,6 +21,7 @@ from zerodrift.export.integer_model import (
     FORMAT,
     IntegerModel,
 )
+from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 
 FLAGS = {
     "WARMING_UP": FLAG_WARMING_UP,
@@ -34,6 +35,7 @@ _MISSING = -(2**63)
 """Stands for a macro that is not there; none has this value."""
 _SAVED_EXTRA_BYTES = 16
 _LONGEST_TEXT = 256
+_TEXTS = ("MODEL_HASH", "MANIFEST")
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ def list_expected(model: IntegerModel, prefix: str) -> dict[str, int | str]:
         "FORMAT": FORMAT,
         "MODEL_HASH": model.hash,
         "MODEL_ID": model.identity,
+        "MANIFEST": MANIFEST,
         "CHANNELS": len(model.channels),
         "OUTPUTS": len(model.outputs),
     }
@@ -77,10 +80,9 @@ def list_expected(model: IntegerModel, prefix: str) -> dict[str, int | str]:
 
 def render_questions(model: IntegerModel, prefix: str) -> str:
     """Return C, to stand behind the harness, that tells the values of `list_expected`, in order."""
-    names = list(list_expected(model, prefix))
-    numbers = [name for name in names if not name.endswith("_MODEL_HASH")]
+    numbers = _list_numbers(model, prefix)
     lines = ["", "/* What the header says, for the comparison with the model. */"]
-    lines.append(f"int64_t zd_told_numbers[{len(numbers) + 2 + len(model.channels)}] = {{")
+    lines.append(f"int64_t zd_told_numbers[{len(numbers) + 2 + 2 * len(model.channels)}] = {{")
     for name in numbers:
         lines += [f"#ifdef {name}", f"    (int64_t)({name}),", "#else", "    INT64_MIN,", "#endif"]
     lines += [
@@ -89,10 +91,14 @@ def render_questions(model: IntegerModel, prefix: str) -> str:
     ]
     for channel in name_channels(model):
         lines.append(f"    (int64_t)sizeof((({prefix}_input_t *)0)->{channel}),")
+    for channel in name_channels(model):
+        lines.append(f"    (int64_t)offsetof({prefix}_input_t, {channel}),")
+    lines.append("};")
+    for name in _TEXTS:
+        macro = f"{prefix.upper()}_{name}"
+        lines += [f"#ifdef {macro}", f"const char zd_told_{name}[{_LONGEST_TEXT}] = {macro};"]
+        lines += ["#else", f"const char zd_told_{name}[{_LONGEST_TEXT}];", "#endif"]
     lines += [
-        "};",
-        f"const char zd_told_hash[] = {prefix.upper()}_MODEL_HASH;",
-        "uint32_t zd_told_hash_bytes(void) { return (uint32_t)sizeof(zd_told_hash); }",
         "uint32_t zd_has_avx2(void) {",
         "#if defined(__x86_64__) && defined(__GNUC__)",
         '    return __builtin_cpu_supports("avx2") ? 1u : 0u;',
@@ -103,6 +109,12 @@ def render_questions(model: IntegerModel, prefix: str) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def _list_numbers(model: IntegerModel, prefix: str) -> list[str]:
+    """Return the names in the header that stand for numbers."""
+    texts = {f"{prefix.upper()}_{name}" for name in _TEXTS}
+    return [name for name in list_expected(model, prefix) if name not in texts]
 
 
 def add_questions(model: IntegerModel, code: GeneratedCode) -> str:
@@ -125,23 +137,29 @@ def check_header(model: IntegerModel, prefix: str, library: Path) -> tuple[Heade
     """
     expected = list_expected(model, prefix)
     loaded = ctypes.CDLL(str(library))
-    numbers = [name for name in expected if not name.endswith("_MODEL_HASH")]
-    widths = name_channels(model)
-    count = len(numbers) + 2 + len(widths)
+    numbers = _list_numbers(model, prefix)
+    channels = name_channels(model)
+    count = len(numbers) + 2 + 2 * len(channels)
     told = list((ctypes.c_int64 * count).in_dll(loaded, "zd_told_numbers"))
-    size = min(int(loaded["zd_told_hash_bytes"]()), _LONGEST_TEXT)
-    text = bytes((ctypes.c_char * size).in_dll(loaded, "zd_told_hash")).rstrip(b"\0")
     values: dict[str, int | str | None] = {
         name: None if value == _MISSING else value
         for name, value in zip(numbers, told, strict=False)
     }
-    values[f"{prefix.upper()}_MODEL_HASH"] = text.decode("ascii", "replace")
+    for name in _TEXTS:
+        text = bytes((ctypes.c_char * _LONGEST_TEXT).in_dll(loaded, f"zd_told_{name}"))
+        values[f"{prefix.upper()}_{name}"] = text.rstrip(b"\0").decode("ascii", "replace") or None
+    manifest = f"{prefix.upper()}_MANIFEST"
+    if values[manifest] is None:  # firmware from before manifests names none
+        del expected[manifest]
     saved, state = told[len(numbers) : len(numbers) + 2]
     values[f"{prefix.upper()}_SAVED_BYTES"] = saved
     expected[f"{prefix.upper()}_SAVED_BYTES"] = state + _SAVED_EXTRA_BYTES
-    for name, channel, width in zip(widths, model.channels, told[-len(widths) :], strict=True):
-        values[f"bits of {prefix}_input_t.{name}"] = 8 * width
+    widths, places = told[-2 * len(channels) : -len(channels)], told[-len(channels) :]
+    for k, (name, channel) in enumerate(zip(channels, model.channels, strict=True)):
+        values[f"bits of {prefix}_input_t.{name}"] = 8 * widths[k]
         expected[f"bits of {prefix}_input_t.{name}"] = channel.bits
+        values[f"place of {prefix}_input_t.{name}"] = sorted(places).index(places[k])
+        expected[f"place of {prefix}_input_t.{name}"] = k
     form = f"{prefix.upper()}_FORMAT"
     if values[form] in range(model.format, FORMAT):  # of an older version, which its runtime shares
         expected[form] = values[form] or 0

@@ -3,9 +3,11 @@
 Changes one thing in the C that ships, asks an oracle what that does (sanitizers, claimed bounds,
 every bit on the host's builds and on emulated cores), corrects every hash that speaks of the file,
 and gives it to `zerodrift verify --certificate` (mutants that trap or leave a claimed bound) or to
-`zerodrift verify` (mutants that change a bit). Prints how many of them are accepted, by class, with
-the difference. --count is how many that the judge must not accept are tried. Results are kept in
-build/mutants; a run goes on where the last one ended, --judge-again asks only the judge anew.
+`zerodrift verify` (mutants that change a bit). With --bits the identities in the C are corrected
+as well, so that no comparison of texts helps and verify has the bits alone. Prints how many of
+them are accepted, by class, with the difference. --count is how many that the judge must not
+accept are tried. Results are kept in build/mutants; a run goes on where the last one ended,
+--judge-again asks only the judge anew.
 
 --judge-first asks the judge before the oracle, and the oracle only of what the judge accepts, which
 finds holes several times faster. --count is then how many are drawn, whatever they do.
@@ -50,12 +52,12 @@ def load_oracle(way: str, name: str) -> Oracle:
     return load_subject(way, name).make_oracle(kept=ROOT / "unchanged")
 
 
-def work(task: tuple[str, str, int, int, str | None]) -> str:
+def work(task: tuple[str, str, int, int, str | None, bool]) -> str:
     """Judge one mutant and, where the judge on trial has something to lose, try it."""
-    way, name, seed, number, known = task
+    way, name, seed, number, known, bits = task
     subject = load_subject(way, name)
     if known == JUDGE_FIRST:
-        told = try_mutant(subject, seed, number, way)
+        told = try_mutant(subject, seed, number, way, bits=bits)
         if told[0] == "refused":
             return to_line(name_mutant(subject, seed, number), told)
         oracle = load_oracle(way, name)
@@ -64,10 +66,11 @@ def work(task: tuple[str, str, int, int, str | None]) -> str:
     if known is None:
         oracle = load_oracle(way, name)
         record = judge_mutant(subject, oracle, seed, number, bit_suffices=way == "verify")
-        told = try_mutant(subject, seed, number, way) if record.finding.kind in BAD[way] else None
+        bad = record.finding.kind in BAD[way]
+        told = try_mutant(subject, seed, number, way, bits=bits) if bad else None
         return to_line(record, told)
     line = json.loads(known)
-    line["told"] = try_mutant(subject, seed, number, way)
+    line["told"] = try_mutant(subject, seed, number, way, bits=bits)
     return json.dumps(line)
 
 
@@ -80,6 +83,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=1000, help="mutants that must not pass")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--bits", action="store_true", help="with --verify: identities corrected")
     order = parser.add_mutually_exclusive_group()
     order.add_argument("--judge-again", action="store_true")
     order.add_argument("--judge-first", action="store_true")
@@ -92,7 +96,8 @@ def main() -> None:
     subjects = {name: load_subject(way, name) for name in names}
     state = json.dumps([sorted(s.files.items()) for s in subjects.values()])
     key = hashlib.sha256(state.encode()).hexdigest()[:10]
-    log = ROOT / f"{way}_{given.seed}_{key}{'_first' if given.judge_first else ''}.jsonl"
+    kind = f"{'_bits' if given.bits else ''}{'_first' if given.judge_first else ''}"
+    log = ROOT / f"{way}_{given.seed}_{key}{kind}.jsonl"
     known = read_lines(log)
     if given.judge_again:
         log.rename(log.with_suffix(".before"))
@@ -100,21 +105,21 @@ def main() -> None:
         known = [line for line in lines if line["finding"]["kind"] not in BAD[way]]
         log.write_text("".join(json.dumps(line) + "\n" for line in known))
         tasks = [
-            (way, line["subject"], given.seed, line["number"], json.dumps(line))
+            (way, line["subject"], given.seed, line["number"], json.dumps(line), given.bits)
             for line in lines
             if line["finding"]["kind"] in BAD[way]
         ]
         known = run(tasks, log, known, len(tasks) + 10**9, given.jobs, way)
     elif given.judge_first:
         drawn = (
-            (way, names[number % len(names)], given.seed, number, JUDGE_FIRST)
+            (way, names[number % len(names)], given.seed, number, JUDGE_FIRST, given.bits)
             for number in range(len(known), given.count)
         )
         known = run(drawn, log, known, 10**9, given.jobs, way)
     else:
         first = len(known)
         tasks_left = (
-            (way, names[number % len(names)], given.seed, number, None)
+            (way, names[number % len(names)], given.seed, number, None, given.bits)
             for number in range(10**7)
             if number >= first
         )

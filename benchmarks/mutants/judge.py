@@ -19,7 +19,7 @@ from benchmarks.mutants.oracle import Finding, Oracle
 from benchmarks.mutants.source import Source
 from benchmarks.mutants.subjects import Subject
 
-_JUDGE_SECONDS = 120
+_JUDGE_SECONDS = 600
 _MODEL_SHARE = 0.6
 """Of the mutants, those in the model's own two files; the others are in the runtime's."""
 
@@ -74,13 +74,14 @@ def _read_source(name: str, text: str) -> Source:
     return _SOURCES.setdefault((name, hash(text)), Source(name, text))
 
 
-def write_mutant(subject: Subject, mutant: Mutant, folder: Path) -> None:
+def write_mutant(subject: Subject, mutant: Mutant, folder: Path, *, bits: bool = False) -> None:
     """Write a folder that holds the mutant and hashes that speak for it.
 
     Args:
         subject: the firmware folder or project; copied.
         mutant: what replaces one of its files.
         folder: where the firmware folder, or the project's directory, is written.
+        bits: give code and runtime the identities of their text, as of another version.
     """
     if subject.project:
         shutil.copytree(subject.project, folder)
@@ -88,7 +89,32 @@ def write_mutant(subject: Subject, mutant: Mutant, folder: Path) -> None:
     else:
         shutil.copytree(subject.folder, folder)
         shipped = folder
-    replace_file(shipped / mutant.file, mutant.text.encode(), [shipped, folder / "build"])
+    texts = {**subject.files, mutant.file: mutant.text}
+    if bits:
+        texts = identify_files(texts, subject.prefix)
+    for name, text in texts.items():
+        if text != subject.files[name]:
+            replace_file(shipped / name, text.encode(), [shipped, folder / "build"])
+
+
+def identify_files(texts: dict[str, str], prefix: str) -> dict[str, str]:
+    """Return a firmware's C, name -> text, with the identities that its texts have."""
+    from zerodrift.codegen.identity import (
+        identify_again,
+        identify_runtime,
+        read_runtime_identity,
+    )
+
+    header, source = f"{prefix}.h", f"{prefix}.c"
+    runtime = {name: text for name, text in texts.items() if "ZD_RUNTIME_ID" in text}
+    own = {name: runtime.pop(name, texts[name]) for name in (header, source)}
+    before = read_runtime_identity(runtime)
+    runtime = identify_runtime(runtime)
+    after = read_runtime_identity(runtime)
+    if before:
+        own = {name: text.replace(before, after) for name, text in own.items()}
+    own[header], own[source] = identify_again(own[header], own[source])
+    return {**texts, **runtime, **own}
 
 
 def replace_file(path: Path, content: bytes, folders: list[Path]) -> None:
@@ -209,12 +235,14 @@ def ask_verify(project: Path) -> tuple[str, str]:
 ASK = {"certificate": ask_certificate, "verify": ask_verify}
 
 
-def try_mutant(subject: Subject, seed: int, number: int, way: str) -> tuple[str, str]:
+def try_mutant(
+    subject: Subject, seed: int, number: int, way: str, *, bits: bool = False
+) -> tuple[str, str]:
     """Give one mutant, its hashes corrected, to the judge on trial."""
     mutant = draw_mutant(subject, seed, number)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "mutant"
-        write_mutant(subject, mutant, folder)
+        write_mutant(subject, mutant, folder, bits=bits)
         return ASK[way](folder)
 
 

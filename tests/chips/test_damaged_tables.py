@@ -13,7 +13,7 @@ from tests.golden.model_factory import Shape, draw_model
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, WARNINGS, find_compiler
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import generate
-from zerodrift.codegen.identity import read_runtime_identity
+from zerodrift.codegen.identity import find_runtime_identity
 from zerodrift.codegen.tables import list_tables
 from zerodrift.export.integer_model import IntegerModel
 
@@ -103,7 +103,7 @@ def count_numbers(library: ctypes.CDLL, table: str) -> int:
 
 def name_symbol(table: str) -> str:
     """Return a table's name to the linker: the runtime's end in its identity."""
-    return f"{table}_{read_runtime_identity()[2:]}" if table.startswith("zd_") else table
+    return f"{table}_{find_runtime_identity()[2:]}" if table.startswith("zd_") else table
 
 
 def _texts(library: ctypes.CDLL) -> str:

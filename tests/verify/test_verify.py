@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.mutants.judge import identify_files
 from click.testing import CliRunner
 
 from zerodrift.app.cli import cli
@@ -66,14 +67,14 @@ def forge(project: Path) -> None:
     path.write_text(json.dumps(body))
 
 
-def make_another_version(project: Path) -> None:
-    """Give the C and its runtime identities that are not this version's."""
+def make_another_version(project: Path, remark: str = "/* of another version */") -> None:
+    """Give C and runtime a remark more, and the identities of their text as it is then."""
     folder = project / "firmware"
-    code = re.findall(r"_CODE_ID (\d+)", (project / HEADER).read_text())
-    runtime = re.findall(r"ZD_RUNTIME_ID (0x\w+)", (folder / "zd_runtime.h").read_text())
-    for path in folder.glob("*.[ch]"):
-        text = path.read_text().replace(code[0], "12345")
-        path.write_text(text.replace(runtime[0], "0x12345678"))
+    texts = {path.name: path.read_text() for path in folder.glob("*.[ch]")}
+    for name in ("zd_runtime.h", "front_end.h"):
+        texts[name] += f"{remark}\n"
+    for name, text in identify_files(texts, "front_end").items():
+        (folder / name).write_text(text)
 
 
 def edit(path: Path, pattern: str, replacement: str | Callable[[re.Match[str]], str]) -> None:
@@ -345,8 +346,8 @@ def test_firmware_from_before_manifests_is_checked_by_its_bits(
     project: Path, few_ways: object
 ) -> None:
     (project / "firmware" / FILE_NAME).unlink()
-    make_another_version(project)
     edit(project / HEADER, r"#define FRONT_END_MANIFEST [^\n]*\n", "")
+    make_another_version(project)
     outcome = Outcome(project)
     assert outcome.code == 0 and outcome.json["bit_exact"]
     assert "manifest" in {n["what"] for n in outcome.json["not_checked"]}
@@ -356,14 +357,12 @@ def test_firmware_from_before_manifests_is_checked_by_its_bits(
 def test_a_runtime_of_another_version_is_what_runs(project: Path, few_ways: object) -> None:
     """A remark added to the runtime is another file, not other bits; and it is the one compiled."""
     make_another_version(project)
-    runtime = project / "firmware" / "zd_runtime.h"
-    runtime.write_text(runtime.read_text() + "/* of another version */\n")
     forge(project)
     assert Outcome(project).code == 0
-    runtime.write_text(runtime.read_text() + "#error not this one\n")
+    make_another_version(project, "#error not this one")
     forge(project)
     outcome = Outcome(project)
-    assert outcome.code == 1 and "not this one" in outcome.told
+    assert outcome.code == 1 and "not this one" in outcome.told and "_ID is" not in outcome.told
 
 
 def test_golden_vectors_have_one_length(pristine: Path) -> None:
@@ -377,3 +376,50 @@ def test_a_remark_is_part_of_what_an_identity_stands_for(project: Path, few_ways
     forge(project)
     outcome = Outcome(project)
     assert outcome.code == 1 and "front_end.h:" in outcome.told and " in kN" in outcome.told
+
+
+@pytest.mark.parametrize("name", [HEADER, SOURCE, "firmware/zd_network.h"])
+@pytest.mark.parametrize("another", [False, True])
+def test_an_identity_is_that_of_the_text_in_any_version(
+    another: bool, name: str, project: Path, few_ways: object
+) -> None:
+    if another:
+        make_another_version(project)
+    path = project / name
+    path.write_text(path.read_text() + "/* a remark */\n")
+    forge(project)
+    outcome = Outcome(project)
+    assert outcome.code == 1
+    told = "the text of" if another else f"{path.name}:"
+    assert told in outcome.told
+
+
+@pytest.mark.parametrize("macro", ["FRONT_END_CODE_ID", "ZD_RUNTIME_ID"])
+def test_another_identity_in_all_files_alone_is_told(
+    macro: str, project: Path, few_ways: object
+) -> None:
+    for path in (project / "firmware").glob("*.[ch]"):
+        path.write_text(
+            re.sub(rf"({macro} (?:!= )?)(?:0x)?\w+", r"\g<1>0x12345678", path.read_text())
+            if macro.startswith("ZD")
+            else re.sub(rf"({macro} (?:!= )?)\d+", r"\g<1>12345", path.read_text())
+        )
+    forge(project)
+    outcome = Outcome(project)
+    assert outcome.code == 1 and f"header: {macro} is" in outcome.told
+
+
+def test_inputs_in_another_order_and_another_manifest_are_told(
+    project: Path, few_ways: object
+) -> None:
+    edit(
+        project / HEADER,
+        r"(typedef struct \{\n)([^\n]*\n)([^\n]*\n)(.*?\} \w+_input_t)",
+        r"\1\3\2\4",
+    )
+    edit(project / HEADER, r'"manifest.json"', '"another.json"')
+    forge(project)
+    outcome = Outcome(project)
+    assert outcome.code == 1
+    names = {f["name"] for f in outcome.json["header"]}
+    assert "FRONT_END_MANIFEST" in names and any(n.startswith("place of") for n in names)
