@@ -8,9 +8,9 @@ NAMES = (
     *("bench_main_job", "bench_kernels", "bench_cores", "bench_effects", "bench_logs"),
     *("bench_loop", "bench_real", "bench_training", "bench_fleet"),
     *("bench_random", "bench_certificate", "bench_int8", "bench_builds", "bench_six_axis"),
-    *("bench_gate", "bench_copies", "bench_memory"),
+    *("bench_gate", "bench_copies", "bench_memory", "crash_points"),
 )
-"""Modules of this folder, each with `main(quick: bool) -> None`."""
+"""Modules of this folder, each with `main(quick: bool)`."""
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ from zerodrift.codegen.layouts import (
 )
 from zerodrift.codegen.names import name_channels, name_outputs, name_prefix
 from zerodrift.codegen.selftest import SELFTEST_SEED, SELFTEST_STEPS, compute_selftest, limits_of
+from zerodrift.codegen.state import list_state, list_words
 from zerodrift.codegen.tables import crc_of_tables, list_tables
 from zerodrift.export.integer_model import FORMAT, IntegerModel
 from zerodrift.operations.gru import IntegerGru
@@ -109,6 +110,7 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "reads_inputs": any(n.kind in ("input", "load") for n in model.nodes),
         "code_type": f"{model.code_type.__name__}_t",
         "start_passes": START_PASSES,
+        "state": list_state(model),
         "stateful": stateful,
         "rest_needed": needed_at_rest,
         "rest_nodes": [n for n in model.nodes if n in stateful or n.name in needed_at_rest],
@@ -172,6 +174,7 @@ def make_environment() -> jinja2.Environment:
     environment.filters["total"] = format_sum
     environment.filters["by_unit"] = arrange_by_unit
     environment.filters["number"] = format_float
+    environment.filters["words"] = list_words
     environment.filters["crc"] = crc_of_words
     environment.filters["has_fast_kernels"] = has_fast_kernels
     for layout in (lay_out_pairs, lay_out_columns, lay_out_rows, lay_out_row_biases):

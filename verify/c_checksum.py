@@ -1,9 +1,11 @@
 """What a model's own checksum of its state (`..._sum_up`) is taken over.
 
 Every word of a sum changes it: the sum before is turned by one bit and the word is added. A state
-of which every element is in exactly one word cannot change in one bit and keep its sum. Shares no
-code with the generator and needs the standard library only.
+of which every element is in exactly one word, alone or as one half of it, cannot change in one bit
+and keep its sum. Shares no code with the generator and needs the standard library only.
 """
+
+from itertools import product
 
 from zerodrift.verify.c_expressions import Expressions
 from zerodrift.verify.c_nodes import Node, Variable
@@ -17,6 +19,8 @@ NUMBERS = {
     "zd_check_i64": ("int64_t",),
 }
 """Function -> types of which it loses no bit."""
+HALVES = ("int16_t", "uint16_t")
+"""Types of which two are one word."""
 ROWS = {"zd_check_i32": "int32_t", "zd_check_i16": "int16_t"}
 
 
@@ -50,8 +54,10 @@ class _Reader:
         self._machine, self._state = machine, state
         self._types = {f.name: f.type.name for f in fields}
         self._sizes = {f.name: [machine.constant(size) for size in f.sizes] for f in fields}
-        self._seen: dict[str, int] = {}
-        """Field -> in how many words it is."""
+        self._seen = {
+            (f, at): 0 for f, sizes in self._sizes.items() for at in product(*map(range, sizes))
+        }
+        """(field, indices of an element, none for a number) -> in how many words it is."""
 
     def _error(self, node: Node) -> NotUnderstoodError:
         place = self._machine.program.place(node.at)
@@ -78,12 +84,14 @@ class _Reader:
                 self._take(node)
         if last.kind != "return" or last.parts[0] is None or not _is_name(last.parts[0], "check"):
             raise self._error(last)
-        for field in self._types:
-            if self._seen.get(field) != 1:
-                raise FaultError(f"s->{field} is in {self._seen.get(field, 0)} words of its sum")
+        for (field, at), words in self._seen.items():
+            if words != 1:
+                element = field + "".join(f"[{k}]" for k in at)
+                raise FaultError(f"s->{element} is in {words} words of its sum")
 
     def _take(self, node: Node, index: str = "", rounds: int = 0) -> None:
-        """check = zd_check_...(check, s->x); of rows (check, s->x, N) and (check, s->x[k], N)."""
+        """check = zd_check_...(check, s->x), or s->x[2], or of two halves; of rows (check, s->x, N)
+        and (check, s->x[k], N)."""
         if node.kind != "assign" or node.parts[0] != "=" or not _is_name(node.parts[1], "check"):
             raise self._error(node)
         call = node.parts[2]
@@ -91,7 +99,10 @@ class _Reader:
             raise self._error(node)
         name, (_, *arguments) = call.parts
         if name in NUMBERS and len(arguments) == 1 and not index:
-            self._take_number(name, arguments[0])
+            half = arguments[0].kind in ("binary", "cast")
+            if half and name != "zd_check_word":
+                raise self._error(node)
+            (self._take_halves if half else self._take_number)(name, arguments[0])
             return
         if name not in ROWS or len(arguments) != 2:
             raise self._error(node)
@@ -106,13 +117,42 @@ class _Reader:
         )
         if self._types[field] != ROWS[name] or self._sizes[field] != sizes:
             raise FaultError(f"s->{field} of {self._sizes[field]} is summed as {name} of {sizes}")
-        self._seen[field] = self._seen.get(field, 0) + 1
+        for at in product(*map(range, sizes)):
+            self._seen[field, at] += 1
 
     def _take_number(self, name: str, node: Node) -> None:
+        self._count(node, NUMBERS[name], name)
+
+    def _take_halves(self, name: str, node: Node) -> None:
+        """(uint16_t)a, or (uint16_t)a | ((uint32_t)(uint16_t)b << 16)."""
+        if node.kind == "binary":
+            operator, node, high = node.parts
+            if operator != "|" or high.kind != "binary" or high.parts[0] != "<<":
+                raise self._error(node)
+            _, wide, by = high.parts
+            if self._machine.constant(by) != 16 or not _is_cast(wide, "uint32_t"):
+                raise self._error(high)
+            self._take_half(name, wide.parts[1])
+        self._take_half(name, node)
+
+    def _take_half(self, name: str, node: Node) -> None:
+        if not _is_cast(node, "uint16_t"):
+            raise self._error(node)
+        self._count(node.parts[1], HALVES, f"half of {name}")
+
+    def _count(self, node: Node, types: tuple[str, ...], summed_as: str) -> None:
+        """Note that s->x, s->x[2] or s->x[1][2] is in a word."""
+        indices: tuple[int, ...] = ()
+        while node.kind == "index":
+            node, index = node.parts
+            indices = (self._machine.constant(index), *indices)
         field = self._name_of(node)
-        if self._sizes[field] or self._types[field] not in NUMBERS[name]:
-            raise FaultError(f"s->{field}, {self._types[field]}, is summed as {name}")
-        self._seen[field] = self._seen.get(field, 0) + 1
+        if self._types[field] not in types or (field, indices) not in self._seen:
+            raise FaultError(
+                f"s->{field}, {self._types[field]} of {self._sizes[field]}, at {list(indices)},"
+                f" is summed as {summed_as}"
+            )
+        self._seen[field, indices] += 1
 
     def _name_of(self, node: Node) -> str:
         known = node.kind == "field" and node.parts[1] == "->"
@@ -133,3 +173,8 @@ class _Reader:
 
 def _is_name(node: Node, name: str) -> bool:
     return node.kind == "name" and bool(node.parts[0] == name)
+
+
+def _is_cast(node: Node, type_: str) -> bool:
+    kind = node.parts[0] if node.kind == "cast" else None
+    return kind is not None and bool(kind.name == type_) and not kind.pointer
