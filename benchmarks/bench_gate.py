@@ -3,7 +3,7 @@
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +54,7 @@ def main(quick: bool) -> None:
                 print(f"{name} (simulated): refused when it is read: {error}")
                 continue
         (split,) = verdict.chip_error
-        causes = ", ".join(f"{cause} {x:.2g}" for cause, x in split.to_dict().items())
+        causes = ", ".join(f"{cause} {x:.2g}" for cause, x in asdict(split).items())
         print(f"{name} (simulated): {describe(verdict)}; integer minus float in bar: {causes}")
     count, refused, warned = QUICK if quick else CLEAN, 0, 0
     for seed in range(count):

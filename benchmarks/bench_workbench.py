@@ -92,7 +92,7 @@ def look(bench: Workbench, *, diagnoses: bool, timeout_s: float = 1800.0) -> dic
             found.setdefault("surveyed_s", time.perf_counter() - begun)
             if not diagnoses:
                 return found
-            if findings.told["diagnose"] is not None:
+            if findings.diagnosed is not None:
                 found.setdefault("diagnosed_s", time.perf_counter() - begun)
                 return found
         if job is not None and not job.running:
@@ -210,7 +210,7 @@ def measure_zoom(bench: Workbench) -> float:
         low = rng.uniform(first, last - width)
         begun = time.thread_time()
         window = Window(trace.run, low, low + width)
-        draw_run(trace, findings.told["compare"], findings.outputs[0], window).to_json()
+        draw_run(trace, findings.comparison, findings.outputs[0], window).to_json()
         used.append(1000.0 * (time.thread_time() - begun))
     return float(np.median(used))
 

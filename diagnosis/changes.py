@@ -1,7 +1,9 @@
 """Changes of a model's effects, checked before anything is fitted or written."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import InputError, nearest
@@ -34,9 +36,31 @@ def name_effect(effect: EffectConfig) -> str:
     return f"{effect.kind}[{signal}]" if signal else effect.kind
 
 
-def write_command(
+@dataclass(frozen=True)
+class AddCommand:
+    """The command that adds an effect."""
+
+    kind: str
+    options: tuple[str, ...]
+
+    def write(self, directory: Path = Path()) -> str:
+        """Return it as a shell takes it.
+
+        Args:
+            directory: of the project, as the user gave it.
+        """
+        words = shlex.join(("zerodrift", "add", self.kind, *self.options))
+        return f"{words}{name_directory(directory)}"
+
+
+def name_directory(directory: Path) -> str:
+    """Return the option that names the project, as a shell takes it."""
+    return "" if directory == Path() else f" -C {shlex.quote(str(directory))}"
+
+
+def propose_command(
     effects: Sequence[EffectConfig], effect: Effect, parameters: Mapping[str, float]
-) -> str:
+) -> AddCommand:
     """Return the command that adds an effect in the form that was found, or makes it richer.
 
     Args:
@@ -50,8 +74,8 @@ def write_command(
     }
     if present is not None:
         held = {name: value for name, value in held.items() if present.held.get(name) != value}
-    holds = "".join(f" --hold {name}={value:g}" for name, value in held.items())
-    return f"zerodrift add {effect.kind}{holds}"
+    holds = (("--hold", f"{name}={value:g}") for name, value in held.items())
+    return AddCommand(effect.kind, tuple(word for pair in holds for word in pair))
 
 
 def propose_addition(

@@ -2,12 +2,18 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.comparison_summary import (
+    ComparisonSummary,
+    OutputSummary,
+    PatternSummary,
+    RunSummary,
+    WorstSegment,
+)
 from zerodrift.diagnosis.floor import NoiseFloor, measure_floor
 from zerodrift.diagnosis.held_out import NONE, TEST_LOGS, HeldOut
 from zerodrift.diagnosis.run_errors import FindUsable, RunError, collect_errors, pool_rmse
@@ -76,78 +82,70 @@ class Comparison:
         """The held-out errors where there are any."""
         return self.held_out or self.in_sample
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the command's JSON."""
-        return {
-            "outputs": {name: _describe_output(self, k) for k, name in enumerate(self.outputs)},
-            "runs": {
-                run.name: {name: _describe_run(run, k) for k, name in enumerate(self.outputs)}
+    def summarise(self) -> ComparisonSummary:
+        """Return what the command prints, without the predictions behind it."""
+        names = self.outputs
+        return ComparisonSummary(
+            outputs={name: _summarise_output(self, k) for k, name in enumerate(names)},
+            runs={
+                run.name: {name: _summarise_run(run, k) for k, name in enumerate(names)}
                 for run in self.runs
             },
-            "worst": [
-                {
-                    "run": segment.run,
-                    "output": segment.output,
-                    "from_s": segment.from_s,
-                    "to_s": segment.to_s,
-                    "rmse": segment.rmse,
-                    "pattern": segment.pattern,
-                    "mean_error": segment.mean_error,
-                }
-                for segment in self.failures.worst
-            ],
-            "patterns": [
-                {
-                    "output": self.outputs[pattern.output],
-                    "kind": pattern.kind,
-                    "pattern": pattern.words,
-                    "share_of_error": pattern.share_of_error,
-                    "share_of_time": pattern.share_of_time,
-                    "runs_agreeing": pattern.runs_agreeing,
-                    "runs_checked": pattern.runs_checked,
-                    "mean_error": pattern.mean_error,
-                }
-                for pattern in self.failures.patterns
-            ],
-            "effects": list(self.effects),
-            "held_out": self.method.method,
-            "noise_floor_source": self.floor.source,
-            "tared": self.tared,
-            "set_aside": self.set_aside,
-        }
+            worst=tuple(
+                WorstSegment(s.run, s.output, s.from_s, s.to_s, s.rmse, s.pattern, s.mean_error)
+                for s in self.failures.worst
+            ),
+            patterns=tuple(
+                PatternSummary(
+                    names[p.output],
+                    p.kind,
+                    p.words,
+                    p.share_of_error,
+                    p.share_of_time,
+                    p.runs_agreeing,
+                    p.runs_checked,
+                    p.mean_error,
+                )
+                for p in self.failures.patterns
+            ),
+            effects=self.effects,
+            held_out=self.method.method,
+            noise_floor_source=self.floor.source,
+            tared=self.tared,
+            set_aside=self.set_aside,
+        )
 
 
-def _describe_output(comparison: Comparison, k: int) -> dict[str, Any]:
-    told, inside = comparison.told[k], comparison.in_sample[k]
-    outside = comparison.held_out[k] if comparison.held_out is not None else None
+def _summarise_output(comparison: Comparison, k: int) -> OutputSummary:
+    told = comparison.told[k]
     percent = 100.0 / comparison.full_scale[k]
-    return {
-        "unit": comparison.units[k],
-        "full_scale": comparison.full_scale[k],
-        "rmse_uncompensated": told.rmse_uncompensated,
-        "rmse": inside.rmse,
-        "rmse_heldout": outside.rmse if outside is not None else None,
-        "max_abs": told.max_abs,
-        "rmse_pct_fs": percent * told.rmse,
-        "max_abs_pct_fs": percent * told.max_abs,
-        "noise_floor": float(comparison.floor.rms[k]),
-        "explained": told.explained,
-        "run_offset": told.offset,
-    }
+    return OutputSummary(
+        unit=comparison.units[k],
+        full_scale=comparison.full_scale[k],
+        rmse_uncompensated=told.rmse_uncompensated,
+        rmse=comparison.in_sample[k].rmse,
+        rmse_heldout=comparison.held_out[k].rmse if comparison.held_out is not None else None,
+        max_abs=told.max_abs,
+        rmse_pct_fs=percent * told.rmse,
+        max_abs_pct_fs=percent * told.max_abs,
+        noise_floor=float(comparison.floor.rms[k]),
+        explained=told.explained,
+        run_offset=told.offset,
+    )
 
 
-def _describe_run(run: RunErrors, k: int) -> dict[str, Any]:
+def _summarise_run(run: RunErrors, k: int) -> RunSummary:
     told = run.told[k]
-    return {
-        "rmse": told.rmse,
-        "rmse_uncompensated": told.rmse_uncompensated,
-        "max_abs": told.max_abs,
-        "explained": told.explained,
-        "run_offset": told.offset,
-        "rmse_in_sample": run.in_sample[k].rmse if run.in_sample is not None else None,
-        "held_out": run.held_out is not None,
-        "use": run.use,
-    }
+    return RunSummary(
+        rmse=told.rmse,
+        rmse_uncompensated=told.rmse_uncompensated,
+        max_abs=told.max_abs,
+        explained=told.explained,
+        run_offset=told.offset,
+        rmse_in_sample=run.in_sample[k].rmse if run.in_sample is not None else None,
+        held_out=run.held_out is not None,
+        use=run.use,
+    )
 
 
 def compare(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
+from zerodrift.base.records import to_json
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.changes import REMOVE, Change, name_effect
 from zerodrift.diagnosis.floor import NoiseFloor, measure_floor
@@ -16,6 +17,7 @@ from zerodrift.diagnosis.run_errors import RunError, collect_errors, pool_rmse
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import FittedTerm, PhysicalModel
+from zerodrift.physics.summary import describe_coefficients, describe_parameters
 
 Array = NDArray[np.float64]
 
@@ -224,50 +226,6 @@ def judge_removal(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[
     return False, f"without it the held-out error is worse: {overall}, at worst {told}"
 
 
-def describe_parameters(fitted: FittedTerm) -> dict[str, dict[str, Any]]:
-    """Return the values of an effect that were fitted or held, ready for JSON."""
-    described: dict[str, dict[str, Any]] = {}
-    for name, value in fitted.term.values.items():
-        is_held = name in fitted.term.held
-        if name not in fitted.std_errors and not is_held:
-            continue
-        described[name] = {
-            "value": value,
-            "std_error": _finite(fitted.std_errors.get(name)),
-            "unit": fitted.term.effect.parameter(name).unit,
-            "held": is_held,
-            "at_bound": name in fitted.at_bound,
-        }
-    return described
-
-
-def _finite(value: float | None) -> float | None:
-    """Return a number that JSON can hold; None where the logs do not determine it."""
-    return value if value is not None and np.isfinite(value) else None
-
-
-def describe_coefficients(model: PhysicalModel, fitted: FittedTerm) -> list[dict[str, Any]]:
-    """Return the coefficients of an effect's features per output, ready for JSON."""
-    described = []
-    for j, feature in enumerate(model.feature_names):
-        if not feature.startswith(f"{fitted.term.name}: "):
-            continue
-        for k, (output, unit) in enumerate(zip(model.outputs, model.units, strict=True)):
-            if model.coefficients[j, k] == 0.0 and model.std_errors[j, k] == 0.0:
-                continue
-            per = "" if model.feature_units[j] == "1" else f"/{model.feature_units[j]}"
-            described.append(
-                {
-                    "feature": feature.removeprefix(f"{fitted.term.name}: "),
-                    "output": output,
-                    "value": float(model.coefficients[j, k]),
-                    "std_error": _finite(float(model.std_errors[j, k])),
-                    "unit": f"{unit}{per}",
-                }
-            )
-    return described
-
-
 def describe_revision(revision: Revision) -> dict[str, Any]:
     """Return the command's JSON."""
     model = revision.after.model
@@ -279,7 +237,7 @@ def describe_revision(revision: Revision) -> dict[str, Any]:
     term = revision.term
     return {
         "effect": revision.change.effect.kind,
-        "parameters": describe_parameters(term) if term is not None else {},
+        "parameters": to_json(describe_parameters(term)) if term is not None else {},
         "before": {"rmse_heldout": by_output(revision.before.rmse)},
         "after": {"rmse_heldout": by_output(revision.after.rmse)},
         "noise_floor": by_output(revision.floor.rms),
@@ -290,6 +248,6 @@ def describe_revision(revision: Revision) -> dict[str, Any]:
         "helps": revision.helps,
         "reason": revision.reason,
         "effects": list(model.effects),
-        "coefficients": describe_coefficients(model, term) if term is not None else [],
+        "coefficients": to_json(describe_coefficients(model, term)) if term is not None else [],
         "notes": list(model.notes),
     }

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.units import read_unit
-from zerodrift.diagnosis.changes import name_effect, propose_forms
+from zerodrift.diagnosis.changes import AddCommand, name_effect, propose_forms
 from zerodrift.diagnosis.revision import measure_overall, revise_best
 from zerodrift.physics.catalogue import Catalogue
 
@@ -25,7 +25,7 @@ class OtherThermometer:
     the outputs."""
     reason: str
     """What it gains, in a sentence."""
-    command: str
+    command: AddCommand
     """What adds it."""
 
 
@@ -59,7 +59,7 @@ def try_thermometers(
         changes = propose_forms(config, dataset, catalogue, wanted)
         revision = revise_best(config, dataset, catalogue, changes)
         if revision.helps:
-            command = f"zerodrift add {KIND} --set signal={signal}"
+            command = AddCommand(KIND, ("--set", f"signal={signal}"))
             ratio = measure_overall(revision.before, revision.after)
             found.append(OtherThermometer(signal, ratio, revision.reason, command))
     return sorted(found, key=lambda one: one.heldout_rmse_ratio)

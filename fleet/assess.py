@@ -1,6 +1,6 @@
 """One sensor's errors held out, beside its noise floor, and the values it is compared by."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,7 @@ def assess(
                 float(rmse[k]),
                 of_integer[k],
                 float(floor.rms[k]),
-                causes.to_dict() if (causes := split[k]) is not None else None,
+                asdict(causes) if (causes := split[k]) is not None else None,
             )
             for k, name in enumerate(dataset.outputs)
         },

@@ -11,7 +11,6 @@ from zerodrift.app.cli import cli
 from zerodrift.app.commands.survey import preview_effects, survey_project
 from zerodrift.report.figures import draw_candidates, draw_staircase
 from zerodrift.report.figures_runs import Window, draw_run
-from zerodrift.report.report import read_steps
 
 TWIN = ("twin", "--runs", "6", "--told", "zero_tempco", "--hidden", "thermal_lag", "--seed", "3")
 SIMULATED = "Simulated: `zerodrift " + " ".join(TWIN) + "`."
@@ -28,20 +27,22 @@ def draw_example() -> dict[str, tuple[go.Figure, str]]:
         directory = Path(name) / "sensor"
         _run(*TWIN, "-C", str(directory))
         before = survey_project(directory)
-        diagnosed = before.told["diagnose"]
+        assert before.diagnosed is not None
+        diagnosis = before.diagnosed.diagnosis
+        assert diagnosis.effect is not None
         config, dataset = open_project(directory)
-        previews = preview_effects(config, dataset, load_catalogue(), diagnosed, 1)
+        previews = preview_effects(config, dataset, load_catalogue(), diagnosis, 1)
         ((effect, curves),) = previews.items()
-        worst = next(s for s in before.told["compare"]["worst"] if s["output"] == OUTPUT)
-        _run("add", diagnosed["effect"], "--json", "-C", str(directory))
-        steps = read_steps(survey_project(directory, wants_diagnosis=False).told["history"])
+        worst = next(s for s in before.comparison.worst if s.output == OUTPUT)
+        _run("add", diagnosis.effect, "--json", "-C", str(directory))
+        steps = survey_project(directory, wants_diagnosis=False).steps
     k = before.outputs.index(OUTPUT)
     run = draw_run(
-        before.find_trace(worst["run"]),
-        before.told["compare"],
+        before.find_trace(worst.run),
+        before.comparison,
         OUTPUT,
-        Window(worst["run"]),
-        ghost=curves[worst["run"]][k],
+        Window(worst.run),
+        ghost=curves[worst.run][k],
         ghost_name=effect,
     )
     return {
@@ -51,7 +52,7 @@ def draw_example() -> dict[str, tuple[go.Figure, str]]:
             f"it. {SIMULATED}",
         ),
         "candidates": (
-            draw_candidates(diagnosed),
+            draw_candidates(diagnosis),
             f"What each effect that the model lacks leaves of the held-out error. {SIMULATED}",
         ),
         "staircase": (

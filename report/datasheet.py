@@ -11,12 +11,12 @@ told by held-out runs where there are any.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.report.findings import Trace, find_threshold
 
@@ -38,6 +38,21 @@ LAGS_S = (30.0, 120.0, 480.0)
 
 
 @dataclass(frozen=True)
+class DatasheetRow:
+    """One figure of the datasheet."""
+
+    quantity: str
+    output: str
+    unit: str
+    note: str
+    """How the figure came about, or why there is none."""
+    before: tuple[float, float | None] | None = None
+    """Value and standard uncertainty, which is None where runs do not tell it; None where these
+    logs do not tell the value."""
+    after: tuple[float, float | None] | None = None
+
+
+@dataclass(frozen=True)
 class _Block:
     """One run, averaged in blocks."""
 
@@ -54,26 +69,25 @@ class _Block:
     """[K, n]."""
 
 
-def measure_datasheet(traces: Sequence[Trace], compared: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the datasheet's figures of each output, ready for JSON.
+def measure_datasheet(traces: Sequence[Trace], compared: ComparisonSummary) -> list[DatasheetRow]:
+    """Return the datasheet's figures of each output.
 
     Args:
         traces: the runs.
-        compared: the JSON of `compare`, for units and full scale.
+        compared: what `compare` found, for units and full scale.
 
     Returns:
-        Rows of quantity, output, unit, `before` and `after` as [value, standard uncertainty] or
-        null where these logs do not tell, and how the figure came about or why there is none.
+        Four rows of each output.
     """
     block = -(-sum(t.time_s.size for t in traces) // MOST_ROWS)
     middle = float(np.mean([t.temperature_degC.mean() for t in traces]))
     moving = find_threshold(traces)
     blocks = [_average(t, block, round(middle), moving) for t in traces]
     held_out = [b for b, t in zip(blocks, traces, strict=True) if t.held_out] or blocks
-    rows: list[dict[str, Any]] = []
-    for k, (name, told) in enumerate(compared["outputs"].items()):
+    rows: list[DatasheetRow] = []
+    for k, (name, told) in enumerate(compared.outputs.items()):
         rows += _measure_output(
-            {"before": blocks, "after": held_out}, k, name, float(told["full_scale"])
+            {"before": blocks, "after": held_out}, k, name, float(told.full_scale)
         )
     return rows
 
@@ -98,7 +112,7 @@ def _average(trace: Trace, block: int, reference_degC: float, moving: float) -> 
 
 def _measure_output(
     sides: Mapping[str, Sequence[_Block]], k: int, name: str, full_scale: float
-) -> list[dict[str, Any]]:
+) -> list[DatasheetRow]:
     blocks = sides["before"]
     loaded = max(float(np.ptp(b.load[k])) for b in blocks) >= LEAST_LOAD * full_scale
     moved = max(float(np.ptp(b.rise_K)) for b in blocks) >= LEAST_SPAN_K
@@ -119,15 +133,14 @@ def _measure_output(
         note: str,
         why_not: str,
         fits: Mapping[str, _Fit],
-    ) -> dict[str, Any]:
-        row: dict[str, Any] = {"quantity": quantity, "output": name, "unit": unit, "note": note}
-        for which, fit in fits.items():
-            row[which] = None
-            if not why_not and column is not None:
-                row[which] = _pair(fit.value[column] * factor, fit.error[column] * abs(factor))
-        if why_not:
-            row["note"] = f"not told: {why_not}"
-        return row
+    ) -> DatasheetRow:
+        if why_not or column is None:
+            return DatasheetRow(quantity, name, unit, f"not told: {why_not}" if why_not else note)
+        before, after = (
+            _pair(fit.value[column] * factor, fit.error[column] * abs(factor))
+            for fit in (fits["before"], fits["after"])
+        )
+        return DatasheetRow(quantity, name, unit, note, before, after)
 
     no_span = still if not moved else "" if loaded else unloaded
     rows = [
@@ -154,16 +167,20 @@ def _measure_output(
     )
     if moved:
         loops = {which: _measure_loop(sides[which], fit) for which, fit in slopes.items()}
-        for which, loop in loops.items():
-            row[which] = None if loop is None else _pair(loop[0] * percent, loop[1] * percent)
-        if loops["before"] is None:
-            row["note"] = "not told: no run passes one temperature both heating and cooling"
+        before, after = (
+            None if loop is None else _pair(loop[0] * percent, loop[1] * percent)
+            for loop in (loops["before"], loops["after"])
+        )
+        row = replace(row, before=before, after=after)
+        if before is None:
+            why_not = "not told: no run passes one temperature both heating and cooling"
+            row = replace(row, note=why_not)
     return [*rows, row]
 
 
-def _pair(value: float, error: float) -> list[float | None]:
+def _pair(value: float, error: float) -> tuple[float, float | None]:
     """Return a value and its uncertainty; null for one that runs do not tell."""
-    return [float(value), float(error) if np.isfinite(error) else None]
+    return float(value), float(error) if np.isfinite(error) else None
 
 
 @dataclass(frozen=True)

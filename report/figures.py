@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.compare import Comparison
+from zerodrift.diagnosis.comparison_summary import ComparisonSummary
+from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.fingerprint import Fingerprint
 from zerodrift.diagnosis.history import Step
 from zerodrift.diagnosis.run_errors import collect_errors
@@ -25,6 +27,7 @@ from zerodrift.report.style import (
     dash_of,
     mark_of,
 )
+from zerodrift.verify.summary import FirmwareSummary
 
 __all__ = [
     "draw_autocorrelation",
@@ -116,7 +119,7 @@ def draw_comparison(
     }
     errors = collect_errors(runs, predictions, comparison.tared, comparison.find_usable)
     traces = trace_runs(errors, [run.name for run in comparison.runs if run.held_out is not None])
-    told = comparison.to_dict()
+    told = comparison.summarise()
     figures = []
     for name in comparison.outputs:
         figures.append(draw_output(traces, told, name))
@@ -125,10 +128,10 @@ def draw_comparison(
 
 
 def draw_autocorrelation(
-    traces: Sequence[Trace], compared: Mapping[str, Any], output: str
+    traces: Sequence[Trace], compared: ComparisonSummary, output: str
 ) -> go.Figure:
     """Return the autocorrelation of what is left of one output, within runs."""
-    k = list(compared["outputs"]).index(output)
+    k = list(compared.outputs).index(output)
     lags_s, correlation = measure_autocorrelation(traces, k)
     figure = go.Figure(go.Bar(x=lags_s, y=correlation, marker={"color": LEFT}, name=output))
     apply_style(figure, 240, bargap=0.35, showlegend=False)
@@ -151,26 +154,26 @@ def measure_autocorrelation(traces: Sequence[Trace], k: int) -> tuple[Array, Arr
     return np.asarray(lags * traces[0].sample_period_s), np.asarray(shares)
 
 
-def draw_candidates(diagnosed: Mapping[str, Any], most: int = 12) -> go.Figure:
+def draw_candidates(diagnosis: Diagnosis, most: int = 12) -> go.Figure:
     """Return the held-out error with each candidate, as a share of what it is without.
 
     Args:
-        diagnosed: the JSON of `diagnose`.
+        diagnosis: what was found.
         most: how many candidates to show.
     """
-    shown = diagnosed["candidates"][:most][::-1]
-    named = {diagnosed["effect"], *diagnosed["lookalikes"]}
-    ratios = [c["heldout_rmse_ratio"] for c in shown]
+    shown = diagnosis.candidates[:most][::-1]
+    named = {diagnosis.effect, *diagnosis.lookalikes}
+    ratios = [c.heldout_rmse_ratio for c in shown]
     figure = go.Figure(
         go.Bar(
             x=ratios,
-            y=[c["effect"] for c in shown],
+            y=[c.effect for c in shown],
             orientation="h",
             marker={
-                "color": [ACCENT if c["effect"] in named else MEASURED for c in shown],
-                "pattern": {"shape": ["" if c["effect"] in named else "/" for c in shown]},
+                "color": [ACCENT if c.effect in named else MEASURED for c in shown],
+                "pattern": {"shape": ["" if c.effect in named else "/" for c in shown]},
             },
-            text=[f"{c['heldout_rmse_ratio']:.3f}   p {c['p_value']:.2g}" for c in shown],
+            text=[f"{c.heldout_rmse_ratio:.3f}   p {c.p_value:.2g}" for c in shown],
             textposition="outside",
             cliponaxis=False,
             hoverinfo="y+text",
@@ -239,23 +242,23 @@ def draw_revision(
     return figure
 
 
-def draw_budget(firmware: Mapping[str, Any], compared: Mapping[str, Any]) -> go.Figure:
+def draw_budget(firmware: FirmwareSummary, compared: ComparisonSummary) -> go.Figure:
     """Return each output's error in %FS: uncompensated, float, integer, and the noise floor.
 
     Args:
-        firmware: the JSON of `firmware`.
-        compared: the JSON of `compare`, for full scale and floor.
+        firmware: as `firmware` found it.
+        compared: what `compare` found, for full scale and floor.
     """
-    outputs = list(firmware["units"])
-    scale = {name: 100.0 / compared["outputs"][name]["full_scale"] for name in outputs}
+    outputs = list(firmware.units)
+    scale = {name: 100.0 / compared.outputs[name].full_scale for name in outputs}
     series = [
-        ("uncompensated", firmware["rmse"]["uncompensated"], MEASURED, "diamond-open", 11),
-        ("float", firmware["rmse"]["float"], LEFT, "circle-open", 17),
-        ("integer", firmware["rmse"]["integer"], ACCENT, "circle", 7),
-        ("integer − float", firmware["rmse_integer_to_float"], ACCENT, "x-thin", 9),
+        ("uncompensated", firmware.rmse.uncompensated, MEASURED, "diamond-open", 11),
+        ("float", firmware.rmse.float, LEFT, "circle-open", 17),
+        ("integer", firmware.rmse.integer, ACCENT, "circle", 7),
+        ("integer − float", firmware.rmse_integer_to_float, ACCENT, "x-thin", 9),
         (
             "noise floor",
-            {n: compared["outputs"][n]["noise_floor"] for n in outputs},
+            {n: compared.outputs[n].noise_floor for n in outputs},
             FLOOR,
             "line-ns-open",
             15,
@@ -270,7 +273,7 @@ def draw_budget(firmware: Mapping[str, Any], compared: Mapping[str, Any]) -> go.
                 name=name,
                 mode="markers",
                 marker=_mark(symbol, size, colour),
-                customdata=[f"{values[n]:.4g} {firmware['units'][n]}" for n in outputs],
+                customdata=[f"{values[n]:.4g} {firmware.units[n]}" for n in outputs],
                 hovertemplate=f"{name}: %{{customdata}} (%{{x:.3g}} %FS)<extra>%{{y}}</extra>",
             )
         )

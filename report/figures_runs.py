@@ -1,6 +1,6 @@
 """Measurement, model and residual along the runs, and the residual against what drives it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.report.findings import Trace, find_threshold
 from zerodrift.report.style import (
     ACCENT,
@@ -68,7 +69,7 @@ def choose_clock(trace: Trace) -> Clock:
 
 def draw_output(
     traces: Sequence[Trace],
-    compared: Mapping[str, Any],
+    compared: ComparisonSummary,
     output: str,
     *,
     most: int = 700,
@@ -77,19 +78,19 @@ def draw_output(
 
     Args:
         traces: the runs.
-        compared: the JSON of `compare`.
+        compared: what `compare` found.
         output: which one.
         most: points of each line.
     """
-    names = list(compared["outputs"])
-    k, told = names.index(output), compared["outputs"][output]
-    figure = _open_rows(output, told["unit"])
+    names = list(compared.outputs)
+    k, told = names.index(output), compared.outputs[output]
+    figure = _open_rows(output, told.unit)
     start_h, ticks, labels = 0.0, [], []
     drawn: list[go.Scatter] = []
-    shapes = _mark_floor(float(told["noise_floor"]))
+    shapes = _mark_floor(float(told.noise_floor))
     for number, trace in enumerate(traces):
         offset_h = start_h - float(trace.time_s[0]) / 3600.0
-        drawn += _draw_lines(trace, k, told["unit"], offset_h, most, first=number == 0)
+        drawn += _draw_lines(trace, k, told.unit, offset_h, most, first=number == 0)
         marks, marked = _mark_worst(compared, trace.run, output, offset_h)
         drawn += marks
         shapes += marked
@@ -117,7 +118,7 @@ def shorten(name: str, most: int = 20) -> str:
 
 def draw_run(
     trace: Trace,
-    compared: Mapping[str, Any],
+    compared: ComparisonSummary,
     output: str,
     window: Window,
     *,
@@ -129,16 +130,16 @@ def draw_run(
 
     Args:
         trace: the run.
-        compared: the JSON of `compare`.
+        compared: what `compare` found.
         output: which one.
         window: the part.
         most: points of each line.
         ghost: [n] what an effect would add, drawn over what is left.
         ghost_name: its name.
     """
-    names = list(compared["outputs"])
-    k, told = names.index(output), compared["outputs"][output]
-    unit = told["unit"]
+    names = list(compared.outputs)
+    k, told = names.index(output), compared.outputs[output]
+    unit = told.unit
     figure = _open_rows(output, unit)
     clock = choose_clock(trace)
     start, stop = find_rows(trace, window)
@@ -158,7 +159,7 @@ def draw_run(
         )
     marks, shapes = _mark_worst(compared, trace.run, output, 0.0, clock)
     figure.add_traces([*drawn, *marks])
-    figure.update_layout(shapes=[*shapes, *_mark_floor(float(told["noise_floor"]))])
+    figure.update_layout(shapes=[*shapes, *_mark_floor(float(told.noise_floor))])
     figure.update_xaxes(title=f"time on the log's clock, {clock.unit}", row=2, col=1)
     # One axis for both rows, so that the cursor is shared.
     figure.update_traces(xaxis="x2")
@@ -231,25 +232,25 @@ def _draw_lines(
 
 
 def _mark_worst(
-    compared: Mapping[str, Any], run: str, output: str, offset: float, clock: Clock = HOURS
+    compared: ComparisonSummary, run: str, output: str, offset: float, clock: Clock = HOURS
 ) -> tuple[list[go.Scatter], list[dict[str, Any]]]:
     """Return marks and shades of the worst segments of one run and output, numbered as tabled."""
     marks, shapes = [], []
-    for number, segment in enumerate(compared["worst"], 1):
-        if segment["run"] != run or segment["output"] != output:
+    for number, segment in enumerate(compared.worst, 1):
+        if segment.run != run or segment.output != output:
             continue
-        x0, x1 = (segment[end] / clock.seconds + offset for end in ("from_s", "to_s"))
+        x0, x1 = (end / clock.seconds + offset for end in (segment.from_s, segment.to_s))
         shapes.append(shade(x0, x1, "x2", "y2"))
         # A point to hover over, since a shape tells nothing.
         marks.append(
             go.Scatter(
                 x=[0.5 * (x0 + x1)],
-                y=[segment["mean_error"]],
+                y=[segment.mean_error],
                 mode="markers+text",
                 marker={"symbol": "star", "size": 9, "color": MARKED_EDGE},
                 text=[f"<b>{number}</b>"],
                 textposition="top center",
-                hovertext=[f"worst {number}: {segment['pattern']}"],
+                hovertext=[f"worst {number}: {segment.pattern}"],
                 hoverinfo="text",
                 name="worst segments",
                 legendgroup="worst",
@@ -267,14 +268,14 @@ def _mark_floor(floor: float, x_axis: str = "x2", y_axis: str = "y2") -> list[di
     return [line_across(level, x_axis, y_axis) for level in (-floor, floor)]
 
 
-def draw_residual(traces: Sequence[Trace], compared: Mapping[str, Any], output: str) -> go.Figure:
+def draw_residual(traces: Sequence[Trace], compared: ComparisonSummary, output: str) -> go.Figure:
     """Return what is left of one output against T, dT/dt, load and time, heating and cooling apart.
 
     Each panel shows a thin cloud of samples and the means of bins; only runs that were held out
     are shown where there are any.
     """
-    told = compared["outputs"][output]
-    k, unit = list(compared["outputs"]).index(output), told["unit"]
+    told = compared.outputs[output]
+    k, unit = list(compared.outputs).index(output), told.unit
     shown = [t for t in traces if t.held_out] or list(traces)
     error = np.concatenate([t.error[k] for t in shown])
     rate = np.concatenate([t.rate_K_per_min for t in shown])
@@ -294,7 +295,7 @@ def draw_residual(traces: Sequence[Trace], compared: Mapping[str, Any], output: 
         row, col = number // 2 + 1, number % 2 + 1
         axis = str(number + 1) if number else ""
         drawn += _draw_branches(axis, x, error, rate, moving)
-        shapes += _mark_floor(float(told["noise_floor"]), f"x{axis}", f"y{axis}")
+        shapes += _mark_floor(float(told.noise_floor), f"x{axis}", f"y{axis}")
         figure.update_xaxes(title=label, row=row, col=col)
         figure.update_yaxes(
             title=f"what is left, {unit}" if col == 1 else "",

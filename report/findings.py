@@ -1,21 +1,27 @@
-"""What the commands found about a project, as plain data: the one source of figures and tables.
+"""What the commands found about a project: the one source of figures and tables.
 
-`told` holds the commands' own JSON; `traces` the signals behind it, at full rate. Both can be
-written to a directory and read back with the arrays left on disk, so that a page of many million
-samples opens at once.
+`traces` holds the signals behind the figures, at full rate. Findings can be written to a directory
+and read back with the arrays left on disk, so that a page of many million samples opens at once.
 """
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.records import from_json, to_dict
 from zerodrift.dataset.runs import Run
+from zerodrift.diagnosis.advice import Advice
+from zerodrift.diagnosis.comparison_summary import ComparisonSummary
+from zerodrift.diagnosis.explained import ExplainedDiagnosis
+from zerodrift.diagnosis.history import Step
 from zerodrift.diagnosis.run_errors import RunError
+from zerodrift.physics.description import EffectDescription
+from zerodrift.physics.summary import ModelSummary
+from zerodrift.verify.summary import CertificateSummary, FirmwareSummary
 
 Array = NDArray[np.float64]
 
@@ -49,6 +55,27 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class SourceFile:
+    """A file that the findings were made from."""
+
+    file: str
+    """Relative to the project where it lies inside it."""
+    use: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What the findings were made from."""
+
+    files: tuple[SourceFile, ...]
+    versions: Mapping[str, str]
+    """Package -> version."""
+    mark: str
+    """One hash of all files."""
+
+
+@dataclass(frozen=True)
 class Findings:
     """A project, its model and what the commands say about both."""
 
@@ -58,9 +85,37 @@ class Findings:
     full_scale: tuple[float, ...]
     simulated: bool
     """Whether the logs came out of a simulation and not out of a sensor."""
-    told: Mapping[str, Any]
-    """Command -> the JSON that it prints, and the sentences that go with it."""
+    predictor: str
+    """What predicts: physics | compensated | integer | c."""
+    comparison: ComparisonSummary
+    advice: Advice | None
+    """What the logs can teach."""
+    comparison_sentences: tuple[str, ...]
+    """What the figures are worth."""
+    patterns: tuple[str, ...]
+    """Where the model fails, in sentences."""
+    diagnosed: ExplainedDiagnosis | None
+    """None where it was not asked."""
+    steps: tuple[Step, ...]
+    """The staircase of held-out errors."""
+    model: ModelSummary
+    firmware: FirmwareSummary | None
+    """Of the last `firmware`, where it is current."""
+    certificate: CertificateSummary | None
+    firmware_note: str
+    """Why firmware or certificate are not shown."""
+    catalogue: Mapping[str, EffectDescription]
+    """Effect -> what is declared about it."""
+    provenance: Provenance
+    notes: tuple[str, ...]
+    skip_invalid: bool
+    """Whether invalid rows of the logs were dropped."""
     traces: tuple[Trace, ...]
+
+    @property
+    def titles(self) -> dict[str, str]:
+        """Effect -> the field's term."""
+        return {kind: effect.title for kind, effect in self.catalogue.items()}
 
     def find_trace(self, run: str) -> Trace:
         """Return the trace of a run."""
@@ -126,7 +181,7 @@ def trace_runs(errors: Mapping[str, RunError], held_out: Sequence[str]) -> tuple
     )
 
 
-def _join(runs: Sequence[Run], read: Any) -> Array:
+def _join(runs: Sequence[Run], read: Callable[[Run], Array]) -> Array:
     return np.concatenate([read(run) for run in runs])
 
 
@@ -135,12 +190,12 @@ def save_findings(findings: Findings, directory: Path) -> None:
     for number, trace in enumerate(findings.traces):
         for name in ARRAYS:
             np.save(directory / f"{number}.{name}.npy", getattr(trace, name), allow_pickle=False)
-    told = {f.name: getattr(findings, f.name) for f in fields(Findings) if f.name != "traces"}
+    told = to_dict(replace(findings, traces=()))
     told["traces"] = [
         {"run": t.run, "held_out": t.held_out, "sample_period_s": t.sample_period_s}
         for t in findings.traces
     ]
-    text = json.dumps(told, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(told, ensure_ascii=False)
     (directory / FILE_NAME).write_text(text, encoding="utf-8")
 
 
@@ -155,8 +210,6 @@ def load_findings(directory: Path) -> Findings:
                 for name in ARRAYS
             },
         )
-        for number, head in enumerate(told.pop("traces"))
+        for number, head in enumerate(told["traces"])
     )
-    for name in ("outputs", "units", "full_scale"):
-        told[name] = tuple(told[name])
-    return Findings(**told, traces=traces)
+    return replace(from_json(Findings, {**told, "traces": []}), traces=traces)

@@ -1,12 +1,13 @@
 """The report: one self-contained page that says what is known about a sensor and its model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import plotly.graph_objects as go
 
-from zerodrift.diagnosis.history import Step
+from zerodrift.diagnosis.explained import HEADLINE
 from zerodrift.report import tables
+from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.figures import (
     draw_autocorrelation,
     draw_budget,
@@ -24,55 +25,39 @@ POINTS_OF_ALL_LINES = 60_000
 FEWEST_POINTS, MOST_POINTS = 160, 900
 
 
-def read_steps(history: Mapping[str, Any]) -> list[Step]:
-    """Return the staircase from the JSON of `history`."""
-    return [
-        Step(
-            label=step["step"],
-            errors=step["rmse_heldout"],
-            noise_floor=step["noise_floor"],
-            units=step["units"],
-            effects=tuple(step["effects"]),
-            reason=step["reason"],
-        )
-        for step in history["steps"]
-    ]
-
-
-def render_report(findings: Findings, datasheet: Sequence[Mapping[str, Any]] | None = None) -> str:
+def render_report(findings: Findings, datasheet: Sequence[DatasheetRow] | None = None) -> str:
     """Return the report as HTML: nothing in it is fetched from elsewhere, and it holds no date.
 
     Args:
         findings: what the commands found.
         datasheet: the datasheet's figures, where they were asked for.
     """
-    told = findings.told
-    steps = read_steps(told["history"])
-    diagnosed, firmware, certificate = told["diagnose"], told["firmware"], told["certificate"]
-    files, versions = tables.tabulate_provenance(told["provenance"])
+    steps, explained, compared = findings.steps, findings.diagnosed, findings.comparison
+    diagnosis = explained.diagnosis if explained is not None else None
+    firmware, certificate = findings.firmware, findings.certificate
+    files, versions = tables.tabulate_provenance(findings.provenance)
     values: dict[str, Any] = {
         "findings": findings,
-        "told": told,
         "title": f"{findings.sensor}: drift and its compensation",
-        "headline": write_headline(diagnosed, told["titles"]),
-        "details": list_details(told["diagnose_sentences"]),
-        "notes": list(dict.fromkeys((*told["notes"], *(diagnosed or {}).get("notes", ())))),
+        "headline": write_headline(diagnosis, findings.titles),
+        "details": [s.text for s in explained.sentences if s.role != HEADLINE] if explained else [],
+        "notes": list_notes(findings),
         "tiles": list_tiles(findings),
         "staircase": draw_staircase(steps) if steps else None,
-        "steps": tables.tabulate_steps(told["history"]),
-        "outputs": tables.tabulate_outputs(told["compare"]),
-        "runs": tables.tabulate_runs(told["compare"]),
-        "worst": tables.tabulate_worst(told["compare"]),
-        "candidates": draw_candidates(diagnosed) if diagnosed and diagnosed["candidates"] else None,
-        "candidates_table": tables.tabulate_candidates(diagnosed, told["titles"])
-        if diagnosed
+        "steps": tables.tabulate_steps(steps),
+        "outputs": tables.tabulate_outputs(compared),
+        "runs": tables.tabulate_runs(compared),
+        "worst": tables.tabulate_worst(compared),
+        "candidates": draw_candidates(diagnosis) if diagnosis and diagnosis.candidates else None,
+        "candidates_table": tables.tabulate_candidates(diagnosis, findings.titles)
+        if diagnosis
         else None,
         "sections": list_sections(findings),
         "moving": find_threshold([t for t in findings.traces if t.held_out] or findings.traces),
-        "parameters": tables.tabulate_parameters(told["model"]),
-        "coefficients": tables.tabulate_coefficients(told["model"]),
-        "budget": draw_budget(firmware, told["compare"]) if firmware else None,
-        "budget_table": tables.tabulate_budget(firmware, told["compare"]) if firmware else None,
+        "parameters": tables.tabulate_parameters(findings.model),
+        "coefficients": tables.tabulate_coefficients(findings.model),
+        "budget": draw_budget(firmware, compared) if firmware else None,
+        "budget_table": tables.tabulate_budget(firmware, compared) if firmware else None,
         "chip_error": tables.tabulate_chip_error(firmware) if firmware else None,
         "firmware": tables.tabulate_firmware(firmware) if firmware else None,
         "certificate": tables.tabulate_certificate(certificate) if certificate else None,
@@ -87,7 +72,7 @@ def list_sections(findings: Findings) -> list[dict[str, Any]]:
     """Return the figures of each output."""
     lines = len(findings.traces) * len(findings.outputs) * 3
     most = min(max(POINTS_OF_ALL_LINES // max(lines, 1), FEWEST_POINTS), MOST_POINTS)
-    compared = findings.told["compare"]
+    compared = findings.comparison
     sections = []
     for k, name in enumerate(findings.outputs):
         unit = findings.units[k]
@@ -111,54 +96,50 @@ def list_sections(findings: Findings) -> list[dict[str, Any]]:
 
 def list_figures(findings: Findings) -> dict[str, go.Figure]:
     """Return every figure of the report by a name for its file."""
-    told = findings.told
+    firmware, explained = findings.firmware, findings.diagnosed
     figures: dict[str, go.Figure] = {}
-    if told["history"]["steps"]:
-        figures["staircase"] = draw_staircase(read_steps(told["history"]))
-    if told["diagnose"] and told["diagnose"]["candidates"]:
-        figures["candidates"] = draw_candidates(told["diagnose"])
+    if findings.steps:
+        figures["staircase"] = draw_staircase(findings.steps)
+    if explained is not None and explained.diagnosis.candidates:
+        figures["candidates"] = draw_candidates(explained.diagnosis)
     for section in list_sections(findings):
         for kind in ("runs", "residual", "correlation"):
             figures[f"{section['name']}_{kind}"] = section[kind]
-    if told["firmware"]:
-        figures["error_budget"] = draw_budget(told["firmware"], told["compare"])
+    if firmware is not None:
+        figures["error_budget"] = draw_budget(firmware, findings.comparison)
     return figures
 
 
-def list_details(sentences: Sequence[str]) -> list[str]:
-    """Return the verdict's sentences without those that the headline says already."""
-    said = (
-        "Held-out error:",
-        "Missing beside it:",
-        "These logs cannot tell",
-        "Nearest, and not it",
-    )
-    return [sentence for sentence in sentences[1:] if not sentence.startswith(said)]
+def list_notes(findings: Findings) -> list[str]:
+    """Return what the commands noted, each once."""
+    of_diagnosis = findings.diagnosed.diagnosis.notes if findings.diagnosed is not None else ()
+    return list(dict.fromkeys((*findings.notes, *of_diagnosis)))
 
 
 def list_tiles(findings: Findings) -> list[tuple[str, str]]:
     """Return the few figures that come first: value, and what it is."""
-    compared, diagnosed = findings.told["compare"], findings.told["diagnose"]
-    worst = max(compared["outputs"].items(), key=lambda item: item[1]["rmse_pct_fs"])
-    where = "held out" if worst[1]["rmse_heldout"] is not None else "in sample"
+    outputs, explained = findings.comparison.outputs, findings.diagnosed
+    name, worst = max(outputs.items(), key=lambda item: item[1].rmse_pct_fs)
+    where = "held out" if worst.rmse_heldout is not None else "in sample"
     tiles = [
         (
-            f"{worst[1]['rmse_pct_fs']:.2g} %FS",
-            f"largest RMSE of an output ({worst[0]}, {where})",
+            f"{worst.rmse_pct_fs:.2g} %FS",
+            f"largest RMSE of an output ({name}, {where})",
         )
     ]
-    explained = min(told["explained"] for told in compared["outputs"].values())
-    tiles.append((f"{100.0 * explained:.1f} %", "of the drift's mean square taken away, or more"))
-    if diagnosed is not None:
-        source = "measured on a dwell" if diagnosed["floor"] == "dwell" else "estimated"
+    least = min(output.explained for output in outputs.values())
+    tiles.append((f"{100.0 * least:.1f} %", "of the drift's mean square taken away, or more"))
+    if explained is not None:
+        diagnosis = explained.diagnosis
+        source = "measured on a dwell" if diagnosis.floor_source == "dwell" else "estimated"
         tiles.append(
             (
-                f"{diagnosed['floor_ratio_before']:.2f} ×",
+                f"{diagnosis.floor_ratio_before:.2f} ×",
                 f"held-out error of the effects over the noise floor, {source}",
             )
         )
     tiles.append((str(len(findings.traces)), "runs shown, dwell not among them"))
-    firmware = findings.told["firmware"]
+    firmware = findings.firmware
     if firmware is not None:
-        tiles.append((f"{firmware['flash_bytes']} B", f"of flash on {firmware['core']}"))
+        tiles.append((f"{firmware.flash_bytes} B", f"of flash on {firmware.core}"))
     return tiles

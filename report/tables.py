@@ -1,13 +1,17 @@
-"""Tables of the report and the page: the commands' JSON with units, written for people."""
+"""Tables of the report and the page: what the commands found, with units, written for people."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import astuple, dataclass, fields
 
+from zerodrift.diagnosis.comparison_summary import ComparisonSummary
+from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.history import Step
+from zerodrift.physics.summary import ModelSummary
+from zerodrift.report.datasheet import DatasheetRow
+from zerodrift.report.findings import Provenance
 from zerodrift.report.parts import Part
 from zerodrift.report.verdict import explain_standing
-
-Told = Mapping[str, Any]
+from zerodrift.verify.summary import CertificateSummary, ChipError, FirmwareSummary
 
 
 @dataclass(frozen=True)
@@ -27,24 +31,24 @@ def write_number(value: float | None, digits: int = 4) -> str:
     return "–" if value is None else f"{value:.{digits}g}".replace("-", "−")
 
 
-def tabulate_outputs(compared: Told) -> Table:
+def tabulate_outputs(compared: ComparisonSummary) -> Table:
     """Return the errors per output, in its unit, in %FS and in noise floors."""
     rows = []
-    for name, told in compared["outputs"].items():
-        held_out = told["rmse_heldout"]
-        error = told["rmse"] if held_out is None else held_out
-        floor = told["noise_floor"]
+    for name, told in compared.outputs.items():
+        held_out = told.rmse_heldout
+        error = told.rmse if held_out is None else held_out
+        floor = told.noise_floor
         rows.append(
             (
                 name,
-                told["unit"],
-                write_number(told["full_scale"]),
-                write_number(told["rmse_uncompensated"]),
-                write_number(told["rmse"]),
+                told.unit,
+                write_number(told.full_scale),
+                write_number(told.rmse_uncompensated),
+                write_number(told.rmse),
                 write_number(held_out),
-                write_number(told["rmse_pct_fs"], 3),
-                write_number(told["max_abs"]),
-                write_number(told["max_abs_pct_fs"], 3),
+                write_number(told.rmse_pct_fs, 3),
+                write_number(told.max_abs),
+                write_number(told.max_abs_pct_fs, 3),
                 write_number(floor),
                 f"{error / floor:.2f}" if floor > 0.0 else "–",
             )
@@ -56,60 +60,60 @@ def tabulate_outputs(compared: Told) -> Table:
     return Table("Errors per output", headings, tuple(rows), texts=2)
 
 
-def tabulate_runs(compared: Told) -> Table:
+def tabulate_runs(compared: ComparisonSummary) -> Table:
     """Return the RMSE per run and output."""
-    outputs = compared["outputs"]
+    outputs = compared.outputs
     rows = []
-    for run, told in compared["runs"].items():
-        held_out = any(told[name]["held_out"] for name in outputs)
-        numbers = (write_number(told[name]["rmse"]) for name in outputs)
+    for run, told in compared.runs.items():
+        held_out = any(told[name].held_out for name in outputs)
+        numbers = (write_number(told[name].rmse) for name in outputs)
         rows.append((run, "held out" if held_out else "in sample", *numbers))
-    headings = ("run", "told", *(f"{n}, {told['unit']}" for n, told in outputs.items()))
+    headings = ("run", "told", *(f"{n}, {told.unit}" for n, told in outputs.items()))
     return Table("RMSE per run", headings, tuple(rows), texts=2)
 
 
-def tabulate_worst(compared: Told) -> Table:
+def tabulate_worst(compared: ComparisonSummary) -> Table:
     """Return the worst segments, numbered as in the figures."""
-    units = {name: told["unit"] for name, told in compared["outputs"].items()}
+    units = {name: told.unit for name, told in compared.outputs.items()}
     rows = tuple(
         (
             str(number),
-            s["run"],
-            s["output"],
-            s["pattern"],
-            f"{s['from_s']:.6g}",
-            f"{s['to_s']:.6g}",
-            f"{write_number(s['rmse'], 3)} {units[s['output']]}",
-            f"{s['mean_error']:+.3g} {units[s['output']]}".replace("-", "−"),
+            s.run,
+            s.output,
+            s.pattern,
+            f"{s.from_s:.6g}",
+            f"{s.to_s:.6g}",
+            f"{write_number(s.rmse, 3)} {units[s.output]}",
+            f"{s.mean_error:+.3g} {units[s.output]}".replace("-", "−"),
         )
-        for number, s in enumerate(compared["worst"], 1)
+        for number, s in enumerate(compared.worst, 1)
     )
     headings = ("#", "run", "output", "what was going on", "from, s", "to, s", "RMSE", "mean error")
     return Table("Worst segments", headings, rows, texts=4)
 
 
-def tabulate_candidates(diagnosed: Told, titles: Mapping[str, str]) -> Table:
+def tabulate_candidates(diagnosis: Diagnosis, titles: Mapping[str, str]) -> Table:
     """Return every candidate with its evidence, and every effect that could not be tested.
 
     Args:
-        diagnosed: the JSON of `diagnose`.
+        diagnosis: what was found.
         titles: effect -> the field's term.
     """
     rows = [
         (
-            c["effect"],
-            titles.get(c["effect"], ""),
-            ", ".join(f"{k} {v:.4g}" for k, v in c["parameters"].items()),
-            explain_standing(diagnosed, c),
-            f"{c['heldout_rmse_ratio']:.3f}",
-            f"{c['p_value']:.2g}",
-            f"{100.0 * c['excitation']:.0f} %",
+            c.effect,
+            titles.get(c.effect, ""),
+            ", ".join(f"{k} {v:.4g}" for k, v in c.parameters.items()),
+            explain_standing(diagnosis, c),
+            f"{c.heldout_rmse_ratio:.3f}",
+            f"{c.p_value:.2g}",
+            f"{100.0 * c.excitation:.0f} %",
         )
-        for c in diagnosed["candidates"]
+        for c in diagnosis.candidates
     ]
     rows += [
-        (u["effect"], titles.get(u["effect"], ""), "", f"not testable: {u['why']}", "–", "–", "–")
-        for u in diagnosed["not_testable"]
+        (u.effect, titles.get(u.effect, ""), "", f"not testable: {u.why}", "–", "–", "–")
+        for u in diagnosis.not_testable
     ]
     headings = (
         *("effect", "term", "fitted values", "standing"),
@@ -169,18 +173,17 @@ def tabulate_autocorrelation(lags_s: Sequence[float], shares: Sequence[float]) -
     return Table("Autocorrelation, as a table", ("lag, s", "share"), rows, texts=0)
 
 
-def tabulate_steps(history: Told) -> Table:
+def tabulate_steps(steps: Sequence[Step]) -> Table:
     """Return the staircase of held-out errors."""
-    steps = history["steps"]
-    outputs = list(dict.fromkeys(name for step in steps for name in step["rmse_heldout"]))
-    units = {name: unit for step in steps for name, unit in step["units"].items()}
+    outputs = list(dict.fromkeys(name for step in steps for name in step.errors))
+    units = {name: unit for step in steps for name, unit in step.units.items()}
     rows = [
         (
             str(number),
-            step["step"],
-            step["reason"],
-            *(write_number(step["rmse_heldout"].get(name)) for name in outputs),
-            f"{step['ratio_to_floor']:.2f}" if step["ratio_to_floor"] is not None else "–",
+            step.label,
+            step.reason,
+            *(write_number(step.errors.get(name)) for name in outputs),
+            "–" if (ratio := step.ratio()) is None else f"{ratio:.2f}",
         )
         for number, step in enumerate(steps)
     ]
@@ -188,130 +191,130 @@ def tabulate_steps(history: Told) -> Table:
     return Table("Held-out RMSE, step by step", headings, tuple(rows), texts=3)
 
 
-def tabulate_parameters(model: Told) -> Table:
+def tabulate_parameters(model: ModelSummary) -> Table:
     """Return the effects' parameters with standard errors and 95 % intervals."""
     rows: list[tuple[str, ...]] = []
-    for term in model["terms"]:
-        for name, p in term["parameters"].items():
-            interval = p["interval"]
-            remark = "held" if p["held"] else "at its bound" if p["at_bound"] else ""
+    for term in model.terms:
+        for name, p in term.parameters.items():
+            interval = p.interval
+            remark = "held" if p.held else "at its bound" if p.at_bound else ""
             told = "–"
             if interval is not None:
                 told = f"{write_number(interval[0])} to {write_number(interval[1])}"
-            unit = "" if p["unit"] == "1" else p["unit"]
-            error = write_number(p["std_error"], 2)
-            rows.append((term["name"], name, unit, remark, write_number(p["value"]), error, told))
-        if not term["parameters"]:
-            rows.append((term["name"], "none", "", "", "–", "–", "–"))
+            unit = "" if p.unit == "1" else p.unit
+            error = write_number(p.std_error, 2)
+            rows.append((term.name, name, unit, remark, write_number(p.value), error, told))
+        if not term.parameters:
+            rows.append((term.name, "none", "", "", "–", "–", "–"))
     headings = ("effect", "parameter", "unit", "", "value", "standard error", "95 % interval")
     return Table("Parameters", headings, tuple(rows), texts=4)
 
 
-def tabulate_coefficients(model: Told) -> Table:
+def tabulate_coefficients(model: ModelSummary) -> Table:
     """Return the coefficients of all features, output by output."""
     rows = tuple(
         (
-            term["name"],
-            c["feature"],
-            c["output"],
-            c["unit"],
-            write_number(c["value"]),
-            write_number(c["std_error"], 2),
+            term.name,
+            c.feature,
+            c.output,
+            c.unit,
+            write_number(c.value),
+            write_number(c.std_error, 2),
         )
-        for term in model["terms"]
-        for c in term["coefficients"]
+        for term in model.terms
+        for c in term.coefficients
     )
     headings = ("effect", "feature", "output", "unit", "coefficient", "standard error")
     return Table("Coefficients", headings, rows, texts=4)
 
 
-def tabulate_budget(firmware: Told, compared: Told) -> Table:
+def tabulate_budget(firmware: FirmwareSummary, compared: ComparisonSummary) -> Table:
     """Return the error from measurement to integer model, each share in the unit and in %FS."""
     rows = []
-    for name, unit in firmware["units"].items():
-        percent = 100.0 / compared["outputs"][name]["full_scale"]
-        rmse = firmware["rmse"]
-        cost = firmware["rmse_integer_to_float"][name]
+    for name, unit in firmware.units.items():
+        percent = 100.0 / compared.outputs[name].full_scale
+        rmse = firmware.rmse
+        cost = firmware.rmse_integer_to_float[name]
         rows.append(
             (
                 name,
                 unit,
-                *(write_number(rmse[kind][name]) for kind in ("uncompensated", "float", "integer")),
+                *(write_number(x[name]) for x in (rmse.uncompensated, rmse.float, rmse.integer)),
                 write_number(cost, 2),
-                write_number(percent * rmse["integer"][name], 3),
+                write_number(percent * rmse.integer[name], 3),
                 write_number(percent * cost, 2),
-                write_number(compared["outputs"][name]["noise_floor"]),
+                write_number(compared.outputs[name].noise_floor),
             )
         )
     headings = (
         *("output", "unit", "uncompensated", "float", "integer", "integer − float"),
         *("integer, %FS", "integer − float, %FS", "noise floor"),
     )
-    kind = "held-out" if firmware["held_out"] else "TRAINING"
-    note = f"RMSE over the {kind} runs: {', '.join(firmware['runs'])}."
+    kind = "held-out" if firmware.held_out else "TRAINING"
+    note = f"RMSE over the {kind} runs: {', '.join(firmware.runs)}."
     return Table("Error budget, float to integer", headings, tuple(rows), texts=2, note=note)
 
 
-def tabulate_chip_error(firmware: Told) -> Table:
+def tabulate_chip_error(firmware: FirmwareSummary) -> Table:
     """Return what separates the chip from the float model by cause, and what the gate says."""
-    causes = ("rounding", "out_of_range", "clamped", "saturated")
+    causes = (cause.name.replace("_", " ") for cause in fields(ChipError))
     rows = tuple(
-        (name, unit, *(write_number(firmware["chip_error"][name][cause], 2) for cause in causes))
-        for name, unit in firmware["units"].items()
+        (name, unit, *(write_number(x, 2) for x in astuple(firmware.chip_error[name])))
+        for name, unit in firmware.units.items()
     )
-    said = [f"FORCED: {refused['text']}" for refused in firmware["refused"]]
-    said += [warning["text"] for warning in firmware["warnings"]]
-    headings = ("output", "unit", *(cause.replace("_", " ") for cause in causes))
+    said = [f"FORCED: {refused.text}" for refused in firmware.refused]
+    said += [warning.text for warning in firmware.warnings]
+    headings = ("output", "unit", *causes)
     return Table("Integer minus float by cause", headings, rows, texts=2, note=" ".join(said))
 
 
-def tabulate_firmware(firmware: Told) -> Table:
+def tabulate_firmware(firmware: FirmwareSummary) -> Table:
     """Return what the firmware needs of a chip, and how it was checked."""
     rows: list[tuple[str, ...]] = [
-        ("flash", f"{firmware['flash_bytes']} B", f"on {firmware['core']}"),
-        ("RAM", f"{firmware['ram_bytes']} B", "state of one sensor"),
-        ("stack", f"{firmware['stack_bytes']} B", "deepest chain of calls below any function"),
+        ("flash", f"{firmware.flash_bytes} B", f"on {firmware.core}"),
+        ("RAM", f"{firmware.ram_bytes} B", "state of one sensor"),
+        ("stack", f"{firmware.stack_bytes} B", "deepest chain of calls below any function"),
         (
             "bit for bit",
-            "equal" if firmware["bit_exact"] else "DIFFERENT",
-            f"{firmware['vectors']} steps, {' = '.join(firmware['backends'])}",
+            "equal" if firmware.bit_exact else "DIFFERENT",
+            f"{firmware.vectors} steps, {' = '.join(firmware.backends)}",
         ),
-        ("model", firmware["model_hash"][:12], "first digits of its SHA-256"),
+        ("model", firmware.model_hash[:12], "first digits of its SHA-256"),
     ]
     return Table("Firmware", ("what", "value", "of"), tuple(rows), texts=3)
 
 
-def tabulate_certificate(certificate: Told) -> Table:
+def tabulate_certificate(certificate: CertificateSummary) -> Table:
     """Return the bounds that come closest to their limits."""
     rows = tuple(
         (
-            bound["where"],
-            str(bound["low"]).replace("-", "−"),
-            str(bound["high"]).replace("-", "−"),
-            str(bound["bits"]),
-            f"{bound['headroom_bits']:.2f}",
+            bound.where,
+            str(bound.low).replace("-", "−"),
+            str(bound.high).replace("-", "−"),
+            str(bound.bits),
+            f"{bound.headroom_bits:.2f}",
         )
-        for bound in certificate["tightest"]
+        for bound in certificate.tightest
     )
     headings = ("where", "lowest", "highest", "bits", "headroom, bits")
     note = (
-        f"{certificate['bounds']} bounds hold for every input, whatever the logs; "
+        f"{certificate.bounds} bounds hold for every input, whatever the logs; "
         "these come closest. Read from certificate.json, which `zerodrift verify --certificate` "
         "derives again from the C."
     )
     return Table("Certificate: no overflow", headings, rows, texts=1, note=note)
 
 
-def tabulate_datasheet(rows: Sequence[Told]) -> Table:
+def tabulate_datasheet(rows: Sequence[DatasheetRow]) -> Table:
     """Return the datasheet's figures before and after compensation."""
     written = tuple(
         (
-            row["quantity"],
-            row["output"],
-            row["unit"],
-            row["note"],
-            _write_pair(row["before"]),
-            _write_pair(row["after"]),
+            row.quantity,
+            row.output,
+            row.unit,
+            row.note,
+            _write_pair(row.before),
+            _write_pair(row.after),
         )
         for row in rows
     )
@@ -325,7 +328,7 @@ def tabulate_datasheet(rows: Sequence[Told]) -> Table:
     return Table("Datasheet figures", headings, written, texts=4, note=note)
 
 
-def _write_pair(value: Sequence[float | None] | None) -> str:
+def _write_pair(value: tuple[float, float | None] | None) -> str:
     """Return a value with its standard uncertainty."""
     if value is None:
         return "–"
@@ -335,10 +338,10 @@ def _write_pair(value: Sequence[float | None] | None) -> str:
     return f"{write_number(number, 3)} ± {write_number(error, 2)}"
 
 
-def tabulate_provenance(provenance: Told) -> tuple[Table, Table]:
+def tabulate_provenance(provenance: Provenance) -> tuple[Table, Table]:
     """Return what the report was made from: files with their hashes, and versions."""
-    files = tuple((f["file"], f["use"], f["sha256"][:16]) for f in provenance["files"])
-    versions = tuple((name, version) for name, version in provenance["versions"].items())
+    files = tuple((f.file, f.use, f.sha256[:16]) for f in provenance.files)
+    versions = tuple((name, version) for name, version in provenance.versions.items())
     return (
         Table("Files", ("file", "use", "SHA-256, first 16 digits"), files, texts=3),
         Table("Versions", ("package", "version"), versions, texts=2),

@@ -1,8 +1,9 @@
 """The verdict as one sentence, for the top of a page."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+
+from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis
 
 LABELS = {
     "missing": "An effect is missing",
@@ -31,95 +32,95 @@ class Headline:
         return LABELS[self.kind]
 
 
-def write_headline(diagnosed: Mapping[str, Any] | None, titles: Mapping[str, str]) -> Headline:
+def write_headline(diagnosis: Diagnosis | None, titles: Mapping[str, str]) -> Headline:
     """Return the verdict of `diagnose` in one sentence.
 
     Args:
-        diagnosed: the JSON of `diagnose`; None where it was not asked.
+        diagnosis: what was found; None where it was not asked.
         titles: effect -> the field's term.
     """
-    if diagnosed is None:
+    if diagnosis is None:
         return Headline("none", "Not diagnosed: what is missing was not asked.")
-    effect = diagnosed["effect"]
-    at_floor = f"the held-out error is {diagnosed['floor_ratio_before']:.2f} times the noise floor"
-    if diagnosed["floor"] != "dwell":
+    effect = diagnosis.effect
+    at_floor = f"the held-out error is {diagnosis.floor_ratio_before:.2f} times the noise floor"
+    if diagnosis.floor_source != "dwell":
         at_floor += ", which is estimated"
-    if diagnosed["verdict"] == "missing" and effect is not None:
+    if diagnosis.verdict == "missing" and effect is not None:
         gain = (
-            f"the held-out error falls from {diagnosed['floor_ratio_before']:.2f} to "
-            f"{diagnosed['floor_ratio_after']:.2f} times the noise floor"
+            f"the held-out error falls from {diagnosis.floor_ratio_before:.2f} to "
+            f"{diagnosis.floor_ratio_after:.2f} times the noise floor"
         )
-        if diagnosed["lookalikes"]:
-            names = _list_names([effect, *diagnosed["lookalikes"]], "or")
+        if diagnosis.lookalikes:
+            names = _list_names([effect, *diagnosis.lookalikes], "or")
             return Headline(
                 "lookalikes",
                 f"The model lacks {names}: these logs cannot tell which. With {effect} {gain}.",
             )
         title = titles.get(effect, "")
         named = f"{effect}, {title}" if title else effect
-        also = f" Missing beside it: {_list_names(diagnosed['also'], 'and')}."
+        also = f" Missing beside it: {_list_names(diagnosis.also, 'and')}."
         return Headline(
             "missing",
-            f"The model lacks {named}; with it {gain}." + (also if diagnosed["also"] else ""),
+            f"The model lacks {named}; with it {gain}." + (also if diagnosis.also else ""),
         )
-    if diagnosed["verdict"] == "complete":
-        if not diagnosed["candidates"]:
+    if diagnosis.verdict == "complete":
+        if not diagnosis.candidates:
             return Headline("not testable", f"These logs can test no further effect; {at_floor}.")
-        untested = len(diagnosed["not_testable"])
+        untested = len(diagnosis.not_testable)
         limit = f" that these logs can test ({untested} cannot be tested)" if untested else ""
         return Headline("complete", f"Nothing is missing{limit}; {at_floor}.")
-    nearest = f" Nearest, and not it: {diagnosed['nearest']}." if diagnosed["nearest"] else ""
+    nearest = f" Nearest, and not it: {diagnosis.nearest}." if diagnosis.nearest else ""
     return Headline(
         "unknown",
         f"Something is missing that no effect of the catalogue explains; {at_floor}.{nearest}",
     )
 
 
-def explain_standing(diagnosed: Mapping[str, Any], candidate: Mapping[str, Any]) -> str:
+def explain_standing(diagnosis: Diagnosis, candidate: CandidateReport) -> str:
     """Return what the diagnosis makes of a candidate, in a few words."""
-    name = candidate["effect"]
-    if name == diagnosed["effect"]:
+    name = candidate.effect
+    if name == diagnosis.effect:
         return "this one is missing"
-    if name in diagnosed["lookalikes"]:
+    if name in diagnosis.lookalikes:
         return "cannot be told from it"
-    if name in diagnosed["also"]:
+    if name in diagnosis.also:
         return "missing beside it"
-    if name == diagnosed["nearest"]:
+    if name == diagnosis.nearest:
         return "nearest, and not it"
-    if candidate["heldout_rmse_ratio"] >= NO_GAIN:
+    if candidate.heldout_rmse_ratio >= NO_GAIN:
         return "does not lower the held-out error"
-    if candidate["p_value"] > CHANCE:
+    if candidate.p_value > CHANCE:
         return "helps too few runs to rule out chance"
     return "helps, but less"
 
 
-def explain_candidate(diagnosed: Mapping[str, Any], candidate: Mapping[str, Any]) -> str:
+def explain_candidate(diagnosis: Diagnosis, candidate: CandidateReport) -> str:
     """Return why a candidate is what is missing, or why not, with the figures it rests on."""
-    name, ratio = candidate["effect"], candidate["heldout_rmse_ratio"]
+    name, ratio = candidate.effect, candidate.heldout_rmse_ratio
     left = f"with it {100.0 * ratio:.1f} % of the held-out RMSE is left"
-    chance = f"p = {candidate['p_value']:.2g}"
-    named = next((c for c in diagnosed["candidates"] if c["effect"] == diagnosed["effect"]), None)
+    chance = f"p = {candidate.p_value:.2g}"
+    named = next((c for c in diagnosis.candidates if c.effect == diagnosis.effect), None)
     beside = ""
     if named is not None and named is not candidate:
-        beside = f", with {named['effect']} {100.0 * named['heldout_rmse_ratio']:.1f} %"
-    standing = explain_standing(diagnosed, candidate)
-    if name == diagnosed["effect"]:
+        beside = f", with {named.effect} {100.0 * named.heldout_rmse_ratio:.1f} %"
+    standing = explain_standing(diagnosis, candidate)
+    if name == diagnosis.effect:
         return f"It is what is missing: {left}, {chance}."
-    if name in diagnosed["lookalikes"]:
+    if name in diagnosis.lookalikes:
         return f"It may be this one as well: {left}{beside}, {chance}; these logs cannot tell."
-    if name in diagnosed["also"]:
+    if name in diagnosis.also:
         return f"It is missing too, beside the first: {left}, {chance}."
-    if name == diagnosed["nearest"]:
-        floor = f"{diagnosed['floor_ratio_before']:.2f} times the noise floor now"
+    if name == diagnosis.nearest:
+        floor = f"{diagnosis.floor_ratio_before:.2f} times the noise floor now"
         return f"It comes nearest and is not it: {left}, {chance}, of {floor}."
     if ratio >= NO_GAIN:
         return f"Not it: it {standing}; {left}{beside}."
-    if candidate["p_value"] > CHANCE:
+    if candidate.p_value > CHANCE:
         return f"Not it: it {standing} ({chance}); {left}{beside}."
     return f"Not it: it helps, but less; {left}{beside}, {chance}."
 
 
-def _list_names(names: list[str], word: str) -> str:
+def _list_names(names: Sequence[str], word: str) -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} {word} {names[-1]}"

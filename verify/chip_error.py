@@ -31,6 +31,7 @@ from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.network import IntegerFeatures
 from zerodrift.operations.signal import IntegerInput, IntegerProduct
 from zerodrift.operations.total import IntegerSum
+from zerodrift.verify.summary import ChipError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,31 +40,6 @@ ROUNDING_SHARE = 0.002
 """What the arithmetic's rounding may cost, as a share of the drift's own RMS."""
 BEYOND_ROUNDING = 3.0
 """A row whose difference exceeds this multiple of the budgeted rounding has another cause."""
-
-
-@dataclass(frozen=True)
-class ChipError:
-    """RMS difference of integer and float model of one output, in its unit, by cause.
-
-    The squares of the four add up to the square of the whole.
-    """
-
-    rounding: float
-    out_of_range: float
-    """On rows where a channel is outside its calibrated range, and on their after-effect."""
-    clamped: float
-    """The correction stood at its limit."""
-    saturated: float
-    """An operation, or a channel's code, stood at its limit."""
-
-    def to_dict(self) -> dict[str, float]:
-        """Return the causes by name."""
-        return {
-            "rounding": self.rounding,
-            "out_of_range": self.out_of_range,
-            "clamped": self.clamped,
-            "saturated": self.saturated,
-        }
 
 
 @dataclass(frozen=True)

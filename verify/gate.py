@@ -7,7 +7,7 @@ over all rows it must not be worse than no compensation. What fails is not writt
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,10 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.held_out import TEST_LOGS
 from zerodrift.diagnosis.run_errors import FindUsable
 from zerodrift.export.float_model import FloatModel
-from zerodrift.verify.chip_error import ChipError, Replay, replay_runs
+from zerodrift.verify.chip_error import Replay, replay_runs
 from zerodrift.verify.excursions import Excursion, list_excursions
 from zerodrift.verify.left_out import LeftOut
+from zerodrift.verify.summary import ChipError, Statement
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,23 +39,6 @@ UNCORRELATED = 0.05
 """The residual's correlation is summed up to the lag at which it falls below this."""
 
 NOT_JUDGED = "not judged"
-
-
-@dataclass(frozen=True)
-class Statement:
-    """Something that the gate says."""
-
-    kind: str
-    """worse_than_none | worse_than_physics | worse_than_float | worse_beyond_range for a refusal;
-    out_of_range | few_blocks | not_judged for a warning."""
-    text: str
-    output: str = ""
-    """The output it is about; "" where it is about runs."""
-
-    def to_dict(self) -> dict[str, str]:
-        """Return it as JSON values."""
-        about = {"output": self.output} if self.output else {}
-        return {"kind": self.kind, **about, "text": self.text}
 
 
 @dataclass(frozen=True)
@@ -189,16 +173,18 @@ def judge(
         inside = [rows & own[:, None] for rows, own in zip(inside, covered, strict=True)]
     split = replay.split()
     refused: list[Statement] = []
-    warnings = [Statement("out_of_range", f"{excursion}.") for excursion in excursions]
+    warnings = [Statement(kind="out_of_range", text=f"{excursion}.") for excursion in excursions]
     for k, (name, unit) in enumerate(names):
         pool = _collect(runs, answers, inside, k, tared)
         if pool.rows < FEWEST_ROWS:
             warnings.append(
                 Statement(
-                    "not_judged",
-                    f"{name}: not judged, for {pool.rows} rows of the held-out runs lie inside the"
-                    f" calibrated ranges; {FEWEST_ROWS} are needed.",
-                    name,
+                    kind="not_judged",
+                    output=name,
+                    text=(
+                        f"{name}: not judged, for {pool.rows} rows of the held-out runs lie inside"
+                        f" the calibrated ranges; {FEWEST_ROWS} are needed."
+                    ),
                 )
             )
         else:
@@ -219,7 +205,7 @@ def judge(
 
 def leave_unjudged(replay: Replay, why: str) -> GateVerdict:
     """Return the verdict where no run was held out: chip against float, and a warning."""
-    statement = Statement("not_judged", f"not judged on held-out runs: {why}")
+    statement = Statement(kind="not_judged", text=f"not judged on held-out runs: {why}")
     return GateVerdict(NOT_JUDGED, (), (statement,), replay.split(), (), 0)
 
 
@@ -267,32 +253,38 @@ def _judge_inside(
         if contrast.beyond_chance is None:
             warnings.append(
                 Statement(
-                    "few_blocks",
-                    f"{name}: too few independent stretches to tell chance: judged by"
-                    f" {100 * WORSE:g} % alone. Record {FEWEST_RUNS} test runs or more.",
-                    name,
+                    kind="few_blocks",
+                    output=name,
+                    text=(
+                        f"{name}: too few independent stretches to tell chance: judged by"
+                        f" {100 * WORSE:g} % alone. Record {FEWEST_RUNS} test runs or more."
+                    ),
                 )
             )
         if not contrast.counts:
             continue
         refused.append(
             Statement(
-                kind,
-                f"{name}: on rows inside the calibrated ranges the chip's error is {own:.3g} {unit}"
-                f" RMS, {words} {_rms(other):.3g} {unit} ({_count(pool)})."
-                " Look at the logs (`zerodrift compare`), or record more runs.",
-                name,
+                kind=kind,
+                output=name,
+                text=(
+                    f"{name}: on rows inside the calibrated ranges the chip's error is {own:.3g}"
+                    f" {unit} RMS, {words} {_rms(other):.3g} {unit} ({_count(pool)})."
+                    " Look at the logs (`zerodrift compare`), or record more runs."
+                ),
             )
         )
     floating = _rms(pool.floating)
     if own**2 > (1.0 + WORSE_THAN_FLOAT) * (floating**2 + budget**2):
         refused.append(
             Statement(
-                "worse_than_float",
-                f"{name}: on rows inside the calibrated ranges the chip errs by {own:.3g} {unit}"
-                f" RMS, the float model by {floating:.3g} {unit}; rounding is budgeted with"
-                f" {budget:.2g} {unit}. {_name_cause(split, name, unit, replay)}",
-                name,
+                kind="worse_than_float",
+                output=name,
+                text=(
+                    f"{name}: on rows inside the calibrated ranges the chip errs by {own:.3g}"
+                    f" {unit} RMS, the float model by {floating:.3g} {unit}; rounding is budgeted"
+                    f" with {budget:.2g} {unit}. {_name_cause(split, name, unit, replay)}"
+                ),
             )
         )
     return refused, warnings
@@ -310,18 +302,20 @@ def _judge_all(
     reasons = "; ".join(str(excursion) for excursion in excursions)
     return [
         Statement(
-            "worse_beyond_range",
-            f"{name}: over all rows, those outside the calibrated ranges among them, the chip's"
-            f" error is {own:.3g} {unit} RMS, without compensation it is {none:.3g} {unit}:"
-            f" {reasons}.",
-            name,
+            kind="worse_beyond_range",
+            output=name,
+            text=(
+                f"{name}: over all rows, those outside the calibrated ranges among them, the chip's"
+                f" error is {own:.3g} {unit} RMS, without compensation it is {none:.3g} {unit}:"
+                f" {reasons}."
+            ),
         )
     ]
 
 
 def _name_cause(split: ChipError, name: str, unit: str, replay: Replay) -> str:
     """Return what the largest part of the difference is, and what to do about it."""
-    parts = split.to_dict()
+    parts = asdict(split)
     parts.pop("out_of_range")
     worst = max(parts, key=lambda part: parts[part])
     k = [output.name for output in replay.model.outputs].index(name)

@@ -1,6 +1,5 @@
 """What the page's buttons do: each runs a command, as a user would type it."""
 
-import shlex
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -19,13 +18,11 @@ TITLES = {
 
 def find_form(place: Workplace, kind: str) -> list[str]:
     """Return the options with which the diagnosis proposed an effect; none for another one."""
-    told = (place.findings.told.get("diagnose") if place.findings else None) or {}
-    commands = [told.get("command"), *(t["command"] for t in told.get("thermometers", ()))]
-    for command in commands:
-        words = shlex.split(command or "")
-        if words[2:3] == [kind]:
-            return words[3:]
-    return []
+    explained = place.findings.diagnosed if place.findings else None
+    if explained is None:
+        return []
+    commands = (explained.command, *(other.command for other in explained.thermometers))
+    return next((list(c.options) for c in commands if c is not None and c.kind == kind), [])
 
 
 def add(place: Workplace, kind: str, *, force: bool) -> None:

@@ -69,7 +69,7 @@ def draw_main(
     window = choose_window(trace, output, part, wanted, drawn)
     figure = draw_run(
         trace,
-        findings.told["compare"],
+        findings.comparison,
         output,
         window,
         ghost=None if curve is None else curve[k],

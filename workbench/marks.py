@@ -23,7 +23,7 @@ def mark_files(directory: Path, findings: Findings | None) -> Marks:
     places |= set(directory.glob(f"{LOGS}/*"))
     places |= {directory / "build" / name for name in BUILT}
     if findings is not None:
-        places |= {directory / told["file"] for told in findings.told["provenance"]["files"]}
+        places |= {directory / source.file for source in findings.provenance.files}
     marks = {}
     for path in sorted(places):
         try:

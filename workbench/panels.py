@@ -6,10 +6,11 @@ from typing import Any
 
 from dash import dcc, html
 
+from zerodrift.diagnosis.comparison_summary import WorstSegment
 from zerodrift.report import tables
 from zerodrift.report.figures import draw_budget, draw_revision, draw_staircase
 from zerodrift.report.findings import Findings
-from zerodrift.report.report import list_tiles, read_steps
+from zerodrift.report.report import list_tiles
 from zerodrift.report.tables import Table
 
 GRAPH = {
@@ -61,23 +62,23 @@ def show_segments(findings: Findings, run: str, output: str) -> list[Any]:
         run: which one is shown.
         output: which one is shown.
     """
-    compared = findings.told["compare"]
+    compared = findings.comparison
     legend = "Dotted lines: ± noise floor. Drag to zoom, double-click to go back."
-    if not compared["worst"]:
+    if not compared.worst:
         return [html.P(f"No segment stands out of the noise. {legend}", className="note")]
     items = []
-    for number, segment in enumerate(compared["worst"], 1):
-        is_here = (segment["run"], segment["output"]) == (run, output)
-        unit = compared["outputs"][segment["output"]]["unit"]
+    for number, segment in enumerate(compared.worst, 1):
+        is_here = (segment.run, segment.output) == (run, output)
+        unit = compared.outputs[segment.output].unit
         words = (
-            f"{number}. {segment['run']}, {segment['output']}, {segment['from_s']:.6g} to "
-            f"{segment['to_s']:.6g} s"
+            f"{number}. {segment.run}, {segment.output}, {segment.from_s:.6g} to "
+            f"{segment.to_s:.6g} s"
         )
         items.append(
             html.Li(
                 [
                     html.Button(words, **{"data-choose": json.dumps(find_part(findings, segment))}),
-                    f" {segment['pattern']}, RMSE {segment['rmse']:.3g} {unit}"
+                    f" {segment.pattern}, RMSE {segment.rmse:.3g} {unit}"
                     + (" (shaded above)" if is_here else ""),
                 ]
             )
@@ -88,20 +89,20 @@ def show_segments(findings: Findings, run: str, output: str) -> list[Any]:
     ]
 
 
-def find_part(findings: Findings, segment: Mapping[str, Any]) -> dict[str, Any]:
+def find_part(findings: Findings, segment: WorstSegment) -> dict[str, Any]:
     """Return output, run and part to be shown of a worst segment: it, and as much on either side.
 
     Args:
         findings: what was found.
         segment: one of the worst, as `compare` tells it.
     """
-    beside = segment["to_s"] - segment["from_s"]
-    time_s = findings.find_trace(segment["run"]).time_s
+    beside = segment.to_s - segment.from_s
+    time_s = findings.find_trace(segment.run).time_s
     return {
-        "output": segment["output"],
-        "run": segment["run"],
-        "from_s": max(segment["from_s"] - beside, float(time_s[0])),
-        "to_s": min(segment["to_s"] + beside, float(time_s[-1])),
+        "output": segment.output,
+        "run": segment.run,
+        "from_s": max(segment.from_s - beside, float(time_s[0])),
+        "to_s": min(segment.to_s + beside, float(time_s[-1])),
     }
 
 
@@ -143,34 +144,33 @@ def show_revision(revision: Mapping[str, Any]) -> list[Any]:
 
 def show_staircase(findings: Findings) -> list[Any]:
     """Return the staircase of errors, once there is a step."""
-    steps = read_steps(findings.told["history"])
-    if not steps:
+    if not findings.steps:
         return [html.P("No step yet: adding an effect makes the first.", className="note")]
     words = "Held-out error over the noise floor, step by step."
     return [
-        show_figure(draw_staircase(steps), words),
-        show_table(tables.tabulate_steps(findings.told["history"]), folded=True),
+        show_figure(draw_staircase(findings.steps), words),
+        show_table(tables.tabulate_steps(findings.steps), folded=True),
     ]
 
 
 def show_errors(findings: Findings) -> list[Any]:
     """Return the errors per output and run, and where the model fails."""
-    compared = findings.told["compare"]
-    parts: list[Any] = [html.P(s, className="note") for s in findings.told["compare_sentences"]]
+    compared = findings.comparison
+    parts: list[Any] = [html.P(s, className="note") for s in findings.comparison_sentences]
     parts.append(show_table(tables.tabulate_outputs(compared)))
     parts.append(show_table(tables.tabulate_runs(compared), folded=True))
     parts.append(html.H3("Where the model fails"))
-    parts += [html.P(s) for s in findings.told["patterns"]] or [
+    parts += [html.P(s) for s in findings.patterns] or [
         html.P("No pattern was found that holds on runs left out.")
     ]
-    if compared["worst"]:
+    if compared.worst:
         parts.append(show_table(tables.tabulate_worst(compared)))
     return parts
 
 
 def show_model(findings: Findings) -> list[Any]:
     """Return the effects in the model with their parameters."""
-    model = findings.told["model"]
+    model = findings.model
     return [
         show_table(tables.tabulate_parameters(model)),
         show_table(tables.tabulate_coefficients(model), folded=True),
@@ -179,10 +179,10 @@ def show_model(findings: Findings) -> list[Any]:
 
 def show_firmware(findings: Findings) -> list[Any]:
     """Return error budget, sizes and certificate of the last firmware, where it is current."""
-    firmware, certificate = findings.told["firmware"], findings.told["certificate"]
+    firmware, certificate = findings.firmware, findings.certificate
     if firmware is None:
-        return [html.P(findings.told["firmware_note"], className="note")]
-    compared = findings.told["compare"]
+        return [html.P(findings.firmware_note, className="note")]
+    compared = findings.comparison
     return [
         show_figure(draw_budget(firmware, compared), "Error budget in percent of full scale."),
         show_table(tables.tabulate_budget(firmware, compared), folded=True),
@@ -190,7 +190,7 @@ def show_firmware(findings: Findings) -> list[Any]:
         show_table(tables.tabulate_firmware(firmware)),
         show_table(tables.tabulate_certificate(certificate), folded=True)
         if certificate
-        else html.P(findings.told["firmware_note"], className="note"),
+        else html.P(findings.firmware_note, className="note"),
     ]
 
 

@@ -1,15 +1,17 @@
 """The parts of the page that tell the verdict: what is missing, why, and why not the others."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from dash import html
 
+from zerodrift.diagnosis.diagnosis import CandidateReport
+from zerodrift.diagnosis.explained import DETAIL, ExplainedDiagnosis
 from zerodrift.report import tables
 from zerodrift.report.figures import draw_candidates
 from zerodrift.report.findings import Findings
-from zerodrift.report.report import list_details
+from zerodrift.report.report import list_notes
 from zerodrift.report.verdict import explain_candidate, write_headline
 from zerodrift.workbench.panels import show_figure, show_table
 
@@ -25,30 +27,21 @@ def show_verdict(findings: Findings, *, diagnosing: bool, hides: bool) -> tuple[
         diagnosing: whether the verdict is still being found.
         hides: whether a guess is asked for first.
     """
-    diagnosed = findings.told["diagnose"]
+    explained = findings.diagnosed
     if hides:
         text = "Something may be hidden in these simulated logs. Guess first, then let it tell you."
         return "verdict none", [html.P(text, className="sentence")]
-    if diagnosed is None and diagnosing:
+    if explained is None and diagnosing:
         return "verdict none", [html.P("Diagnosing …", className="sentence")]
-    headline = write_headline(diagnosed, findings.told["titles"])
+    headline = write_headline(explained.diagnosis if explained else None, findings.titles)
     parts: list[Any] = [
         html.P(headline.label, className="kicker"),
         html.P(headline.sentence, className="sentence", id="verdict-sentence"),
     ]
-    details = list_details(findings.told["diagnose_sentences"])
-    parts += [html.P(s, className="note") for s in details if not s.startswith("To add it")]
-    notes = dict.fromkeys((*findings.told["notes"], *(diagnosed or {}).get("notes", ())))
-    parts += [html.P(f"Note: {note}", className="note") for note in notes]
+    sentences = explained.sentences if explained else ()
+    parts += [html.P(s.text, className="note") for s in sentences if s.role == DETAIL]
+    parts += [html.P(f"Note: {note}", className="note") for note in list_notes(findings)]
     return f"verdict {headline.kind.replace(' ', '-')}", parts
-
-
-def list_addable(findings: Findings) -> list[str]:
-    """Return the effects that the verdict names, the likeliest first, look-alikes after it."""
-    diagnosed = findings.told["diagnose"]
-    if diagnosed is None or diagnosed["effect"] is None:
-        return []
-    return [diagnosed["effect"], *diagnosed["lookalikes"]]
 
 
 def make_add(effect: str, *, words: str = "", primary: bool = False) -> Any:
@@ -68,17 +61,16 @@ def make_add(effect: str, *, words: str = "", primary: bool = False) -> Any:
 
 def show_adds(findings: Findings) -> list[Any]:
     """Return a button for each effect that the verdict names, its look-alikes included."""
-    diagnosed = findings.told["diagnose"]
-    names = list_addable(findings)
+    explained = findings.diagnosed
+    if explained is None:
+        return []
     alike = [
         make_add(name, words=f"Add look-alike {name}" if number else "", primary=not number)
-        for number, name in enumerate(names)
+        for number, name in enumerate(explained.named)
     ]
-    others = diagnosed["thermometers"] if diagnosed is not None else []
-    if others:
-        told = others[0]
-        kind = told["command"].split()[2]
-        alike.append(make_add(kind, words=f"Add {kind} after {told['signal']}", primary=True))
+    for other in explained.thermometers[:1]:
+        kind = other.command.kind
+        alike.append(make_add(kind, words=f"Add {kind} after {other.signal}", primary=True))
     return alike
 
 
@@ -89,32 +81,35 @@ def show_candidates(findings: Findings, previews: Sequence[str]) -> list[Any]:
         findings: what was found.
         previews: effects that can be drawn over what is left.
     """
-    diagnosed = findings.told["diagnose"]
-    if diagnosed is None:
+    explained = findings.diagnosed
+    if explained is None:
         return [html.P("Not diagnosed yet.", className="note")]
-    named = set(list_addable(findings))
+    diagnosis = explained.diagnosis
     cards = [
-        _show_candidate(findings, candidate, candidate["effect"] in named, previews)
-        for candidate in diagnosed["candidates"][:MOST_CARDS]
+        _show_candidate(findings, explained, candidate, previews)
+        for candidate in diagnosis.candidates[:MOST_CARDS]
     ]
     parts: list[Any] = [html.Ol(cards, className="ranking")] if cards else []
-    if diagnosed["candidates"]:
+    if diagnosis.candidates:
         words = "Held-out error with each candidate; shorter is better. Hatched: not named."
-        parts.append(show_figure(draw_candidates(diagnosed), words))
-    table = tables.tabulate_candidates(diagnosed, findings.told["titles"])
+        parts.append(show_figure(draw_candidates(diagnosis), words))
+    table = tables.tabulate_candidates(diagnosis, findings.titles)
     return [*parts, show_table(table, folded=True)]
 
 
 def _show_candidate(
-    findings: Findings, candidate: Mapping[str, Any], is_named: bool, previews: Sequence[str]
+    findings: Findings,
+    explained: ExplainedDiagnosis,
+    candidate: CandidateReport,
+    previews: Sequence[str],
 ) -> Any:
     """Return one candidate: why or why not, its equation, and what can be done with it."""
-    kind = candidate["effect"]
-    effect = findings.told["catalogue"].get(kind, {})
-    units = {told["name"]: told["unit"] for told in effect.get("parameters", ())}
+    kind, is_named = candidate.effect, candidate.effect in explained.named
+    effect = findings.catalogue.get(kind)
+    units = {parameter.name: parameter.unit for parameter in effect.parameters} if effect else {}
     fitted = ", ".join(
         f"{name} {value:.4g} {units.get(name, '').removeprefix('1')}".rstrip()
-        for name, value in candidate["parameters"].items()
+        for name, value in candidate.parameters.items()
     )
     buttons = [make_add(kind, primary=is_named)]
     if kind in previews:
@@ -126,21 +121,21 @@ def _show_candidate(
         buttons.insert(0, draw)
     return html.Li(
         [
-            html.H3([html.Code(kind), " ", effect.get("title", "")]),
+            html.H3([html.Code(kind), " ", effect.title if effect else ""]),
             html.P(
-                explain_candidate(findings.told["diagnose"], candidate),
+                explain_candidate(explained.diagnosis, candidate),
                 className="standing" if is_named else "",
             ),
             html.P(
                 [
                     f"Fitted: {fitted}. " if fitted else "",
-                    f"{100.0 * candidate['excitation']:.0f} % of it cannot be imitated by the "
+                    f"{100.0 * candidate.excitation:.0f} % of it cannot be imitated by the "
                     "effects in the model.",
                 ],
                 className="note",
             ),
-            html.P(html.Code(effect.get("equation", ""))),
-            html.P(f"Looks like: {effect.get('fingerprint', '')}", className="note"),
+            html.P(html.Code(effect.equation if effect else "")),
+            html.P(f"Looks like: {effect.fingerprint if effect else ''}", className="note"),
             html.Div(buttons, className="actions"),
         ],
         className="named" if is_named else "",
@@ -149,23 +144,23 @@ def _show_candidate(
 
 def show_effect(findings: Findings, kind: str) -> list[Any]:
     """Return what the catalogue says about an effect, and its standing in the diagnosis."""
-    effect: Mapping[str, Any] | None = findings.told["catalogue"].get(kind)
+    effect = findings.catalogue.get(kind)
     if effect is None:
         return []
-    diagnosed = findings.told["diagnose"]
+    diagnosis = findings.diagnosed.diagnosis if findings.diagnosed is not None else None
     parts: list[Any] = [
-        html.P([html.B(effect["title"]), ". ", effect["physics"]]),
-        html.P(html.Code(effect["equation"])),
-        html.P(["Looks like: ", effect["fingerprint"]], className="note"),
-        html.P(["To provoke it: ", effect["provoke"]], className="note"),
-        html.P(["Cure in hardware: ", effect["cure"]], className="note"),
+        html.P([html.B(effect.title), ". ", effect.physics]),
+        html.P(html.Code(effect.equation)),
+        html.P(["Looks like: ", effect.fingerprint], className="note"),
+        html.P(["To provoke it: ", effect.provoke], className="note"),
+        html.P(["Cure in hardware: ", effect.cure], className="note"),
     ]
-    for candidate in diagnosed["candidates"] if diagnosed else ():
-        if candidate["effect"] == kind:
-            words = explain_candidate(diagnosed, candidate)
+    for candidate in diagnosis.candidates if diagnosis else ():
+        if diagnosis is not None and candidate.effect == kind:
+            words = explain_candidate(diagnosis, candidate)
             parts.insert(0, html.P(words, className="standing"))
-    for untested in diagnosed["not_testable"] if diagnosed else ():
-        if untested["effect"] == kind:
-            why = f"Here: not testable with these logs: {untested['why']}."
+    for untested in diagnosis.not_testable if diagnosis else ():
+        if untested.effect == kind:
+            why = f"Here: not testable with these logs: {untested.why}."
             parts.insert(0, html.P(why, className="standing"))
     return parts

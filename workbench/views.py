@@ -55,16 +55,16 @@ def show_top(
         return tuple([no_update] * 11)
     waits = hides(place, told)
     kind, parts = verdicts.show_verdict(findings, diagnosing=place.diagnosing, hides=waits)
-    addable = verdicts.list_addable(findings)
+    addable = list(findings.diagnosed.named) if findings.diagnosed is not None else []
     badge = [html.Span("Simulated data", className="badge")] if findings.simulated else []
-    compared = findings.told["compare"]
-    effects = ", ".join(compared["effects"]) or "a constant only"
+    effects = ", ".join(findings.comparison.effects) or "a constant only"
     guessed = ""
-    diagnosed = findings.told["diagnose"]
-    if told and guess and diagnosed is not None:
-        named = addable or [NOTHING if diagnosed["verdict"] == "complete" else "unknown"]
+    explained = findings.diagnosed
+    if told and guess and explained is not None:
+        is_complete = explained.diagnosis.verdict == "complete"
+        named = addable or [NOTHING if is_complete else "unknown"]
         guessed = f"You guessed {guess}: {'so does the diagnosis' if guess in named else 'not so'}."
-    model = PREDICTORS.get(compared["model"], f"effects and network ({compared['model']})")
+    model = PREDICTORS.get(findings.predictor, f"effects and network ({findings.predictor})")
     return (
         ["Workbench ", *badge],
         findings.sensor,
@@ -72,7 +72,7 @@ def show_top(
         kind,
         parts,
         not waits,
-        write_choices([NOTHING, *findings.told["catalogue"]]),
+        write_choices([NOTHING, *findings.catalogue]),
         guessed,
         waits,
         verdicts.show_adds(findings),
@@ -92,21 +92,21 @@ def list_choices(place: Workplace, told: bool | None) -> tuple[Any, ...]:
     first_output, first_run = choose_first(findings)
     runs = [(t.run + ("" if t.held_out else " (learnt from)"), t.run) for t in findings.traces]
     ghosts = [] if hides(place, told) else list(place.previews)
-    kinds = [term["name"] for term in findings.told["model"]["terms"]]
+    kinds = [term.name for term in findings.model.terms]
     return (
         write_choices(findings.outputs, first_output),
         json.dumps({"choices": runs, "first": first_run}),
         write_choices(ghosts),
-        write_choices(list(findings.told["catalogue"])),
+        write_choices(list(findings.catalogue)),
         write_choices(kinds),
     )
 
 
 def choose_first(findings: Findings) -> tuple[str, str]:
     """Return the output and the run that are shown at first: those of the worst segment."""
-    worst = findings.told["compare"]["worst"]
+    worst = findings.comparison.worst
     if worst:
-        return worst[0]["output"], worst[0]["run"]
+        return worst[0].output, worst[0].run
     return findings.outputs[0], findings.traces[0].run
 
 

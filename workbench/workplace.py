@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from zerodrift.base.config import FILE_NAME
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import from_json
+from zerodrift.diagnosis.explained import ExplainedDiagnosis
 from zerodrift.report.findings import Findings, load_findings
 from zerodrift.workbench.events import (
     DIAGNOSED,
@@ -185,12 +187,12 @@ class Workplace:
 
     def _take_over(self, event: str, result: Path) -> None:
         if event == SURVEYED:
-            kept = self.findings.told if self._result == result and self.findings else None
+            kept = self.findings.diagnosed if self._result == result and self.findings else None
             self.findings = load_findings(result)
             # The findings name logs elsewhere in the project; what was known stays as it was.
             self._marks = {**mark_files(self.directory, self.findings), **self._marks}
             if kept is not None:
-                self._set_diagnosis(kept["diagnose"], kept["diagnose_sentences"])
+                self.findings = replace(self.findings, diagnosed=kept)
             if self._result != result:
                 self._forget(self._result)
                 self._result, self.previews = result, ()
@@ -210,13 +212,9 @@ class Workplace:
     def _read_diagnosis(self, result: Path) -> None:
         path = result / DIAGNOSIS
         if path.exists():
+            assert self.findings is not None
             found = json.loads(path.read_text(encoding="utf-8"))
-            self._set_diagnosis(found["diagnosis"], found["sentences"])
-
-    def _set_diagnosis(self, diagnosis: Any, sentences: Any) -> None:
-        assert self.findings is not None
-        told = {**self.findings.told, "diagnose": diagnosis, "diagnose_sentences": sentences}
-        self.findings = replace(self.findings, told=told)
+            self.findings = replace(self.findings, diagnosed=from_json(ExplainedDiagnosis, found))
 
     # --- doing ----------------------------------------------------------------------------------
 

@@ -1,7 +1,7 @@
 """Wrong firmware is refused and right firmware is not, each case as a user met it."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -168,7 +168,7 @@ def test_difference_is_split_by_cause_and_the_squares_add_up(
     assert split.clamped == pytest.approx(4.0 / 5**0.5)
     assert split.saturated == pytest.approx(61.0**0.5 / 5**0.5)
     whole = np.sqrt(np.mean(replayed.difference**2))
-    assert np.sqrt(sum(x**2 for x in split.to_dict().values())) == pytest.approx(whole)
+    assert np.sqrt(sum(x**2 for x in asdict(split).values())) == pytest.approx(whole)
     assert [list(mask) for mask in replay.list_plain_rows()] == [[True] + [False] * 4]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from zerodrift.base.config import EffectConfig
-from zerodrift.diagnosis.changes import write_command
+from zerodrift.diagnosis.changes import propose_command
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.catalogue import load_catalogue
 
@@ -90,15 +90,19 @@ def test_add_takes_the_form_that_is_needed_by_itself(make_project, zerodrift):
 def test_a_new_effect_is_added_in_the_form_that_was_found():
     creep = load_catalogue()["creep"]
     found = {"time_constants": 2.0, "tau_s": 90.0, "slow_tau_s": 900.0}
-    assert write_command([], creep, found) == "zerodrift add creep --hold time_constants=2"
-    assert write_command([], creep, {"tau_s": 90.0}) == "zerodrift add creep"
+    assert (
+        propose_command([], creep, found).write() == "zerodrift add creep --hold time_constants=2"
+    )
+    assert propose_command([], creep, {"tau_s": 90.0}).write() == "zerodrift add creep"
 
 
 def test_a_choice_that_is_held_already_is_not_held_again():
     creep = load_catalogue()["creep"]
     present = [EffectConfig("creep", {"time_constants": 2.0})]
     found = {"time_constants": 2.0, "cross_axes": 1.0, "tau_s": 90.0, "slow_tau_s": 900.0}
-    assert write_command(present, creep, found) == "zerodrift add creep --hold cross_axes=1"
+    assert (
+        propose_command(present, creep, found).write() == "zerodrift add creep --hold cross_axes=1"
+    )
 
 
 def test_another_thermometer_that_the_drift_follows_is_found(make_project, zerodrift):

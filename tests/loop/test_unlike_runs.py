@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from zerodrift.app.commands.survey import survey_project
+from zerodrift.app.commands.survey import describe_survey, survey_project
 from zerodrift.report.report import render_report
 
 
@@ -46,7 +46,7 @@ def test_one_bad_run_is_named_where_no_effect_explains_it(make_project, zerodrif
     assert "in run run_3" in note
     found = survey_project(project.directory)
     told.pop("advice")  # the report has it from `compare`
-    assert found.told["diagnose"] == told
+    assert describe_survey(found)["diagnose"] == told
     assert note in render_report(found)
 
 

@@ -7,7 +7,13 @@ import pytest
 from tests.loop.conftest import Project, write_project
 
 from zerodrift.app.commands.survey import survey_project
-from zerodrift.report.findings import Findings, Trace
+from zerodrift.diagnosis.comparison_summary import (
+    ComparisonSummary,
+    OutputSummary,
+    WorstSegment,
+)
+from zerodrift.physics.summary import ModelSummary
+from zerodrift.report.findings import Findings, Provenance, Trace
 
 
 @pytest.fixture(scope="session")
@@ -47,4 +53,40 @@ def make_trace(
         drift[None],
         error[None],
         np.zeros(1),
+    )
+
+
+def make_findings(**changes) -> Findings:
+    """Return findings of one output that hold nothing but what is given."""
+    empty = {
+        "sensor": "cell",
+        "outputs": ("Fz",),
+        "units": ("N",),
+        "full_scale": (200.0,),
+        "simulated": False,
+        "predictor": "physics",
+        "comparison": make_comparison(),
+        "advice": None,
+        "comparison_sentences": (),
+        "patterns": (),
+        "diagnosed": None,
+        "steps": (),
+        "model": ModelSummary((), 25.0, ()),
+        "firmware": None,
+        "certificate": None,
+        "firmware_note": "",
+        "catalogue": {},
+        "provenance": Provenance((), {}, ""),
+        "notes": (),
+        "skip_invalid": False,
+        "traces": (),
+    }
+    return Findings(**{**empty, **changes})
+
+
+def make_comparison(worst: tuple[WorstSegment, ...] = (), full_scale: float = 200.0):
+    """Return what `compare` would say of one output, Fz in N."""
+    output = OutputSummary("N", full_scale, 5.0, 1.0, 1.0, 2.0, 0.5, 1.0, 0.1, 0.9, 0.0)
+    return ComparisonSummary(
+        {"Fz": output}, {}, worst, (), (), "leave one run out", "dwell", False, 0.0
     )

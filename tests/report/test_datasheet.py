@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from tests.report.conftest import make_trace
+from tests.report.conftest import make_comparison, make_trace
 
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.report.datasheet import measure_datasheet
 
-TELL = {"outputs": {"Fz": {"unit": "N", "full_scale": 500.0}}}
+TELL = make_comparison(full_scale=500.0)
 TAU_S = 400.0
 
 
@@ -38,7 +38,7 @@ def make_runs(*, tk0=0.2, tkc=0.0004, creep=0.004, loop=0.0, loaded=True, runs=6
 
 
 def read(rows, quantity):
-    return next(row for row in rows if row["quantity"].startswith(quantity))
+    return next(row for row in rows if row.quantity.startswith(quantity))
 
 
 @pytest.mark.parametrize(
@@ -52,27 +52,27 @@ def read(rows, quantity):
 def test_datasheet_finds_what_was_planted_before_and_after(quantity, truth):
     row = read(measure_datasheet(make_runs(), TELL), quantity)
     for which, share in (("before", 1.0), ("after", 0.1)):
-        value, error = row[which]
+        value, error = getattr(row, which)
         assert error > 0.0
         assert value == pytest.approx(share * truth, abs=max(4.0 * error, 0.03 * abs(truth)))
 
 
 def test_datasheet_finds_a_planted_loop():
     row = read(measure_datasheet(make_runs(loop=2.0, tkc=0.0, creep=0.0), TELL), "temperature")
-    assert row["before"][0] == pytest.approx(100.0 * 2.0 / 500.0, rel=0.15)
-    assert row["after"][0] == pytest.approx(100.0 * 0.2 / 500.0, rel=0.3)
+    assert row.before[0] == pytest.approx(100.0 * 2.0 / 500.0, rel=0.15)
+    assert row.after[0] == pytest.approx(100.0 * 0.2 / 500.0, rel=0.3)
 
 
 def test_datasheet_says_what_these_logs_cannot_tell():
     rows = measure_datasheet(make_runs(loaded=False), TELL)
     for quantity in ("TKC", "creep"):
         row = read(rows, quantity)
-        assert row["before"] is row["after"] is None
-        assert "no load" in row["note"]
-    assert read(rows, "TK0")["before"] is not None
+        assert row.before is row.after is None
+        assert "no load" in row.note
+    assert read(rows, "TK0").before is not None
 
 
 def test_datasheet_of_one_run_has_no_uncertainty():
-    value, error = read(measure_datasheet(make_runs(runs=1), TELL), "TK0")["before"]
+    value, error = read(measure_datasheet(make_runs(runs=1), TELL), "TK0").before
     assert value == pytest.approx(0.4, rel=0.05)
     assert error is None

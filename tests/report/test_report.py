@@ -2,13 +2,14 @@
 
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
 from zerodrift.app.commands.built import read_certificate
-from zerodrift.app.commands.survey import survey_project
+from zerodrift.app.commands.survey import describe_survey, survey_project
 from zerodrift.report.figures_runs import bin_means, draw_residual, list_means
 from zerodrift.report.findings import (
     ARRAYS,
@@ -66,13 +67,13 @@ def test_report_shows_the_numbers_of_the_commands(surveyed, zerodrift):
     project, findings = surveyed
     text = " ".join(read(render_report(findings)).text)
     compared = json.loads(zerodrift("compare", "-C", project.directory, "--json").out)
-    assert findings.told["compare"] == compared
+    assert describe_survey(findings)["compare"] == compared
     diagnosed = json.loads(zerodrift("diagnose", "-C", project.directory, "--json").out)
     assert diagnosed.pop("advice") == compared["advice"]
     for sentence in compared["advice"]["sentences"]:
         assert sentence in text
     diagnosed["command"] = diagnosed["command"].partition(" -C ")[0]
-    assert findings.told["diagnose"] == diagnosed
+    assert describe_survey(findings)["diagnose"] == diagnosed
     assert f"The model lacks {diagnosed['effect']}" in text
     for told in compared["outputs"].values():
         assert f"{told['rmse_heldout']:.4g}" in text
@@ -117,7 +118,7 @@ def test_parts_in_the_table_cover_each_run_and_are_those_of_the_samples(surveyed
 
 def test_means_in_the_table_are_those_of_the_samples(surveyed):
     findings = surveyed[1]
-    figure = draw_residual(findings.traces, findings.told["compare"], "Fz")
+    figure = draw_residual(findings.traces, findings.comparison, "Fz")
     means = [row for row in list_means(figure) if row[:2] == ("temperature, degC", "heating")]
     shown = [trace for trace in findings.traces if trace.held_out]
     moving = find_threshold(shown)
@@ -162,7 +163,7 @@ def test_diagnosis_is_kept_until_the_logs_change(surveyed, monkeypatch):
     project, findings = surveyed
     monkeypatch.setattr("zerodrift.app.commands.survey.find_verdict", None)
     again = survey_project(project.directory)
-    assert again.told["diagnose"] == findings.told["diagnose"]
+    assert again.diagnosed == findings.diagnosed
 
 
 def test_diagnosis_of_other_logs_is_not_shown(project, zerodrift):
@@ -179,7 +180,7 @@ def test_findings_come_back_as_they_were_saved(surveyed, tmp_path):
     findings = surveyed[1]
     save_findings(findings, tmp_path)
     back = load_findings(tmp_path)
-    assert back.told == json.loads(json.dumps(findings.told))
+    assert replace(back, traces=()) == replace(findings, traces=())
     for old, new in zip(findings.traces, back.traces, strict=True):
         assert (old.run, old.held_out) == (new.run, new.held_out)
         for name in ARRAYS:
@@ -189,7 +190,7 @@ def test_findings_come_back_as_they_were_saved(surveyed, tmp_path):
 def test_held_out_errors_of_the_traces_are_those_of_the_command(surveyed):
     findings = surveyed[1]
     error = np.concatenate([t.error[0] for t in findings.traces if t.held_out])
-    told = findings.told["compare"]["outputs"][findings.outputs[0]]["rmse_heldout"]
+    told = findings.comparison.outputs[findings.outputs[0]].rmse_heldout
     assert np.sqrt(np.mean(error**2)) == pytest.approx(told, rel=1e-12)
 
 
@@ -230,8 +231,8 @@ def test_firmware_of_another_model_is_not_shown(surveyed, tmp_path, zerodrift):
     build.mkdir()
     (build / "firmware.json").write_text('{"model_hash": "0"}')
     findings = survey_project(other.directory, wants_diagnosis=False)
-    assert findings.told["firmware"] is None
-    assert "cannot be shown" in findings.told["firmware_note"]
+    assert findings.firmware is None
+    assert "cannot be shown" in findings.firmware_note
 
 
 def test_full_disk_is_a_message_and_leaves_the_old_report(project, zerodrift, monkeypatch):
@@ -262,9 +263,9 @@ def test_bounds_are_those_of_the_model_s_own_certificate(tmp_path):
     ]
     path.write_text(json.dumps({"model": "abc", "bounds": bounds}))
     told, note = read_certificate(path, "abc")
-    assert told["bounds"] == 2 and note == ""
-    assert [b["where"] for b in told["tightest"]] == ["b", "a"]
-    assert told["tightest"][0]["headroom_bits"] == 0.0
+    assert told.bounds == 2 and note == ""
+    assert [b.where for b in told.tightest] == ["b", "a"]
+    assert told.tightest[0].headroom_bits == 0.0
     assert "of another model" in read_certificate(path, "abd")[1]
     for damage in ('{"model": "abc"}', '{"model": "abc", "bounds": [3]}', "[]", '{"model": '):
         path.write_text(damage)
@@ -287,4 +288,4 @@ def test_report_sets_samples_at_the_rails_aside_as_compare_does(project, zerodri
     project.toml.write_text(text)
     findings = survey_project(project.directory, wants_diagnosis=False)
     compared = json.loads(zerodrift("compare", "-C", project.directory, "--json").out)
-    assert findings.told["compare"] == compared
+    assert describe_survey(findings)["compare"] == compared

@@ -2,42 +2,59 @@
 
 import pytest
 
+from zerodrift.diagnosis.candidates import Untested
+from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis
 from zerodrift.report.verdict import write_headline
 
 TITLES = {"creep": "creep and creep recovery"}
 
 
+def rate(effect, ratio, p=0.004):
+    return CandidateReport(effect, ratio, p, 0.4, {})
+
+
 def told(verdict, effect=None, **changes):
-    return {
-        "verdict": verdict,
-        "effect": effect,
-        "lookalikes": [],
-        "also": [],
-        "nearest": None,
-        "candidates": [{}],
-        "not_testable": [],
-        "floor_ratio_before": 5.0,
-        "floor_ratio_after": 1.03,
-        "floor": "dwell",
-        **changes,
-    }
+    return Diagnosis(
+        **{
+            "verdict": verdict,
+            "effect": effect,
+            "parameters": {},
+            "lookalikes": (),
+            "also": (),
+            "nearest": None,
+            "candidates": (rate("drift", 0.9),),
+            "not_testable": (),
+            "floor_ratio_before": 5.0,
+            "floor_ratio_after": 1.03,
+            "floor_source": "dwell",
+            "outputs": {},
+            "remainder": (),
+            "next_experiment": "",
+            "evidence": "8 runs",
+            **changes,
+        }
+    )
 
 
 @pytest.mark.parametrize(
     ("diagnosed", "kind", "words"),
     [
         (told("missing", "creep"), "missing", "lacks creep, creep and creep recovery"),
-        (told("missing", "creep", also=["ageing"]), "missing", "beside it: ageing"),
+        (told("missing", "creep", also=("ageing",)), "missing", "beside it: ageing"),
         (
-            told("missing", "creep", lookalikes=["ageing"]),
+            told("missing", "creep", lookalikes=("ageing",)),
             "lookalikes",
             "creep or ageing: these logs cannot tell which",
         ),
         (told("complete"), "complete", "Nothing is missing; the held-out error is 5.00 times"),
-        (told("complete", not_testable=[{}, {}]), "complete", "2 cannot be tested"),
-        (told("complete", candidates=[]), "not testable", "can test no further effect"),
+        (
+            told("complete", not_testable=(Untested("a", "b"),) * 2),
+            "complete",
+            "2 cannot be tested",
+        ),
+        (told("complete", candidates=()), "not testable", "can test no further effect"),
         (told("unknown", nearest="creep"), "unknown", "Nearest, and not it: creep"),
-        (told("complete", floor="estimated"), "complete", "which is estimated"),
+        (told("complete", floor_source="estimated"), "complete", "which is estimated"),
         (None, "none", "Not diagnosed"),
     ],
 )

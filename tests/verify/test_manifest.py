@@ -12,9 +12,19 @@ from tests.verify.conftest import write_firmware
 from zerodrift.app.commands.built import read_firmware
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import CheckError
+from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.verify.manifest import FILE_NAME, Finding, check_manifest, load_manifest
+from zerodrift.verify.summary import (
+    BudgetSummary,
+    ChipError,
+    Claims,
+    FirmwareSummary,
+    StackSummary,
+    StageErrors,
+    Statement,
+)
 from zerodrift.verify.vectors import count_lines, draw_golden, draw_sequences
 
 SHIPPED = {
@@ -151,12 +161,52 @@ def test_require_names_every_finding(project: Path) -> None:
     assert "zd_runtime.c" in str(caught.value) and "test.csv" in str(caught.value)
 
 
+def make_summary(model_hash: str) -> FirmwareSummary:
+    """Return what `firmware` would have kept of a model."""
+    one = {"Fz": 1.0}
+    return FirmwareSummary(
+        bit_exact=True,
+        vectors=100,
+        backends=("reference", "C"),
+        flash_bytes=1,
+        ram_bytes=2,
+        stack_bytes=3,
+        stack=StackSummary("cc", ("-O2",), {"step": 3}),
+        core="cortex-m4",
+        instructions_per_step={"cortex-m4": 10},
+        rmse=StageErrors(uncompensated=one, float=one, integer=one),
+        bias=one,
+        rmse_integer_to_float=one,
+        error_budget=BudgetSummary(one, one, (), ()),
+        rmse_pct_fs=one,
+        units={"Fz": "N"},
+        held_out=True,
+        tared=False,
+        runs=("test",),
+        model_hash=model_hash,
+        certificate=Claims(5),
+        gate="test logs",
+        chip_error={"Fz": ChipError(1.0, 0.0, 0.0, 0.0)},
+        warnings=(Statement(kind="out_of_range", text="a run."),),
+        refused=(Statement(kind="not_judged", output="Fz", text="why."),),
+        forced=True,
+        written=True,
+        files=(),
+    )
+
+
 def test_report_and_page_show_no_firmware_that_is_stale_or_spoilt(project: Path) -> None:
     model_hash = load_manifest(project / "firmware" / FILE_NAME).model_hash
     told = project / "build" / "firmware.json"
+    summary = make_summary(model_hash)
+    told.write_bytes(render_sealed(to_dict(summary)))
+    firmware, certificate, note = read_firmware(load_config(project))
+    assert firmware == summary and certificate is not None and not note
     told.write_bytes(render_sealed({"model_hash": model_hash, "chip_error": {}}))
     firmware, certificate, note = read_firmware(load_config(project))
-    assert firmware is not None and certificate is not None and not note
+    assert firmware is None and certificate is None
+    assert "of an earlier version" in note
+    told.write_bytes(render_sealed(to_dict(summary)))
     (project / "logs" / "test.csv").write_text("")
     firmware, certificate, note = read_firmware(load_config(project))
     assert firmware is None and certificate is None

@@ -6,15 +6,21 @@ import pytest
 
 pytest.importorskip("dash", reason="dash is not installed; `make setup` installs it")
 
+from tests.report.test_verdict import told
+
 from zerodrift.base.errors import InputError
+from zerodrift.diagnosis.changes import AddCommand
+from zerodrift.diagnosis.explained import ExplainedDiagnosis
+from zerodrift.diagnosis.thermometers import OtherThermometer
 from zerodrift.workbench import actions
 
-DIAGNOSED = {
-    "command": "zerodrift add zero_tempco --hold order=2",
-    "thermometers": [
-        {"command": "zerodrift add thermal_lag --set signal=body_temperature --set 'x=a b'"}
-    ],
-}
+SETTINGS = ("--set", "signal=body_temperature", "--set", "x=a b")
+DIAGNOSED = ExplainedDiagnosis(
+    told("missing", "zero_tempco"),
+    AddCommand("zero_tempco", ("--hold", "order=2")),
+    (OtherThermometer("body_temperature", 0.5, "it helps", AddCommand("thermal_lag", SETTINGS)),),
+    (),
+)
 
 
 @pytest.fixture
@@ -23,7 +29,7 @@ def place(tmp_path):
     ran = []
     return SimpleNamespace(
         directory=tmp_path,
-        findings=SimpleNamespace(told={"diagnose": DIAGNOSED}),
+        findings=SimpleNamespace(diagnosed=DIAGNOSED),
         run=lambda name, title, arguments: ran.append((name, title, arguments)),
         tell=lambda text, **_: ran.append(text),
         **dict.fromkeys(("undo", "look", "cancel", "dismiss")),
@@ -46,8 +52,7 @@ def test_add_of_a_look_alike_takes_its_name_alone(place):
 
 def test_add_after_another_thermometer(place):
     actions.press(place, "add", {"effect": "thermal_lag"})
-    options = ["--set", "signal=body_temperature", "--set", "x=a b"]
-    assert place.ran[0][2] == ["add", "thermal_lag", "--json", *options]
+    assert place.ran[0][2] == ["add", "thermal_lag", "--json", *SETTINGS]
 
 
 def test_button_that_is_none_is_refused(place):

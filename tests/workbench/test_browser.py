@@ -258,7 +258,7 @@ def test_each_look_alike_can_be_added(page, tmp_path, keep):
 def test_worst_segment_is_gone_to_and_walked_away_from_by_keyboard(page, bench):
     open_page(page, bench)
     wait_for_job(page, bench)
-    segment = bench.place.findings.told["compare"]["worst"][-1]
+    segment = bench.place.findings.comparison.worst[-1]
     read = (
         "() => { const plot = document.querySelector('#main .js-plotly-plot');"
         " const x = plot.calcdata[0]; return [60 * x[0].x, 60 * x[x.length - 1].x,"
@@ -270,8 +270,8 @@ def test_worst_segment_is_gone_to_and_walked_away_from_by_keyboard(page, bench):
         "() => document.querySelector('#main .js-plotly-plot').calcdata[0][0].x > 0"
     )
     low, high, title = page.evaluate(read)
-    assert low <= segment["from_s"] < segment["to_s"] <= high
-    assert bench.place.findings.told["compare"]["outputs"][segment["output"]]["unit"] in title
+    assert low <= segment.from_s < segment.to_s <= high
+    assert bench.place.findings.comparison.outputs[segment.output].unit in title
     page.locator("#whole").focus()
     page.keyboard.press("Enter")
     page.wait_for_function(

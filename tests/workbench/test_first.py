@@ -32,8 +32,8 @@ def test_page_of_a_known_project_comes_with_verdict_choices_and_chart(project):
             name: json.loads(page[name].to_plotly_json()["props"]["data-choices"])["first"]
             for name in ("output", "run")
         }
-        worst = bench.place.findings.told["compare"]["worst"][0]
-        assert first == {name: worst[name] for name in first}
+        worst = bench.place.findings.comparison.worst[0]
+        assert first == {"output": worst.output, "run": worst.run}
         assert len(page["main"].figure.data) > 2
 
         # What the page's script tells at once is what is drawn: nothing is drawn twice.

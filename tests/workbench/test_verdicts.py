@@ -7,26 +7,22 @@ import pytest
 pytest.importorskip("dash", reason="dash is not installed; `make setup` installs it")
 
 import numpy as np
-from tests.report.conftest import make_trace
-from tests.report.test_verdict import TITLES, told
+from tests.report.conftest import make_findings, make_trace
+from tests.report.test_verdict import rate, told
 
+from zerodrift.diagnosis.changes import AddCommand
+from zerodrift.diagnosis.explained import HEADLINE, ExplainedDiagnosis, Sentence
+from zerodrift.diagnosis.thermometers import OtherThermometer
 from zerodrift.report.figures_runs import Window
-from zerodrift.report.findings import Findings
 from zerodrift.workbench.chart import MOVES, move_window, read_zoom
 from zerodrift.workbench.verdicts import show_adds, show_candidates, show_verdict
 
 
-def find(diagnosed, **changes):
+def find(diagnosis, thermometers=()):
     """Return findings that hold this diagnosis and nothing else."""
-    content = {
-        "diagnose": diagnosed,
-        "diagnose_sentences": ["headline", "Evidence: 8 runs."],
-        "titles": TITLES,
-        "notes": ["rows were set aside"],
-        "catalogue": {},
-        **changes,
-    }
-    return Findings("cell", ("Fz",), ("N",), (200.0,), False, content, ())
+    sentences = (Sentence("headline", HEADLINE), Sentence("Evidence: 8 runs."))
+    explained = ExplainedDiagnosis(diagnosis, None, thermometers, sentences) if diagnosis else None
+    return make_findings(diagnosed=explained, notes=("rows were set aside",))
 
 
 def read(parts):
@@ -36,24 +32,14 @@ def read(parts):
     return json.dumps(html.Div(parts).to_plotly_json(), default=lambda c: c.to_plotly_json())
 
 
-def rate(effect, ratio, p=0.004):
-    return {
-        "effect": effect,
-        "heldout_rmse_ratio": ratio,
-        "p_value": p,
-        "excitation": 0.4,
-        "parameters": {},
-    }
-
-
 @pytest.mark.parametrize(
     ("diagnosed", "label"),
     [
         (told("missing", "creep"), "An effect is missing"),
-        (told("missing", "creep", lookalikes=["ageing"]), "look-alikes"),
+        (told("missing", "creep", lookalikes=("ageing",)), "look-alikes"),
         (told("complete"), "Nothing is missing"),
         (told("unknown", nearest="creep"), "the catalogue does not know"),
-        (told("complete", candidates=[]), "Not testable"),
+        (told("complete", candidates=()), "Not testable"),
         (None, "No verdict"),
     ],
 )
@@ -63,7 +49,7 @@ def test_verdict_says_its_kind_in_words(diagnosed, label):
 
 
 def test_notes_of_logs_and_diagnosis_are_shown():
-    diagnosed = told("unknown", notes=["one run holds 80 % of the error"])
+    diagnosed = told("unknown", notes=("one run holds 80 % of the error",))
     text = read(show_verdict(find(diagnosed), diagnosing=False, hides=False)[1])
     assert "Note: rows were set aside" in text
     assert "Note: one run holds 80 % of the error" in text
@@ -75,7 +61,7 @@ def test_guess_comes_before_the_verdict():
 
 
 def test_each_look_alike_has_a_button_of_its_own():
-    diagnosed = told("missing", "creep", lookalikes=["ageing", "warm_up"], thermometers=[])
+    diagnosed = told("missing", "creep", lookalikes=("ageing", "warm_up"))
     buttons = show_adds(find(diagnosed))
     assert [b.to_plotly_json()["props"]["data-effect"] for b in buttons] == [
         "creep",
@@ -86,19 +72,19 @@ def test_each_look_alike_has_a_button_of_its_own():
 
 
 def test_other_thermometer_can_be_added():
-    command = "zerodrift add zero_tempco --set signal=body_temperature"
-    other = {"signal": "body_temperature", "command": command, "reason": "it helps"}
-    (button,) = show_adds(find(told("unknown", thermometers=[other])))
+    command = AddCommand("zero_tempco", ("--set", "signal=body_temperature"))
+    other = OtherThermometer("body_temperature", 0.5, "it helps", command)
+    (button,) = show_adds(find(told("unknown"), (other,)))
     assert button.children == "Add zero_tempco after body_temperature"
 
 
 @pytest.mark.parametrize("verdict", ["complete", "unknown"])
 def test_nothing_is_proposed_where_nothing_is_named(verdict):
-    assert show_adds(find(told(verdict, thermometers=[]))) == []
+    assert show_adds(find(told(verdict))) == []
 
 
 def test_candidates_say_why_and_why_not():
-    candidates = [rate("creep", 0.1), rate("ageing", 0.5, 0.3), rate("warm_up", 1.01, 1.0)]
+    candidates = (rate("creep", 0.1), rate("ageing", 0.5, 0.3), rate("warm_up", 1.01, 1.0))
     diagnosed = told("missing", "creep", candidates=candidates)
     text = read(show_candidates(find(diagnosed), ("creep",)))
     assert "It is what is missing: with it 10.0 % of the held-out RMSE is left" in text

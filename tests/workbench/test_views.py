@@ -9,9 +9,12 @@ pytest.importorskip("dash", reason="dash is not installed; `make setup` installs
 
 import numpy as np
 from dash import no_update
-from tests.report.conftest import make_trace
+from tests.report.conftest import make_comparison, make_findings, make_trace
 
-from zerodrift.report.findings import Findings
+from zerodrift.diagnosis.comparison_summary import WorstSegment
+from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.description import describe_effect
+from zerodrift.physics.summary import EffectSummary, ModelSummary
 from zerodrift.workbench.views import list_choices, poll, show_frame
 
 
@@ -22,12 +25,13 @@ def place():
     traces = tuple(
         make_trace(flat, flat, temperature=flat, load=flat, name=name) for name in ("one", "two")
     )
-    told = {
-        "compare": {"worst": [{"output": "Fz", "run": "two"}]},
-        "model": {"terms": [{"name": "creep"}]},
-        "catalogue": {"creep": {}, "ageing": {}},
-    }
-    findings = Findings("cell", ("Fz",), ("N",), (200.0,), False, told, traces)
+    known = load_catalogue()
+    findings = make_findings(
+        comparison=make_comparison((WorstSegment("two", "Fz", 0.0, 1.0, 1.0, "cooling", 0.5),)),
+        model=ModelSummary((EffectSummary("creep", "creep", "", "", {}, ()),), 25.0, ()),
+        catalogue={kind: describe_effect(known[kind]) for kind in ("creep", "ageing")},
+        traces=traces,
+    )
     return SimpleNamespace(
         findings=findings, is_practice=False, undo_stack=[], revision=None, previews=("ageing",)
     )

@@ -52,7 +52,7 @@ def test_add_does_what_the_command_does_and_undo_takes_it_back(place, project, t
     before = project.toml.read_bytes()
     place.look()
     settle(place)
-    assert place.findings.told["diagnose"]["effect"] == "thermal_lag"
+    assert place.findings.diagnosed.diagnosis.effect == "thermal_lag"
     assert "thermal_lag" in place.previews
     place.run("add", "Adding thermal_lag", ["add", "thermal_lag", "--json"])
     settle(place)
@@ -61,12 +61,12 @@ def test_add_does_what_the_command_does_and_undo_takes_it_back(place, project, t
     assert told["after"]["rmse_heldout"]["Fz"] < told["before"]["rmse_heldout"]["Fz"]
     assert project.toml.read_bytes() == (copy / "zerodrift.toml").read_bytes()
     assert project.history.read_bytes() == (copy / "build" / "history.json").read_bytes()
-    assert place.findings.told["history"]["steps"][-1]["step"] == "+ thermal_lag"
+    assert place.findings.steps[-1].label == "+ thermal_lag"
     place.undo()
     settle(place)
     assert project.toml.read_bytes() == before
     assert not project.history.exists()
-    assert place.findings.told["compare"]["effects"] == ["zero_tempco"]
+    assert place.findings.comparison.effects == ("zero_tempco",)
 
 
 @pytest.mark.slow
@@ -102,7 +102,7 @@ def test_edit_from_outside_shows_up(place, project):
     place.poll()
     assert "zerodrift.toml changed outside" in place.message.text
     settle(place)
-    assert place.findings.told["compare"]["effects"] == ["dark_current"]
+    assert place.findings.comparison.effects == ("dark_current",)
 
 
 @pytest.mark.slow
@@ -115,11 +115,11 @@ def test_log_deleted_under_it_is_told_and_the_findings_stay(place, project):
     assert place.message.is_error
     assert "logs/run_*.csv" in place.message.text
     assert "Traceback" not in place.message.text
-    assert place.findings.told["compare"]["effects"] == ["zero_tempco"]
+    assert place.findings.comparison.effects == ("zero_tempco",)
     project.toml.unlink()
     place.poll()
     assert "zerodrift.toml: is gone" in place.message.text
-    assert place.findings.told["compare"]["effects"] == ["zero_tempco"]
+    assert place.findings.comparison.effects == ("zero_tempco",)
     assert not place.run("add", "Adding creep", ["add", "creep", "--json"])
     assert "cannot be read" in place.message.text
     version = place.version
@@ -216,7 +216,7 @@ def test_full_disk_is_a_message_and_nothing_is_half_written(place, project):
     assert project.read_all() == before
     place.look()
     settle(place)
-    assert place.findings.told["diagnose"]["effect"] == "thermal_lag"
+    assert place.findings.diagnosed.diagnosis.effect == "thermal_lag"
 
 
 @pytest.mark.slow
@@ -234,7 +234,7 @@ def test_invalid_rows_are_dropped_where_that_was_asked(project):
             if not skip_invalid:
                 assert "run_0.csv:41: " in workplace.message.text
                 continue
-            assert any("run_0.csv" in note for note in workplace.findings.told["notes"])
+            assert any("run_0.csv" in note for note in workplace.findings.notes)
             workplace.run("add", "Adding thermal_lag", ["add", "thermal_lag", "--json"])
             settle(workplace)
             assert workplace.revision["added"]

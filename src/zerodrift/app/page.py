@@ -15,6 +15,7 @@ import numpy as np
 from zerodrift.app.commands.survey import diagnose_once, preview_effects, survey_project
 from zerodrift.base.errors import ZerodriftError
 from zerodrift.base.progress import print_progress
+from zerodrift.base.records import to_json
 from zerodrift.report.findings import save_findings
 from zerodrift.workbench.events import (
     DIAGNOSED,
@@ -47,9 +48,9 @@ def diagnose(directory: Path, result: Path, skip_invalid: bool) -> None:
 
     config, dataset = open_project(directory, skip_invalid)
     catalogue = load_catalogue(config.plugin_files)
-    mark = trace_provenance(config, dataset)["mark"]
+    mark = trace_provenance(config, dataset).mark
     found = diagnose_once(config, dataset, catalogue, mark, True, print_progress)
-    text = json.dumps(found, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(to_json(found), ensure_ascii=False, allow_nan=False)
     (result / DIAGNOSIS).write_text(text, encoding="utf-8")
     _tell(DIAGNOSED)
     if found is None:
@@ -57,7 +58,7 @@ def diagnose(directory: Path, result: Path, skip_invalid: bool) -> None:
     if hasattr(os, "nice"):  # not on Windows
         os.nice(10)  # the verdict is on the page; what is drawn with it comes before further curves
     previews = preview_effects(
-        config, dataset, catalogue, found["diagnosis"], PREVIEWS, print_progress
+        config, dataset, catalogue, found.diagnosis, PREVIEWS, print_progress
     )
     for effect, curves in previews.items():
         for run, curve in curves.items():

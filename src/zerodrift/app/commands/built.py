@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from zerodrift.base.config import Config
+from zerodrift.base.records import from_json
 from zerodrift.base.sealed import read_sealed
+from zerodrift.verify.summary import Bound, CertificateSummary, FirmwareSummary
 
 FIRMWARE, CERTIFICATE = "firmware.json", "certificate.json"
 TIGHTEST = 8
@@ -33,14 +35,14 @@ def _read_json(path: Path) -> dict[str, Any] | None:
 
 def read_firmware(
     config: Config,
-) -> tuple[dict[str, Any] | None, dict[str, Any] | None, str]:
+) -> tuple[FirmwareSummary | None, CertificateSummary | None, str]:
     """Return the last `firmware --json`, the certificate's summary, and what is to be said of them.
 
     Firmware that is not as its manifest says, files, logs and configuration alike, is not shown,
     and no certificate but its own.
     """
-    firmware = read_kept(config.build_directory / FIRMWARE)
-    if firmware is None:
+    kept = read_kept(config.build_directory / FIRMWARE)
+    if kept is None:
         return None, None, "No firmware was built yet: `zerodrift firmware` builds and checks it."
     from zerodrift.verify.manifest import check_manifest
 
@@ -48,7 +50,12 @@ def read_firmware(
     if check.manifest is None or check.findings:
         reasons = [f.text for f in check.findings] or [n.why for n in check.not_checked]
         return None, None, f"The firmware cannot be shown: {' '.join(reasons)} {AGAIN}"
-    if check.manifest.model_hash != firmware.get("model_hash") or "chip_error" not in firmware:
+    try:
+        firmware = from_json(FirmwareSummary, kept)
+        is_current = check.manifest.model_hash == firmware.model_hash
+    except ValueError:
+        is_current = False
+    if not is_current:
         why = f"{FIRMWARE} is of another model or of an earlier version."
         return None, None, f"The firmware cannot be shown: {why} {AGAIN}"
     certificate, note = read_certificate(
@@ -57,7 +64,7 @@ def read_firmware(
     return firmware, certificate, note
 
 
-def read_certificate(path: Path, model_hash: str) -> tuple[dict[str, Any] | None, str]:
+def read_certificate(path: Path, model_hash: str) -> tuple[CertificateSummary | None, str]:
     """Return the summary of a model's certificate.json, or None and why it is not shown."""
     certificate = _read_json(path)
     if certificate is None:
@@ -79,24 +86,12 @@ def read_certificate(path: Path, model_hash: str) -> tuple[dict[str, Any] | None
         )
 
 
-def summarise_certificate(certificate: Mapping[str, Any]) -> dict[str, Any]:
+def summarise_certificate(certificate: Mapping[str, Any]) -> CertificateSummary:
     """Return how many bounds are claimed, and those that come closest to their limits."""
     bounds = []
     for bound in certificate["bounds"]:
         low, high, bits = (int(bound[key]) for key in ("low", "high", "bits"))
-        reach = max(-low, high + 1, 1)
-        bounds.append(
-            {
-                "where": str(bound["where"]),
-                "low": low,
-                "high": high,
-                "bits": bits,
-                "headroom_bits": float(bits - 1 - math.log2(reach)),
-            }
-        )
-    bounds.sort(key=lambda b: (b["headroom_bits"], b["where"]))
-    return {
-        "model_hash": certificate["model"],
-        "bounds": len(bounds),
-        "tightest": bounds[:TIGHTEST],
-    }
+        headroom = float(bits - 1 - math.log2(max(-low, high + 1, 1)))
+        bounds.append(Bound(str(bound["where"]), low, high, bits, headroom))
+    bounds.sort(key=lambda bound: (bound.headroom_bits, bound.where))
+    return CertificateSummary(certificate["model"], len(bounds), tuple(bounds[:TIGHTEST]))

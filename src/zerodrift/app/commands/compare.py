@@ -21,6 +21,7 @@ from zerodrift.app.commands.console import (
     show_progress,
 )
 from zerodrift.app.commands.predictors import KINDS
+from zerodrift.base.records import to_dict, to_json
 from zerodrift.dataset.time_units import write_time
 from zerodrift.diagnosis.segments import MOST_SEGMENTS
 
@@ -95,8 +96,14 @@ def command(
         write_text(html, page, config.directory)
     if as_json:
         told = advice.to_dict() if advice is not None else None
-        chip = {key: firmware[key] for key in ("chip_error", "warnings")} if firmware else {}
-        print_json({"model": predictor.kind, **comparison.to_dict(), "advice": told, **chip})
+        chip = (
+            {"chip_error": to_json(firmware.chip_error), "warnings": to_json(firmware.warnings)}
+            if firmware is not None
+            else {}
+        )
+        print_json(
+            {"model": predictor.kind, **to_dict(comparison.summarise()), "advice": told, **chip}
+        )
         return
     console = open_console()
     effects = ", ".join(comparison.effects) or "a constant only"

@@ -2,9 +2,10 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from dataclasses import astuple, fields
+from typing import TYPE_CHECKING
 
 from zerodrift.base.progress import PROGRESS_LINES, print_progress
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from zerodrift.diagnosis.advice import Advice
+    from zerodrift.verify.summary import FirmwareSummary
 
 LEAST_WIDTH = 120
 """Columns of a file or a pipe, which has no width of its own."""
@@ -70,17 +72,20 @@ def show_progress(first: str) -> Iterator[Callable[[str], None]]:
         yield status.update
 
 
-def print_chip_error(firmware: Mapping[str, Any], console: "Console") -> None:
-    """Print what separates a firmware from its float model, from `firmware --json`."""
+def print_chip_error(firmware: "FirmwareSummary", console: "Console") -> None:
+    """Print what separates a firmware from its float model, as `firmware` found it."""
     table = open_table(
         "The chip: integer minus float model by cause, RMS",
         ("output", "unit"),
-        [cause.replace("_", " ") for cause in next(iter(firmware["chip_error"].values()))],
+        [
+            cause.name.replace("_", " ")
+            for cause in fields(next(iter(firmware.chip_error.values())))
+        ],
     )
-    for name, split in firmware["chip_error"].items():
-        table.add_row(name, firmware["units"][name], *(f"{x:.2g}" for x in split.values()))
+    for name, split in firmware.chip_error.items():
+        table.add_row(name, firmware.units[name], *(f"{x:.2g}" for x in astuple(split)))
     console.print(table)
-    for statement in firmware["warnings"]:
-        console.print(f"warning: {statement['text']}")
-    for statement in firmware["refused"]:
-        console.print(f"{'FORCED' if firmware['forced'] else 'REFUSED'}: {statement['text']}")
+    for statement in firmware.warnings:
+        console.print(f"warning: {statement.text}")
+    for statement in firmware.refused:
+        console.print(f"{'FORCED' if firmware.forced else 'REFUSED'}: {statement.text}")

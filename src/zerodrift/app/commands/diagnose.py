@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from zerodrift.diagnosis.course import Course
     from zerodrift.diagnosis.diagnosis import Diagnosis
+    from zerodrift.diagnosis.explained import Sentence
     from zerodrift.physics.catalogue import Catalogue
     from zerodrift.physics.effect import Effect
 
@@ -51,10 +52,10 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
         explain_others,
         find_verdict,
         list_commands,
-        name_directory,
         tell_steps,
     )
     from zerodrift.diagnosis.advice import advise
+    from zerodrift.diagnosis.changes import name_directory
     from zerodrift.physics.catalogue import load_catalogue
 
     with show_progress("reading logs") as say:
@@ -65,18 +66,19 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
         say("looking at what the logs can teach")
         advice = advise(config, dataset, config.effects if course is None else course.effects)
     print_notes((*dataset.notes, *diagnosis.notes))
-    commands = list_commands(config.effects, verdict.steps, catalogue, directory)
+    commands = list_commands(config.effects, verdict.steps, catalogue)
     told = tell_steps(verdict, commands, directory)
     if as_json:
         told[-1]["advice"] = advice.to_dict() if advice is not None else None
         print_json(told[-1] if course is None else {**told[-1], **_tell_course(course, told)})
         return
     console = open_console()
+    written = ["" if one is None else one.write(directory) for one in commands]
     if course is not None:
-        _print_steps(verdict.steps, commands, catalogue, console)
-    print_diagnosis(diagnosis, commands[-1], catalogue, console)
-    for sentence in explain_others(told[-1]):
-        console.print(sentence)
+        _print_steps(verdict.steps, written, catalogue, console)
+    print_diagnosis(diagnosis, written[-1], catalogue, console)
+    for sentence in explain_others(verdict.others, directory):
+        console.print(sentence.text)
     for kind in course.drop if course is not None else ():
         console.print(
             f"{kind} no longer earns its place: runs left out are predicted as well without it. "
@@ -135,7 +137,7 @@ def print_diagnosis(
         console.print()
     _print_errors(diagnosis, console)
     for sentence in explain_verdict(diagnosis, command, catalogue):
-        console.print(sentence)
+        console.print(sentence.text)
 
 
 def write_values(effect: "Effect", values: "Mapping[str, float]") -> str:
@@ -158,7 +160,9 @@ def _print_errors(diagnosis: "Diagnosis", console: "Console") -> None:
     console.print(table)
 
 
-def explain_verdict(diagnosis: "Diagnosis", command: str, catalogue: "Catalogue") -> list[str]:
+def explain_verdict(
+    diagnosis: "Diagnosis", command: str, catalogue: "Catalogue"
+) -> "list[Sentence]":
     """Return the verdict in sentences.
 
     Args:
@@ -166,50 +170,65 @@ def explain_verdict(diagnosis: "Diagnosis", command: str, catalogue: "Catalogue"
         command: what adds the missing effect.
         catalogue: the known effects.
     """
+    from zerodrift.diagnosis.explained import HEADLINE, STEP, Sentence
+
     floor = f"{diagnosis.floor_ratio_before:.2f} times the noise floor"
     if diagnosis.floor_source != "dwell":
         floor += " (estimated)"
-    sentences = []
+    sentences: list[Sentence] = []
     thin = " (thin evidence)" if diagnosis.evidence.startswith("thin") else ""
     if diagnosis.verdict == "missing" and diagnosis.effect is not None:
         effect = catalogue[diagnosis.effect]
-        sentences.append(f"MISSING{thin}: {effect.kind} ({effect.title}).")
+        sentences.append(Sentence(f"MISSING{thin}: {effect.kind} ({effect.title}).", HEADLINE))
         values = write_values(effect, diagnosis.parameters)
         if values:
-            sentences.append(f"Fitted: {values}.")
+            sentences.append(Sentence(f"Fitted: {values}."))
         sentences.append(
-            f"Held-out error: {floor} now, {diagnosis.floor_ratio_after:.2f} times with it."
+            Sentence(
+                f"Held-out error: {floor} now, {diagnosis.floor_ratio_after:.2f} times with it.",
+                HEADLINE,
+            )
         )
         if diagnosis.lookalikes:
             names = ", ".join(diagnosis.lookalikes)
-            sentences.append(f"These logs cannot tell it from: {names}.")
+            sentences.append(Sentence(f"These logs cannot tell it from: {names}.", HEADLINE))
         if diagnosis.also:
-            sentences.append(f"Missing beside it: {', '.join(diagnosis.also)}.")
-        sentences.append(effect.physics)
+            sentences.append(Sentence(f"Missing beside it: {', '.join(diagnosis.also)}.", HEADLINE))
+        sentences.append(Sentence(effect.physics))
     elif diagnosis.verdict == "complete":
-        sentences.append(f"COMPLETE{thin}: no effect that these logs can test helps.")
-        sentences.append(f"Held-out error: {floor}.")
+        sentences.append(
+            Sentence(f"COMPLETE{thin}: no effect that these logs can test helps.", HEADLINE)
+        )
+        sentences.append(Sentence(f"Held-out error: {floor}.", HEADLINE))
     else:
         sentences.append(
-            f"UNKNOWN{thin}: something is missing that no effect of the catalogue explains."
+            Sentence(
+                f"UNKNOWN{thin}: something is missing that no effect of the catalogue explains.",
+                HEADLINE,
+            )
         )
-        sentences.append(f"Held-out error: {floor}.")
+        sentences.append(Sentence(f"Held-out error: {floor}.", HEADLINE))
         if diagnosis.nearest is not None:
-            sentences.append(f"Nearest, and not it: {diagnosis.nearest}.")
+            sentences.append(Sentence(f"Nearest, and not it: {diagnosis.nearest}.", HEADLINE))
         sentences += [
-            f"What is left follows {pattern.follows} ({100.0 * pattern.share:.0f} % of it)."
+            Sentence(
+                f"What is left follows {pattern.follows} ({100.0 * pattern.share:.0f} % of it)."
+            )
             for pattern in diagnosis.remainder
         ]
         if not diagnosis.remainder:
-            sentences.append("What is left follows no signal in the logs.")
-    sentences.append(f"Evidence: {diagnosis.evidence}.")
+            sentences.append(Sentence("What is left follows no signal in the logs."))
+    sentences.append(Sentence(f"Evidence: {diagnosis.evidence}."))
     if diagnosis.next_experiment:
-        sentences.append(f"Next experiment: {diagnosis.next_experiment}.")
+        sentences.append(Sentence(f"Next experiment: {diagnosis.next_experiment}."))
     if diagnosis.effect is not None:
-        sentences.append(f"To add it: {command}")
+        sentences.append(Sentence(f"To add it: {command}", STEP))
         if thin:
             sentences.append(
-                "On evidence this thin `add` may refuse it; --force keeps what the hardware has."
+                Sentence(
+                    "On evidence this thin `add` may refuse it; --force keeps what the hardware "
+                    "has."
+                )
             )
     return sentences
 

@@ -1,7 +1,7 @@
 """`zerodrift effects`: the catalogue of physical effects, and everything about one of them."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -45,8 +45,10 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
     """
     from zerodrift.base.config import load_config
     from zerodrift.base.errors import InputError
+    from zerodrift.base.records import to_dict
     from zerodrift.diagnosis.fingerprint import draw_fingerprint
     from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.physics.description import describe_effect
 
     plugins: tuple[Path, ...] = ()
     if (directory / "zerodrift.toml").is_file():
@@ -56,7 +58,7 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
         if html is not None:
             raise InputError("--html draws one effect; name it, as in: zerodrift effects creep")
         if as_json:
-            print_json({"effects": [describe_effect(effect) for effect in catalogue.listed()]})
+            print_json({"effects": [to_dict(describe_effect(e)) for e in catalogue.listed()]})
         else:
             _print_catalogue(catalogue, open_console())
         return
@@ -67,41 +69,11 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
             raise InputError(f"effect '{name}' has no picture: it only sets samples aside.")
         write_text(html, _draw_page(effect, picture))
     if as_json:
-        print_json(describe_effect(effect))
+        print_json(to_dict(describe_effect(effect)))
         return
     _print_effect(effect, picture, open_console())
     if html is not None:
         click.echo(f"Wrote {html}")
-
-
-def describe_effect(effect: "Effect") -> dict[str, Any]:
-    """Return everything declared about an effect as plain data."""
-    return {
-        "kind": effect.kind,
-        "title": effect.title,
-        "needs": list(effect.needs),
-        "equation": effect.equation,
-        "physics": effect.physics,
-        "fingerprint": effect.fingerprint,
-        "provoke": effect.provoke,
-        "cure": effect.cure,
-        "source": effect.source,
-        "file": effect.file,
-        "parameters": [
-            {
-                "name": p.name,
-                "unit": p.unit,
-                "meaning": p.meaning,
-                "lower": p.lower,
-                "upper": p.upper,
-                "typical": list(p.typical),
-                "default": p.default,
-                "choices": list(p.choices),
-                "source": p.source,
-            }
-            for p in effect.parameters
-        ],
-    }
 
 
 def _print_catalogue(catalogue: "Catalogue", console: "Console") -> None:

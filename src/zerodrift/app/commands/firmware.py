@@ -1,6 +1,5 @@
 """`zerodrift firmware`: logs in, host-checked C out."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,17 @@ from zerodrift.app.commands.onnx_option import OnnxRequest, onnx_options, open_i
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError
 from zerodrift.base.journal import change_together, write_all
+from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
+from zerodrift.verify.summary import (
+    BudgetSummary,
+    Claims,
+    FirmwareSummary,
+    NodeShare,
+    StackSummary,
+    StageErrors,
+    TimeShare,
+)
 
 FILE_NAME = "firmware.json"
 """In build/: what the last firmware achieved."""
@@ -81,12 +90,12 @@ def command(
             firmware = build_firmware(
                 config, dataset, described, say, left_out=left_out, force=force, network=network
             )
-        result = describe(firmware, config.directory)
+        result = summarise(firmware, config.directory)
         written = bool(firmware.files)
         if written:
             keep(result, config)
     if as_json:
-        print_json(result)
+        print_json(to_dict(result))
     else:
         _print(firmware, result, config.directory)
     if not written:
@@ -97,57 +106,47 @@ def command(
         )
 
 
-def describe(firmware: Any, directory: Path) -> dict[str, Any]:
-    """Return the command's JSON."""
-    size = firmware.footprint
-    return {
-        "bit_exact": firmware.check.failure is None,
-        "vectors": firmware.check.vectors,
-        "backends": [*firmware.check.backends, *([firmware.chip.core] if firmware.chip else [])],
-        "flash_bytes": size.flash_bytes,
-        "ram_bytes": size.ram_bytes,
-        "stack_bytes": size.stack_bytes,
-        "stack": {"compiler": size.compiler, "flags": list(size.flags), "of": dict(size.stacks)},
-        "core": size.core,
-        "instructions_per_step": (
-            {firmware.chip.core: firmware.chip.instructions_per_step} if firmware.chip else {}
+def summarise(firmware: Any, directory: Path) -> FirmwareSummary:
+    """Return what the command prints as JSON."""
+    size, chip, errors = firmware.footprint, firmware.chip, firmware.errors
+    untuned = {e.name: e.integer_model for e in firmware.untuned} if firmware.untuned else None
+    return FirmwareSummary(
+        bit_exact=firmware.check.failure is None,
+        vectors=firmware.check.vectors,
+        backends=(*firmware.check.backends, *([chip.core] if chip else [])),
+        flash_bytes=size.flash_bytes,
+        ram_bytes=size.ram_bytes,
+        stack_bytes=size.stack_bytes,
+        stack=StackSummary(size.compiler, tuple(size.flags), dict(size.stacks)),
+        core=size.core,
+        instructions_per_step={chip.core: chip.instructions_per_step} if chip else {},
+        rmse=StageErrors(
+            uncompensated={e.name: e.uncompensated for e in errors},
+            physics={e.name: e.physics for e in errors} if _is_learnt(firmware) else None,
+            float={e.name: e.float_model for e in errors},
+            integer={e.name: e.integer_model for e in errors},
+            integer_not_fine_tuned=untuned,
         ),
-        "rmse": {
-            "uncompensated": {e.name: e.uncompensated for e in firmware.errors},
-            **(
-                {"physics": {e.name: e.physics for e in firmware.errors}}
-                if _is_learnt(firmware)
-                else {}
-            ),
-            "float": {e.name: e.float_model for e in firmware.errors},
-            "integer": {e.name: e.integer_model for e in firmware.errors},
-            **(
-                {"integer_not_fine_tuned": {e.name: e.integer_model for e in firmware.untuned}}
-                if firmware.untuned
-                else {}
-            ),
+        bias={e.name: e.integer_bias for e in errors},
+        rmse_integer_to_float={e.name: e.integer_to_float for e in errors},
+        error_budget=summarise_budget(firmware),
+        rmse_pct_fs={e.name: e.percent_of_full_scale for e in errors},
+        units={e.name: e.unit for e in errors},
+        held_out=firmware.held_out,
+        tared=firmware.tared,
+        runs=tuple(firmware.error_runs),
+        model_hash=firmware.model.hash,
+        certificate=Claims(firmware.certificate.holds),
+        gate=firmware.gate.method,
+        chip_error={
+            e.name: split for e, split in zip(errors, firmware.gate.chip_error, strict=True)
         },
-        "bias": {e.name: e.integer_bias for e in firmware.errors},
-        "rmse_integer_to_float": {e.name: e.integer_to_float for e in firmware.errors},
-        "error_budget": describe_budget(firmware),
-        "rmse_pct_fs": {e.name: e.percent_of_full_scale for e in firmware.errors},
-        "units": {e.name: e.unit for e in firmware.errors},
-        "held_out": firmware.held_out,
-        "tared": firmware.tared,
-        "runs": list(firmware.error_runs),
-        "model_hash": firmware.model.hash,
-        "certificate": {"claims": firmware.certificate.holds},
-        "gate": firmware.gate.method,
-        "chip_error": {
-            e.name: split.to_dict()
-            for e, split in zip(firmware.errors, firmware.gate.chip_error, strict=True)
-        },
-        "warnings": [statement.to_dict() for statement in firmware.gate.warnings],
-        "refused": [statement.to_dict() for statement in firmware.gate.refused],
-        "forced": bool(firmware.forced),
-        "written": bool(firmware.files),
-        "files": [show_path(path, directory) for path in firmware.files],
-    }
+        warnings=firmware.gate.warnings,
+        refused=firmware.gate.refused,
+        forced=bool(firmware.forced),
+        written=bool(firmware.files),
+        files=tuple(show_path(path, directory) for path in firmware.files),
+    )
 
 
 def _is_learnt(firmware: Any) -> bool:
@@ -170,27 +169,28 @@ def tell_hurt(errors: Any) -> str:
     )
 
 
-def describe_budget(firmware: Any) -> dict[str, Any]:
-    """Return where the error comes from: measurements, quantization, its nodes, and time."""
+def summarise_budget(firmware: Any) -> BudgetSummary:
+    """Return where the error comes from."""
 
     def name(values: Any) -> dict[str, float]:
         return {e.name: float(v) for e, v in zip(firmware.errors, values, strict=True)}
 
     budget = firmware.budget
-    return {
-        "float_to_measured": {e.name: e.float_model for e in firmware.errors},
-        "integer_to_float": name(budget.total),
-        "nodes": [{"node": n.node, "kind": n.kind, "rms": name(n.rms)} for n in budget.nodes],
-        "over_time": [
-            {"from_step": s.first_step, "to_step": s.last_step, "rms": name(s.rms)}
-            for s in budget.over_time
-        ],
-    }
+    return BudgetSummary(
+        float_to_measured={e.name: e.float_model for e in firmware.errors},
+        integer_to_float=name(budget.total),
+        nodes=tuple(NodeShare(n.node, n.kind, name(n.rms)) for n in budget.nodes),
+        over_time=tuple(
+            TimeShare(s.first_step, s.last_step, name(s.rms)) for s in budget.over_time
+        ),
+    )
 
 
-def keep(result: dict[str, Any], config: Config) -> None:
+def keep(result: FirmwareSummary, config: Config) -> None:
     """Write the command's JSON to build/firmware.json, for the report."""
-    write_all(config.directory, {config.build_directory / FILE_NAME: render_sealed(result)})
+    write_all(
+        config.directory, {config.build_directory / FILE_NAME: render_sealed(to_dict(result))}
+    )
 
 
 def show_path(path: Path, directory: Path) -> str:
@@ -198,7 +198,7 @@ def show_path(path: Path, directory: Path) -> str:
     return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
 
 
-def _print(firmware: Any, told: Mapping[str, Any], directory: Path) -> None:
+def _print(firmware: Any, told: FirmwareSummary, directory: Path) -> None:
     console = open_console()
     kind = "held-out runs" if firmware.held_out else "TRAINING runs (no test logs are configured)"
     table = open_table(

@@ -1,8 +1,7 @@
 """`zerodrift report`: all that is known about a sensor and its model in one file."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -17,8 +16,12 @@ from zerodrift.app.commands.common import (
 from zerodrift.app.commands.console import show_progress
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_text
+from zerodrift.base.records import to_json
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from zerodrift.report.datasheet import DatasheetRow
     from zerodrift.report.findings import Findings
 
 FORMATS = ("html", "pdf", "png")
@@ -90,15 +93,15 @@ def command(
         rows = None
         if datasheet:
             say("measuring the datasheet's figures")
-            rows = measure_datasheet(findings.traces, findings.told["compare"])
+            rows = measure_datasheet(findings.traces, findings.comparison)
         say("drawing")
         files = _write(findings, rows, target, kind, directory)
-    print_notes(tuple(findings.told["notes"]))
+    print_notes(findings.notes)
     if as_json:
         told = {**describe_survey(findings), "files": [str(path) for path in files]}
-        print_json(told if rows is None else {**told, "datasheet": rows})
+        print_json(told if rows is None else {**told, "datasheet": to_json(rows)})
         return
-    if not findings.told["diagnose"]:
+    if findings.diagnosed is None:
         click.echo("Not diagnosed.")
     click.echo(f"Wrote {files[0]}" if len(files) == 1 else f"Wrote {len(files)} figures: {target}")
 
@@ -122,7 +125,7 @@ def _check_target(target: Path, kind: str) -> None:
 
 def _write(
     findings: "Findings",
-    rows: Sequence[Mapping[str, Any]] | None,
+    rows: "Sequence[DatasheetRow] | None",
     target: Path,
     kind: str,
     directory: Path,

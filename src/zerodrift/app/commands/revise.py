@@ -9,11 +9,8 @@ from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
 from zerodrift.diagnosis.changes import name_effect
 from zerodrift.diagnosis.history import FILE_NAME, Entry, load_history, record, render_history
-from zerodrift.diagnosis.revision import (
-    Revision,
-    describe_coefficients,
-    describe_parameters,
-)
+from zerodrift.diagnosis.revision import Revision
+from zerodrift.physics.summary import describe_coefficients, describe_parameters
 
 
 def read_text(path: Path) -> str:
@@ -112,14 +109,14 @@ def _print_parameters(revision: Revision) -> None:
     table = open_table("Parameters", ("effect", "parameter", "unit", ""), ("value", "std error"))
     for fitted in model.terms:
         for name, told in describe_parameters(fitted).items():
-            remark = "held" if told["held"] else "at its bound" if told["at_bound"] else ""
+            remark = "held" if told.held else "at its bound" if told.at_bound else ""
             table.add_row(
                 fitted.term.name,
                 name,
-                told["unit"],
+                told.unit,
                 remark,
-                f"{told['value']:.4g}",
-                _write_error(told["std_error"]),
+                f"{told.value:.4g}",
+                _write_error(told.std_error),
             )
     if table.row_count:
         console.print(table)
@@ -134,11 +131,11 @@ def _print_parameters(revision: Revision) -> None:
     )
     for row in rows:
         table.add_row(
-            row["feature"],
-            row["output"],
-            row["unit"],
-            f"{row['value']:.4g}",
-            _write_error(row["std_error"]),
+            row.feature,
+            row.output,
+            row.unit,
+            f"{row.value:.4g}",
+            _write_error(row.std_error),
         )
     console.print(table)
 

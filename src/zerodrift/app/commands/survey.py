@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
@@ -16,32 +16,41 @@ from zerodrift import __version__
 from zerodrift.app.commands.built import read_firmware, read_kept
 from zerodrift.app.commands.compare import describe_patterns, explain_figures
 from zerodrift.app.commands.diagnose import explain_verdict
-from zerodrift.app.commands.effects import describe_effect
 from zerodrift.app.commands.history import describe_steps
 from zerodrift.app.commands.predictors import PHYSICS, compare_predictor, open_predictor
 from zerodrift.app.commands.project import open_project
 from zerodrift.app.commands.revise import open_history
-from zerodrift.app.commands.verdict import explain_others, find_verdict, list_commands, tell_steps
+from zerodrift.app.commands.verdict import (
+    explain_others,
+    find_verdict,
+    list_commands,
+    tell_diagnosis,
+    tell_thermometers,
+)
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
+from zerodrift.base.records import from_json, to_dict
 from zerodrift.base.sealed import render_sealed
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.advice import advise
+from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.explained import ExplainedDiagnosis
 from zerodrift.diagnosis.history import list_steps
-from zerodrift.diagnosis.revision import describe_coefficients, describe_parameters
 from zerodrift.diagnosis.run_errors import collect_errors
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.physics.description import describe_effect
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.report.findings import Findings, trace_runs
+from zerodrift.physics.summary import summarise_model
+from zerodrift.report.findings import Findings, Provenance, SourceFile, trace_runs
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 DIAGNOSIS = "diagnosis.json"
 """In build/: the last diagnosis, with the mark of what it was made from."""
-DIAGNOSIS_FORMAT = 3
+DIAGNOSIS_FORMAT = 4
 SIMULATED_FILES = ("truth.json", "twin.json")
 PACKAGES = ("numpy", "scipy", "polars", "torch", "onnx", "onnxruntime", "plotly")
 
@@ -81,41 +90,32 @@ def survey_project(
     }
     errors = collect_errors(runs, predictions, comparison.tared, comparison.find_usable)
     provenance = trace_provenance(config, dataset)
-    diagnosis = diagnose_once(config, dataset, catalogue, provenance["mark"], wants_diagnosis, say)
+    diagnosed = diagnose_once(config, dataset, catalogue, provenance.mark, wants_diagnosis, say)
     say("looking at the firmware")
     firmware, certificate, note = read_firmware(config)
     _, entries = open_history(config)
     model = _find_model(predictor.kind, config, dataset, catalogue)
-    advice = advise(config, dataset)
-    titles = {effect.kind: effect.title for effect in catalogue.listed()}
-    told = {
-        "compare": {
-            "model": predictor.kind,
-            **comparison.to_dict(),
-            "advice": advice.to_dict() if advice is not None else None,
-        },
-        "compare_sentences": explain_figures(comparison),
-        "patterns": describe_patterns(comparison),
-        "diagnose": diagnosis["diagnosis"] if diagnosis else None,
-        "diagnose_sentences": diagnosis["sentences"] if diagnosis else [],
-        "history": {"steps": describe_steps(list_steps(entries))},
-        "model": describe_model(model),
-        "firmware": firmware,
-        "certificate": certificate,
-        "firmware_note": note,
-        "titles": titles,
-        "catalogue": {effect.kind: describe_effect(effect) for effect in catalogue.listed()},
-        "provenance": provenance,
-        "notes": list(dict.fromkeys((*dataset.notes, *predictor.notes))),
-        "skip_invalid": skip_invalid,
-    }
     return Findings(
         sensor=config.sensor_name,
         outputs=dataset.outputs,
         units=dataset.units,
         full_scale=dataset.full_scale,
         simulated=is_simulated(config),
-        told=told,
+        predictor=predictor.kind,
+        comparison=comparison.summarise(),
+        advice=advise(config, dataset),
+        comparison_sentences=tuple(explain_figures(comparison)),
+        patterns=tuple(describe_patterns(comparison)),
+        diagnosed=diagnosed,
+        steps=list_steps(entries),
+        model=summarise_model(model),
+        firmware=firmware,
+        certificate=certificate,
+        firmware_note=note,
+        catalogue={effect.kind: describe_effect(effect) for effect in catalogue.listed()},
+        provenance=provenance,
+        notes=tuple(dict.fromkeys((*dataset.notes, *predictor.notes))),
+        skip_invalid=skip_invalid,
         traces=trace_runs(
             errors, [run.name for run in comparison.runs if run.held_out is not None]
         ),
@@ -139,33 +139,7 @@ def _find_model(kind: str, config: Config, dataset: Dataset, catalogue: Catalogu
     return Compensator.load(config.build_directory, catalogue).physics
 
 
-def describe_model(model: PhysicalModel) -> dict[str, Any]:
-    """Return the effects with parameters, intervals and coefficients, ready for JSON."""
-    terms = []
-    for fitted in model.terms:
-        parameters = describe_parameters(fitted)
-        for name, told in parameters.items():
-            interval = fitted.intervals.get(name)
-            known = interval is not None and all(np.isfinite(interval))
-            told["interval"] = [float(end) for end in interval or ()] if known else None
-        terms.append(
-            {
-                "name": fitted.term.name,
-                "kind": fitted.kind,
-                "title": fitted.term.effect.title,
-                "equation": fitted.term.effect.equation,
-                "parameters": parameters,
-                "coefficients": describe_coefficients(model, fitted),
-            }
-        )
-    return {
-        "terms": terms,
-        "reference_temperature_degC": model.reference_temperature_degC,
-        "notes": list(model.notes),
-    }
-
-
-def trace_provenance(config: Config, dataset: Dataset) -> dict[str, Any]:
+def trace_provenance(config: Config, dataset: Dataset) -> Provenance:
     """Return the files that went in with their hashes, the versions, and one mark of all files."""
     uses: dict[Path, str] = {config.path: "configuration"}
     uses |= dict.fromkeys(config.plugin_files, "own effects")
@@ -179,19 +153,15 @@ def trace_provenance(config: Config, dataset: Dataset) -> dict[str, Any]:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         inside = path.is_relative_to(config.directory)
         name = path.relative_to(config.directory).as_posix() if inside else path.name
-        files.append({"file": name, "use": use, "sha256": digest})
+        files.append(SourceFile(name, use, digest))
     versions = {"zerodrift": __version__}
     for package in PACKAGES:
         try:
             versions[package] = version(package)
         except PackageNotFoundError:
             continue
-    body = json.dumps([[f["file"], f["sha256"]] for f in files] + [__version__])
-    return {
-        "files": files,
-        "versions": versions,
-        "mark": hashlib.sha256(body.encode()).hexdigest(),
-    }
+    body = json.dumps([[f.file, f.sha256] for f in files] + [__version__])
+    return Provenance(tuple(files), versions, hashlib.sha256(body.encode()).hexdigest())
 
 
 def diagnose_once(
@@ -201,32 +171,30 @@ def diagnose_once(
     mark: str,
     wanted: bool,
     say: Say = lambda _: None,
-) -> dict[str, Any] | None:
-    """Return the JSON and sentences of `diagnose`: those kept in build/ if the mark is the same.
+) -> ExplainedDiagnosis | None:
+    """Return what `diagnose` says: what is kept in build/ if the mark is the same.
 
     A new diagnosis is kept, where build/ can be written to.
     """
     path = config.build_directory / DIAGNOSIS
     kept = read_kept(path)
     if kept is not None and (kept.get("format"), kept.get("mark")) == (DIAGNOSIS_FORMAT, mark):
-        return kept
+        return from_json(ExplainedDiagnosis, kept["diagnosed"])
     if not wanted:
         return None
     verdict = find_verdict(
         config, dataset, catalogue, say=lambda words: say(f"diagnosing: {words}")
     )
-    commands = list_commands(config.effects, verdict.steps, catalogue, Path())
-    (told,) = tell_steps(verdict, commands, Path())
-    sentences = explain_verdict(verdict.diagnosis, commands[-1], catalogue)
-    found = {
-        "format": DIAGNOSIS_FORMAT,
-        "mark": mark,
-        "diagnosis": told,
-        "sentences": [*sentences, *explain_others(told)],
-    }
+    (command,) = list_commands(config.effects, verdict.steps, catalogue)
+    sentences = explain_verdict(
+        verdict.diagnosis, "" if command is None else command.write(), catalogue
+    )
+    others = explain_others(verdict.others, Path())
+    found = ExplainedDiagnosis(verdict.diagnosis, command, verdict.others, (*sentences, *others))
+    sealed = {"format": DIAGNOSIS_FORMAT, "mark": mark, "diagnosed": to_dict(found)}
     # A project that can only be read, or is being changed, is diagnosed anew each time.
     with suppress(InputError):
-        write_all(config.directory, {path: render_sealed(found)}, patient=False)
+        write_all(config.directory, {path: render_sealed(sealed)}, patient=False)
     return found
 
 
@@ -234,7 +202,7 @@ def preview_effects(
     config: Config,
     dataset: Dataset,
     catalogue: Catalogue,
-    diagnosed: Mapping[str, Any],
+    diagnosis: Diagnosis,
     most: int,
     say: Say = lambda _: None,
 ) -> dict[str, dict[str, Array]]:
@@ -244,7 +212,7 @@ def preview_effects(
         config: the project.
         dataset: its runs.
         catalogue: the known effects.
-        diagnosed: the JSON of `diagnose`.
+        diagnosis: what was found.
         most: how many candidates.
         say: is told what is being done.
 
@@ -257,14 +225,14 @@ def preview_effects(
     before = {run.name: now.predict(run) for run in runs}
     kinds = [effect.kind for effect in config.effects]
     previews: dict[str, dict[str, Array]] = {}
-    wanted = [c for c in diagnosed["candidates"] if c["effect"] not in kinds]
+    wanted = [c for c in diagnosis.candidates if c.effect not in kinds]
     for candidate in wanted[:most]:
-        effect = catalogue[candidate["effect"]]
+        effect = catalogue[candidate.effect]
         say(f"drawing {effect.kind}")
         held = {
-            p.name: candidate["parameters"][p.name]
+            p.name: candidate.parameters[p.name]
             for p in effect.parameters
-            if p.choices and p.name in candidate["parameters"]
+            if p.choices and p.name in candidate.parameters
         }
         changed = replace(config, effects=(*config.effects, EffectConfig(effect.kind, held)))
         try:
@@ -283,6 +251,30 @@ def preview_effects(
     return previews
 
 
-def describe_survey(findings: Findings) -> Mapping[str, Any]:
+def describe_survey(findings: Findings) -> dict[str, Any]:
     """Return the JSON of the survey, with which `report --json` ends."""
-    return {"sensor": findings.sensor, "simulated": findings.simulated, **findings.told}
+    explained, advice = findings.diagnosed, findings.advice
+    told = to_dict(replace(findings, traces=()))
+    return {
+        "sensor": told["sensor"],
+        "simulated": told["simulated"],
+        "compare": {
+            "model": findings.predictor,
+            **told["comparison"],
+            "advice": advice.to_dict() if advice is not None else None,
+        },
+        "compare_sentences": told["comparison_sentences"],
+        "patterns": told["patterns"],
+        "diagnose": _tell_diagnosis(explained) if explained is not None else None,
+        "diagnose_sentences": [s.text for s in explained.sentences] if explained else [],
+        "history": {"steps": describe_steps(findings.steps)},
+        **{name: told[name] for name in ("model", "firmware", "certificate", "firmware_note")},
+        "titles": findings.titles,
+        **{name: told[name] for name in ("catalogue", "provenance", "notes", "skip_invalid")},
+    }
+
+
+def _tell_diagnosis(explained: ExplainedDiagnosis) -> dict[str, Any]:
+    """Return the JSON of `diagnose`, the advice apart."""
+    told = tell_diagnosis(explained.diagnosis, explained.command, Path())
+    return {**told, "thermometers": tell_thermometers(explained.thermometers, Path())}

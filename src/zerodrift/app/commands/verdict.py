@@ -1,7 +1,6 @@
 """The one road to a verdict, for `diagnose`, the report and the page alike."""
 
-import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,10 +8,11 @@ from typing import Any
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.bad_runs import describe_bad_run
-from zerodrift.diagnosis.changes import write_command
+from zerodrift.diagnosis.changes import AddCommand, propose_command
 from zerodrift.diagnosis.course import Course, diagnose_until_done, extend_model
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.explained import Sentence
 from zerodrift.diagnosis.thermometers import OtherThermometer, try_thermometers
 from zerodrift.diagnosis.unseen import describe_unseen
 from zerodrift.physics.catalogue import Catalogue
@@ -76,7 +76,9 @@ def find_verdict(
     return Verdict(diagnosis, tuple(others), course)
 
 
-def tell_steps(verdict: Verdict, commands: Sequence[str], directory: Path) -> list[dict[str, Any]]:
+def tell_steps(
+    verdict: Verdict, commands: Sequence[AddCommand | None], directory: Path
+) -> list[dict[str, Any]]:
     """Return the JSON of each diagnosis; the last tells of other thermometers too.
 
     Args:
@@ -85,52 +87,53 @@ def tell_steps(verdict: Verdict, commands: Sequence[str], directory: Path) -> li
         directory: of the project, as the user gave it.
     """
     told = [
-        {**step.to_dict(), "command": command}
+        tell_diagnosis(step, command, directory)
         for step, command in zip(verdict.steps, commands, strict=True)
     ]
-    told[-1]["thermometers"] = [
-        {
-            "signal": other.signal,
-            "heldout_rmse_ratio": other.heldout_rmse_ratio,
-            "command": f"{other.command}{name_directory(directory)}",
-            "reason": other.reason,
-        }
-        for other in verdict.others
-    ]
+    told[-1]["thermometers"] = tell_thermometers(verdict.others, directory)
     return told
 
 
-def explain_others(told: Mapping[str, Any]) -> list[str]:
-    """Return a sentence on each other thermometer that the drift follows.
+def tell_diagnosis(
+    diagnosis: Diagnosis, command: AddCommand | None, directory: Path
+) -> dict[str, Any]:
+    """Return the JSON of one diagnosis."""
+    return {**diagnosis.to_dict(), "command": "" if command is None else command.write(directory)}
 
-    Args:
-        told: the JSON of the last diagnosis.
-    """
+
+def tell_thermometers(others: Sequence[OtherThermometer], directory: Path) -> list[dict[str, Any]]:
+    """Return the JSON of other thermometers that the drift follows."""
     return [
-        f"The drift follows another thermometer, {other['signal']}: {other['reason']}. "
-        f"To add it: {other['command']}"
-        for other in told["thermometers"]
+        {
+            "signal": other.signal,
+            "heldout_rmse_ratio": other.heldout_rmse_ratio,
+            "command": other.command.write(directory),
+            "reason": other.reason,
+        }
+        for other in others
+    ]
+
+
+def explain_others(others: Sequence[OtherThermometer], directory: Path) -> list[Sentence]:
+    """Return a sentence on each other thermometer that the drift follows."""
+    return [
+        Sentence(
+            f"The drift follows another thermometer, {other.signal}: {other.reason}. "
+            f"To add it: {other.command.write(directory)}"
+        )
+        for other in others
     ]
 
 
 def list_commands(
-    effects: Sequence[EffectConfig],
-    steps: Sequence[Diagnosis],
-    catalogue: Catalogue,
-    directory: Path,
-) -> list[str]:
-    """Return the command that adds what each step names; empty where it names nothing."""
-    commands = []
+    effects: Sequence[EffectConfig], steps: Sequence[Diagnosis], catalogue: Catalogue
+) -> list[AddCommand | None]:
+    """Return the command that adds what each step names; None where it names nothing."""
+    commands: list[AddCommand | None] = []
     for step in steps:
         if step.effect is None:
-            commands.append("")
+            commands.append(None)
             continue
-        command = write_command(effects, catalogue[step.effect], step.parameters)
-        commands.append(f"{command}{name_directory(directory)}")
+        commands.append(propose_command(effects, catalogue[step.effect], step.parameters))
         effects = extend_model(effects, catalogue, step)
     return commands
-
-
-def name_directory(directory: Path) -> str:
-    """Return the option that names the project, as a shell takes it."""
-    return "" if directory == Path() else f" -C {shlex.quote(str(directory))}"

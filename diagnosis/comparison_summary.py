@@ -1,0 +1,90 @@
+"""What `compare` prints and the report shows: its figures, without the predictions behind them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class OutputSummary:
+    """Errors of one output over all runs, in its unit; on held-out data where there are any."""
+
+    unit: str
+    full_scale: float
+    rmse_uncompensated: float
+    rmse: float
+    """In the sample."""
+    rmse_heldout: float | None
+    """None where nothing was held out."""
+    max_abs: float
+    rmse_pct_fs: float
+    max_abs_pct_fs: float
+    noise_floor: float
+    explained: float
+    """Share of the drift's mean square, offsets apart, that the model takes away."""
+    run_offset: float
+    """What was taken off as the runs' own offsets, root mean square; 0 without tare."""
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """Errors of one output in one run, in its unit."""
+
+    rmse: float
+    rmse_uncompensated: float
+    max_abs: float
+    explained: float
+    run_offset: float
+    rmse_in_sample: float | None
+    held_out: bool
+    use: str
+    """train | test."""
+
+
+@dataclass(frozen=True)
+class WorstSegment:
+    """A stretch of one run in which one output is badly off."""
+
+    run: str
+    output: str
+    from_s: float
+    """On the log's own clock."""
+    to_s: float
+    rmse: float
+    pattern: str
+    """What was going on, in words."""
+    mean_error: float
+
+
+@dataclass(frozen=True)
+class PatternSummary:
+    """Where an output's error is concentrated."""
+
+    output: str
+    kind: str
+    """concentrated | signed."""
+    pattern: str
+    """In words."""
+    share_of_error: float
+    share_of_time: float
+    runs_agreeing: int
+    runs_checked: int
+    mean_error: float
+
+
+@dataclass(frozen=True)
+class ComparisonSummary:
+    """A model held against the measurements."""
+
+    outputs: Mapping[str, OutputSummary]
+    runs: Mapping[str, Mapping[str, RunSummary]]
+    """Run -> output -> its errors."""
+    worst: tuple[WorstSegment, ...]
+    patterns: tuple[PatternSummary, ...]
+    effects: tuple[str, ...]
+    held_out: str
+    """How runs were held out, `none` where they were not."""
+    noise_floor_source: str
+    """dwell | estimated."""
+    tared: bool
+    set_aside: float
+    """Share of all samples that do not count: a converter stood at its rail."""

@@ -1,0 +1,154 @@
+"""What `firmware` prints and keeps in build/firmware.json, for whoever shows it later."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from zerodrift.base.records import OPTIONAL
+
+ByOutput = Mapping[str, float]
+"""Output -> a value, in its unit where nothing else is said."""
+
+
+@dataclass(frozen=True)
+class ChipError:
+    """RMS difference of integer and float model of one output, in its unit, by cause.
+
+    The squares of the four add up to the square of the whole.
+    """
+
+    rounding: float
+    out_of_range: float
+    """On rows where a channel is outside its calibrated range, and on their after-effect."""
+    clamped: float
+    """The correction stood at its limit."""
+    saturated: float
+    """An operation, or a channel's code, stood at its limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statement:
+    """Something that the gate says."""
+
+    kind: str
+    """worse_than_none | worse_than_physics | worse_than_float | worse_beyond_range for a refusal;
+    out_of_range | few_blocks | not_judged for a warning."""
+    output: str = field(default="", metadata=OPTIONAL)
+    """The output it is about; "" where it is about runs."""
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageErrors:
+    """RMSE against the measurements, from the bare sensor to the chip."""
+
+    uncompensated: ByOutput
+    physics: ByOutput | None = field(default=None, metadata=OPTIONAL)
+    """Of the effects alone, where something was learnt beside them."""
+    float: ByOutput
+    integer: ByOutput
+    integer_not_fine_tuned: ByOutput | None = field(default=None, metadata=OPTIONAL)
+
+
+@dataclass(frozen=True)
+class StackSummary:
+    """The deepest stack of each function."""
+
+    compiler: str
+    flags: tuple[str, ...]
+    of: Mapping[str, int]
+    """Function -> bytes."""
+
+
+@dataclass(frozen=True)
+class NodeShare:
+    """What one node of the graph adds to integer minus float."""
+
+    node: str
+    kind: str
+    rms: ByOutput
+
+
+@dataclass(frozen=True)
+class TimeShare:
+    """Integer minus float over some steps."""
+
+    from_step: int
+    to_step: int
+    rms: ByOutput
+
+
+@dataclass(frozen=True)
+class BudgetSummary:
+    """Where the error comes from: measurements, quantization, its nodes, and time."""
+
+    float_to_measured: ByOutput
+    integer_to_float: ByOutput
+    nodes: tuple[NodeShare, ...]
+    over_time: tuple[TimeShare, ...]
+
+
+@dataclass(frozen=True)
+class Claims:
+    """What the certificate claims."""
+
+    claims: int
+
+
+@dataclass(frozen=True)
+class FirmwareSummary:
+    """A firmware: what it needs of a chip, how it was checked, and its error stage by stage."""
+
+    bit_exact: bool
+    vectors: int
+    """Steps that were compared."""
+    backends: tuple[str, ...]
+    flash_bytes: int
+    ram_bytes: int
+    """State of one sensor."""
+    stack_bytes: int
+    stack: StackSummary
+    core: str
+    instructions_per_step: Mapping[str, float]
+    """Core -> instructions."""
+    rmse: StageErrors
+    bias: ByOutput
+    rmse_integer_to_float: ByOutput
+    error_budget: BudgetSummary
+    rmse_pct_fs: ByOutput
+    """Of the integer model, in % of full scale."""
+    units: Mapping[str, str]
+    held_out: bool
+    tared: bool
+    runs: tuple[str, ...]
+    model_hash: str
+    certificate: Claims
+    gate: str
+    """How the gate judged: test logs | leave one run out | blocks of one run | not judged."""
+    chip_error: Mapping[str, ChipError]
+    warnings: tuple[Statement, ...]
+    refused: tuple[Statement, ...]
+    forced: bool
+    written: bool
+    files: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The range of one integer, and what its type leaves above it."""
+
+    where: str
+    low: int
+    high: int
+    bits: int
+    headroom_bits: float
+
+
+@dataclass(frozen=True)
+class CertificateSummary:
+    """What a certificate claims, and how close it comes to the limits."""
+
+    model_hash: str
+    bounds: int
+    """How many are claimed."""
+    tightest: tuple[Bound, ...]
+    """Those that come closest to their limits, the closest first."""
