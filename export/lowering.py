@@ -75,6 +75,11 @@ class Lowering(FormattedNodes):
             self._lowered[node] = self._lower(node)
         return self._lowered[node]
 
+    @property
+    def signals(self) -> Mapping[Node, Signal]:
+        """The integer signal of every float node that was lowered."""
+        return self._lowered
+
     def lower_feature(self, node: Node) -> Signal:
         """Return the integer signal of a feature, held where it goes far beyond calibration."""
         x = self.lower(node)

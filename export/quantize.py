@@ -1,6 +1,7 @@
 """The quantizer: a float compensator and what it saw in calibration become an integer model."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,26 @@ temperature is as large as its rate, and users heat faster than chambers do. The
 16 bits over twice the range give the same error as over 1.25 times (`make bench`)."""
 
 
+@dataclass(frozen=True)
+class Quantized:
+    """An integer model, and where the float model's nodes are in it."""
+
+    model: IntegerModel
+    signals: Mapping[Node, Signal]
+    """Of every node of the float graph."""
+    features: tuple[Signal, ...]
+    """Of the float model's features, as held beyond calibration."""
+
+
 def quantize(model: FloatModel, calibration: Calibration, weights: str = "int16") -> IntegerModel:
-    """Return the integer model, proven free of overflow for every input.
+    """Return the integer model of `quantize_graph`."""
+    return quantize_graph(model, calibration, weights).model
+
+
+def quantize_graph(
+    model: FloatModel, calibration: Calibration, weights: str = "int16"
+) -> Quantized:
+    """Return the integer model, proven free of overflow for every input, and its float nodes.
 
     Args:
         model: the float compensator.
@@ -73,7 +92,7 @@ def quantize(model: FloatModel, calibration: Calibration, weights: str = "int16"
         ),
     )
     integer.prove()
-    return integer
+    return Quantized(integer, lowering.signals, tuple(lowered))
 
 
 def _gather(

@@ -19,8 +19,7 @@ from zerodrift.export.compose import count_elapsed, encode_inputs
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.export.lowering import Lowering
-from zerodrift.export.quantize import FEATURE_HEADROOM
+from zerodrift.export.quantize import FEATURE_HEADROOM, quantize_graph
 from zerodrift.export.quantize_layers import (
     ReadOut,
     quantize_read_out,
@@ -183,20 +182,9 @@ class _Levels:
         self, described: FloatModel, calibration: Calibration, model: IntegerModel
     ) -> None:
         self._float, self._model = described, model
-        lowering = Lowering(
-            channels=described.channels,
-            sources=described.sources,
-            limits=calibration.code_limits,
-            sample_period_s=described.sample_period_s,
-            outputs=tuple(output.name for output in described.outputs),
-            clock_origin_s=described.clock_origin_s,
-            ranges=calibration.ranges,
-        )
+        quantized = quantize_graph(described, calibration)
         self._nodes = list_nodes([*described.features, *described.taps])
-        # in the order of the quantizer, so that the names are the model's
-        self._features = [lowering.lower_feature(root) for root in described.features]
-        self._signals = {node: lowering.lower(node) for node in described.taps}
-        self._signals |= {node: lowering.lower(node) for node in self._nodes}
+        self._features, self._signals = quantized.features, quantized.signals
         self._feature_scale = np.array(
             [
                 2.0 ** -min(choose_exponent(FEATURE_HEADROOM * float(x), INT16_MAX), 15)
