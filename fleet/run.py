@@ -8,6 +8,7 @@ from zerodrift.base.config import locate_key
 from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.fleet_config import PLACEHOLDER
 from zerodrift.base.journal import write_all
+from zerodrift.base.ownership import refuse_foreign
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.identifiers import sanitize_prefix
 from zerodrift.fleet.design import RUNTIME, Design
@@ -111,18 +112,22 @@ def find_kept(design: Design, sensor: str) -> SensorResult | None:
     try:
         config = configure_sensor(design.config, sensor)
         mark = design.mark_sensor(config)
-    except ZerodriftError:
+        if design.firmware:  # logs and design are in the mark
+            place = design.firmware_folder(sensor)
+            check = check_manifest(config, folder=place, build=folder, wants_inputs=False)
+            if check.manifest is None or check.findings:
+                return None
+    except (ZerodriftError, OSError):
         return None  # told when it is worked on
-    if design.firmware:  # logs and design are in the mark
-        place = design.firmware_folder(sensor)
-        check = check_manifest(config, folder=place, build=folder, wants_inputs=False)
-        if check.manifest is None or check.findings:
-            return None
     return load_result(folder, design.directory, mark)
 
 
 def write_runtime(design: Design) -> None:
-    """Write the C that all sensors share, where it differs from what is there."""
+    """Write the C that all sensors share, where it differs from what is there.
+
+    Raises:
+        InputError: a file that zerodrift did not write stands in the place of one.
+    """
     folder = design.config.firmware_out / RUNTIME
     contents = {folder / path.name: path.read_bytes() for path in RUNTIME_FILES}
     changed = {
@@ -130,4 +135,5 @@ def write_runtime(design: Design) -> None:
         for target, content in contents.items()
         if not target.is_file() or target.read_bytes() != content
     }
+    refuse_foreign(changed, folder)
     write_all(design.directory, changed)

@@ -12,6 +12,8 @@ import numpy as np
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, ZerodriftError
+from zerodrift.base.files import explain_refusal
+from zerodrift.base.ownership import refuse_foreign
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.c_runtime.host_batch import build_host_batch
@@ -79,7 +81,7 @@ class _Batch:
         except ZerodriftError as error:
             self.fail(sensor, str(error))
         except UNFORESEEN as error:
-            self.fail(sensor, f"unforeseen {type(error).__name__}: {error}. Please report it.")
+            self.fail(sensor, explain_unforeseen(error))
         return None
 
     def fail(self, sensor: str, message: str) -> None:
@@ -89,6 +91,12 @@ class _Batch:
     def list(self) -> list[Outcome]:
         """Return the outcomes in the sensors' order."""
         return [self.outcomes[sensor] for sensor in self.sensors]
+
+
+def explain_unforeseen(error: Exception) -> str:
+    """Return what to tell of an error that is none of zerodrift's own."""
+    told = explain_refusal(error) if isinstance(error, OSError) else None
+    return told or f"unforeseen {type(error).__name__}: {error}. Please report it."
 
 
 def work_on(design: Design, sensors: Sequence[str]) -> list[Outcome]:
@@ -133,8 +141,7 @@ def _train(design: Design, jobs: Sequence[_Job], batch: _Batch, catalogue: Catal
             done.append(job)
         else:
             known = isinstance(trained, ZerodriftError)
-            kind = "" if known else f"unforeseen {type(trained).__name__}: "
-            batch.fail(job.sensor, f"{kind}{trained}")
+            batch.fail(job.sensor, str(trained) if known else explain_unforeseen(trained))
     return done
 
 
@@ -271,6 +278,9 @@ def _render(
     """Return a sensor's files; None for those that are removed.
 
     Of a sensor that the gate refused, those below build/ alone.
+
+    Raises:
+        InputError: a file that zerodrift did not write stands in the place of one.
     """
     assert job.trained is not None
     compensator = replace(job.trained.compensator, trained_from=job.mark)
@@ -287,6 +297,7 @@ def _render(
             job.code.source_name: job.code.source.encode(),
             CERTIFICATE: certificate.encode(),
         }
+        refuse_foreign((out / name for name in (*firmware, MANIFEST)), out)
         files |= {out / name: content for name, content in firmware.items()}
         shared = {f"../{RUNTIME}/{path.name}": path.read_bytes() for path in RUNTIME_FILES}
         own = {name: content for name in ("model.json",) if (content := files[build / name])}

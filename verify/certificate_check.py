@@ -22,8 +22,9 @@ from zerodrift.verify.c_model import Model, read_models
 from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError
 from zerodrift.verify.known_runtime import is_known
 
-MALFORMED = (ValueError, KeyError, TypeError, AttributeError, IndexError)
-"""What files raise that are not built like a certificate and its C."""
+NOT_THERE = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
+MALFORMED = (*NOT_THERE, ValueError, KeyError, TypeError, AttributeError, IndexError)
+"""What files raise that are missing, or not built like a certificate and its C."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,16 @@ class Outcome:
 
 
 def check_certificate(folder: Path) -> Outcome:
-    """Return what becomes of the certificate in a firmware folder, whatever is in its files."""
+    """Return what becomes of the certificate in a firmware folder, whatever is in its files.
+
+    Raises:
+        OSError: a file is there and the system does not hand it out, which says nothing of it.
+    """
     try:
         claims = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
         texts = {name: (folder / name).read_bytes() for name in claims["files"]}
         return compare(claims, {name: text.decode() for name, text in texts.items()})
-    except (OSError, *MALFORMED) as error:
+    except MALFORMED as error:
         return Outcome(
             0, (f"{folder}: not a certificate and its C ({type(error).__name__}: {error})",)
         )
@@ -175,6 +180,10 @@ def _judge_state(claims: dict[str, Any], machine: Machine) -> list[str]:
 
 
 if __name__ == "__main__":
-    outcome = check_certificate(Path(sys.argv[1]))
+    try:
+        outcome = check_certificate(Path(sys.argv[1]))
+    except OSError as refusal:
+        sys.stderr.write(f"error: {refusal.filename}: cannot be read ({refusal.strerror}).\n")
+        sys.exit(2)
     sys.stdout.write("\n".join([*outcome.failures, f"{outcome.holds} claims hold", ""]))
     sys.exit(1 if outcome.failures else 0)

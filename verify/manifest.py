@@ -17,6 +17,7 @@ from typing import Any
 from zerodrift import __version__
 from zerodrift.base.config import USES, Config
 from zerodrift.base.errors import CheckError, InputError
+from zerodrift.base.files import NOT_THERE
 from zerodrift.dataset.selectors import expand_selectors
 
 FILE_NAME = "manifest.json"
@@ -223,6 +224,7 @@ def load_manifest(path: Path) -> Manifest:
 
     Raises:
         InputError: it is missing, damaged, or of a later format.
+        OSError: it is there and the system does not hand it out.
     """
     try:
         body = json.loads(path.read_text(encoding="utf-8"))
@@ -239,7 +241,7 @@ def load_manifest(path: Path) -> Manifest:
         )
     except FileNotFoundError as error:
         raise InputError(f"{path}: there is no manifest. {_AGAIN}") from error
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (*NOT_THERE, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
             f"{path}: cannot be read as a manifest ({type(error).__name__}: {error}). {_AGAIN}"
         ) from error
@@ -269,6 +271,9 @@ def check_manifest(
         folder: where the C lies; by default `[firmware] out`.
         build: where the model lies; by default the project's build/.
         wants_inputs: whether configuration and logs are compared, too.
+
+    Raises:
+        InputError, OSError: a file is there and cannot be read, so that nothing is known of it.
     """
     folder, build = folder or config.firmware_out, build or config.build_directory
     path = folder / FILE_NAME
@@ -299,7 +304,7 @@ def find_naming_header(folder: Path) -> str | None:
         try:
             if _NAMED.search(path.read_bytes()):
                 return path.name
-        except OSError:
+        except NOT_THERE:
             continue
     return None
 
@@ -308,13 +313,11 @@ def _check_files(known: Mapping[str, str], folder: Path, project: Path) -> Itera
     for name, expected in known.items():
         path = folder / name
         shown = _name(path, project)
-        try:
-            found = hash_file(path)
-        except InputError as error:
-            text = f"{shown}: is missing." if not path.exists() else str(error)
-            yield Finding(MISSING, shown, text)
-            continue
-        if found != expected:
+        found = _hash_if_there(path)
+        if not found:
+            text = "is a directory; expected a file." if path.exists() else "is missing."
+            yield Finding(MISSING, shown, f"{shown}: {text}")
+        elif found != expected:
             yield Finding(CHANGED, shown, f"{shown}: was changed since it was written.")
 
 
@@ -322,6 +325,8 @@ def _check_inputs(known: Inputs, config: Config) -> Iterator[Finding]:
     try:
         configuration = _hash_configuration(config)
     except InputError as error:
+        if isinstance(error.__cause__, OSError) and not isinstance(error.__cause__, NOT_THERE):
+            raise
         yield Finding(STALE, CONFIGURATION, str(error))
         configuration = dict(known.configuration)
     yield from _compare(known.configuration, configuration)
@@ -334,18 +339,27 @@ def _check_inputs(known: Inputs, config: Config) -> Iterator[Finding]:
             continue
         current |= {_name(s.path, config.directory): s.path for s in selected}
     listed = {**known.logs, **known.network}
-    found = {name: _try_hash(config.directory / name) for name in listed}
+    found = {name: _hash_if_there(config.directory / name) for name in listed}
     if not known.network:  # an imported network may have been calibrated on other logs
-        found |= {name: _try_hash(path) for name, path in current.items() if name not in listed}
+        found |= {
+            name: _hash_if_there(path) for name, path in current.items() if name not in listed
+        }
     there = {name: digest for name, digest in found.items() if digest}
     yield from _compare(listed, there)
 
 
-def _try_hash(path: Path) -> str:
+def _hash_if_there(path: Path) -> str:
+    """Return the SHA-256 of a file, or "" where there is none.
+
+    Raises:
+        InputError: it is there and cannot be read, which says nothing of what it holds.
+    """
     try:
         return hash_file(path)
-    except InputError:
-        return ""
+    except InputError as error:
+        if isinstance(error.__cause__, NOT_THERE):
+            return ""
+        raise
 
 
 def _compare(known: Mapping[str, str], found: Mapping[str, str]) -> Iterator[Finding]:

@@ -2,17 +2,25 @@
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import polars as pl
 
 from zerodrift.base.errors import InputError
-from zerodrift.base.journal import write_all
+from zerodrift.base.journal import hold_project, write_all
 from zerodrift.lab.twin.logger import SimulatedRun
 from zerodrift.lab.twin.project import CHANNEL_COLUMNS, name_outputs, render_config
 from zerodrift.lab.twin.simulate import Simulation
 from zerodrift.lab.twin.truth import describe_truth
 
+TRUTH = "truth.json"
+MARKS = {
+    "zerodrift.toml": b"# SIMULATED: these logs were written by `zerodrift twin",
+    "README.md": b"Written by `zerodrift twin",
+    TRUTH: b'"note": "The truth behind simulated logs.',
+}
+"""Files of a simulation -> what each says of itself."""
 _README = """\
 # Simulated logs
 
@@ -79,8 +87,8 @@ def write_logs(
     Returns the paths written, the logs first and zerodrift.toml last.
 
     Raises:
-        InputError: files would be overwritten without `overwrite`, or other logs lie where the
-            config's globs would take them for this simulation's.
+        InputError: files would be overwritten without `overwrite`, or are of no simulation, or
+            other logs lie where the config's globs would take them for this simulation's.
     """
     return write_project(render_project(simulation), directory, overwrite=overwrite)
 
@@ -89,12 +97,26 @@ def write_project(
     files: Mapping[str, bytes], directory: Path, *, overwrite: bool = False
 ) -> tuple[Path, ...]:
     """Write files by their names relative to a directory; see `write_logs`."""
+    with hold_project(directory):  # what a kill left among the logs is no log
+        _refuse_overwriting(files, directory, overwrite)
+        return replace_files(directory, files)
+
+
+def _refuse_overwriting(files: Mapping[str, bytes], directory: Path, overwrite: bool) -> None:
     there = [name for name in files if (directory / name).exists()]
     if there and not overwrite:
         raise InputError(
             f"{directory / there[0]}: exists already ({len(there)} of {len(files)} files do). "
             "Name another directory by -C, or overwrite with --force."
         )
+    simulated = _list_simulated(directory)
+    for name in there:
+        if Path(name).stem not in simulated and name not in simulated:
+            raise InputError(
+                f"{directory / name}: was not written by `zerodrift twin`; expected an earlier"
+                " simulation, which alone --force overwrites. Move the file away, or name another"
+                " directory by -C. Nothing was written."
+            )
     strangers = sorted(
         path.name for path in (directory / "logs").glob("*") if f"logs/{path.name}" not in files
     )
@@ -103,4 +125,18 @@ def write_project(
             f"{directory / 'logs' / strangers[0]}: is not of this simulation, and the globs of "
             "zerodrift.toml could mix it in. Remove it, or name another directory by -C."
         )
-    return replace_files(directory, files)
+
+
+def _list_simulated(directory: Path) -> frozenset[str]:
+    """Return the files, and the names of the runs, of the simulation that lies in a directory."""
+    names = {
+        name
+        for name, mark in MARKS.items()
+        if (directory / name).is_file() and mark in (directory / name).read_bytes()
+    }
+    if TRUTH in names:
+        names.add("sensor.dbc")
+        with suppress(ValueError, KeyError, TypeError):
+            runs = json.loads((directory / TRUTH).read_text(encoding="utf-8"))["runs"]
+            names |= {str(run["name"]) for run in runs}
+    return frozenset(names)

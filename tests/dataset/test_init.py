@@ -1,7 +1,9 @@
 """`zerodrift init`: what it guesses, that its file is valid, that it never overwrites."""
 
 import json
+import os
 import tomllib
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -186,11 +188,14 @@ def test_init_recognises_a_measured_log(real_log, invoke, tmp_path):
 
 
 def test_init_says_when_it_may_not_write(tmp_path, invoke, monkeypatch):
-    def refuse(**_):
-        raise PermissionError(13, "Permission denied")
+    def refuse(path, flags, mode=0o777, **more):
+        if flags & os.O_CREAT and Path(path).is_relative_to(tmp_path):
+            raise PermissionError(13, "Permission denied", str(path))
+        return really(path, flags, mode, **more)
 
+    really = os.open
     write_log(tmp_path / "log.csv")
-    monkeypatch.setattr("zerodrift.base.files.tempfile.mkstemp", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     result = invoke("log.csv")
     assert isinstance(result.exception, InputError)
     assert "zerodrift.toml: cannot be written (Permission denied)" in str(result.exception)

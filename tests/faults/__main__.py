@@ -14,6 +14,7 @@ import importlib
 import math
 import os
 import random
+import resource
 import subprocess
 import sys
 import tempfile
@@ -22,16 +23,11 @@ from pathlib import Path
 
 from tests.faults.points import ALLOCATION, ELSEWHERE, FAIL, KILL, ON_PROJECT, Point, Trial
 from tests.faults.scenarios import SCENARIOS
+from zerodrift.app.cli import list_commands
 from zerodrift.c_runtime.compilers import find_compiler
 
 HERE = Path(__file__).parent
-MODULES = (
-    *("zerodrift.app.cli", "numpy", "polars", "scipy.optimize", "zerodrift.verify.firmware"),
-    *("zerodrift.app.commands." + name for name in (
-        "init", "add", "remove", "train", "export", "firmware", "package", "report", "history",
-        "calibrate", "twin", "fleet",
-    )),
-)  # fmt: skip
+MODULES = ("numpy", "polars", "scipy.optimize", "zerodrift.verify.firmware")
 
 
 def main() -> None:
@@ -41,6 +37,7 @@ def main() -> None:
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=", ".join(names))
     parser.add_argument("--share", type=float, default=1.0, help="of the points on project paths")
     parser.add_argument("--drawn", type=int, default=200, help="other calls, and allocations, each")
+    parser.add_argument("--seconds", type=float, help="of processor time, about, for all of them")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     if "ZD_FAULTS" not in os.environ:
@@ -51,10 +48,13 @@ def main() -> None:
     total: Counter[str] = Counter()
     drawn = math.ceil(given.drawn * given.share / len(SCENARIOS))
     with tempfile.TemporaryDirectory(prefix="zd-faults-") as folder:
-        for scenario in wanted:
+        for number, scenario in enumerate(wanted):
             trial = Trial(scenario, Path(folder).resolve() / scenario.name)
+            used = tell_seconds()
+            left = (given.seconds or math.inf) - used
             trial.prepare()
-            total += try_scenario(trial, given.share, drawn, rng)
+            points = draw_points(trial, given.share, drawn, rng)
+            total += try_points(trial, points, used + left / (len(wanted) - number))
     print(
         f"faults: {total['points']} points tried, {total['traceback']} tracebacks,"
         f" {total['exit code']} wrong exit codes, {total['message']} without one message,"
@@ -83,26 +83,45 @@ def build_shim(folder: Path) -> Path:
 
 def load_modules() -> None:
     """Import what the commands need, once for all children."""
+    commands = list_commands()
+    for name in {scenario.arguments[0] for scenario in SCENARIOS}:
+        importlib.import_module(commands[name][1].partition(":")[0])
     for name in MODULES:
         importlib.import_module(name)
 
 
-def try_scenario(trial: Trial, share: float, drawn: int, rng: random.Random) -> Counter[str]:
-    """Try a scenario's points, print what is wrong, and return the counts."""
+def tell_seconds() -> float:
+    """Return the processor time of all children so far, theirs included."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def draw_points(trial: Trial, share: float, drawn: int, rng: random.Random) -> list[Point]:
+    """Return a share of the points on the project, and as many others, in drawn order."""
     points = [
         Point(ON_PROJECT, way, number)
         for way in (FAIL, KILL)
         for number in range(1, len(trial.calls[ON_PROJECT]) + 1)
     ]
     count = max(round(share * len(points)), 1)
-    points = sorted(rng.sample(points, count), key=lambda p: (p.way, p.number))
+    points = rng.sample(points, count)
     for where in (ELSEWHERE, ALLOCATION):
         calls = len(trial.calls[where])
         numbers = rng.sample(range(1, calls + 1), min(drawn, calls))
-        points += [Point(where, FAIL, number) for number in sorted(numbers)]
+        points += [Point(where, FAIL, number) for number in numbers]
+    return rng.sample(points, len(points))
+
+
+def try_points(trial: Trial, points: list[Point], until: float) -> Counter[str]:
+    """Try points, at least one, until that much processor time is used; print what is wrong.
+
+    Returns the counts.
+    """
     total: Counter[str] = Counter()
     places = ("", " elsewhere", " allocation")
     for point in points:
+        if total and tell_seconds() > until:
+            break
         told = trial.try_point(point)
         total["points"] += 1
         for kind in {kind for kind, _ in told.wrong}:
@@ -115,7 +134,7 @@ def try_scenario(trial: Trial, share: float, drawn: int, rng: random.Random) -> 
                 flush=True,
             )
     print(
-        f"{trial.scenario.name}: {len(points)} of {2 * len(trial.calls[ON_PROJECT])} points and"
+        f"{trial.scenario.name}: {total['points']} of {2 * len(trial.calls[ON_PROJECT])} points and"
         f" {len(trial.calls[ELSEWHERE])} + {len(trial.calls[ALLOCATION])} other calls; "
         + (", ".join(f"{n} {k}" for k, n in total.items() if k != "points") or "all well"),
         flush=True,

@@ -25,6 +25,10 @@ class Scenario:
     """Makes the project in an empty directory."""
     codes: tuple[int, ...] = (0,)
     """Exit codes without faults, also of the command done again."""
+    next_command: tuple[str, ...] = ("history", "-C", "{}")
+    """One that changes nothing, after which no set is mixed."""
+    report: str = ""
+    """The file that tells which units failed, where others go on and the exit code is 1."""
 
 
 def prepare_logs(project: Path, _: Run | None = None) -> None:
@@ -132,12 +136,13 @@ SCENARIOS = (
     Scenario("package", ("package", "cmake", "-C", "{}"), prepare_package),
     Scenario("report", REPORT, prepare_old(REPORT)),
     Scenario("history", ("history", "-C", "{}", "--html", "{}/history.html"), prepare_added),
-    Scenario("calibrate", CALIBRATE, prepare_codes),
+    Scenario("calibrate", CALIBRATE, prepare_codes, next_command=CALIBRATE[:4]),
     Scenario("twin", (*TWIN, "--seed", "2", "--force"), prepare_twin),
-    Scenario("fleet", FLEET, prepare_fleet),
+    Scenario("fleet", FLEET, prepare_fleet, report="build/fleet/report.json"),
 )
 
 
+FLEET_REPORT = "the fleet's report"
 _FIRMWARE = re.compile(
     r"firmware/[^/]+|build/(model\.json|integer\.onnx|golden\.npz|certificate\.json|firmware\.json)"
 )
@@ -153,6 +158,8 @@ def find_set(path: str) -> str:
         return "package"
     if _FIRMWARE.fullmatch(path):
         return "firmware"
+    if path.startswith("build/fleet/report."):
+        return FLEET_REPORT
     if path.startswith("cal."):
         return "calibration"
     return path

@@ -97,6 +97,24 @@ def test_rerun_does_only_what_has_changed(copy_of_done, zerodrift):
     assert after["firmware/SN03/ft40.c"][1] == before["firmware/SN03/ft40.c"][1]
 
 
+def test_files_of_the_users_are_never_replaced(copy_of_done, zerodrift):
+    mine = copy_of_done / "firmware" / "SN02" / "ft40.c"
+    mine.write_text("mine")
+    mine.with_name("manifest.json").unlink()
+    result = zerodrift("fleet", "-C", copy_of_done, "--jobs", 1)
+    assert result.code == 1 and "2 of 3 sensors pass" in result.out
+    (error,) = [r for r in read_report(copy_of_done)["results"] if r["status"] == "error"]
+    assert error["sensor"] == "SN02" and "ft40.c: is there and was not written" in str(error)
+    assert mine.read_text() == "mine"
+
+    shared = copy_of_done / "firmware" / "runtime" / "zd_runtime.h"
+    shared.write_text("mine")
+    before = list_files(copy_of_done)
+    result = zerodrift("fleet", "-C", copy_of_done, "--jobs", 1)
+    assert result.code == 2 and "zd_runtime.h: is there and was not written" in result.err
+    assert list_files(copy_of_done) == before
+
+
 def test_limits_are_judged_anew_without_work(copy_of_done, zerodrift):
     toml = copy_of_done / "zerodrift.toml"
     toml.write_text(toml.read_text() + "[fleet.limits]\nFz = 1e-6\n")

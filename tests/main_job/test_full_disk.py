@@ -130,7 +130,10 @@ def test_what_no_command_expects_is_still_one_message(
     with pytest.raises(SystemExit) as end:
         main()
     told = capsys.readouterr().err
-    assert end.value.code == 2 and told.startswith("error: /somewhere/file: cannot be written")
+    of_writes = code in (errno.ENOSPC, errno.EROFS, errno.EDQUOT)
+    what = "written" if of_writes else "opened, read or written"
+    assert end.value.code == 2
+    assert told.startswith(f"error: /somewhere/file: cannot be {what} ({os.strerror(code)})")
     assert "Traceback" not in told
 
 
@@ -154,7 +157,7 @@ def test_a_log_that_cannot_be_opened_in_the_midst_is_one_message(
     with pytest.raises(SystemExit) as end:
         main()
     told = capsys.readouterr().err
-    expected = f"error: logs/a.csv: cannot be opened or read ({answer}); "
+    expected = f"error: logs/a.csv: cannot be opened, read or written ({answer}); "
     assert end.value.code == 2 and told.startswith(expected)
 
 

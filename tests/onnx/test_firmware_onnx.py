@@ -217,7 +217,9 @@ def test_command_guesses_the_project_from_the_logs(tmp_path: Path) -> None:
     told = json.loads(result.stdout)
     assert set(told["units"]) == {"Fz", "Mx"} and not told["held_out"]
     assert "guessed from the logs" in result.stderr
-    assert sorted(p.name for p in (tmp_path / "firmware").iterdir())[-1] == "zd_runtime.h"
+    files = {tmp_path / name for name in told["files"]}
+    assert {*(tmp_path / "firmware").iterdir()} == files
+    assert {"zd_runtime.h", "zd_runtime.c", "manifest.json"} <= {path.name for path in files}
 
 
 def make_bidirectional() -> bytes:

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 import zerodrift.lab.twin as twin
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.base.sealed import render_sealed
 from zerodrift.dataset.load import load_dataset
 from zerodrift.lab.commands.twin import command, split_list
 from zerodrift.lab.twin import (
@@ -128,8 +129,35 @@ def test_writing_never_overwrites_unasked(simulation, tmp_path):
     with pytest.raises(InputError, match="exists already"):
         write_logs(simulation, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["zerodrift.toml"]
+    with pytest.raises(InputError, match=r"zerodrift\.toml: was not written by"):
+        write_logs(simulation, tmp_path, overwrite=True)
+    assert (tmp_path / "zerodrift.toml").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["logs/chamber_1.csv", "README.md", "truth.json"])
+def test_force_replaces_a_simulation_and_no_file_of_the_users(simulation, tmp_path, name):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("{}")
+    assert name in render_project(simulation)
+    with pytest.raises(InputError, match="was not written by"):
+        write_logs(simulation, tmp_path, overwrite=True)
+    assert (tmp_path / name).read_text() == "{}"
+    (tmp_path / name).unlink()
+    written = write_logs(simulation, tmp_path)
+    assert write_logs(simulation, tmp_path, overwrite=True) == written
+
+
+def test_force_after_a_kill_takes_the_remainder_for_no_log(simulation, tmp_path):
+    write_logs(simulation, tmp_path)
+    (tmp_path / "logs" / ".0123456789ab.0.zd-new").write_text("")
+    state = tmp_path / "build" / ".zerodrift"
+    state.mkdir(parents=True)
+    step = {"path": "logs/a.csv", "new": "logs/.0123456789ab.0.zd-new", "old": ""}
+    step |= {"new_sha256": "0", "old_sha256": ""}
+    record = {"format": 1, "steps": [step], "made": [], "durable": True}
+    (state / "0123456789ab.begin").write_bytes(render_sealed(record))
     write_logs(simulation, tmp_path, overwrite=True)
-    assert "SIMULATED" in (tmp_path / "zerodrift.toml").read_text()
+    assert not list(tmp_path.rglob("*.zd-new")) and not state.exists()
 
 
 def test_writing_refuses_logs_that_the_globs_would_mix_in(simulation, tmp_path):

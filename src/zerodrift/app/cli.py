@@ -2,7 +2,6 @@
 
 import importlib
 import os
-import re
 import sys
 import tempfile
 from functools import cache
@@ -13,6 +12,7 @@ import click
 from zerodrift import __version__
 from zerodrift.app.surroundings import describe_memory_limit, explain_memory, prepare_streams
 from zerodrift.base.errors import InputError, ZerodriftError
+from zerodrift.base.files import NOTHING_HALF, explain_refusal, explain_write, is_refused_write
 from zerodrift.base.threads import use_one_thread
 
 #: Command name -> one-line help. The command itself is `zerodrift.app.commands.<name>:command`;
@@ -122,23 +122,6 @@ def is_own_exit(ended: SystemExit) -> bool:
     return str(raised_in).startswith("zerodrift.")
 
 
-def explain_read(error: OSError) -> str | None:
-    """Return what to tell of a file that the system would not open or read; None if it is no file.
-
-    Polars gives the system's answer in its text alone: "Too many open files (os error 24): PATH".
-    """
-    place, answer = error.filename, error.strerror
-    if found := re.fullmatch(r"(.+) \(os error \d+\): (.+)", str(error)):
-        answer, place = found.groups()
-    if not place:
-        return None
-    return (
-        f"{place}: cannot be opened or read ({answer}); expected a file that the system hands out."
-        " Nothing was left half-written. See to the disk or the limit on open files (ulimit -n) and"
-        " run the command again."
-    )
-
-
 def main() -> None:
     """Run the command line; a user's error becomes one message on stderr and its exit code."""
     use_one_thread()
@@ -158,12 +141,10 @@ def main() -> None:
         click.echo(f"error: {explain_memory()}", err=True)
         sys.exit(2)
     except OSError as error:
-        from zerodrift.base.files import NOTHING_HALF, explain_write, is_refused_write
-
         if is_refused_write(error):
             place = error.filename or f"standard output, or {tempfile.gettempdir()}"
             click.echo(f"error: {explain_write(place, error, NOTHING_HALF)}", err=True)
-        elif told := explain_read(error):
+        elif told := explain_refusal(error):
             click.echo(f"error: {told}", err=True)
         else:
             raise

@@ -5,15 +5,19 @@ Files that belong together are changed together by `zerodrift.base.journal`.
 
 import errno
 import os
+import re
 import secrets
 import shutil
 import stat
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
 
+NOT_THERE = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
+"""Answers of the system that say that there is no such file; any other says nothing of it."""
 REMAINDER = ".zd-new"
 """End of the name of a file that is not in its place yet."""
 AS_BEFORE = "Every file is as it was before."
@@ -34,6 +38,7 @@ _REMEDIES = {
     errno.EEXIST: "Move away what stands there",
 }
 """What a disk answers when it does not take a file, and what helps."""
+_OF_WRITES = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EEXIST}
 _KINDS = {
     stat.S_IFREG: "a file",
     stat.S_IFDIR: "a directory",
@@ -144,9 +149,28 @@ def name_kind(path: Path) -> str:
     return _KINDS.get(kind, "no ordinary file")
 
 
+def explain_refusal(error: OSError) -> str | None:
+    """Return what to tell of a file that the system refused; None if it is no such answer.
+
+    Reading and writing are refused in the same words (EIO, EMFILE, EACCES), so neither is claimed.
+    Polars gives the system's answer in its text alone: "Too many open files (os error 24): PATH".
+    """
+    place, answer = error.filename, error.strerror
+    if found := re.fullmatch(r"(.+) \(os error \d+\): (.+)", str(error)):
+        answer, place = found.groups()
+    if not place and error.errno not in _REMEDIES:
+        return None
+    place = place or f"standard output, or a file in {tempfile.gettempdir()}"
+    return (
+        f"{place}: cannot be opened, read or written ({answer}); expected a file that the system"
+        f" hands out. {NOTHING_HALF} See to the disk, to the rights, or to the limit on open files"
+        " (ulimit -n), and run the command again."
+    )
+
+
 def is_refused_write(error: OSError) -> bool:
-    """Tell whether an error is a disk's answer rather than a mistake in this program."""
-    return error.errno in _REMEDIES
+    """Tell whether an error is an answer that only a write gets."""
+    return error.errno in _OF_WRITES
 
 
 def _escape(name: str) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.files import NOT_THERE
 
 MANIFEST = "manifest.json"
 LISTED = "firmware"
@@ -46,24 +47,32 @@ def refuse_foreign(contents: Iterable[Path], folder: Path) -> None:
 
 
 def list_own(folder: Path) -> frozenset[str]:
-    """Return the names in a folder's manifest, itself included; none without a readable one."""
+    """Return the names in a folder's manifest, itself included; none without one of ours.
+
+    Raises:
+        OSError: it is there and the system does not hand it out.
+    """
     try:
         content = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         if not _is_own(content):
             return frozenset()
         return frozenset((*map(str, content[LISTED]), MANIFEST))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (*NOT_THERE, ValueError, KeyError, TypeError, RecursionError):
         return frozenset()
 
 
 def carries_mark(path: Path) -> bool:
-    """Return whether a file says in itself that zerodrift wrote it."""
+    """Return whether a file says in itself that zerodrift wrote it.
+
+    Raises:
+        OSError: the system does not hand it out.
+    """
     try:
         if path.suffix == ".json":
             return _is_own(json.loads(path.read_text(encoding="utf-8")))
         with path.open("rb") as file:
             start = file.read(FIRST_BYTES)
-    except (OSError, ValueError, RecursionError):
+    except (ValueError, RecursionError):
         return False
     return any(mark.search(start) for mark in MARKS)
 

@@ -13,7 +13,7 @@ from zerodrift.app.commands.common import (
     skip_invalid_option,
 )
 from zerodrift.base.errors import InputError
-from zerodrift.base.journal import write_all
+from zerodrift.base.journal import settle_project, write_all
 from zerodrift.calibration.matrix import Calibration
 
 SUFFIXES = (".toml", ".json", ".h")
@@ -227,6 +227,7 @@ def command(
     for file in files:
         if file.suffix.lower() not in SUFFIXES:
             raise InputError(f"{file}: expected a name that ends in {', '.join(SUFFIXES)}.")
+    settle_project(directory)
     paths = find_logs(logs, directory)
     first = open_source(paths[0], _label(paths[0], directory), {})
     chosen = references or list_references(first)
