@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 from tests.certificate.test_check import list_texts
-from tests.fixed_point.accumulators import Record, prove_values, recompute, record
+from tests.fixed_point.accumulators import Record, drop_missing, prove_values, recompute, record
 
 from benchmarks.many_hosts import HOW, ManyHosts
 from benchmarks.random_models import Case, draw_case
@@ -153,6 +153,7 @@ def run_case(case: Case, hosts: ManyHosts, index: int) -> Result:
 
 def hold_against(claims: dict[str, Any], case: Case, seen: Record) -> tuple[Tightness, list[str]]:
     """Return observed / claimed of every bound that was watched, and what went beyond its bound."""
+    seen = drop_missing(seen)
     bounds = {c["where"]: (c["low"], c["high"]) for c in claims["bounds"]}
     kinds = {node.name: node.kind for node in case.model.nodes}
     reach: dict[str, tuple[int, int]] = {}

@@ -75,7 +75,8 @@ class ManyHosts:
             steps = len(given)
             drift = np.empty((steps, len(model.outputs)), dtype=np.int32)
             flags = np.empty(steps, dtype=np.uint32)
-            trace = np.empty((steps, nodes), dtype=np.int32)
+            # a step without a first reading does not come to the nodes, which are 0 then
+            trace = np.zeros((steps, nodes), dtype=np.int32)
             packed = np.empty(width - drift.size - flags.size - trace.size, dtype=np.int64)
             self._call(index, "start", state, _at(given), ctypes.c_int(int(settled)))
             self._call(

@@ -4,11 +4,11 @@ Written from the specification, in plain int64 arithmetic, apart from the code t
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.integer_model import FLAG_NO_READING, IntegerModel
 from zerodrift.export.reference import ModelState, Reference
 from zerodrift.operations.arithmetic import CodeArray, saturate
 from zerodrift.operations.clip import IntegerClip
@@ -136,8 +136,21 @@ def recompute_polynomial(
     return out
 
 
+def drop_missing(seen: Record) -> Record:
+    """Return a run without its steps that lack a reading: those work on the reading before."""
+    flags = seen.flags.swapaxes(0, 1).ravel()
+    read = (flags & FLAG_NO_READING) == 0
+    return replace(
+        seen,
+        flags=flags[read][None],
+        values={name: found[read] for name, found in seen.values.items()},
+        before={name: found[read] for name, found in seen.before.items()},
+    )
+
+
 def recompute(model: IntegerModel, seen: Record) -> Found:
     """Yield every accumulator of all steps by its name in the certificate; some more than once."""
+    seen = drop_missing(seen)
     for node in model.nodes:
         inputs = [seen.values[name] for name in node.inputs]
         if not node.width and not isinstance(node, IntegerDelay | IntegerPlay | IntegerCounter):

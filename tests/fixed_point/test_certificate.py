@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.fixed_point.accumulators import prove_values, recompute, record_sequences
+from tests.fixed_point.accumulators import drop_missing, prove_values, recompute, record_sequences
 from tests.fixed_point.strategies import shapes
 from tests.golden.model_factory import Draw, Shape, draw_model
 
@@ -28,7 +28,7 @@ def test_nothing_leaves_its_proven_interval(shape: Shape, seed: int) -> None:
     model = draw_model(shape, seed)
     bounds = {bound.where: bound.interval for bound in model.prove()}
     intervals = prove_values(model)
-    seen = record_sequences(model, steps=300)
+    seen = drop_missing(record_sequences(model, steps=300))
     for node in model.nodes:
         columns = seen.values[node.name].reshape(len(seen.values[node.name]), -1)
         for column, interval in zip(columns.T, intervals[node.name], strict=True):

@@ -147,8 +147,9 @@ def test_bad_log_spoils_its_own_sensor_only(fleet, zerodrift):
 def test_networks_of_a_fleet_are_those_trained_alone(fleet, zerodrift, edit):
     edit('[[effect]]\nkind = "dark_current"\n', NETWORK)
     result = zerodrift("fleet", "-C", fleet, "--jobs", 1, "--json")
-    assert result.code == 0, result.err
     results = json.loads(result.out)["results"]
+    refused = any(r["refused"] for r in results)  # a network of so few epochs may be
+    assert result.code == int(refused), result.err
     assert any(r["network"] for r in results)
     config = configure_sensor(load_config(fleet), "SN01")
     scores = train(config, load_dataset(config)).scores

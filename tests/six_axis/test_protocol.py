@@ -78,7 +78,7 @@ def test_wrong_protocol_is_refused_with_file_and_line(line, message):
     assert str(caught.value).startswith("p.txt:")
 
 
-FOLDER = REPOSITORY / "physics" / "twin" / "six_axis" / "protocols"
+FOLDER = REPOSITORY / "lab" / "twin" / "six_axis" / "protocols"
 LINES = sorted({line for path in FOLDER.glob("*.txt") for line in path.read_text().splitlines()})
 TOKENS = sorted({token for line in LINES for token in line.split()} | {*WORDS, *DIMENSIONS})
 TOKENS += ["-5", "3..1", "1e999", "nan", "..", "%s", "\u2212" + "5", "0", "1e9"]
