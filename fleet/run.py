@@ -111,15 +111,14 @@ def find_kept(design: Design, sensor: str) -> SensorResult | None:
         return None
     try:
         config = configure_sensor(design.config, sensor)
-        mark = design.mark_sensor(config)
-        if design.firmware:  # logs and design are in the mark
-            place = design.firmware_folder(sensor)
-            check = check_manifest(config, folder=place, build=folder, wants_inputs=False)
-            if check.manifest is None or check.findings:
-                return None
+        kept = load_result(folder, design.directory, design.mark_sensor(config))
+        if kept is None or kept.refused or not design.firmware:
+            return kept
+        place = design.firmware_folder(sensor)  # logs and design are in the mark
+        check = check_manifest(config, folder=place, build=folder, wants_inputs=False)
     except (ZerodriftError, OSError):
         return None  # told when it is worked on
-    return load_result(folder, design.directory, mark)
+    return None if check.manifest is None or check.findings else kept
 
 
 def write_runtime(design: Design) -> None:

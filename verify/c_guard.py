@@ -284,7 +284,7 @@ class _Reader:
                 bits = 64 if BITS[kind] == 64 else 32
                 low, high = min(low for low, _ in limits), max(high for _, high in limits)
                 self._machine.note(f"{stem}.{last}", low, high, bits)
-            if last in ("line", "window"):
+            if last in ("line", "window") and self._sizes[name]:  # an input may be called so
                 where = f"{stem}.{'steps' if last == 'line' else last}"
                 self._machine.note(where, 1, self._sizes[name][0], 16)
 

@@ -40,8 +40,8 @@ Array = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 Found = Iterator[tuple[str, Array]]
 """Name in the certificate, and all that was found there."""
 
-CODES, DRIFT = "codes", "drift before"
-"""Names of the raw codes and of the drift of the step before in `Record.before`."""
+CODES, DRIFT, STEPS = "codes", "drift before", "steps before"
+"""Names of the raw codes, the drift and the count of the step before in `Record.before`."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def record(model: IntegerModel, codes: CodeArray, *, settled: bool) -> Record:
     drifts, flags, values, before = [], [], [], []
     for now in wide:
         found = {f"{n}.{k}": v for n, s in state.nodes.items() for k, v in s.items()}
-        before.append({**found, CODES: now, DRIFT: state.drift})
+        before.append({**found, CODES: now, DRIFT: state.drift, STEPS: state.steps})
         state, value, drift, flag = reference.step(state, now)
         values.append({name: value[name] for name in state.nodes})
         drifts.append(drift)
@@ -137,9 +137,13 @@ def recompute_polynomial(
 
 
 def drop_missing(seen: Record) -> Record:
-    """Return a run without its steps that lack a reading: those work on the reading before."""
+    """Return a run without the steps that do not go on from the state and the codes they found.
+
+    A step that lacks a reading works on the reading before; the first one of a cold state begins
+    at rest under its own codes.
+    """
     flags = seen.flags.swapaxes(0, 1).ravel()
-    read = (flags & FLAG_NO_READING) == 0
+    read = ((flags & FLAG_NO_READING) == 0) & (seen.before[STEPS] > 0)
     return replace(
         seen,
         flags=flags[read][None],
