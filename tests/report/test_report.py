@@ -10,6 +10,7 @@ import pytest
 
 from zerodrift.app.commands.built import read_certificate
 from zerodrift.app.commands.survey import describe_survey, survey_project
+from zerodrift.base.sealed import render_sealed
 from zerodrift.report.figures_runs import bin_means, draw_residual, list_means
 from zerodrift.report.findings import (
     ARRAYS,
@@ -229,7 +230,7 @@ def test_firmware_of_another_model_is_not_shown(surveyed, tmp_path, zerodrift):
     other = write_project(tmp_path, runs=3)
     build = other.directory / "build"
     build.mkdir()
-    (build / "firmware.json").write_text('{"model_hash": "0"}')
+    (build / "firmware.json").write_bytes(render_sealed({"model_hash": "0"}))
     findings = survey_project(other.directory, wants_diagnosis=False)
     assert findings.firmware is None
     assert "cannot be shown" in findings.firmware_note
