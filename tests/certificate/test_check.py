@@ -369,3 +369,11 @@ def test_checker_shares_no_code_with_the_generator() -> None:
         "assert not {'numpy', 'jinja2', 'click', 'zerodrift.operations'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+@pytest.mark.parametrize("name", ["line", "window", "steps", "oldest", "y"])
+def test_inputs_may_be_called_like_fields_of_the_state(name: str) -> None:
+    shape = Shape(inputs=2, hidden=0, no_reading=(None, -32768), channel_names=("t", name))
+    certificate, texts = build_files(draw_model(shape, 3))
+    claims = json.loads(certificate)
+    assert judge(claims, run_portable(texts, claims["prefix"])) == (count_claims(claims), [])
