@@ -11,11 +11,13 @@ from tests.main_job.conftest import invoke
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import from_json
 from zerodrift.dataset.load import load_dataset
 from zerodrift.report.tables import tabulate_chip_error
 from zerodrift.train.training import train
 from zerodrift.verify import chip_error, left_out
 from zerodrift.verify.gate import contrast_errors, measure_correlation
+from zerodrift.verify.summary import FirmwareSummary
 
 
 @pytest.mark.parametrize("network", ["none", "lag_bank"])
@@ -135,7 +137,7 @@ def test_firmware_refuses_keeps_what_was_there_and_writes_when_forced(tmp_path: 
     header = (out / "p10.h").read_text()
     assert "#define P10_FORCED 1" in header
     assert "FORCED: written although" in header and "the chip errs by" in header
-    table = tabulate_chip_error(body)
+    table = tabulate_chip_error(from_json(FirmwareSummary, body))
     assert table.rows[0][:2] == ("p", "bar") and "FORCED: p: on rows inside" in table.note
     compared = json.loads(invoke("compare", "-C", str(project), "--json").stdout)
     assert compared["chip_error"] == body["chip_error"]
