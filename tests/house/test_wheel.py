@@ -43,7 +43,8 @@ def test_a_wheel_goes_from_logs_to_checked_c(site: Path, tmp_path: Path) -> None
     done = run(site, tmp_path, "firmware", "-C", str(project))
     assert done.returncode == 0, done.stderr
     assert "bit-exact" in done.stdout
-    assert run(site, tmp_path, "verify", "-C", str(project)).returncode == 0
+    verified = run(site, tmp_path, "verify", "-C", str(project))
+    assert verified.returncode == 0, verified.stderr
     report = run(site, tmp_path, "report", "-C", str(project), "--no-diagnose")
     assert report.returncode == 0, report.stderr
 
@@ -70,9 +71,9 @@ def test_a_wheel_is_what_runs(site: Path, tmp_path: Path) -> None:
 def test_a_checkout_runs_without_links(tmp_path: Path) -> None:
     """As `make setup` installs it: packages are found by setup.py's mapping alone."""
     code = (
-        "from zerodrift.codegen.identity import read_runtime_identity;"
+        "from zerodrift.codegen.identity import find_runtime_identity;"
         "from zerodrift.c_runtime.compilers import RUNTIME_FILES;"
-        "assert all(path.is_file() for path in RUNTIME_FILES); print(read_runtime_identity())"
+        "assert all(path.is_file() for path in RUNTIME_FILES); print(find_runtime_identity())"
     )
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     done = subprocess.run(
