@@ -8,6 +8,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from zerodrift.lab.twin.example import ensure_example_logs
+
 EXAMPLE = Path(__file__).parent.parent / "examples" / "ft40"
 
 
@@ -22,6 +24,7 @@ def main(quick: bool) -> None:
         project.mkdir()
         for name in ("zerodrift.toml", "twin.json"):
             shutil.copy(EXAMPLE / name, project / name)
+        ensure_example_logs(project)
         start = time.perf_counter()
         command = [sys.executable, "-m", "zerodrift", "firmware", "-C", str(project), "--json"]
         done = subprocess.run(command, check=True, capture_output=True, text=True)
