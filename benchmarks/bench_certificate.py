@@ -16,7 +16,7 @@ from tests.fixed_point.accumulators import (
 from tests.golden.model_factory import Shape, draw_model
 
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.operations.gru import H_LIMIT_Q30
+from zerodrift.operations.gru.cell import H_LIMIT_Q30
 from zerodrift.verify.certificate_check import compare
 
 SHAPES = {

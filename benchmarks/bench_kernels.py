@@ -19,8 +19,8 @@ from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.onnx_reader import FloatNetwork
 from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
-from zerodrift.operations.graph import GraphOperations, evaluate
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.backend import GraphOperations, evaluate
+from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.tables import T_MAX, T_MIN, sigmoid_q31, tanh_nodes, tanh_q30
 
 Array = NDArray[np.float64]

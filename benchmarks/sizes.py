@@ -20,7 +20,7 @@ from zerodrift.c_runtime.footprint import measure_footprint
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
-from zerodrift.operations.layers import IntegerGruStack
+from zerodrift.operations.gru_stack import IntegerGruStack
 from zerodrift.verify.vectors import draw_sequences
 
 RECORD = Path(__file__).with_suffix(".json")

@@ -42,7 +42,7 @@ from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.operations.layers import IntegerGruStack
+from zerodrift.operations.gru_stack import IntegerGruStack
 
 _ARM_CPUS = {
     "cortex-m0plus": UC_CPU_ARM_CORTEX_M0,

@@ -1,6 +1,6 @@
 """Renders an integer model as one C header and one C source, deterministic to the byte."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -22,16 +22,13 @@ from zerodrift.codegen.layouts import (
 from zerodrift.codegen.names import name_channels, name_outputs, name_prefix
 from zerodrift.codegen.selftest import SELFTEST_SEED, SELFTEST_STEPS, compute_selftest, limits_of
 from zerodrift.codegen.state import list_state, list_words
-from zerodrift.codegen.tables import crc_of_tables, list_tables
 from zerodrift.export.integer_model import FORMAT, IntegerModel
-from zerodrift.operations.gru import IntegerGru
-from zerodrift.operations.layers import IntegerGruStack
+from zerodrift.operations.c_text import format_factor, format_int32, format_int64, format_numbers
+from zerodrift.operations.gru import IntegerGruLayer
+from zerodrift.operations.gru.cell import IntegerGru
 from zerodrift.operations.load import START_PASSES
-from zerodrift.operations.network import IntegerGruLayer
 from zerodrift.operations.node import IntegerNode
-from zerodrift.operations.total import IntegerSum
-
-STATEFUL = ("lowpass", "delay", "play", "counter", "gru", "gru_stack")
+from zerodrift.operations.sum import IntegerSum
 
 
 @dataclass(frozen=True)
@@ -65,13 +62,13 @@ def generate(model: IntegerModel) -> GeneratedCode:
     """
     claims = model.prove()
     bounds = {bound.where: bound.interval for bound in claims}
-    stateful = [n for n in model.nodes if n.kind in STATEFUL]
+    stateful = [n for n in model.nodes if n.stateful]
     layer = model.recurrent
     fed_at_rest = [n for n in stateful if n is not layer or layer.window]  # a cold GRU is 0
     needed_at_rest = _ancestors(model, fed_at_rest)
     settle_nodes = [n for n in model.nodes if layer and n.name in _ancestors(model, [layer])]
     selftest_low, selftest_high = limits_of(model)
-    tables = list_tables(model)
+    tables = [table for node in model.nodes for table in node.list_tables()]
     uses_tanh = any(_reads_tanh(node) for node in model.nodes)
     uses_exp2 = any(node.kind == "exp2" for node in model.nodes)
     prefix = name_prefix(model)
@@ -96,9 +93,9 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "selftest_low": selftest_low,
         "selftest_high": selftest_high,
         "tables": tables,
-        "tables_crc": crc_of_tables(tables),
+        "tables_crc": crc_of_words(word for table in tables for word in table.words),
         "checks": [
-            *(f"{name}_is_sound" for name in _name_layers(layer)),
+            *(f"{name}_is_sound" for name in (layer.name_layers("_") if layer else ())),
             *([f"{prefix}_tables_are_sound"] if tables else []),
             *(["zd_tanh_is_sound"] if uses_tanh else []),
             *(["zd_exp2_is_sound"] if uses_exp2 else []),
@@ -133,13 +130,6 @@ def generate(model: IntegerModel) -> GeneratedCode:
 def _reads_tanh(node: IntegerNode) -> bool:
     """Return whether a node's step reads the runtime's table of tanh."""
     return isinstance(node, IntegerGruLayer) or getattr(node, "activation", "") == "tanh"
-
-
-def _name_layers(layer: IntegerGruLayer | None) -> list[str]:
-    """Return the C names of the recurrent layers, of which a stack has several."""
-    if isinstance(layer, IntegerGruStack):
-        return [f"{layer.name}_{level}" for level in range(len(layer.layers))]
-    return [layer.name] if layer else []
 
 
 def _ancestors(model: IntegerModel, of: list[IntegerNode]) -> set[str]:
@@ -180,30 +170,6 @@ def make_environment() -> jinja2.Environment:
     for layout in (lay_out_pairs, lay_out_columns, lay_out_rows, lay_out_row_biases):
         environment.filters[layout.__name__] = layout
     return environment
-
-
-def format_numbers(values: Iterable[int], per_line: int = 12) -> str:
-    """Return an initialiser list's inside, wrapped and indented by four spaces."""
-    texts = [format_int32(int(v)) for v in values]
-    lines = [texts[i : i + per_line] for i in range(0, len(texts), per_line)]
-    return ",\n".join("    " + ", ".join(line) for line in lines)
-
-
-def format_int32(value: int) -> str:
-    """Return a C expression of type int for any int32 (the lowest has no literal)."""
-    return "(-2147483647 - 1)" if value == -(2**31) else str(value)
-
-
-def format_int64(value: int) -> str:
-    """Return a C99 constant expression for any int64."""
-    value = int(value)
-    return f"(-INT64_C({2**63 - 1}) - 1)" if value == -(2**63) else f"INT64_C({value})"
-
-
-def format_factor(value: int) -> str:
-    """Return a C expression of type int64_t, to multiply an int32 with."""
-    value = int(value)
-    return f"(int64_t){value}" if -(2**31) < value < 2**31 else format_int64(value)
 
 
 def format_sum(node: IntegerSum) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.gru import IntegerGru
+from zerodrift.operations.gru.cell import IntegerGru
 
 Words = NDArray[np.int64]
 

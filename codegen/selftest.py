@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
+from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.load import IntegerLoad
-from zerodrift.operations.signal import IntegerInput
 
 SELFTEST_STEPS = 64
 SELFTEST_SEED = 0x5EED1E57

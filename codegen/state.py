@@ -1,45 +1,15 @@
 """The fields of a model's state in C, and the words that a guard's checksum is taken over."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from zerodrift.codegen.names import name_channels
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.operations.clock import IntegerCounter
-from zerodrift.operations.layers import IntegerGruStack
-from zerodrift.operations.network import IntegerGruLayer
-from zerodrift.operations.node import IntegerNode
-from zerodrift.operations.play import IntegerPlay
-from zerodrift.operations.signal import IntegerDelay, IntegerLowpass
+from zerodrift.operations.c_text import StateField
 
 MOST_WRITTEN_OUT = 512
 """Numbers of a field up to which they stand in the checksum's lines one by one: up to 8 bytes of
 flash and two instructions a word. Longer fields are summed up by the runtime's loops, which need a
 quarter more for 32 bits and several times as much for rows of 16."""
-
-
-@dataclass(frozen=True)
-class StateField:
-    """One field after `identity` and `steps`."""
-
-    bits: int
-    name: str
-    sizes: tuple[int, ...] = ()
-    comment: str = ""
-    unsigned: bool = False
-
-    @property
-    def type(self) -> str:
-        """Its type, or that of its elements."""
-        return f"{'u' * self.unsigned}int{self.bits}_t"
-
-    @property
-    def elements(self) -> list[str]:
-        """Return the number, or each number of an array, as C text after the state's name."""
-        found = [self.name]
-        for size in self.sizes:
-            found = [f"{text}[{k}]" for text in found for k in range(size)]
-        return found
 
 
 def list_state(model: IntegerModel) -> tuple[StateField, ...]:
@@ -67,31 +37,8 @@ def list_state(model: IntegerModel) -> tuple[StateField, ...]:
         told = "of the step before: what was measured less this is the load"
         fields.append(StateField(32, "drift", (len(model.outputs),), told))
     for node in model.nodes:
-        fields += _list_node(node)
+        fields += node.list_state()
     return tuple(sorted(fields, key=lambda f: -f.bits) if model.guarded else fields)
-
-
-def _list_node(node: IntegerNode) -> list[StateField]:
-    """Return the fields of one node."""
-    oldest = StateField(16, f"{node.name}_oldest", unsigned=True)
-    if isinstance(node, IntegerLowpass):
-        return [StateField(64, f"{node.name}_v")]
-    if isinstance(node, IntegerDelay):
-        return [StateField(32, f"{node.name}_line", (node.steps,)), oldest]
-    if isinstance(node, IntegerPlay):
-        return [StateField(32, f"{node.name}_y")]
-    if isinstance(node, IntegerCounter):
-        return [StateField(32, f"{node.name}_count", comment="steps since the start")]
-    if not isinstance(node, IntegerGruLayer):
-        return []
-    lower = node.lower if isinstance(node, IntegerGruStack) else ()
-    if node.window:
-        inputs = (lower[0] if lower else node.gru).inputs
-        return [StateField(16, f"{node.name}_window", (node.window, inputs)), oldest]
-    fields = [StateField(32, f"{node.name}_h_q30", (node.gru.hidden,))]
-    if lower:
-        fields.append(StateField(32, f"{node.name}_lower_q30", (sum(g.hidden for g in lower),)))
-    return fields
 
 
 def list_words(fields: tuple[StateField, ...]) -> Iterator[str]:

@@ -25,14 +25,15 @@ from zerodrift.dataset.chip_codes import (
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.float_model import LOAD, Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
-from zerodrift.export.formats import RANGE_SPANS
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat, code_type
 from zerodrift.export.onnx_reader import read_network_bytes
 from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.operations.backend import GraphOperations, evaluate
 from zerodrift.operations.dense import FloatFeedForward
-from zerodrift.operations.graph import GraphOperations, Node, evaluate, list_nodes
+from zerodrift.operations.formats import RANGE_SPANS
+from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S
 from zerodrift.train.onnx_network import OnnxNetwork
 

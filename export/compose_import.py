@@ -11,7 +11,7 @@ from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import list_channels, list_outputs
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.onnx_reader import ImportedNetwork
-from zerodrift.operations.graph import GraphOperations
+from zerodrift.operations.backend import GraphOperations
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from zerodrift.export.quantize import FEATURE_HEADROOM, quantize
 from zerodrift.export.quantize_layers import quantize_layers, quantize_state_read_out
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from zerodrift.train.fine_tune import Settings, Tuned, fine_tune
 from zerodrift.train.integer_network import IntegerGruNetwork, IntegerHead

@@ -16,8 +16,9 @@ from zerodrift.dataset.runs import Run
 from zerodrift.export.feedback import predict_fed_back
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, OutputFormat
+from zerodrift.operations.backend import evaluate
 from zerodrift.operations.dense import FloatFeedForward
-from zerodrift.operations.graph import Node, evaluate, list_nodes
+from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.physics.signals import SignalPlan, graph_inputs, read_signals
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.operations.dense import FloatDense
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.onnx_network import OnnxNetwork
 
 Array = NDArray[np.float64]

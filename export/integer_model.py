@@ -11,30 +11,11 @@ from typing import Any
 import numpy as np
 
 from zerodrift.base.files import write_whole
-from zerodrift.operations.clip import IntegerClip
-from zerodrift.operations.clock import IntegerCounter
-from zerodrift.operations.exp2 import IntegerExp2
+from zerodrift.operations.drift import IntegerDrift
+from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.layers import IntegerDense, IntegerFeatureDense, IntegerGruStack
 from zerodrift.operations.load import IntegerLoad
-from zerodrift.operations.network import (
-    IntegerDrift,
-    IntegerFeatures,
-    IntegerGruLayer,
-    IntegerHead,
-)
 from zerodrift.operations.node import IntegerNode
-from zerodrift.operations.play import IntegerPlay
-from zerodrift.operations.power import IntegerPower
-from zerodrift.operations.signal import (
-    IntegerDelay,
-    IntegerDifference,
-    IntegerInput,
-    IntegerLowpass,
-    IntegerOffset,
-    IntegerProduct,
-)
-from zerodrift.operations.total import IntegerSum
 
 FORMAT = 3
 """Version of the integer arithmetic; equals ZD_RUNTIME_FORMAT of the C runtime."""
@@ -43,32 +24,6 @@ OLDER_FORMAT = 2
 either is written in it, and computes the same."""
 NEWER_FIELDS = ("no_reading", "ranges")
 """Left out of a model's file where they are empty."""
-
-NODE_CLASSES: dict[str, type[IntegerNode]] = {
-    cls.kind: cls
-    for cls in (
-        IntegerInput,
-        IntegerLoad,
-        IntegerCounter,
-        IntegerOffset,
-        IntegerDifference,
-        IntegerSum,
-        IntegerProduct,
-        IntegerPower,
-        IntegerExp2,
-        IntegerLowpass,
-        IntegerDelay,
-        IntegerPlay,
-        IntegerClip,
-        IntegerFeatures,
-        IntegerGruLayer,
-        IntegerGruStack,
-        IntegerDense,
-        IntegerFeatureDense,
-        IntegerHead,
-        IntegerDrift,
-    )
-}
 
 
 @dataclass(frozen=True)

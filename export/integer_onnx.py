@@ -11,7 +11,6 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper
 
-from zerodrift.base.errors import CheckError
 from zerodrift.base.files import write_whole
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
@@ -22,17 +21,10 @@ from zerodrift.export.integer_model import (
     FLAG_WARMING_UP,
     IntegerModel,
 )
-from zerodrift.export.integer_onnx_nodes import (
-    RESTS,
-    SETTLES,
-    STEPS,
-    write_drift_sum,
-    write_zeros,
-)
-from zerodrift.export.onnx_writer import IR_VERSION, OPSET, OnnxWriter, Shape
 from zerodrift.export.reference import Reference
 from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import CODES, PREVIOUS_DRIFT
+from zerodrift.operations.onnx_writer import IR_VERSION, OPSET, OnnxWriter, Shape
 
 START_GO_ON, START_COLD, START_SETTLED = 0, 1, 2
 """Values of the input `start`."""
@@ -65,13 +57,7 @@ def build_integer_onnx(model: IntegerModel, *, observe: bool = False) -> bytes:
     Args:
         model: proven beforehand.
         observe: also give every node's value at every step, as `node:NAME`.
-
-    Raises:
-        CheckError: a node's kind has no form in ONNX.
     """
-    unknown = sorted({node.kind for node in model.nodes} - set(STEPS))
-    if unknown:
-        raise CheckError(f"nodes of the kinds {unknown} have no form in ONNX; no file is written")
     model.prove()
     w = OnnxWriter()
     fields = list_state(model)
@@ -258,11 +244,11 @@ def _write_advance(
     for node in model.nodes[:-1]:
         with w.label(node.name):
             own = _fields_of(node.name, state)
-            fields, values[node.name] = STEPS[node.kind](w, node, values, own)
+            fields, values[node.name] = node.write_step(w, values, own)
             after.update({f"{node.name}.{key}": name for key, name in fields.items()})
     last, guards = model.drift, model.guards
     with w.label(last.name):
-        unlimited = write_drift_sum(w, last, values)
+        unlimited = last.write_sum(w, values)
         drift = w.saturate(unlimited, last.low, last.high)
         values[last.name] = drift
     with w.label("guards"):
@@ -361,7 +347,7 @@ def _write_rest(
     if not model.feeds_back:
         state |= _write_nodes_at_rest(w, model, {CODES: first}, settled)[0]
         return [state[name] for name in fields]
-    drift = write_zeros(w, first, len(model.outputs))
+    drift = w.zeros(first, len(model.outputs))
     for _ in range(START_PASSES):
         drift = _write_nodes_at_rest(w, model, {CODES: first, PREVIOUS_DRIFT: drift}, settled)[1]
     values = {CODES: first, PREVIOUS_DRIFT: drift}
@@ -378,11 +364,10 @@ def _write_nodes_at_rest(
     needed = _needed_at_rest(model)
     for node in model.nodes:
         with w.label(node.name):
-            rests = SETTLES if settled and node.kind in SETTLES else RESTS
-            own = rests[node.kind](w, node, values) if node.kind in rests else {}
+            own = (node.write_settle if settled else node.write_rest)(w, values)
             state.update({f"{node.name}.{key}": name for key, name in own.items()})
             if node.name in needed:
-                _, values[node.name] = STEPS[node.kind](w, node, values, own)
+                _, values[node.name] = node.write_step(w, values, own)
     return state, values.get(model.drift.name, "")
 
 
@@ -391,7 +376,7 @@ def _needed_at_rest(model: IntegerModel) -> set[str]:
     if model.feeds_back:
         return {node.name for node in model.nodes}
     nodes = {node.name: node for node in model.nodes}
-    stack = [name for n in model.nodes if n.kind in RESTS for name in n.inputs]
+    stack = [name for n in model.nodes if n.stateful for name in n.inputs]
     needed: set[str] = set()
     while stack:
         name = stack.pop()

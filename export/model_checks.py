@@ -12,10 +12,12 @@ import numpy as np
 
 from zerodrift.base.config import LONGEST_WINDOW
 from zerodrift.base.errors import CheckError, InputError
-from zerodrift.operations.gru import IntegerGru
+from zerodrift.operations.features import IntegerFeatures
+from zerodrift.operations.gru import IntegerGruLayer
+from zerodrift.operations.gru.cell import IntegerGru
+from zerodrift.operations.head import IntegerHead
+from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.load import IntegerLoad
-from zerodrift.operations.network import IntegerFeatures, IntegerGruLayer, IntegerHead
-from zerodrift.operations.signal import IntegerInput
 
 if TYPE_CHECKING:
     from zerodrift.export.integer_model import IntegerModel

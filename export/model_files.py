@@ -12,7 +12,6 @@ from zerodrift.base.errors import InputError
 from zerodrift.export.integer_model import (
     FORMAT,
     NEWER_FIELDS,
-    NODE_CLASSES,
     OLDER_FORMAT,
     Channel,
     Guards,
@@ -20,9 +19,10 @@ from zerodrift.export.integer_model import (
     OutputFormat,
 )
 from zerodrift.export.model_checks import check_model
-from zerodrift.operations.gru import IntegerGru
-from zerodrift.operations.network import IntegerDrift
+from zerodrift.operations.drift import IntegerDrift
+from zerodrift.operations.gru.cell import IntegerGru
 from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.registry import NODE_CLASSES
 
 _INTEGER_TYPES = ("int8", "int16", "int32", "int64")
 

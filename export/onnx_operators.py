@@ -31,7 +31,7 @@ from zerodrift.export.onnx_values import (
     bind,
 )
 from zerodrift.operations.dense import FloatDense
-from zerodrift.operations.gru_onnx import from_onnx_gates
+from zerodrift.operations.gru.onnx import from_onnx_gates
 
 Array = NDArray[np.float64]
 

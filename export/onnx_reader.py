@@ -31,7 +31,7 @@ from zerodrift.export.onnx_values import (
     Value,
 )
 from zerodrift.operations.dense import FloatDense
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.gru.cell import FloatGru
 
 __all__ = ["FloatNetwork", "ImportedNetwork", "read_imported", "read_network", "read_network_bytes"]
 

@@ -9,17 +9,15 @@ from numpy.typing import NDArray
 from zerodrift.base.errors import CheckError
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
-from zerodrift.export.formats import COEFFICIENT_LIMIT, Signal
 from zerodrift.export.integer_model import Guards, IntegerModel
 from zerodrift.export.lowering import Lowering
 from zerodrift.export.quantize_layers import append_network
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN, choose_exponent
 from zerodrift.operations.dense import FloatFeedForward
+from zerodrift.operations.drift import IntegerDrift
+from zerodrift.operations.features import IntegerFeatures
+from zerodrift.operations.formats import COEFFICIENT_LIMIT, Signal
 from zerodrift.operations.graph import Node
-from zerodrift.operations.network import (
-    IntegerDrift,
-    IntegerFeatures,
-)
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, choose_exponent
-from zerodrift.operations.gru import GATES, FloatGru, IntegerGru
+from zerodrift.operations.gru.cell import GATES, FloatGru, IntegerGru
 
 Array = NDArray[np.float64]
 SHIFT_LIMIT = 30

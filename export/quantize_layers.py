@@ -11,16 +11,18 @@ from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.lowering import Lowering
 from zerodrift.export.quantize_gru import quantize_gru, quantize_head
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, INT32_MAX, choose_exponent
-from zerodrift.operations.dense import FloatDense, FloatFeedForward
-from zerodrift.operations.gru import H_LIMIT_Q30, FloatGru, IntegerGru
-from zerodrift.operations.intervals import Interval
-from zerodrift.operations.layers import (
+from zerodrift.operations.dense import (
     COPY_BITS,
+    FloatDense,
+    FloatFeedForward,
     IntegerDense,
     IntegerFeatureDense,
-    IntegerGruStack,
 )
-from zerodrift.operations.network import IntegerGruLayer, IntegerHead
+from zerodrift.operations.gru import IntegerGruLayer
+from zerodrift.operations.gru.cell import H_LIMIT_Q30, FloatGru, IntegerGru
+from zerodrift.operations.gru_stack import IntegerGruStack
+from zerodrift.operations.head import IntegerHead
+from zerodrift.operations.intervals import Interval
 
 TABLE_BITS = 16
 """Fractional bits of the table's argument."""

@@ -20,7 +20,6 @@ from zerodrift.export.integer_model import (
     IntegerModel,
 )
 from zerodrift.operations.arithmetic import CodeArray, IntArray
-from zerodrift.operations.clock import IntegerCounter
 from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import CODES, PREVIOUS_DRIFT, State
 
@@ -145,10 +144,8 @@ class Reference:
         values: dict[str, IntArray] = {CODES: codes.astype(np.int64), PREVIOUS_DRIFT: drift}
         states: dict[str, State] = {}
         for node in self.model.nodes:
-            states[node.name] = node.settle(values) if settled else node.rest(values)
-            if isinstance(node, IntegerCounter):
-                count = min(elapsed, node.limit)
-                states[node.name] = {"count": states[node.name]["count"] + count}
+            state = node.settle(values) if settled else node.rest(values)
+            states[node.name] = node.elapse(state, elapsed)
             _, values[node.name] = node.step(states[node.name], values)
         return states, values[self.model.drift.name]
 

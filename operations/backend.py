@@ -1,83 +1,60 @@
 """What an effect is written against: one set of operations, computed at once or recorded.
 
-`NumpyOperations` gives arrays; `zerodrift.operations.graph.GraphOperations` gives nodes that the
-exporter turns into integers and C. An effect's definition cannot tell the two apart.
+`NumpyOperations` gives arrays; `GraphOperations` gives nodes that the exporter turns into integers
+and C. An effect's definition cannot tell the two apart.
 """
 
-from typing import Protocol, TypeVar
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from typing import Generic, SupportsFloat, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.affine import affine
-from zerodrift.operations.clip import clip
-from zerodrift.operations.delay import delay
-from zerodrift.operations.difference import difference
-from zerodrift.operations.exp2 import exp2
-from zerodrift.operations.lowpass import lowpass
-from zerodrift.operations.play import play
-from zerodrift.operations.power import power
-from zerodrift.operations.product import product
-from zerodrift.operations.total import total
+from zerodrift.operations.graph import Node, list_nodes
+from zerodrift.operations.operation import Operation
+from zerodrift.operations.registry import OPERATIONS
 
 Array = NDArray[np.float64]
 S = TypeVar("S")
 
 
-class Operations(Protocol[S]):
-    """The operations a compensator is made of, on signals of type S (arrays or graph nodes)."""
+class Operations(ABC, Generic[S]):
+    """The operations a compensator is made of, on signals of type S (arrays or graph nodes).
 
-    @property
-    def sample_period_s(self) -> float:
-        """Seconds between samples."""
-        ...
+    Each operation of the registry is a method: `ops.lowpass(x, tau_s)`.
 
+    Args:
+        sample_period_s: seconds between samples.
+    """
+
+    def __init__(self, sample_period_s: float) -> None:
+        self.sample_period_s = sample_period_s
+
+    @abstractmethod
     def constant(self, value: float) -> S:
         """Return a signal that is always `value`."""
-        ...
 
-    def affine(self, x: S, gain: float, offset: float) -> S:
-        """Return gain * x + offset."""
-        ...
+    @abstractmethod
+    def apply(
+        self, operation: Operation, signals: tuple[S, ...], constants: tuple[float, ...]
+    ) -> S:
+        """Return what an operation makes of signals and constants."""
 
-    def total(self, a: S, b: S) -> S:
-        """Return a + b."""
-        ...
+    def __getattr__(self, name: str) -> Callable[..., S]:
+        if name not in OPERATIONS:
+            raise AttributeError(f"there is no operation {name!r}; there are {sorted(OPERATIONS)}")
+        return partial(self._call, OPERATIONS[name])
 
-    def difference(self, a: S, b: S) -> S:
-        """Return a - b."""
-        ...
-
-    def product(self, a: S, b: S) -> S:
-        """Return a * b."""
-        ...
-
-    def power(self, x: S, exponent: float) -> S:
-        """Return x**exponent."""
-        ...
-
-    def exp2(self, x: S) -> S:
-        """Return 2**x."""
-        ...
-
-    def lowpass(self, x: S, tau_s: float) -> S:
-        """Return x after a first-order low-pass, at rest at its first sample."""
-        ...
-
-    def delay(self, x: S, delay_s: float) -> S:
-        """Return x as it was `delay_s` ago."""
-        ...
-
-    def play(self, x: S, half_width: float) -> S:
-        """Return the play operator (backlash) of x."""
-        ...
-
-    def clip(self, x: S, low: float, high: float) -> S:
-        """Return x limited to low .. high."""
-        ...
+    def _call(self, operation: Operation, /, *given: object, **named: object) -> S:
+        arguments = operation.name_arguments(given, named)
+        signals = tuple(cast(S, arguments[name]) for name in operation.signals)
+        numbers = tuple(cast(SupportsFloat, arguments[name]) for name in operation.constants)
+        return self.apply(operation, signals, tuple(float(number) for number in numbers))
 
 
-class NumpyOperations:
+class NumpyOperations(Operations[Array]):
     """The operations computed at once, on float64 arrays with time along the last axis.
 
     Args:
@@ -86,54 +63,83 @@ class NumpyOperations:
     """
 
     def __init__(self, sample_period_s: float, shape: tuple[int, ...]) -> None:
-        self._sample_period_s = sample_period_s
+        super().__init__(sample_period_s)
         self._shape = shape
-
-    @property
-    def sample_period_s(self) -> float:
-        """Seconds between samples."""
-        return self._sample_period_s
 
     def constant(self, value: float) -> Array:
         """Return an array of `value`."""
         return np.full(self._shape, value)
 
-    def affine(self, x: Array, gain: float, offset: float) -> Array:
-        """Return gain * x + offset."""
-        return affine(x, gain, offset)
+    def apply(
+        self, operation: Operation, signals: tuple[Array, ...], constants: tuple[float, ...]
+    ) -> Array:
+        """Return the operation's float meaning."""
+        named = dict(zip(operation.constants, constants, strict=True))
+        if operation.timed:
+            named["sample_period_s"] = self.sample_period_s
+        return operation.compute(*signals, **named)
 
-    def total(self, a: Array, b: Array) -> Array:
-        """Return a + b."""
-        return total(a, b)
+    def compute(self, node: Node, signals: Sequence[Array]) -> Array:
+        """Return the value of a node that is no input, from those of its inputs."""
+        if node.op == "constant":
+            return self.constant(node.constants[0])
+        return self.apply(OPERATIONS[node.op], tuple(signals), node.constants)
 
-    def difference(self, a: Array, b: Array) -> Array:
-        """Return a - b."""
-        return difference(a, b)
 
-    def product(self, a: Array, b: Array) -> Array:
-        """Return a * b."""
-        return product(a, b)
+_Key = tuple[str, tuple[int, ...], tuple[float, ...], str]
 
-    def power(self, x: Array, exponent: float) -> Array:
-        """Return x**exponent."""
-        return power(x, exponent)
 
-    def exp2(self, x: Array) -> Array:
-        """Return 2**x."""
-        return exp2(x)
+class GraphOperations(Operations[Node]):
+    """The operations recorded as nodes; asking twice for the same node gives the same object."""
 
-    def lowpass(self, x: Array, tau_s: float) -> Array:
-        """Return x after a first-order low-pass, at rest at its first sample."""
-        return lowpass(x, self._sample_period_s, tau_s)
+    def __init__(self, sample_period_s: float) -> None:
+        super().__init__(sample_period_s)
+        self._nodes: dict[_Key, Node] = {}
 
-    def delay(self, x: Array, delay_s: float) -> Array:
-        """Return x as it was `delay_s` ago."""
-        return delay(x, self._sample_period_s, delay_s)
+    def input(self, source: str) -> Node:
+        """Return the node of the signal named `source`."""
+        return self._node("input", source=source)
 
-    def play(self, x: Array, half_width: float) -> Array:
-        """Return the play operator (backlash) of x."""
-        return play(x, half_width)
+    def constant(self, value: float) -> Node:
+        """Return a signal that is always `value`."""
+        return self._node("constant", constants=(float(value),))
 
-    def clip(self, x: Array, low: float, high: float) -> Array:
-        """Return x limited to low .. high."""
-        return clip(x, low, high)
+    def apply(
+        self, operation: Operation, signals: tuple[Node, ...], constants: tuple[float, ...]
+    ) -> Node:
+        """Return the operation's node."""
+        return self._node(operation.name, signals, constants)
+
+    def _node(
+        self,
+        op: str,
+        inputs: tuple[Node, ...] = (),
+        constants: tuple[float, ...] = (),
+        source: str = "",
+    ) -> Node:
+        key = (op, tuple(id(node) for node in inputs), constants, source)
+        if key not in self._nodes:
+            self._nodes[key] = Node(op, inputs, constants, source)
+        return self._nodes[key]
+
+
+def evaluate(
+    roots: Iterable[Node], inputs: Mapping[str, Array], sample_period_s: float
+) -> list[Array]:
+    """Return the value of every root, equal to what the NumPy backend gives.
+
+    Args:
+        roots: the wanted nodes.
+        inputs: signal name -> [..., n], uninterrupted stretches along the last axis.
+        sample_period_s: seconds between samples.
+    """
+    roots = list(roots)
+    ops = NumpyOperations(sample_period_s, next(iter(inputs.values())).shape)
+    values: dict[int, Array] = {}
+    for node in list_nodes(roots):
+        if node.op == "input":
+            values[id(node)] = inputs[node.source]
+        else:
+            arguments = [values[id(child)] for child in node.inputs]
+            values[id(node)] = ops.compute(node, arguments)
+    return [values[id(root)] for root in roots]

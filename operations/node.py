@@ -2,10 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from zerodrift.operations.arithmetic import IntArray
+from zerodrift.operations.c_text import StateField, Table
 from zerodrift.operations.intervals import Bound, Interval
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
 
 Values = Mapping[str, IntArray]
 """Node name -> its present output: [B] for a scalar signal, [B, width] for a vector."""
@@ -15,6 +19,10 @@ PREVIOUS_DRIFT = "previous drift"
 """The values under this name are the drifts [B, K] that the step before gave."""
 State = dict[str, IntArray]
 """What a node carries from one step to the next, by field name; arrays lead with the batch."""
+Names = Mapping[str, str]
+"""The same in ONNX: node or field -> name of its value, int64 with the batch first."""
+OnnxStep = tuple[dict[str, str], str]
+"""Names of the state after a step, by field, and of the output."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +56,10 @@ class IntegerNode:
         """Return the state after this step and the output."""
         raise NotImplementedError
 
+    def elapse(self, state: State, steps: int) -> State:
+        """Return the state at rest of a log that begins some steps after power-on."""
+        return state
+
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
         """Return the output's intervals for any input within its own, and the bounds relied on.
 
@@ -56,6 +68,55 @@ class IntegerNode:
         """
         raise NotImplementedError
 
+    def bound_error(
+        self, inputs: list[list[Interval]], errors: list[list[float]]
+    ) -> list[float] | None:
+        """Return how far the output can be from that of real arithmetic, in counts per value.
+
+        The slot of the error rule. None: there is no rule yet, so that nothing is told of a model
+        with this node.
+
+        Args:
+            inputs: what each input can be, as `prove` takes it.
+            errors: how far each input can be from its own value in real arithmetic, in its counts.
+        """
+        return None
+
+    def write_rest(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+        """Write the state at rest under the present inputs in ONNX."""
+        return {}
+
+    def write_settle(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+        """Write the state after the present inputs have lasted forever (mostly `rest`)."""
+        return self.write_rest(w, values)
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write a step in ONNX; return the state after it and the output."""
+        raise NotImplementedError
+
+    @property
+    def stateful(self) -> bool:
+        """Whether the node carries something from one step to the next."""
+        return bool(self.list_state())
+
+    def list_state(self) -> tuple[StateField, ...]:
+        """Return the fields of the state in C, in their order."""
+        return ()
+
+    def list_tables(self) -> tuple[Table, ...]:
+        """Return the constant tables in C that the self-test takes the CRC of."""
+        return ()
+
     def attributes(self) -> dict[str, Any]:
         """Return the node's own fields, for the JSON form."""
         return {k: v for k, v in self.__dict__.items() if not k.startswith("_")}
+
+
+@dataclass(frozen=True)
+class ChannelNode(IntegerNode):
+    """A node that reads a raw code, limited to low .. high and given `shift` fractional bits."""
+
+    channel: int
+    low: int
+    high: int
+    shift: int

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.graph import GraphOperations, Node
+from zerodrift.operations.backend import GraphOperations
+from zerodrift.operations.graph import Node
 from zerodrift.physics.effect import Feature
 from zerodrift.physics.octaves import MEANS
 from zerodrift.physics.rails import bridge

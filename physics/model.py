@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.graph import GraphOperations, Node
+from zerodrift.operations.backend import GraphOperations
+from zerodrift.operations.graph import Node
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.signals import SignalPlan, name_signals, read_signals

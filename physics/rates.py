@@ -11,7 +11,8 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.graph import Node, evaluate, list_nodes
+from zerodrift.operations.backend import evaluate
+from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.physics.reduction import Column, Reduction
 
 Array = NDArray[np.float64]

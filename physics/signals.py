@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.graph import GraphOperations, Node
+from zerodrift.operations.backend import GraphOperations
+from zerodrift.operations.graph import Node
 from zerodrift.physics.effect import Effect, Signals
 from zerodrift.physics.rails import find_rails
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from zerodrift.operations.gru import RELAX_STEPS
+from zerodrift.operations.gru.cell import RELAX_STEPS
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.integer_network import IntegerGruNetwork
 from zerodrift.train.optimise import GRADIENT_LIMIT, one_cycle
 from zerodrift.train.sequences import (

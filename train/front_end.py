@@ -19,8 +19,8 @@ from scipy.linalg import solve_triangular
 
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.backend import NumpyOperations, Operations
-from zerodrift.operations.graph import GraphOperations, Node
+from zerodrift.operations.backend import GraphOperations, NumpyOperations, Operations
+from zerodrift.operations.graph import Node
 
 Array = NDArray[np.float64]
 S = TypeVar("S")

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from zerodrift.operations.arithmetic import IntArray, round_shift
-from zerodrift.operations.gru import FloatGru, IntegerGru
-from zerodrift.operations.layers import COPY_BITS, IntegerDense
+from zerodrift.operations.dense import COPY_BITS, IntegerDense
+from zerodrift.operations.gru.cell import FloatGru, IntegerGru
 from zerodrift.train.networks import Network
 from zerodrift.train.recurrence import Trace, propagate_back, sum_outer
 

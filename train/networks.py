@@ -16,7 +16,7 @@ from torch import Tensor
 
 from zerodrift.base.config import NetworkConfig
 from zerodrift.operations.dense import FloatDense
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.recurrence import GruWeights, run_gru
 
 Array = NDArray[np.float64]

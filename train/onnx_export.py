@@ -16,8 +16,8 @@ from onnx import TensorProto, helper, numpy_helper
 
 from zerodrift.base.errors import InputError
 from zerodrift.operations.dense import FloatDense, FloatFeedForward
-from zerodrift.operations.gru import FloatGru
-from zerodrift.operations.gru_onnx import from_onnx_gates, to_onnx_gates
+from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.gru.onnx import from_onnx_gates, to_onnx_gates
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from zerodrift import __version__
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.operations.gru import GATES, H_LIMIT_Q30, IntegerGru
-from zerodrift.operations.network import IntegerGruLayer
+from zerodrift.operations.gru import IntegerGruLayer
+from zerodrift.operations.gru.cell import GATES, H_LIMIT_Q30, IntegerGru
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.tables import STEP_BITS, T_MAX, T_MIN, tanh_nodes
 

@@ -27,10 +27,11 @@ from zerodrift.export.integer_model import (
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, CodeArray, IntArray
 from zerodrift.operations.clip import IntegerClip
+from zerodrift.operations.features import IntegerFeatures
+from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.load import IntegerLoad
-from zerodrift.operations.network import IntegerFeatures
-from zerodrift.operations.signal import IntegerInput, IntegerProduct
-from zerodrift.operations.total import IntegerSum
+from zerodrift.operations.product import IntegerProduct
+from zerodrift.operations.sum import IntegerSum
 from zerodrift.verify.summary import ChipError
 
 Array = NDArray[np.float64]

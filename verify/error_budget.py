@@ -27,10 +27,9 @@ from zerodrift.export.quantize_layers import (
 )
 from zerodrift.operations.arithmetic import INT16_MAX, choose_exponent
 from zerodrift.operations.backend import NumpyOperations
-from zerodrift.operations.dense import FloatFeedForward
+from zerodrift.operations.dense import COPY_BITS, FloatFeedForward
 from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.operations.intervals import Interval
-from zerodrift.operations.layers import COPY_BITS
 from zerodrift.verify.mismatch import label_columns
 
 Array = NDArray[np.float64]
@@ -243,7 +242,7 @@ class _Levels:
                 values[node] = inputs[node.source][:count]
             else:
                 arguments = [values[child] for child in node.inputs]
-                values[node] = getattr(ops, node.op)(*arguments, *node.constants)
+                values[node] = ops.compute(node, arguments)
         physical = np.broadcast_to(self._float.offset, (count, self._float.offset.size)).copy()
         for node, signal, row in zip(
             self._float.features, self._features, self._float.coefficients, strict=True

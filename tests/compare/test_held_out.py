@@ -5,12 +5,7 @@ import pytest
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
-from zerodrift.diagnosis.held_out import (
-    BLOCKS_OF_ONE_RUN,
-    LEAVE_ONE_RUN_OUT,
-    TEST_LOGS,
-    hold_out,
-)
+from zerodrift.diagnosis.held_out import BLOCKS_OF_ONE_RUN, LEAVE_ONE_RUN_OUT, TEST_LOGS, hold_out
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.fit import fit
 

@@ -23,7 +23,7 @@ from zerodrift.export.compose import (
 )
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
-from zerodrift.operations.clock import IntegerCounter
+from zerodrift.operations.counter import IntegerCounter
 from zerodrift.operations.node import CODES
 
 

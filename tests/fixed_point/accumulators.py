@@ -12,28 +12,25 @@ from zerodrift.export.integer_model import FLAG_NO_READING, IntegerModel
 from zerodrift.export.reference import ModelState, Reference
 from zerodrift.operations.arithmetic import CodeArray, saturate
 from zerodrift.operations.clip import IntegerClip
-from zerodrift.operations.clock import IntegerCounter
+from zerodrift.operations.counter import IntegerCounter
+from zerodrift.operations.delay import IntegerDelay
+from zerodrift.operations.dense import IntegerDense
+from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.exp2 import OCTAVE_Q29, IntegerExp2
-from zerodrift.operations.gru import IntegerGru
+from zerodrift.operations.features import IntegerFeatures
+from zerodrift.operations.gru import IntegerGruLayer
+from zerodrift.operations.gru.cell import IntegerGru
+from zerodrift.operations.gru_stack import IntegerGruStack
+from zerodrift.operations.head import IntegerHead
+from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Interval
-from zerodrift.operations.layers import IntegerDense, IntegerGruStack
 from zerodrift.operations.load import IntegerLoad
-from zerodrift.operations.network import (
-    IntegerDrift,
-    IntegerFeatures,
-    IntegerGruLayer,
-    IntegerHead,
-)
+from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.operations.play import IntegerPlay
 from zerodrift.operations.power import IntegerPower
-from zerodrift.operations.signal import (
-    IntegerDelay,
-    IntegerInput,
-    IntegerLowpass,
-    IntegerProduct,
-)
+from zerodrift.operations.product import IntegerProduct
+from zerodrift.operations.sum import IntegerSum
 from zerodrift.operations.tables import sigmoid_q31
-from zerodrift.operations.total import IntegerSum
 from zerodrift.verify.vectors import draw_sequences
 
 Array = np.ndarray[tuple[int, ...], np.dtype[np.int64]]

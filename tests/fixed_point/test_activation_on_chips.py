@@ -12,8 +12,8 @@ from tests.golden.model_factory import Shape, draw_model
 from zerodrift.c_runtime.cores import CORES
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.operations.gru import IntegerGru
-from zerodrift.operations.network import IntegerGruLayer
+from zerodrift.operations.gru import IntegerGruLayer
+from zerodrift.operations.gru.cell import IntegerGru
 
 if any(importlib.util.find_spec(name) is None for name in ("unicorn", "ziglang")):
     pytest.skip("emulation needs the unicorn and ziglang wheels", allow_module_level=True)

@@ -11,10 +11,12 @@ from tests.fixed_point.strategies import shapes
 from tests.golden.model_factory import Draw, Shape, draw_model
 
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.gru import H_LIMIT_Q30
+from zerodrift.operations.delay import IntegerDelay
+from zerodrift.operations.features import IntegerFeatures
+from zerodrift.operations.gru.cell import H_LIMIT_Q30
 from zerodrift.operations.intervals import Interval
-from zerodrift.operations.network import IntegerFeatures
-from zerodrift.operations.signal import IntegerDelay, IntegerLowpass, IntegerProduct
+from zerodrift.operations.lowpass import IntegerLowpass
+from zerodrift.operations.product import IntegerProduct
 
 
 @settings(

@@ -15,7 +15,7 @@ from zerodrift.c_runtime.compilers import (
 )
 from zerodrift.c_runtime.write_table import render_runtime
 from zerodrift.operations.arithmetic import round_shift
-from zerodrift.operations.signal import IntegerLowpass
+from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.operations.tables import T_MAX, T_MIN, sigmoid_q31, tanh_nodes, tanh_q30
 
 EVERY_T = np.arange(T_MIN - 4096, T_MAX + 4097)

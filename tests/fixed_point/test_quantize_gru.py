@@ -10,7 +10,7 @@ from tests.golden.model_factory import Draw
 
 from zerodrift.base.errors import CheckError
 from zerodrift.export.quantize_gru import quantize_gru, quantize_head
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.intervals import Interval
 
 FEATURE_EXPONENTS = np.array([13, 14])

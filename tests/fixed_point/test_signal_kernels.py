@@ -13,15 +13,15 @@ from zerodrift.c_runtime.compilers import (
     WARNINGS,
     find_compilers,
 )
-from zerodrift.operations.delay import delay
+from zerodrift.operations.delay import IntegerDelay, delay
 from zerodrift.operations.exp2 import OCTAVE_Q29, IntegerExp2
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.load import IntegerLoad
+from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.operations.node import CODES, PREVIOUS_DRIFT
 from zerodrift.operations.play import IntegerPlay, play
 from zerodrift.operations.polynomial import bound_polynomial, evaluate_polynomial, fit_octave
 from zerodrift.operations.power import IntegerPower
-from zerodrift.operations.signal import IntegerDelay, IntegerLowpass
 
 Array = np.ndarray[Any, Any]
 EVERY_FRACTION = np.arange(2**24, dtype=np.int64)

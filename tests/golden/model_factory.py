@@ -10,9 +10,10 @@ from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize
+from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.dense import FloatDense
-from zerodrift.operations.graph import GraphOperations, Node
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.graph import Node
+from zerodrift.operations.gru.cell import FloatGru
 
 LINEAR = ("lowpass", "delay", "difference", "product", "power")
 FRONT_ENDS = (*LINEAR, "exp2", "root", "play", "clip", "late", "mix", "warm_up", "load")

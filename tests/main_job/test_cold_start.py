@@ -9,7 +9,7 @@ from zerodrift.codegen.generate import generate
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import Channel, OutputFormat
 from zerodrift.export.quantize import quantize
-from zerodrift.operations.graph import GraphOperations
+from zerodrift.operations.backend import GraphOperations
 from zerodrift.verify.host_check import check_host
 
 

@@ -22,7 +22,7 @@ from zerodrift.export.fine_tune import FOLDER, LAYERS, load_or_tune
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.onnx_reader import read_imported_bytes
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.gru.cell import FloatGru
 
 CASES = {
     "two layers and tanh, stream": export(Form(layers=2, activation="tanh", hidden=6)),

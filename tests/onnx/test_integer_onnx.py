@@ -11,12 +11,9 @@ from tests.golden.model_factory import Shape, draw_model
 from tests.golden.models import CASES
 from tests.golden.vectors import HIDDEN, crc_of, load
 
-from zerodrift.base.errors import CheckError
-from zerodrift.export.integer_model import NODE_CLASSES, IntegerModel
+from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx, list_state
-from zerodrift.export.integer_onnx_nodes import RESTS, SETTLES, STEPS
 from zerodrift.export.reference import Reference
-from zerodrift.operations.node import IntegerNode
 from zerodrift.verify.mismatch import label_columns
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences
@@ -116,16 +113,3 @@ def test_file_holds_integers_only() -> None:
     assert {v.type.tensor_type.elem_type for v in values} <= whole_numbers
     assert {t.data_type for t in proto.graph.initializer} == {onnx.TensorProto.INT64}
     assert {n.domain for n in proto.graph.node} == {""}
-
-
-def test_every_kind_of_node_has_an_onnx_form() -> None:
-    assert set(STEPS) == set(NODE_CLASSES)
-    for kind, cls in NODE_CLASSES.items():
-        assert (kind in RESTS) == (cls.rest is not IntegerNode.rest), kind
-        assert (kind in SETTLES) == (cls.settle is not IntegerNode.settle), kind
-
-
-def test_kind_without_an_onnx_form_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(STEPS, "head")
-    with pytest.raises(CheckError, match="head"):
-        build_integer_onnx(draw_model(Shape(), 2))

@@ -9,8 +9,8 @@ from tests.golden.model_factory import Shape, draw_model
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.operations.network import IntegerGruLayer
-from zerodrift.operations.signal import IntegerLowpass
+from zerodrift.operations.gru import IntegerGruLayer
+from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences

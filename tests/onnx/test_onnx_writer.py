@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
-from zerodrift.export.onnx_writer import IR_VERSION, OPSET, OnnxWriter
 from zerodrift.operations.arithmetic import round_shift, saturate
+from zerodrift.operations.onnx_writer import IR_VERSION, OPSET, OnnxWriter
 
 Int64Array = NDArray[np.int64]
 

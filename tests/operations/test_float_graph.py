@@ -1,7 +1,7 @@
 import numpy as np
 
-from zerodrift.operations.backend import NumpyOperations
-from zerodrift.operations.graph import GraphOperations, evaluate, list_nodes
+from zerodrift.operations.backend import GraphOperations, NumpyOperations, evaluate
+from zerodrift.operations.graph import list_nodes
 
 
 def build_everything(ops, x, z):

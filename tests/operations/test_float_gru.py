@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.gru.cell import FloatGru
 
 
 @pytest.mark.parametrize("reset", ["after", "before"])

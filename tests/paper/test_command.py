@@ -3,14 +3,7 @@ import json
 
 import pytest
 
-from zerodrift.lab.paper.findings import (
-    FAILS,
-    HOLDS,
-    REVERSED,
-    UNDECIDED,
-    WEAKER,
-    judge_factor,
-)
+from zerodrift.lab.paper.findings import FAILS, HOLDS, REVERSED, UNDECIDED, WEAKER, judge_factor
 from zerodrift.lab.paper.published import TABLES
 from zerodrift.lab.paper.summary import Spread
 

@@ -16,7 +16,7 @@ from tests.physics.conftest import (
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
-from zerodrift.operations.graph import evaluate
+from zerodrift.operations.backend import evaluate
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit, flat_weights

@@ -7,11 +7,7 @@ import pytest
 from tests.loop.conftest import Project, write_project
 
 from zerodrift.app.commands.survey import survey_project
-from zerodrift.diagnosis.comparison_summary import (
-    ComparisonSummary,
-    OutputSummary,
-    WorstSegment,
-)
+from zerodrift.diagnosis.comparison_summary import ComparisonSummary, OutputSummary, WorstSegment
 from zerodrift.physics.summary import ModelSummary
 from zerodrift.report.findings import Findings, Provenance, Trace
 

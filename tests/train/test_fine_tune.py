@@ -19,7 +19,7 @@ from zerodrift.export.quantize_gru import quantize_gru
 from zerodrift.export.quantize_layers import quantize_layers
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.fine_tune import Settings, fine_tune
 from zerodrift.train.integer_network import IntegerGruNetwork
 from zerodrift.train.onnx_export import build_onnx

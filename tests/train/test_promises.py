@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base.config import NetworkConfig
 from zerodrift.export.onnx_reader import read_network_bytes
-from zerodrift.operations.gru import FloatGru
+from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.networks import build_network
 from zerodrift.train.onnx_export import build_onnx
 from zerodrift.train.optimise import Progress, Result, Settings, Trainer

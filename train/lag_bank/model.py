@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.backend import NumpyOperations, Operations
-from zerodrift.operations.graph import GraphOperations, Node
+from zerodrift.operations.backend import GraphOperations, NumpyOperations, Operations
+from zerodrift.operations.graph import Node
 from zerodrift.train.front_end import read_source
 from zerodrift.train.lag_bank.data import DEGREE, Lag, Scale
 

@@ -262,7 +262,7 @@ def _print(firmware: Any, told: FirmwareSummary, directory: Path) -> None:
 
 def _print_budget(firmware: Any, console: Any) -> None:
     """Print what quantization costs, node by node, and over time."""
-    from zerodrift.operations.signal import IntegerInput
+    from zerodrift.operations.input import IntegerInput
 
     table = open_table(
         "What quantization costs inside the calibrated ranges, RMS of integer minus float model",

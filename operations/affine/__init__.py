@@ -1,0 +1,28 @@
+"""Gain and offset by constants: changes of unit and of origin, such as T - T0."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.formats import FormattedNodes, Signal
+from zerodrift.operations.graph import Node
+from zerodrift.operations.operation import Operation
+
+Array = NDArray[np.float64]
+
+
+def affine(x: Array, gain: float, offset: float) -> Array:
+    """Return gain * x + offset."""
+    return np.asarray(gain * x + offset)
+
+
+def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
+    """Return the same integers with another meaning: nothing is to be computed."""
+    gain, offset = node.constants
+    if gain == 0.0:
+        return Signal("", 0.0, offset)
+    return replace(x, scale=x.scale * gain, offset=x.offset * gain + offset)
+
+
+OPERATION = Operation("affine", affine, lower, ("x",), ("gain", "offset"))

@@ -1,0 +1,76 @@
+"""Limits: a converter's rails, a calibrated range."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.formats import FormattedNodes, Signal
+from zerodrift.operations.graph import Node
+from zerodrift.operations.intervals import Bound, Interval, check_limits
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.operation import Operation
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+Array = NDArray[np.float64]
+
+
+def clip(x: Array, low: float, high: float) -> Array:
+    """Return x limited to low .. high, limits in x's unit."""
+    return np.clip(x, low, high)
+
+
+@dataclass(frozen=True)
+class IntegerClip(IntegerNode):
+    """saturate(x, low, high)."""
+
+    kind: ClassVar[str] = "clip"
+    low: int
+    high: int
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return saturate(x, low, high)."""
+        return {}, np.asarray(saturate(values[self.inputs[0]], self.low, self.high))
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the limits and the result."""
+        limits = check_limits(self.name, self.low, self.high)
+        out = inputs[0][0].saturate(self.low, self.high)
+        return [out], [
+            Bound(f"{self.name}.limits", limits, 32).check(),
+            Bound(self.name, out, 32).check(),
+        ]
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write saturate(x, low, high)."""
+        return {}, w.saturate(values[self.inputs[0]], self.low, self.high)
+
+
+def limit(nodes: FormattedNodes, x: Signal, low: float, high: float) -> Signal:
+    """Return x limited to low .. high in its unit."""
+    if not x.node:
+        return Signal("", 0.0, min(max(x.offset, low), high))
+    interval = nodes.intervals[x.node][0]
+    ends = sorted((end - x.offset) / x.scale for end in (low, high))
+    if ends[0] <= interval.low and interval.high <= ends[1]:
+        return x
+    if ends[1] <= interval.low or interval.high <= ends[0]:  # always at the same limit
+        value = ends[1] if ends[1] <= interval.low else ends[0]
+        return Signal("", 0.0, value * x.scale + x.offset)
+    bottom = round(min(max(ends[0], interval.low), interval.high))
+    top = round(min(max(ends[1], interval.low), interval.high))
+    node = IntegerClip(nodes.new_name("clip"), (x.node,), bottom, top)
+    return Signal(nodes.append(node), x.scale, x.offset)
+
+
+def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
+    """Return x within its constant limits."""
+    return limit(nodes, x, *node.constants)
+
+
+OPERATION = Operation("clip", clip, lower, ("x",), ("low", "high"))
+NODES = (IntegerClip,)

@@ -1,0 +1,141 @@
+"""Delay by a fixed time, also by a fraction of a sample."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.base.errors import CheckError
+from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift
+from zerodrift.operations.c_text import StateField, list_ring
+from zerodrift.operations.formats import FormattedNodes, Signal
+from zerodrift.operations.graph import Node
+from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.operation import Operation
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+Array = NDArray[np.float64]
+
+
+def delay_taps(sample_period_s: float, delay_s: float) -> tuple[int, float]:
+    """Return the delay as whole samples and a share 0 <= share < 1 of one more."""
+    steps = max(delay_s, 0.0) / sample_period_s
+    whole = math.floor(steps + 1e-9)
+    return whole, max(steps - whole, 0.0)
+
+
+def delay(x: Array, sample_period_s: float, delay_s: float) -> Array:
+    """Return x as it was `delay_s` ago, on straight lines between samples; before x[0] it was x[0].
+
+    Args:
+        x: [..., n], uninterrupted stretches along the last axis.
+        sample_period_s: seconds between samples.
+        delay_s: seconds; 0 or less returns x.
+    """
+    whole, share = delay_taps(sample_period_s, delay_s)
+    late = _shift(x, whole)
+    if share == 0.0:
+        return late
+    return np.asarray((1.0 - share) * late + share * _shift(x, whole + 1))
+
+
+def _shift(x: Array, steps: int) -> Array:
+    """Return x `steps` samples later, filled with the first value in front."""
+    if steps <= 0 or x.size == 0:
+        return x.copy()
+    late = np.empty_like(x)
+    late[..., :steps] = x[..., :1]
+    late[..., steps:] = x[..., : max(x.shape[-1] - steps, 0)]
+    return late
+
+
+@dataclass(frozen=True)
+class IntegerDelay(IntegerNode):
+    """x as it was `steps` samples ago, or between that and one sample later; at rest always x.
+
+    A delay by steps - share samples mixes the two, on the straight line between them:
+
+        result = older + round_shift((newer - older) newer_q31, 31)
+    """
+
+    kind: ClassVar[str] = "delay"
+    steps: int
+    newer_q31: int = 0
+    """Share of the sample `steps` - 1 ago, in Q0.31; 0: none."""
+
+    def rest(self, values: Values) -> State:
+        """Return a line filled with the present input, oldest first."""
+        x = values[self.inputs[0]]
+        return {"line": np.repeat(x[:, None], self.steps, axis=1)}
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return the line with the present input appended, and the delayed input."""
+        x = values[self.inputs[0]]
+        line = np.concatenate([state["line"], x[:, None]], axis=1)
+        older, newer = line[:, 0], line[:, 1]
+        out = older + round_shift((newer - older) * self.newer_q31, 31)
+        return {"line": line[:, 1:]}, np.asarray(out)
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the output by the input's range, and the ring's position by 16 bits.
+
+        With 0 <= newer_q31 < 2**31 the result lies between older and newer.
+        """
+        if not 0 <= self.newer_q31 <= INT32_MAX:
+            raise CheckError(
+                f"{self.name}: a share of {self.newer_q31} 2**-31 is not within 0 .. 1."
+                " The model is refused."
+            )
+        x = inputs[0][0]
+        half = Interval(0, 1 << 30)
+        return [x], [
+            Bound(f"{self.name}.line", x, 32).check(),
+            Bound(f"{self.name}.rise", (x - x).scale(self.newer_q31) + half, 64).check(),
+            Bound(f"{self.name}.steps", Interval(1, self.steps), 16).check(),
+        ]
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write older + (newer - older) newer_q31, and the line moved on by one."""
+        x = w.op("Unsqueeze", values[self.inputs[0]], w.constant([1]))
+        line = w.op("Concat", state["line"], x, axis=1)
+        older, newer = w.column(line, 0), w.column(line, 1)
+        rise = w.round_shift(w.mul(w.sub(newer, older), w.constant(self.newer_q31)), 31)
+        moved = w.split(line, (1, self.steps))[1]
+        return {"line": moved}, w.add(older, rise) if self.newer_q31 else older
+
+    def write_rest(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+        """Write a line filled with the present input."""
+        x = w.op("Unsqueeze", values[self.inputs[0]], w.constant([1]))
+        return {"line": w.op("Tile", x, w.constant([1, self.steps]))}
+
+    def list_state(self) -> tuple[StateField, ...]:
+        """Return the fields of the state in C."""
+        return list_ring(self.name, "line", 32, (self.steps,))
+
+
+def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
+    """Return x as it was some time ago: whole steps, and a share of one more."""
+    delay_s = node.constants[0]
+    whole, share = delay_taps(nodes.sample_period_s, delay_s)
+    newer_q31 = round((1.0 - share) * 2.0**31) if share > 1e-6 else 0
+    steps = whole if newer_q31 == 0 else whole + 1
+    if newer_q31 >= 2**31:  # a share below the resolution
+        steps, newer_q31 = whole, 0
+    if steps == 0 or not x.node:
+        return x
+    if steps > 32767:
+        raise CheckError(
+            f"a delay of {delay_s:g} s is {steps} steps of {nodes.sample_period_s:g} s; the"
+            " firmware's ring holds 32767. Use a shorter delay or a longer sample period."
+        )
+    late = IntegerDelay(nodes.new_name("delay"), (x.node,), steps, newer_q31)
+    return Signal(nodes.append(late), x.scale, x.offset)
+
+
+OPERATION = Operation("delay", delay, lower, ("x",), ("delay_s",), timed=True)
+NODES = (IntegerDelay,)

@@ -1,0 +1,73 @@
+"""Difference of two signals: what a sensor's own memory is made of."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.arithmetic import IntArray
+from zerodrift.operations.formats import EXACT_BITS, FormattedNodes, Signal
+from zerodrift.operations.graph import Node
+from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.operation import Operation
+from zerodrift.operations.sum import add
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+Array = NDArray[np.float64]
+
+
+def difference(a: Array, b: Array) -> Array:
+    """Return a - b, both in the same unit."""
+    return np.asarray(a - b)
+
+
+@dataclass(frozen=True)
+class IntegerDifference(IntegerNode):
+    """a - b, both at the same exponent."""
+
+    kind: ClassVar[str] = "difference"
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return a - b."""
+        return {}, values[self.inputs[0]] - values[self.inputs[1]]
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the difference, as if a and b were independent."""
+        out = inputs[0][0] - inputs[1][0]
+        return [out], [Bound(self.name, out, 32).check()]
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write a - b."""
+        return {}, w.sub(values[self.inputs[0]], values[self.inputs[1]])
+
+
+def combine(nodes: FormattedNodes, node: Node, a: Signal, b: Signal, sign: float) -> Signal:
+    """Return a + sign * b, which needs a node only where both move."""
+    offset = a.offset + sign * b.offset
+    if not b.node:
+        return replace(a, offset=offset)
+    if not a.node:
+        return Signal(b.node, sign * b.scale, offset)
+    scale = a.scale + sign * b.scale
+    if a.node == b.node:
+        return Signal(a.node, scale, offset) if scale else Signal("", 0.0, offset)
+    if a.scale == -sign * b.scale:
+        out = nodes.intervals[a.node][0] - nodes.intervals[b.node][0]
+        if out.magnitude < 2**EXACT_BITS:
+            difference = IntegerDifference(nodes.new_name("difference"), (a.node, b.node))
+            return Signal(nodes.append(difference), a.scale, offset)
+    low, high = nodes.find_limits(node, offset)
+    return add(nodes, [a, replace(b, scale=sign * b.scale)], low, high, offset)
+
+
+def lower(nodes: FormattedNodes, node: Node, a: Signal, b: Signal) -> Signal:
+    """Return a - b."""
+    return combine(nodes, node, a, b, -1.0)
+
+
+OPERATION = Operation("difference", difference, lower, ("a", "b"))
+NODES = (IntegerDifference,)

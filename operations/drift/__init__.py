@@ -1,0 +1,111 @@
+"""The answer: the last node of every model."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.intervals import Bound, Interval, bound_row, check_limits, check_shift
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+
+@dataclass(frozen=True)
+class IntegerDrift(IntegerNode):
+    """The answer: per output a 64-bit sum of signals and the head's row, rounded once and limited.
+
+    Inputs are the scalar signals in order and, last and only if `head` is set, the head's vector.
+    """
+
+    kind: ClassVar[str] = "drift"
+    coefficients: NDArray[np.int64]  # [K, J] for the J scalar signals
+    head_coefficients: NDArray[np.int64]  # [K]; zeros without a head
+    bias: NDArray[np.int64]
+    """[K], the rounding half folded in."""
+    shift: tuple[int, ...]
+    low: tuple[int, ...]
+    high: tuple[int, ...]
+    head: bool
+
+    @property
+    def width(self) -> int:
+        """Number of outputs K."""
+        return int(self.coefficients.shape[0])
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the scalar signals."""
+        return self.inputs[:-1] if self.head else self.inputs
+
+    @cached_property
+    def _coefficients_t(self) -> IntArray:
+        return np.ascontiguousarray(self.coefficients.T)
+
+    @cached_property
+    def _shifts(self) -> IntArray:
+        return np.array(self.shift, dtype=np.int64)
+
+    @cached_property
+    def _limits(self) -> tuple[IntArray, IntArray]:
+        return np.array(self.low, dtype=np.int64), np.array(self.high, dtype=np.int64)
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return saturate((bias + sum of products) >> shift, low, high)."""
+        return {}, self.limit(self.sum(values))
+
+    def sum(self, values: Values) -> IntArray:
+        """Return the drift before it is limited to low .. high."""
+        total = self.bias
+        if self.signals:
+            signals = np.stack([values[name] for name in self.signals], axis=1)
+            total = total + signals @ self._coefficients_t
+        if self.head:
+            total = total + values[self.inputs[-1]] * self.head_coefficients
+        return np.asarray(total >> self._shifts)
+
+    def limit(self, drift: IntArray) -> IntArray:
+        """Return the drift limited to low .. high."""
+        return np.asarray(saturate(drift, *self._limits))
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the 64-bit sums; the outputs lie within low .. high by saturation."""
+        scalars = [x[0] for x in (inputs[:-1] if self.head else inputs)]
+        out, bounds = [], []
+        for k in range(self.width):
+            check_shift(f"{self.name}[{k}]", self.shift[k], 63)
+            check_limits(f"{self.name}[{k}]", self.low[k], self.high[k])
+            row = self.coefficients[k]
+            terms = list(scalars)
+            if self.head:
+                row = np.append(row, self.head_coefficients[k])
+                terms.append(inputs[-1][k])
+            total, bound = bound_row(f"{self.name}[{k}]", row, int(self.bias[k]), terms, 64)
+            shifted = Interval(total.low >> self.shift[k], total.high >> self.shift[k])
+            out.append(shifted.saturate(self.low[k], self.high[k]))
+            bounds.append(bound)
+        return out, bounds
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write the drift, limited."""
+        return {}, w.saturate(self.write_sum(w, values), self.low, self.high)
+
+    def write_sum(self, w: "OnnxWriter", values: Names) -> str:
+        """Write the drift [B, K] before it is limited."""
+        terms = []
+        if self.signals:
+            signals = w.stack([values[name] for name in self.signals])
+            terms.append(w.op("MatMul", signals, w.constant(self.coefficients.T)))
+        if self.head:
+            terms.append(w.mul(values[self.inputs[-1]], w.constant(self.head_coefficients)))
+        total = w.constant(self.bias)
+        for term in terms:
+            total = w.add(total, term)
+        return w.floor_shift(total, self.shift)
+
+
+NODES = (IntegerDrift,)

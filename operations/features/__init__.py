@@ -1,0 +1,78 @@
+"""The front end's whitening: what a network reads."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray, saturate
+from zerodrift.operations.c_text import Table, make_table
+from zerodrift.operations.intervals import Bound, Interval, bound_row, check_shift
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+
+@dataclass(frozen=True)
+class IntegerFeatures(IntegerNode):
+    """The front end's whitening: int16 features from 32-bit signals, 64-bit sums, one rounding."""
+
+    kind: ClassVar[str] = "features"
+    matrix: NDArray[np.int32]  # [I, J]
+    bias: NDArray[np.int64]
+    """[I], the rounding half folded in."""
+    shift: tuple[int, ...]
+
+    @property
+    def width(self) -> int:
+        """Number of features I."""
+        return int(self.matrix.shape[0])
+
+    @cached_property
+    def _matrix_t(self) -> IntArray:
+        return np.ascontiguousarray(self.matrix.T, dtype=np.int64)
+
+    @cached_property
+    def _shifts(self) -> IntArray:
+        return np.array(self.shift, dtype=np.int64)
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return saturate((bias + matrix . signals) >> shift) to int16."""
+        signals = np.stack([values[name] for name in self.inputs], axis=1)
+        total = signals @ self._matrix_t + self.bias
+        return {}, np.asarray(saturate(total >> self._shifts, INT16_MIN, INT16_MAX))
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the 64-bit sums; the outputs are at most int16 by saturation."""
+        flat = [x[0] for x in inputs]
+        out, bounds = [], []
+        for i in range(self.width):
+            check_shift(f"{self.name}[{i}]", self.shift[i], 63)
+            total, bound = bound_row(
+                f"{self.name}[{i}]", self.matrix[i].astype(np.int64), int(self.bias[i]), flat, 64
+            )
+            shifted = Interval(total.low >> self.shift[i], total.high >> self.shift[i])
+            out.append(shifted.saturate(INT16_MIN, INT16_MAX))
+            bounds.append(bound)
+        return out, bounds
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write saturate((bias + matrix . signals) >> shift) to int16."""
+        signals = w.stack([values[name] for name in self.inputs])
+        total = w.op("MatMul", signals, w.constant(self.matrix.T))
+        total = w.add(total, w.constant(self.bias))
+        return {}, w.saturate(w.floor_shift(total, self.shift), INT16_MIN, INT16_MAX)
+
+    def list_tables(self) -> tuple[Table, ...]:
+        """Return the constant tables in C."""
+        return (
+            make_table(f"{self.name}_matrix", "i32", self.matrix, rows=self.width),
+            make_table(f"{self.name}_bias", "i64", self.bias),
+            make_table(f"{self.name}_shift", "u8", self.shift),
+        )
+
+
+NODES = (IntegerFeatures,)

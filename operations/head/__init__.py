@@ -1,0 +1,59 @@
+"""A network's linear output layer."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.arithmetic import IntArray, matmul_exact, round_shift
+from zerodrift.operations.c_text import Table, make_table
+from zerodrift.operations.intervals import Bound, Interval, bound_row
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+
+@dataclass(frozen=True)
+class IntegerHead(IntegerNode):
+    """The network's linear output layer: int16 weights, the state in Q0.15, 32-bit sums."""
+
+    kind: ClassVar[str] = "head"
+    weights: NDArray[np.int16]  # [K, H]
+
+    @property
+    def width(self) -> int:
+        """Number of outputs K."""
+        return int(self.weights.shape[0])
+
+    @cached_property
+    def _weights_t(self) -> NDArray[np.float64]:
+        return np.ascontiguousarray(self.weights.T, dtype=np.float64)
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return weights . round_shift(h_q30, 15); the bias is part of `drift`."""
+        h_q15 = round_shift(values[self.inputs[0]], 15)
+        return {}, matmul_exact(h_q15, self._weights_t)
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the 32-bit sums."""
+        h_q15 = [h_q30.round_shift(15) for h_q30 in inputs[0]]
+        rows = [
+            bound_row(f"{self.name}[{k}]", self.weights[k].astype(np.int64), 0, h_q15, 32)
+            for k in range(self.width)
+        ]
+        return [total for total, _ in rows], [bound for _, bound in rows]
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write weights . round_shift(h_q30, 15)."""
+        h_q15 = w.round_shift(values[self.inputs[0]], 15)
+        return {}, w.op("MatMul", h_q15, w.constant(self.weights.T))
+
+    def list_tables(self) -> tuple[Table, ...]:
+        """Return the constant tables in C."""
+        return (make_table(f"{self.name}_weights", "i16", self.weights),)
+
+
+NODES = (IntegerHead,)

@@ -1,0 +1,49 @@
+"""A raw code becomes a signal."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.intervals import Bound, Interval, check_limits, check_shift
+from zerodrift.operations.node import CODES, ChannelNode, Names, OnnxStep, State, Values
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+
+@dataclass(frozen=True)
+class IntegerInput(ChannelNode):
+    """A raw code, limited to its declared range, counted from `origin`, given fractional bits.
+
+    The code is int16 or int32, as the model's channel says; `origin` is for the wide ones, such as
+    seconds since 1970.
+    """
+
+    kind: ClassVar[str] = "input"
+    origin: int = 0
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return (saturate(code, low, high) - origin) << shift."""
+        code = saturate(values[CODES][:, self.channel], self.low, self.high)
+        return {}, np.asarray((code - self.origin) << self.shift)
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the shifted code; holds for every code because of the limits."""
+        check_shift(self.name, self.shift, 30)
+        code = check_limits(self.name, self.low, self.high) - Interval(self.origin, self.origin)
+        out = Interval(code.low << self.shift, code.high << self.shift)
+        return [out], [
+            Bound(f"{self.name}.code", code, 32).check(),
+            Bound(self.name, out, 32).check(),
+        ]
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write (saturate(code, low, high) - origin) << shift."""
+        code = w.saturate(w.column(values[CODES], self.channel), self.low, self.high)
+        counted = w.sub(code, w.constant(self.origin)) if self.origin else code
+        return {}, w.shift_left(counted, self.shift)
+
+
+NODES = (IntegerInput,)

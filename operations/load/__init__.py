@@ -1,0 +1,65 @@
+"""The load as the chip knows it: the raw output less the drift found one step before."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray, saturate
+from zerodrift.operations.intervals import Bound, Interval, check_limits, check_shift
+from zerodrift.operations.node import (
+    CODES,
+    PREVIOUS_DRIFT,
+    ChannelNode,
+    Names,
+    OnnxStep,
+    State,
+    Values,
+)
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+
+START_PASSES = 4
+"""Times that the state of rest is computed with the drift that the time before gave.
+
+The load at the start needs the drift, and the drift the load. An effect of the load is a few
+percent of it, so each pass leaves a few percent of the last one's error."""
+
+
+@dataclass(frozen=True)
+class IntegerLoad(ChannelNode):
+    """saturate(code - drift, low, high) << shift, with the previous step's drift of this output.
+
+    Code and drift are counts of the same output.
+    """
+
+    kind: ClassVar[str] = "load"
+    output: int
+    """Index of the output."""
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return the load."""
+        load = values[CODES][:, self.channel] - values[PREVIOUS_DRIFT][:, self.output]
+        return {}, np.asarray(saturate(load, self.low, self.high) << self.shift)
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the shifted load; holds for every int32 code and drift because of the limits."""
+        check_shift(self.name, self.shift, 30)
+        full = Interval(INT32_MIN, INT32_MAX)
+        out = Interval(self.low << self.shift, self.high << self.shift)
+        return [out], [
+            Bound(f"{self.name}.difference", full - full, 64).check(),
+            Bound(f"{self.name}.limits", check_limits(self.name, self.low, self.high), 32).check(),
+            Bound(self.name, out, 32).check(),
+        ]
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write saturate(code - drift of the step before, low, high) << shift."""
+        code = w.column(values[CODES], self.channel)
+        load = w.sub(code, w.column(values[PREVIOUS_DRIFT], self.output))
+        return {}, w.shift_left(w.saturate(load, self.low, self.high), self.shift)
+
+
+NODES = (IntegerLoad,)

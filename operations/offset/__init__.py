@@ -1,0 +1,62 @@
+"""A constant taken off a signal, so that its integers stand for it without one."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from zerodrift.operations.arithmetic import IntArray, choose_exponent
+from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
+from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.sum import IntegerSum
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+
+@dataclass(frozen=True)
+class IntegerOffset(IntegerNode):
+    """x - offset."""
+
+    kind: ClassVar[str] = "offset"
+    offset: int
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return x - offset."""
+        return {}, values[self.inputs[0]] - self.offset
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the difference."""
+        out = inputs[0][0] - Interval(self.offset, self.offset)
+        return [out], [Bound(self.name, out, 32).check()]
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write x - offset."""
+        return {}, w.sub(values[self.inputs[0]], w.constant(self.offset))
+
+
+def remove_offset(nodes: FormattedNodes, x: Signal) -> Signal:
+    """Return the same physical signal with offset 0, as far as the format resolves it."""
+    offset = round(-x.offset / x.scale)
+    if offset == 0:
+        return replace(x, offset=0.0)
+    if abs(offset) + nodes.reach(x) >= 2**EXACT_BITS:
+        return _absorb_offset(nodes, x)
+    node = IntegerOffset(name=nodes.new_name("offset"), inputs=(x.node,), offset=offset)
+    return Signal(nodes.append(node), x.scale)
+
+
+def _absorb_offset(nodes: FormattedNodes, x: Signal) -> Signal:
+    """Return the signal with offset 0 where the offset is beyond the signal's own format."""
+    reach = abs(x.offset) + nodes.reach(x) * abs(x.scale)
+    scale = 2.0 ** -choose_exponent(reach, 2**SIGNAL_BITS)
+    name = nodes.new_name("sum")
+    coefficients, bias, shift = nodes.format_row(
+        [x], np.array([x.scale / scale]), x.offset / scale, name
+    )
+    node = IntegerSum(name, (x.node,), tuple(coefficients), bias, shift)
+    return Signal(nodes.append(node), scale)
+
+
+NODES = (IntegerOffset,)

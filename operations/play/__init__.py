@@ -1,0 +1,139 @@
+"""Play (backlash): the rate-independent memory that hysteresis is made of."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.base.errors import CheckError
+from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.c_text import StateField
+from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes, Signal
+from zerodrift.operations.graph import Node
+from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.operation import Operation
+from zerodrift.operations.sum import fit
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+Array = NDArray[np.float64]
+
+
+def play(x: Array, half_width: float) -> Array:
+    """Return the play operator of half-width r: y[n] = min(max(y[n-1], x[n] - r), x[n] + r).
+
+    y follows x on a slack of r to either side; it starts centred, y[0] = x[0].
+
+    Args:
+        x: [..., n], uninterrupted stretches along the last axis.
+        half_width: r >= 0 in x's unit; 0 returns x.
+
+    Limits: takes about 3 sqrt(n) vector operations. A step maps y to its clip between x - r and
+    x + r, and clips compose to clips, so a stretch is cut into about sqrt(n) blocks, the blocks'
+    clips are composed side by side, and then run through once more from each block's start.
+    """
+    if half_width <= 0.0 or x.size == 0:
+        return x.copy()
+    count = x.shape[-1]
+    stretches = x.reshape(-1, count)
+    length = max(1, math.isqrt(count))
+    blocks = -(-count // length)
+    padded = np.empty((stretches.shape[0], blocks * length))
+    padded[:, :count] = stretches
+    padded[:, count:] = stretches[:, -1:]
+    # [length, blocks, stretches]: row i holds step i of every block, contiguous for speed.
+    steps = np.ascontiguousarray(padded.reshape(-1, blocks, length).transpose(2, 1, 0))
+    low, high = steps - half_width, steps + half_width
+
+    floor, ceiling = low[0].copy(), high[0].copy()
+    for i in range(1, length):
+        _limit(floor, low[i], high[i], out=floor)
+        _limit(ceiling, low[i], high[i], out=ceiling)
+    present = np.empty_like(floor)
+    value = stretches[:, 0].copy()
+    for block in range(blocks):
+        present[block] = value
+        _limit(value, floor[block], ceiling[block], out=value)
+
+    y = np.empty_like(steps)
+    for i in range(length):
+        present = _limit(present, low[i], high[i], out=y[i])
+    return np.asarray(y.transpose(2, 1, 0).reshape(-1, blocks * length)[:, :count].reshape(x.shape))
+
+
+def _limit(x: Array, low: Array, high: Array, out: Array) -> Array:
+    """Write x limited to low .. high into `out`; half the time of `np.clip` on short vectors."""
+    np.maximum(x, low, out=out)
+    return np.minimum(out, high, out=out)
+
+
+@dataclass(frozen=True)
+class IntegerPlay(IntegerNode):
+    """y' = saturate(y, x - half_width, x + half_width): no rounding, nothing but comparisons."""
+
+    kind: ClassVar[str] = "play"
+    half_width: int
+
+    def rest(self, values: Values) -> State:
+        """Return y in the middle of its slack."""
+        return {"y": values[self.inputs[0]]}
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return the next y, which is the output."""
+        x = values[self.inputs[0]]
+        y = np.asarray(saturate(state["y"], x - self.half_width, x + self.half_width))
+        return {"y": y}, y
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound x -+ half_width, and y by induction.
+
+        y starts at an x, within x's range X. A y in X that is below x - r becomes x - r, which lies
+        between y and x; one that is above x + r likewise. So y stays in X.
+        """
+        if self.half_width < 0:
+            raise CheckError(
+                f"{self.name}: a half-width of {self.half_width}; at least 0 is possible."
+                " The model is refused."
+            )
+        x = inputs[0][0]
+        slack = Interval(-self.half_width, self.half_width)
+        return [x], [
+            Bound(f"{self.name}.slack", x + slack, 32).check(),
+            Bound(f"{self.name}.y", x, 32).check(),
+        ]
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write saturate(y, x - half_width, x + half_width)."""
+        x, r = values[self.inputs[0]], w.constant(self.half_width)
+        y = w.minimum(w.maximum(state["y"], w.sub(x, r)), w.add(x, r))
+        return {"y": y}, y
+
+    def write_rest(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+        """Write y in the middle of its slack."""
+        return {"y": values[self.inputs[0]]}
+
+    def list_state(self) -> tuple[StateField, ...]:
+        """Return the fields of the state in C."""
+        return (StateField(32, f"{self.name}_y"),)
+
+
+def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
+    """Return the play of x, in its own format."""
+    half_width = node.constants[0]
+    if half_width <= 0.0 or not x.node:
+        return x
+    x = fit(nodes, x, SIGNAL_BITS + 1)
+    interval = nodes.intervals[x.node][0]
+    width = round(half_width / abs(x.scale))
+    span = interval.high - interval.low
+    # A slack wider than everything that x can do is no other than one of that width.
+    slack = IntegerPlay(nodes.new_name("play"), (x.node,), min(width, span))
+    return Signal(nodes.append(slack), x.scale, x.offset)
+
+
+OPERATION = Operation("play", play, lower, ("x",), ("half_width",))
+NODES = (IntegerPlay,)

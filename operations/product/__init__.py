@@ -1,0 +1,102 @@
+"""Product of two signals: span shift is temperature times load."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.arithmetic import (
+    INT32_MAX,
+    INT32_MIN,
+    IntArray,
+    choose_exponent,
+    round_shift,
+    saturate,
+)
+from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
+from zerodrift.operations.graph import Node
+from zerodrift.operations.intervals import Bound, Interval, check_limits, check_shift
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.offset import remove_offset
+from zerodrift.operations.operation import Operation
+from zerodrift.operations.sum import fit
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+Array = NDArray[np.float64]
+
+
+def product(a: Array, b: Array) -> Array:
+    """Return a * b."""
+    return np.asarray(a * b)
+
+
+@dataclass(frozen=True)
+class IntegerProduct(IntegerNode):
+    """saturate(round_shift(a * b, shift), low, high), the product in 64 bits."""
+
+    kind: ClassVar[str] = "product"
+    shift: int
+    low: int = INT32_MIN
+    high: int = INT32_MAX
+
+    @property
+    def limited(self) -> bool:
+        """Whether the result is limited to less than its 32 bits."""
+        return (self.low, self.high) != (INT32_MIN, INT32_MAX)
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return the product."""
+        product = round_shift(values[self.inputs[0]] * values[self.inputs[1]], self.shift)
+        limited = saturate(product, self.low, self.high) if self.limited else product
+        return {}, np.asarray(limited)
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the 64-bit product with its rounding half, and the 32-bit result."""
+        check_shift(self.name, self.shift, 62)
+        check_limits(self.name, self.low, self.high)
+        product = inputs[0][0] * inputs[1][0]
+        half = Interval(0, 1 << self.shift >> 1)
+        out = product.round_shift(self.shift).saturate(self.low, self.high)
+        return [out], [
+            Bound(f"{self.name}.product", product + half, 64).check(),
+            Bound(self.name, out, 32).check(),
+        ]
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write saturate(round_shift(a * b, shift), low, high)."""
+        a, b = (values[name] for name in self.inputs)
+        return {}, w.saturate(w.round_shift(w.mul(a, b), self.shift), self.low, self.high)
+
+
+def multiply(nodes: FormattedNodes, a: Signal, b: Signal, node: Node | None = None) -> Signal:
+    """Return a * b, limited to the range of the float node that it is, if that is given."""
+    if not a.node or not b.node:
+        moving, factor = (b, a.offset) if not a.node else (a, b.offset)
+        if factor == 0.0 or not moving.node:
+            return Signal("", 0.0, moving.offset * factor)
+        return replace(moving, scale=moving.scale * factor, offset=moving.offset * factor)
+    same = a == b
+    a = fit(nodes, remove_offset(nodes, a), EXACT_BITS)
+    b = a if same else fit(nodes, remove_offset(nodes, b), EXACT_BITS)
+    out = nodes.intervals[a.node][0] * nodes.intervals[b.node][0]
+    scale = a.scale * b.scale
+    ends = sorted(end / scale for end in nodes.find_limits(node, 0.0))
+    low, high = (min(max(end, float(out.low)), float(out.high)) for end in ends)
+    shift = max(0, -choose_exponent(max(abs(low), abs(high), 1.0), 2**SIGNAL_BITS))
+    limits = {}
+    if (low, high) != (out.low, out.high):
+        limits = {"low": round(low / 2.0**shift), "high": round(high / 2.0**shift)}
+    product = IntegerProduct(nodes.new_name("product"), (a.node, b.node), shift, **limits)
+    return Signal(nodes.append(product), scale * 2.0**shift)
+
+
+def lower(nodes: FormattedNodes, node: Node, a: Signal, b: Signal) -> Signal:
+    """Return a * b, limited to its range."""
+    return multiply(nodes, a, b, node)
+
+
+OPERATION = Operation("product", product, lower, ("a", "b"))
+NODES = (IntegerProduct,)

@@ -1,0 +1,126 @@
+"""Signals of any scales added up, rounded once: what sums, and other formats, are made of."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from zerodrift.operations.arithmetic import (
+    INT32_MAX,
+    INT32_MIN,
+    IntArray,
+    choose_exponent,
+    saturate,
+)
+from zerodrift.operations.formats import (
+    EXACT_BITS,
+    MOST_EXTRA_BITS,
+    SIGNAL_BITS,
+    FormattedNodes,
+    Signal,
+)
+from zerodrift.operations.intervals import Bound, Interval, bound_row, check_limits, check_shift
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+
+@dataclass(frozen=True)
+class IntegerSum(IntegerNode):
+    """Signals of any scales added up in 64 bits, rounded once.
+
+    saturate((bias + coefficients . x) >> shift, low, high)
+    """
+
+    kind: ClassVar[str] = "sum"
+    coefficients: tuple[int, ...]
+    bias: int
+    """The rounding half of `shift` folded in."""
+    shift: int
+    low: int = INT32_MIN
+    high: int = INT32_MAX
+
+    @property
+    def limited(self) -> bool:
+        """Whether the result is limited to less than its 32 bits."""
+        return (self.low, self.high) != (INT32_MIN, INT32_MAX)
+
+    @cached_property
+    def _coefficients(self) -> IntArray:
+        return np.array(self.coefficients, dtype=np.int64)
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return the sum."""
+        signals = np.stack([values[name] for name in self.inputs], axis=1)
+        total = (signals @ self._coefficients + self.bias) >> self.shift
+        return {}, np.asarray(saturate(total, self.low, self.high) if self.limited else total)
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the 64-bit sum in whatever order, and the 32-bit result."""
+        check_shift(self.name, self.shift, 62)
+        check_limits(self.name, self.low, self.high)
+        total, bound = bound_row(
+            f"{self.name}.sum", self._coefficients, self.bias, [x[0] for x in inputs], 64
+        )
+        out = Interval(total.low >> self.shift, total.high >> self.shift)
+        out = out.saturate(self.low, self.high)
+        return [out], [bound, Bound(self.name, out, 32).check()]
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write saturate((bias + coefficients . x) >> shift, low, high)."""
+        total = w.constant(self.bias)
+        for name, coefficient in zip(self.inputs, self.coefficients, strict=True):
+            total = w.add(total, w.mul(values[name], w.constant(coefficient)))
+        return {}, w.saturate(w.floor_shift(total, self.shift), self.low, self.high)
+
+
+def fit(nodes: FormattedNodes, x: Signal, bits: int) -> Signal:
+    """Return the signal with integers of at most 2**bits in magnitude."""
+    surplus = (nodes.reach(x) - 1).bit_length() - bits
+    if surplus <= 0:
+        return x
+    node = IntegerSum(nodes.new_name("sum"), (x.node,), (1,), 1 << surplus >> 1, surplus)
+    return Signal(nodes.append(node), x.scale * 2.0**surplus, x.offset)
+
+
+def add(
+    nodes: FormattedNodes, terms: Sequence[Signal], low: float, high: float, offset: float
+) -> Signal:
+    """Return the sum of q * scale of the terms, limited to low .. high, plus offset."""
+    ends = [
+        sorted(
+            (nodes.intervals[t.node][0].low * t.scale, nodes.intervals[t.node][0].high * t.scale)
+        )
+        for t in terms
+    ]
+    bottom, top = sum(e[0] for e in ends), sum(e[1] for e in ends)
+    largest = max(abs(t.scale) for t in terms)
+    equal = all(abs(t.scale) == largest for t in terms)
+    if equal and max(abs(bottom), abs(top)) < largest * 2**EXACT_BITS:
+        low, high = bottom, top  # there are bits enough
+    low, high = (min(max(end, bottom), top) for end in (low, high))
+    reach = max(abs(low), abs(high))
+    fits = choose_exponent(reach / largest, 2 ** (EXACT_BITS if equal else SIGNAL_BITS))
+    scale = largest * 2.0 ** -min(fits, 0 if equal else MOST_EXTRA_BITS)
+    row = np.array([t.scale / scale for t in terms])
+    name = nodes.new_name("sum")
+    coefficients, bias, shift = nodes.format_row(terms, row, 0.0, name)
+    limits = {}
+    if (low, high) != (bottom, top):
+        limits = {"low": round(low / scale), "high": round(high / scale)}
+    node = IntegerSum(
+        name, tuple(t.node for t in terms), tuple(coefficients), bias, shift, **limits
+    )
+    return Signal(nodes.append(node), scale, offset)
+
+
+def negate(nodes: FormattedNodes, x: Signal) -> Signal:
+    """Return the same physical signal with a scale of the other sign."""
+    node = IntegerSum(nodes.new_name("sum"), (x.node,), (-1,), 0, 0)
+    return Signal(nodes.append(node), -x.scale, x.offset)
+
+
+NODES = (IntegerSum,)

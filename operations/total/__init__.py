@@ -1,0 +1,24 @@
+"""Sum of two signals."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.difference import combine
+from zerodrift.operations.formats import FormattedNodes, Signal
+from zerodrift.operations.graph import Node
+from zerodrift.operations.operation import Operation
+
+Array = NDArray[np.float64]
+
+
+def total(a: Array, b: Array) -> Array:
+    """Return a + b, both in the same unit."""
+    return np.asarray(a + b)
+
+
+def lower(nodes: FormattedNodes, node: Node, a: Signal, b: Signal) -> Signal:
+    """Return a + b."""
+    return combine(nodes, node, a, b, 1.0)
+
+
+OPERATION = Operation("total", total, lower, ("a", "b"))
