@@ -75,6 +75,13 @@ def explain_invalid_row(
     rows = "this row" if count == 1 else f"the {count} such rows"
     text = place.values.get(column)
     value = float(values[row])
+    clock = table.clock
+    if clock is not None and column == clock.name and clock.kind != "number":
+        shown = " ".join(place.values.get(name) or "" for name in clock.columns).strip()
+        return InputError(
+            f"{place.text}: {column} holds '{shown[:40]}', which is no time as those of the other "
+            f"rows are; expected one such. Correct the row, {_SKIP} {rows}."
+        )
     if text is None or not text.strip():
         return InputError(
             f"{place.text}: column '{column}' is empty; expected a number. Fill it in, {_SKIP} "

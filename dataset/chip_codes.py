@@ -11,9 +11,8 @@ from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import guess_temperature_unit
 from zerodrift.dataset.locate import locate_row
+from zerodrift.dataset.logs import read_log
 from zerodrift.dataset.runs import Array, Dataset, Run
-from zerodrift.dataset.tables import label_log, open_source, read_table
-from zerodrift.dataset.time_units import measure_unit_s
 
 TEMPERATURE, MEASURED, CLOCK = "temperature_degC", "measured:", "clock"
 """Sources of codes: the thermometer, `measured:Fz` of an output, or an input; one is the clock."""
@@ -275,11 +274,11 @@ def refuse_unsayable(config: Config, dataset: Dataset) -> None:
 
 def _explain_row(config: Config, codes: ChipCodes, run: Run, row: int) -> InputError:
     """Return the error about a run's value, at the row of its log that no code stands for."""
-    source = open_source(run.source, label_log(run.source, config.directory), config.where)
     columns = {config.time_column: "[sensor] time", codes.column: "a channel of the chip"}
-    table = read_table(source, columns)
+    table = read_log(config, run.source, columns)
+    source = table.source
     values = table.columns[codes.column]
-    time_s = table.columns[config.time_column] * measure_unit_s(config)
+    time_s = table.columns[config.time_column]
     raw = np.round(values / codes.lsb)
     lowest, highest = codes.codes
     outside = (raw < lowest) | (raw > highest) | (raw == codes.no_reading)

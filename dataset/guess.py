@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from zerodrift.base.config import MAX_OUTPUTS, TIME_UNITS
+from zerodrift.base.clock_config import TIME_UNITS
+from zerodrift.base.config import MAX_OUTPUTS
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.tables import RUN_COLUMN, Source, open_source
 from zerodrift.dataset.time_units import guess_time_unit, read_time_unit

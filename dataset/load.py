@@ -22,19 +22,15 @@ from zerodrift.dataset.checks import (
     widen_plausible,
 )
 from zerodrift.dataset.locate import find_blank_rows, locate_row
+from zerodrift.dataset.logs import read_log
 from zerodrift.dataset.naming import RunKey, name_runs, refuse_overlaps
 from zerodrift.dataset.oddities import find_oddities
 from zerodrift.dataset.resample import COARSEST, MIN_STEPS, Stretch, plan_stretches
 from zerodrift.dataset.runs import Array, Dataset, Run
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
 from zerodrift.dataset.shared_rows import KnownRun, Repeats, find_repeats
-from zerodrift.dataset.tables import Table, label_log, open_source, read_table
-from zerodrift.dataset.time_units import (
-    measure_unit_s,
-    refuse_unit,
-    state_time_unit,
-    write_time,
-)
+from zerodrift.dataset.tables import Table
+from zerodrift.dataset.time_units import read_time_unit, refuse_unit, write_time
 from zerodrift.dataset.units import are_alike, read_unit
 
 USES = ("train", "test", "dwell")
@@ -134,10 +130,8 @@ def _open_log(
     config: Config, selection: Selection, skip_invalid: bool, notes: list[str]
 ) -> tuple[Table, list[tuple[str, int, int]]]:
     """Read one file; return its checked rows, and (run, first row, row after the last) of each."""
-    label = label_log(selection.path, config.directory)
-    source = open_source(selection.path, label, config.where)
-    table = read_table(source, list_columns(config))
-    table.columns[config.time_column] *= measure_unit_s(config)
+    table = read_log(config, selection.path, list_columns(config))
+    notes += table.source.notes
     _keep_selected_runs(table, selection)
     _check_values(config, table, skip_invalid, notes)
     return table, _split_runs(config, table, skip_invalid, notes)
@@ -263,7 +257,9 @@ def _plan_run(
     check_sampling(table, config.time_column, start, stop)
     median_s = float(np.median(np.diff(time_s[start:stop])))
     setting = locate_key(config.path, "sensor", "sample_period_s")
-    stated = state_time_unit(config)
+    # Only numbers leave their unit open.
+    is_number = table.clock is None or table.clock.kind == "number"
+    stated = config.time.unit or read_time_unit(config.time_column) if is_number else "s"
     period_s = config.sample_period_s
     refuse_unit(who, config.time_column, stated, start_s, median_s, period_s, setting)
     check_period(who, median_s, config.sample_period_s, COARSEST, setting)

@@ -1,12 +1,12 @@
 """The second pass: line and text of a row that failed a check."""
 
-import itertools
 from dataclasses import dataclass
 
 import polars as pl
 
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.tables import Source, explain_unreadable
+from zerodrift.dataset.tables import Source, mend_source
+from zerodrift.dataset.text_format import list_lines
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ def locate_row(source: Source, position: int) -> Place:
     try:
         found = source.scan().slice(position, 1).select(pl.all().cast(pl.String)).collect()
     except pl.exceptions.PolarsError as error:
-        raise InputError(explain_unreadable(source, error)) from error
+        return locate_row(mend_source(source, error), position)
     if found.is_empty():
         raise InputError(_explain_quotes(source))
     values: dict[str, str | None] = found.row(0, named=True)
@@ -46,9 +46,8 @@ def find_blank_rows(source: Source) -> list[int]:
     """
     if not source.is_csv or source.where:
         return []
-    with source.path.open("rb") as file:
-        lines = itertools.islice(file, source.head_lines, None)
-        return [row for row, line in enumerate(lines) if not line.strip()]
+    lines = list_lines(*source.parsed)
+    return [row for row, (_, line) in enumerate(lines) if not line.strip()]
 
 
 def _explain_quotes(source: Source) -> str:
@@ -72,12 +71,10 @@ def _explain_quotes(source: Source) -> str:
 def _find_line(source: Source, record: int) -> int:
     """Return the 1-based line on which a record ends; a quoted field may hold line breaks."""
     current, last, is_quoted = -1, 1, False
-    with source.path.open("rb") as file:
-        lines = itertools.islice(file, source.head_lines, None)
-        for number, line in enumerate(lines, start=source.head_lines + 1):
-            last = number
-            current += not is_quoted
-            is_quoted ^= line.count(b'"') % 2 == 1
-            if current == record and not is_quoted:
-                break
+    for number, line in list_lines(*source.parsed):
+        last = number
+        current += not is_quoted
+        is_quoted ^= line.count(b'"') % 2 == 1
+        if current == record and not is_quoted:
+            break
     return last

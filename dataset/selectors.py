@@ -13,8 +13,10 @@ from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.runs import Array
 
-CSV_SUFFIXES = (".csv", ".tsv", ".txt")
+CSV_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 PARQUET_SUFFIXES = (".parquet", ".pq")
+ARROW_SUFFIXES = (".feather", ".arrow", ".ipc")
+LOG_SUFFIXES = CSV_SUFFIXES + PARQUET_SUFFIXES + ARROW_SUFFIXES
 
 _CUT = re.compile(r"^(?P<rest>.+)@(?P<start>[^@#/]*):(?P<stop>[^@#/]*)$")
 _RUN = re.compile(r"^(?P<rest>.+?)#(?P<run>[^#/]+)$")
@@ -113,10 +115,10 @@ def _expand_selector(directory: Path, text: str, where: str) -> list[Selection]:
     if not paths:
         raise InputError(_explain_no_match(directory, pattern, where))
     for path in paths:
-        if path.suffix.lower() not in CSV_SUFFIXES + PARQUET_SUFFIXES:
+        if path.suffix.lower() not in LOG_SUFFIXES:
             raise InputError(
                 f"{where}: '{text}' selects {path.name}; expected logs that end in "
-                f"{', '.join(CSV_SUFFIXES + PARQUET_SUFFIXES)}. Narrow the glob."
+                f"{', '.join(LOG_SUFFIXES)}. Narrow the glob."
             )
     return [Selection(path, run_pattern, cut, where) for path in paths]
 
@@ -159,7 +161,7 @@ def _explain_cut(text: str, where: str) -> InputError:
 def _explain_no_match(directory: Path, pattern: str, where: str) -> str:
     folder = (directory / pattern).parent
     known = sorted(path.name for path in folder.glob("*") if path.is_file())
-    logs = [name for name in known if Path(name).suffix in CSV_SUFFIXES + PARQUET_SUFFIXES]
+    logs = [name for name in known if Path(name).suffix in LOG_SUFFIXES]
     if glob.has_magic(str(folder)):
         found = "nothing does."
     elif not folder.is_dir():

@@ -4,8 +4,6 @@ The first pass only parses: what is no number becomes NaN. Only when a check fai
 a second time, by `zerodrift.dataset.locate`, for the line and the text of the offending row.
 """
 
-import csv
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,12 +17,22 @@ from zerodrift.base.files import name_kind
 from zerodrift.dataset.columns import GrowingColumns
 from zerodrift.dataset.quotes import check_quotes
 from zerodrift.dataset.runs import Array
-from zerodrift.dataset.selectors import PARQUET_SUFFIXES
+from zerodrift.dataset.selectors import ARROW_SUFFIXES, PARQUET_SUFFIXES
+from zerodrift.dataset.text_format import (
+    UNNAMED,
+    TextFormat,
+    list_lines,
+    sniff_text,
+    split_fields,
+    write_plain,
+)
+from zerodrift.dataset.times import Clock
 
 RUN_COLUMN = "run"
 BATCH_ROWS = 100_000
-SEPARATORS = (",", ";", "\t")
-_MAX_HEADER_BYTES = 1 << 20
+_HEAD_BYTES = 1 << 18
+_LONGEST_HEAD_BYTES = 1 << 21
+"""More is read of a file whose first lines are longer, up to a header of so many bytes."""
 _SAMPLE_BYTES = 1 << 16
 _SHOWN_NAMES = 12
 
@@ -38,17 +46,36 @@ class Source:
     """How messages name the file."""
     names: tuple[str, ...]
     """All column names, in order; unnamed ones get a name no config can hold."""
-    separator: str | None
-    """The character between CSV fields; None for Parquet."""
     where: Mapping[str, str]
     """Row filter: column -> value."""
-    head_lines: int = 1
-    """Lines before the first record of a CSV: the header and blank lines after it."""
+    text: TextFormat | None = None
+    """How a CSV is written; None for anything else."""
+    data: Path | None = None
+    """What is parsed instead of `path`: the same lines as plain UTF-8."""
+    frame: pl.DataFrame | None = None
+    """The rows, of a file that is neither CSV, Parquet nor Arrow."""
+    is_ragged: bool = False
+    """Rows may end in delimiters that nothing follows."""
+    notes: tuple[str, ...] = ()
+    """What of the file is worth telling."""
 
     @property
     def is_csv(self) -> bool:
-        """Tell CSV from Parquet."""
-        return self.separator is not None
+        """Tell text from the other formats."""
+        return self.text is not None
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Return column -> what the row of units says of it; empty without such a row."""
+        return {} if self.text is None else dict(zip(self.names, self.text.units, strict=False))
+
+    @property
+    def parsed(self) -> tuple[Path, TextFormat]:
+        """Return the file of text that is parsed, and how it is written."""
+        assert self.text is not None
+        if self.data is None:
+            return self.path, self.text
+        return self.data, replace(self.text, separator="\t", encoding="utf-8", padded=False)
 
     def scan(self, numeric: Sequence[str] = ()) -> pl.LazyFrame:
         """Return the log as a lazy frame with the row filter applied and a `_row` column.
@@ -57,22 +84,44 @@ class Source:
         read as float64, null where they hold no number, and all others as text.
         """
         if self.is_csv:
+            path, text = self.parsed
             schema = {name: pl.Float64 if name in numeric else pl.String for name in self.names}
             frame = pl.scan_csv(
-                self.path,
-                separator=self.separator or ",",
+                path,
+                separator=text.separator,
+                decimal_comma=text.decimal_comma,
+                comment_prefix=text.comment or None,
                 has_header=False,
-                skip_lines=self.head_lines,
+                skip_lines=text.head_lines,
                 schema=schema,
                 ignore_errors=True,
+                truncate_ragged_lines=self.is_ragged,
                 glob=False,
                 row_index_name="_row",
             )
+        elif self.frame is not None:
+            frame = self.frame.lazy().with_row_index("_row")
+        elif self.path.suffix.lower() in ARROW_SUFFIXES:
+            frame = pl.scan_ipc(self.path, glob=False, row_index_name="_row")
         else:
             frame = pl.scan_parquet(self.path, glob=False, row_index_name="_row")
         for column, value in self.where.items():
             frame = frame.filter(pl.col(column).cast(pl.String) == value)
         return frame
+
+    def sample(self, columns: Sequence[str], rows: int | None) -> list[pl.Series]:
+        """Return the first values of some columns, as text in a CSV; None: all different ones.
+
+        Raises:
+            InputError: the file is damaged.
+        """
+        try:
+            frame = replace(self, where={}).scan().select(columns)
+            found = frame.unique(maintain_order=True) if rows is None else frame.head(rows)
+            return found.collect().get_columns()
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+            mended = mend_source(self, error)
+            return mended.sample(columns, rows)
 
 
 @dataclass
@@ -88,6 +137,8 @@ class Table:
     """[n] position in `runs`; None without a `run` column."""
     kept: NDArray[np.intp] | None = None
     """[n] position of each row among those read, once rows were left out; None = all, in order."""
+    clock: Clock | None = None
+    """How its times were read."""
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -118,83 +169,93 @@ def label_log(path: Path, directory: Path) -> str:
 
 
 def open_source(path: Path, label: str, where: Mapping[str, str]) -> Source:
-    """Read a log's column names.
+    """Read a log's column names, and how it is written.
 
     Raises:
-        InputError: the file cannot be opened, is empty, is not UTF-8 or not Parquet, or names a
+        InputError: the file cannot be opened, is empty, is no text or not Parquet, or names a
             column twice.
     """
     head = _read_head(path, label)
-    if path.suffix.lower() in PARQUET_SUFFIXES:
-        return Source(path, label, _read_parquet_names(path, label), None, where)
+    if path.suffix.lower() in PARQUET_SUFFIXES + ARROW_SUFFIXES:
+        return Source(path, label, _read_names(path, label), where)
     if head.startswith(b"PAR1"):
         raise InputError(f"{label}: holds Parquet; expected CSV text. Name it {path.stem}.parquet.")
-    line = head.split(b"\n", 1)[0].rstrip(b"\r")
-    try:
-        text = line.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(_explain_not_utf8(label, 1, line[error.start])) from error
-    if not text.strip():
-        raise InputError(f"{label}:1: the first line is blank; expected the columns' names there.")
-    separator = max(SEPARATORS, key=text.count)
-    names = split_fields(text, separator)
-    if not names or "\0" in text:
-        raise InputError(
-            f"{label}:1: the first line is no line of text ({text[:40]!r}); expected the columns' "
-            "names, and lines that end in a line feed. Save the log as CSV text."
-        )
-    if all(_is_number(name) for name in names):
-        raise InputError(
-            f"{label}:1: the first line holds numbers ({text[:40]}); expected the columns' names. "
-            "Add a header line, with units in the names, such as time_s,temperature_degC,Fz_N."
-        )
-    counts = Counter(names)
-    for name, count in counts.items():
-        if name and count > 1:
-            raise InputError(
-                f"{label}:1: the header names column '{name}' {count} times; expected each name "
-                "once. Rename one of them."
-            )
-    unique = tuple(name or f"\0unnamed{index}" for index, name in enumerate(names))
-    return Source(path, label, unique, separator, where, _count_head_lines(head))
+    text = sniff_text(head, label, is_whole=len(head) >= path.stat().st_size)
+    return _open_text(Source(path, label, text.names, where, text, notes=text.notes))
 
 
-def read_table(source: Source, needed: Mapping[str, str], run_column: bool = True) -> Table:
+def _open_text(source: Source) -> Source:
+    """Return the source with a plain copy of its file where the parser needs one."""
+    assert source.text is not None
+    is_plain = source.text.is_plain
+    return source if is_plain else replace(source, data=write_plain(source.path, source.text))
+
+
+def read_table(
+    source: Source, needed: Mapping[str, str], run_column: bool = True, clock: Clock | None = None
+) -> Table:
     """Parse the needed columns of a log.
 
     Args:
         source: the log.
         needed: column -> where the config names it, for messages.
         run_column: whether a column named `run` splits the file.
+        clock: how the times are written that are called `clock.name` in `needed`; None: they are
+            a column of numbers like any other.
 
     Raises:
         InputError: a column is missing or holds no numbers, rows have too many fields, the file is
             damaged or holds no row.
     """
-    for column, role in [*needed.items(), *((name, "[logs] where") for name in source.where)]:
+    plain = {name: role for name, role in needed.items() if clock is None or name != clock.name}
+    timed = {} if clock is None else dict.fromkeys(clock.columns, needed.get(clock.name, ""))
+    for column, role in [
+        *timed.items(),
+        *plain.items(),
+        *((name, "[logs] where") for name in source.where),
+    ]:
         if column not in source.names:
             raise InputError(_explain_missing_column(source, column, role))
-    if source.separator is not None:
-        check_quotes(source.path, source.label, source.separator)
+    if source.text is not None and source.data is None:
+        check_quotes(source.path, source.label, source.text.separator)
     has_runs = run_column and RUN_COLUMN in source.names and RUN_COLUMN not in needed
-    frame = source.scan(tuple(needed))
-    wanted = [pl.col(column).cast(pl.Float64) for column in needed]
-    wanted += [pl.col(RUN_COLUMN).cast(pl.String)] if has_runs else []
-    columns = GrowingColumns([*needed, *([RUN_COLUMN] if has_runs else [])], _guess_rows(source))
-    runs: dict[str, int] = {}
     try:
-        schema = frame.collect_schema()
-        for column in needed:
-            _refuse_dtype(source, column, schema[column])
-        for batch in _stream(frame.select(wanted)):
-            columns.append(_encode_runs(batch, runs) if has_runs else batch)
+        columns, runs = _parse(source, plain, clock, has_runs)
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        raise InputError(explain_unreadable(source, error)) from error
+        return read_table(mend_source(source, error), needed, run_column, clock)
     if len(columns) == 0:
         raise InputError(_explain_no_rows(source))
     arrays = columns.finish()
     codes = arrays.pop(RUN_COLUMN).astype(np.uint32) if has_runs else None
-    return Table(source, arrays, tuple(runs), codes)
+    if clock is not None and clock.kind == "rows":
+        rows = next(iter(arrays.values())).size
+        arrays[clock.name] = clock.period_s * np.arange(rows, dtype=np.float64)
+    if clock is not None:
+        arrays[clock.name] = clock.settle(arrays[clock.name], source.label)
+        arrays = {name: arrays[name] for name in needed if name in arrays}
+    return Table(source, arrays, tuple(runs), codes, clock=clock)
+
+
+def _parse(
+    source: Source, needed: Mapping[str, str], clock: Clock | None, has_runs: bool
+) -> tuple[GrowingColumns, dict[str, int]]:
+    is_timed = clock is not None and clock.kind != "rows"
+    numbers = clock.columns if clock is not None and clock.kind == "number" else ()
+    frame = source.scan((*needed, *numbers))
+    schema = frame.collect_schema()
+    for column in (*needed, *numbers):
+        _refuse_dtype(source, column, schema[column])
+    wanted = [pl.col(column).cast(pl.Float64) for column in needed]
+    if clock is not None and is_timed:
+        wanted.insert(0, clock.read(schema))
+    wanted += [pl.col(RUN_COLUMN).cast(pl.String)] if has_runs else []
+    names = [*([clock.name] if clock is not None and is_timed else []), *needed]
+    names += [RUN_COLUMN] if has_runs else []
+    columns = GrowingColumns(names, _guess_rows(source))
+    runs: dict[str, int] = {}
+    for batch in _stream(frame.select(wanted)):
+        columns.append(_encode_runs(batch, runs) if has_runs else batch)
+    return columns, runs
 
 
 def _stream(frame: pl.LazyFrame) -> Iterator[pl.DataFrame]:
@@ -219,9 +280,10 @@ def _encode_runs(batch: pl.DataFrame, runs: dict[str, int]) -> pl.DataFrame:
 def _guess_rows(source: Source) -> int:
     """Return about how many rows the log holds, a little more rather than less."""
     if not source.is_csv:
-        return int(pl.scan_parquet(source.path, glob=False).select(pl.len()).collect().item())
-    size = source.path.stat().st_size
-    with source.path.open("rb") as file:
+        return int(source.scan().select(pl.len()).collect().item())
+    path, _ = source.parsed
+    size = path.stat().st_size
+    with path.open("rb") as file:
         counts = []
         for share in (0.0, 0.5, 1.0):
             file.seek(int(share * max(0, size - _SAMPLE_BYTES)))
@@ -238,7 +300,9 @@ def _read_head(path: Path, label: str) -> bytes:
         )
     try:
         with path.open("rb") as file:
-            head = file.read(_MAX_HEADER_BYTES)
+            head = file.read(_HEAD_BYTES)
+            if head.count(b"\n") < 2:
+                head += file.read(_LONGEST_HEAD_BYTES)
     except OSError as error:
         raise InputError(
             f"{label}: cannot be read ({error.strerror}); expected a file that this user may read. "
@@ -249,23 +313,16 @@ def _read_head(path: Path, label: str) -> bytes:
             f"{label}: the file is empty; expected a header line and rows. Copy it again, or take "
             "it out of [logs]."
         )
-    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError(f"{label}:1: the text is UTF-16; expected UTF-8. Save the log as UTF-8.")
     return head
 
 
-def _count_head_lines(head: bytes) -> int:
-    """Return the number of lines up to the first record: the parser takes a blank one for one."""
-    lines = head.split(b"\n")[1:-1]
-    blank = next((count for count, line in enumerate(lines) if line.strip()), len(lines))
-    return 1 + blank
-
-
-def _read_parquet_names(path: Path, label: str) -> tuple[str, ...]:
+def _read_names(path: Path, label: str) -> tuple[str, ...]:
+    is_arrow = path.suffix.lower() in ARROW_SUFFIXES
+    scan = pl.scan_ipc if is_arrow else pl.scan_parquet
     try:
-        return tuple(pl.scan_parquet(path, glob=False).collect_schema().names())
+        return tuple(scan(path, glob=False).collect_schema().names())
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        raise InputError(_explain_damaged(label, error)) from error
+        raise InputError(_explain_damaged(label, error, is_arrow)) from error
 
 
 def _refuse_dtype(source: Source, column: str, dtype: pl.DataType) -> None:
@@ -275,26 +332,11 @@ def _refuse_dtype(source: Source, column: str, dtype: pl.DataType) -> None:
     raise InputError(f"{source.label}: column '{column}' holds {dtype}; expected numbers.{hint}")
 
 
-def split_fields(line: str, separator: str) -> list[str]:
-    """Return the fields of one line of CSV; none when it cannot be split."""
-    try:
-        return next(csv.reader([line], delimiter=separator), [])
-    except csv.Error:
-        return []
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def _explain_missing_column(source: Source, column: str, role: str) -> str:
-    names = [name for name in source.names if not name.startswith("\0")]
+    names = [name for name in source.names if not name.startswith(UNNAMED)]
     shown = ", ".join(names[:_SHOWN_NAMES]) + (", ..." if len(names) > _SHOWN_NAMES else "")
-    place = f"{source.label}:1" if source.is_csv else source.label
+    line = 0 if source.text is None else source.text.header_line
+    place = f"{source.label}:{line}" if line else source.label
     hint = nearest(column, names) or "."
     return (
         f"{place}: there is no column '{column}'{hint} Found: {shown}; expected "
@@ -321,39 +363,50 @@ def _explain_no_rows(source: Source) -> str:
     )
 
 
-def _explain_not_utf8(label: str, line: int, byte: int) -> str:
-    return (
-        f"{label}:{line}: byte 0x{byte:02x} is not UTF-8; expected text in UTF-8. Save the log as "
-        "UTF-8."
-    )
-
-
-def _explain_damaged(label: str, error: BaseException) -> str:
+def _explain_damaged(label: str, error: BaseException, is_arrow: bool = False) -> str:
     reason = str(error).splitlines()[0].removeprefix("parquet: ") if str(error) else "damaged"
+    kind = "Arrow (Feather)" if is_arrow else "Parquet"
     return (
-        f"{label}: not a whole Parquet file ({reason}); expected one that ends in its footer. Copy "
+        f"{label}: not a whole {kind} file ({reason}); expected one that ends in its footer. Copy "
         "it again, or write the log anew."
     )
 
 
-def explain_unreadable(source: Source, error: BaseException) -> str:
-    """Say which line the parser stumbled over; the second pass over a file that failed."""
-    if not source.is_csv:
-        return _explain_damaged(source.label, error)
-    with source.path.open("rb") as file:
-        for number, line in enumerate(file, start=1):
-            try:
-                text = line.decode("utf-8-sig")
-            except UnicodeDecodeError as wrong:
-                return _explain_not_utf8(source.label, number, line[wrong.start])
-            fields = len(split_fields(text, source.separator or ","))
-            if '"' not in text and fields > len(source.names):
-                return (
-                    f"{source.label}:{number}: the row has {fields} fields ({text.strip()[:60]}); "
-                    f"expected {len(source.names)}, as the header names. Correct the row; "
-                    "--skip-invalid does not guess which fields are the right ones."
-                )
-    return (
+def mend_source(source: Source, error: BaseException) -> Source:
+    """Return a source that can be read instead of one over which the parser stumbled.
+
+    A second pass over a file that failed. What can be read without a guess is: another encoding,
+    and rows that end in delimiters after which nothing follows.
+
+    Raises:
+        InputError: anything else; the message names the line.
+    """
+    if source.text is None:
+        is_arrow = source.path.suffix.lower() in ARROW_SUFFIXES
+        raise InputError(_explain_damaged(source.label, error, is_arrow)) from error
+    path, text = source.parsed
+    trailing = 0
+    for number, line in list_lines(path, text):
+        try:
+            row = line.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            note = f"{source.label}: line {number} is not UTF-8; read as Windows-1252 (latin-1)"
+            other = replace(source.text, encoding="cp1252")
+            return _open_text(replace(source, text=other, notes=(*source.notes, note)))
+        fields = split_fields(row.rstrip("\r\n"), text.separator)
+        surplus = [field for field in fields[len(source.names) :] if field.strip()]
+        if '"' not in row and surplus:
+            raise InputError(
+                f"{source.label}:{number}: the row has {len(fields)} fields ({row.strip()[:60]}); "
+                f"expected {len(source.names)}, as the header names. Correct the row; "
+                "--skip-invalid does not guess which fields are the right ones."
+            ) from error
+        trailing += len(fields) > len(source.names)
+    if trailing and not source.is_ragged:
+        rows = "one row ends" if trailing == 1 else f"{trailing} rows end"
+        note = f"{source.label}: {rows} in a delimiter after which nothing follows; left out"
+        return replace(source, is_ragged=True, notes=(*source.notes, note))
+    raise InputError(
         f"{source.label}: cannot be read as CSV ({str(error).splitlines()[0]}); expected a header "
-        f"line and rows separated by '{source.separator}'. Write the log anew."
-    )
+        f"line and rows separated by {text.separator!r}. Write the log anew."
+    ) from error

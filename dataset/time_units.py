@@ -2,7 +2,7 @@
 
 import re
 
-from zerodrift.base.config import TIME_UNITS, Config
+from zerodrift.base.clock_config import TIME_UNITS
 from zerodrift.base.errors import InputError
 
 _WORDS = {
@@ -20,16 +20,6 @@ SLOWEST_S = 500.0
 FASTEST_S = 0.002
 """A row less often or more often than this is not believed without the unit stated."""
 ALIKE = 0.02
-
-
-def state_time_unit(config: Config) -> str:
-    """Return the unit of the times that zerodrift.toml or the column's name states, or nothing."""
-    return config.time_unit or read_time_unit(config.time_column)
-
-
-def measure_unit_s(config: Config) -> float:
-    """Return how many seconds the time column counts by; 1 where nothing states its unit."""
-    return TIME_UNITS[state_time_unit(config) or "s"]
 
 
 def write_time(time_s: float) -> str:

@@ -180,11 +180,6 @@ def test_load_refuses_a_column_named_twice(project, rows):
     expect(project.refusal(), "log.csv:1: the header names column 'Fz_N' 2 times", "Rename one")
 
 
-def test_load_refuses_a_log_without_a_header(project, rows):
-    project.write_log(rows()[1:], header=rows()[0])
-    expect(project.refusal(), "log.csv:1: the first line holds numbers", "Add a header line")
-
-
 def test_load_refuses_an_empty_file(project):
     (project.directory / "log.csv").write_bytes(b"")
     expect(project.refusal(), "log.csv: the file is empty", "expected a header", "Copy it again")
@@ -200,21 +195,6 @@ def test_load_refuses_a_row_with_too_many_fields(project, rows):
     many[5].append("99")
     project.write_log(many)
     expect(project.refusal(), "log.csv:7: the row has 5 fields", "expected 4", "Correct the row")
-
-
-@pytest.mark.parametrize("line", [1, 19])
-def test_load_refuses_bytes_that_are_not_utf8(project, line):
-    path = project.directory / "log.csv"
-    lines = path.read_bytes().split(b"\n")
-    lines[line - 1] += b"\xb0"
-    path.write_bytes(b"\n".join(lines))
-    expect(project.refusal(), f"log.csv:{line}: byte 0xb0 is not UTF-8", "expected", "Save the log")
-
-
-def test_load_refuses_utf16(project):
-    path = project.directory / "log.csv"
-    path.write_bytes(path.read_text().encode("utf-16"))
-    expect(project.refusal(), "log.csv:1: the text is UTF-16; expected UTF-8", "Save the log")
 
 
 @pytest.mark.parametrize("damage", ["cut", "garbage", "text", "flipped"])

@@ -8,6 +8,13 @@ from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
+from zerodrift.base.clock_config import (
+    ROW_TIME,
+    ClockConfig,
+    TimeConfig,
+    read_clocks,
+    read_time,
+)
 from zerodrift.base.column_config import CodesConfig, read_column
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import name_kind
@@ -18,10 +25,9 @@ from zerodrift.base.toml_table import LARGEST, TomlTable
 FILE_NAME = "zerodrift.toml"
 FOLDER = "firmware"
 """Where the C goes unless `[firmware] out` says otherwise."""
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-"""Unit of a time column -> seconds."""
 USES = ("train", "test", "dwell")
 """What `[logs]` selects runs for."""
+LOG_KEYS = ("train", "test", "dwell", "where", "period_s", "offset_s", "time")
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
 MOST = {"starts": 1000, "epochs": 1_000_000}
 """Trainings from different weights, and passes over the logs, that are still meant."""
@@ -115,8 +121,10 @@ class Config:
     """Whether the C keeps a checksum over its state."""
     fleet: FleetConfig = field(default_factory=FleetConfig)
     """`[fleet]`: for `zerodrift fleet` alone."""
-    time_unit: str = ""
-    """Of `time_column`: s | ms | us | ns | min | h; empty where the table states none."""
+    time: TimeConfig = field(default_factory=TimeConfig)
+    """How the times of `time_column` are written."""
+    clocks: ClockConfig = field(default_factory=ClockConfig)
+    """What `[logs]` says of single logs' clocks."""
     temperature_codes: CodesConfig = field(default_factory=CodesConfig)
     """What the chip is given of the thermometer."""
     input_codes: Mapping[str, CodesConfig] = field(default_factory=dict)
@@ -187,19 +195,23 @@ def parse_config(text: str, path: Path) -> Config:
     root = TomlTable(path, index_lines(text), (), values)
     root.refuse_unknown(DATA_TABLES + MODEL_TABLES)
     sensor = root.table("sensor", ("name", "time", "temperature", "sample_period_s"))
-    logs = root.table("logs", ("train", "test", "dwell", "where"))
+    logs = root.table("logs", LOG_KEYS)
     quantization = root.table("quantization", ("weights",), optional=True)
     firmware = root.table("firmware", ("out", "prefix", "guard"), optional=True)
     outputs = _read_outputs(root)
     inputs = root.table("inputs", None, optional=True)
-    time_column, time_unit = _read_time(sensor)
+    clocks = read_clocks(logs)
+    time = TimeConfig((ROW_TIME,))
+    if "time" in sensor.values or not clocks.periods_s:
+        time = read_time(sensor, "time")
     temperature_column, temperature_codes = read_column(sensor, "temperature")
     columns = {name: read_column(inputs, name) for name in inputs.values}
     config = Config(
         path=path,
         sensor_name=sensor.text("name"),
-        time_column=time_column,
-        time_unit=time_unit,
+        time_column=time.name,
+        time=time,
+        clocks=clocks,
         temperature_column=temperature_column,
         sample_period_s=sensor.positive("sample_period_s"),
         outputs=outputs,
@@ -250,14 +262,6 @@ def _describe_syntax_error(path: Path, message: str) -> str:
     what = re.sub(r"\s*\(at .*\)$", "", message)
     place = f"{path}:{match.group(1)}" if match else str(path)
     return f"{place}: not valid TOML: {what}. Text needs quotes, tables are written [name]."
-
-
-def _read_time(sensor: TomlTable) -> tuple[str, str]:
-    """Return the time column and its unit, which is empty unless it is written as a table."""
-    if not isinstance(sensor.values.get("time"), dict):
-        return sensor.text("time"), ""
-    table = sensor.table("time", ("column", "unit"))
-    return table.text("column"), table.choice("unit", tuple(TIME_UNITS), "")
 
 
 def _read_outputs(root: TomlTable) -> tuple[OutputConfig, ...]:

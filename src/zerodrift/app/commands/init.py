@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from zerodrift.app.commands.common import directory_option, json_option, print_json
-from zerodrift.base.config import FILE_NAME, TIME_UNITS, parse_config
+from zerodrift.base.clock_config import TIME_UNITS
+from zerodrift.base.config import FILE_NAME, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_text
 from zerodrift.dataset.guess import Guess, GuessedOutput, guess_project
