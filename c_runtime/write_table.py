@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.compilers import INCLUDE_DIRECTORY, RUNTIME_FILES
 from zerodrift.codegen.generate import make_environment
 from zerodrift.codegen.identity import NO_IDENTITY, identify_runtime
-from zerodrift.codegen.layouts import crc_of_words
+from zerodrift.operations.c_text import crc_of_words
 from zerodrift.operations.exp2 import OCTAVE_Q29
 from zerodrift.operations.tables import STEP_BITS, tanh_nodes
 

@@ -3,32 +3,27 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import jinja2
-import numpy as np
 
-from zerodrift import __version__
+from zerodrift import __version__, operations
 from zerodrift.codegen.identifiers import sanitize_comment
 from zerodrift.codegen.identity import PLACEHOLDER, find_runtime_identity, identify
-from zerodrift.codegen.layouts import (
-    crc_of_words,
-    has_fast_kernels,
-    lay_out_columns,
-    lay_out_pairs,
-    lay_out_row_biases,
-    lay_out_rows,
-)
 from zerodrift.codegen.names import name_channels, name_outputs, name_prefix
+from zerodrift.codegen.node_text import NodeText
 from zerodrift.codegen.selftest import SELFTEST_SEED, SELFTEST_STEPS, compute_selftest, limits_of
 from zerodrift.codegen.state import list_state, list_words
 from zerodrift.export.integer_model import FORMAT, IntegerModel
-from zerodrift.operations.c_text import format_factor, format_int32, format_int64, format_numbers
-from zerodrift.operations.gru import IntegerGruLayer
-from zerodrift.operations.gru.cell import IntegerGru
+from zerodrift.operations.c_text import (
+    crc_of_words,
+    format_factor,
+    format_int32,
+    format_int64,
+    format_numbers,
+)
 from zerodrift.operations.load import START_PASSES
-from zerodrift.operations.node import IntegerNode
-from zerodrift.operations.sum import IntegerSum
+from zerodrift.operations.node import ChannelNode, IntegerNode
+from zerodrift.operations.registry import FILTERS
 
 
 @dataclass(frozen=True)
@@ -69,17 +64,15 @@ def generate(model: IntegerModel) -> GeneratedCode:
     settle_nodes = [n for n in model.nodes if layer and n.name in _ancestors(model, [layer])]
     selftest_low, selftest_high = limits_of(model)
     tables = [table for node in model.nodes for table in node.list_tables()]
-    uses_tanh = any(_reads_tanh(node) for node in model.nodes)
-    uses_exp2 = any(node.kind == "exp2" for node in model.nodes)
+    parts = sorted({part for node in model.nodes for part in node.parts})
     prefix = name_prefix(model)
-    context = {
+    context: dict[str, object] = {
         "model": model,
         "version": __version__,
         "format": FORMAT,
         "code_id": PLACEHOLDER,
         "runtime_id": find_runtime_identity(),
-        "uses_tanh": uses_tanh,
-        "uses_exp2": uses_exp2,
+        "headers": [part.header for part in parts],
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "title": sanitize_comment(model.name),
@@ -97,24 +90,23 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "checks": [
             *(f"{name}_is_sound" for name in (layer.name_layers("_") if layer else ())),
             *([f"{prefix}_tables_are_sound"] if tables else []),
-            *(["zd_tanh_is_sound"] if uses_tanh else []),
-            *(["zd_exp2_is_sound"] if uses_exp2 else []),
+            *(part.is_sound for part in reversed(parts)),
         ],
         "bounds": bounds,
         "claims": claims,
         "values": sum(max(node.width, 1) for node in model.nodes),
-        "counts": any(n.kind == "counter" for n in model.nodes),
-        "reads_inputs": any(n.kind in ("input", "load") for n in model.nodes),
+        "reads_inputs": any(isinstance(n, ChannelNode) for n in model.nodes),
         "code_type": f"{model.code_type.__name__}_t",
         "start_passes": START_PASSES,
         "state": list_state(model),
         "stateful": stateful,
-        "rest_needed": needed_at_rest,
         "rest_nodes": [n for n in model.nodes if n in stateful or n.name in needed_at_rest],
         "settle_nodes": settle_nodes,
-        "relax_reads_inputs": any(n.kind in ("input", "load") for n in settle_nodes),
+        "relax_reads_inputs": any(isinstance(n, ChannelNode) for n in settle_nodes),
     }
     environment = make_environment()
+    text = NodeText(environment, context, needed_at_rest)
+    context |= {"c": text, "counts": any(text.elapse(n) for n in model.nodes)}
     header, source = identify(
         environment.get_template("model.h.j2").render(context),
         environment.get_template("model.c.j2").render(context),
@@ -125,11 +117,6 @@ def generate(model: IntegerModel) -> GeneratedCode:
         source=source,
         harness=environment.get_template("harness.c.j2").render(context),
     )
-
-
-def _reads_tanh(node: IntegerNode) -> bool:
-    """Return whether a node's step reads the runtime's table of tanh."""
-    return isinstance(node, IntegerGruLayer) or getattr(node, "activation", "") == "tanh"
 
 
 def _ancestors(model: IntegerModel, of: list[IntegerNode]) -> set[str]:
@@ -149,7 +136,12 @@ def _ancestors(model: IntegerModel, of: list[IntegerNode]) -> set[str]:
 def make_environment() -> jinja2.Environment:
     """Return the Jinja environment of all C templates."""
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("zerodrift.codegen", "templates"),
+        loader=jinja2.ChoiceLoader(
+            [
+                jinja2.PackageLoader("zerodrift.codegen", "templates"),
+                jinja2.FileSystemLoader(list(operations.__path__)),
+            ]
+        ),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -161,35 +153,13 @@ def make_environment() -> jinja2.Environment:
     environment.filters["int32"] = format_int32
     environment.filters["int64"] = format_int64
     environment.filters["factor"] = format_factor
-    environment.filters["total"] = format_sum
-    environment.filters["by_unit"] = arrange_by_unit
     environment.filters["number"] = format_float
     environment.filters["words"] = list_words
     environment.filters["crc"] = crc_of_words
-    environment.filters["has_fast_kernels"] = has_fast_kernels
-    for layout in (lay_out_pairs, lay_out_columns, lay_out_rows, lay_out_row_biases):
-        environment.filters[layout.__name__] = layout
+    environment.filters |= FILTERS
     return environment
-
-
-def format_sum(node: IntegerSum) -> str:
-    """Return the C expression of a sum before it is limited, without operations that do nothing."""
-    terms = [format_int64(node.bias)] if node.bias else []
-    for coefficient, name in zip(node.coefficients, node.inputs, strict=True):
-        terms.append(f"({format_factor(coefficient)} * {name})")
-    text = " + ".join(terms)
-    return f"zd_asr64({text}, {node.shift}u)" if node.shift else f"({text})"
 
 
 def format_float(value: float) -> str:
     """Return a number for a comment: the shortest text that reads back the same."""
     return f"{value:.9g}"
-
-
-def arrange_by_unit(gru: IntegerGru, field: str) -> list[int]:
-    """Return a GRU array in the order of the C: unit by unit, within a unit gate by gate.
-
-    [3, H, n] becomes [H][3][n], [4, H] and [3, H] become [H][4] and [H][3].
-    """
-    array: Any = getattr(gru, field)
-    return [int(v) for v in np.moveaxis(array, 1, 0).ravel()]

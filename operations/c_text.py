@@ -1,5 +1,6 @@
 """What the C of every operation is made of: fields of the state, tables, numbers as text."""
 
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -42,6 +43,14 @@ def list_ring(node: str, name: str, bits: int, sizes: tuple[int, ...]) -> tuple[
     )
 
 
+@dataclass(frozen=True, order=True)
+class RuntimePart:
+    """A header of the runtime, and its function that tells whether its table is whole."""
+
+    header: str
+    is_sound: str
+
+
 @dataclass(frozen=True)
 class Table:
     """A constant array of the generated C, as the self-test finds it there."""
@@ -66,6 +75,11 @@ def make_table(
 ) -> Table:
     """Return the table of an array of any shape."""
     return Table(name, kind, tuple(map(int, np.asarray(numbers).ravel())), rows)
+
+
+def crc_of_words(numbers: Iterable[int]) -> int:
+    """Return the CRC-32 of numbers as 32-bit words, the least significant byte first."""
+    return zlib.crc32(np.array([int(n) & 0xFFFFFFFF for n in numbers], dtype="<u4").tobytes())
 
 
 def format_numbers(values: Iterable[int], per_line: int = 12) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from zerodrift.operations.arithmetic import IntArray
-from zerodrift.operations.c_text import StateField, Table
+from zerodrift.operations.c_text import RuntimePart, StateField, Table
 from zerodrift.operations.intervals import Bound, Interval
 
 if TYPE_CHECKING:
@@ -102,6 +102,22 @@ class IntegerNode:
     def list_state(self) -> tuple[StateField, ...]:
         """Return the fields of the state in C, in their order."""
         return ()
+
+    @property
+    def parts(self) -> tuple[RuntimePart, ...]:
+        """The parts of the C runtime beyond the common one that the step needs."""
+        return ()
+
+    def express(self) -> str:
+        """Return the C expression of a number that is a function of the inputs alone.
+
+        All other C is in `c.j2` beside the operation, a macro for each of `NodeText`'s faces.
+        """
+        raise NotImplementedError
+
+    def express_at_rest(self) -> str:
+        """Return the C expression of a number that has a state, at rest."""
+        return self.inputs[0]
 
     def list_tables(self) -> tuple[Table, ...]:
         """Return the constant tables in C that the self-test takes the CRC of."""

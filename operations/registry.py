@@ -1,5 +1,6 @@
 """All operations, found by their folders: each names its `OPERATION`, its `NODES`, or both."""
 
+from collections.abc import Callable
 from importlib import import_module
 from pkgutil import iter_modules
 
@@ -13,6 +14,8 @@ NODE_CLASSES: dict[str, type[IntegerNode]] = {}
 """What integer models are made of, by kind."""
 FOLDERS: dict[str, str] = {}
 """Kind of integer node -> its folder's name."""
+FILTERS: dict[str, Callable[..., object]] = {}
+"""What the operations' C templates call, by name."""
 
 for _found in iter_modules(operations.__path__):
     if _found.ispkg:
@@ -22,3 +25,4 @@ for _found in iter_modules(operations.__path__):
         for _node in getattr(_module, "NODES", ()):
             NODE_CLASSES[_node.kind] = _node
             FOLDERS[_node.kind] = _found.name
+        FILTERS |= getattr(_module, "FILTERS", {})

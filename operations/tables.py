@@ -14,11 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.c_text import RuntimePart
 
 if TYPE_CHECKING:
     from zerodrift.operations.onnx_writer import OnnxWriter
 
 Int32Array = NDArray[np.int32]
+
+TANH = RuntimePart("zd_network.h", "zd_tanh_is_sound")
 
 NODES = 513
 NODE_BITS = 19

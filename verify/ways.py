@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from zerodrift.c_runtime.compilers import HOST_MVE_DIRECTORY
 from zerodrift.c_runtime.cores import CORES
-from zerodrift.codegen.layouts import has_fast_kernels
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.operations.gru.layouts import has_fast_kernels
 
 HOST = "host"
 

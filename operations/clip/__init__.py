@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.c_text import format_int32
 from zerodrift.operations.formats import FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, check_limits
@@ -48,6 +49,11 @@ class IntegerClip(IntegerNode):
     def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
         """Write saturate(x, low, high)."""
         return {}, w.saturate(values[self.inputs[0]], self.low, self.high)
+
+    def express(self) -> str:
+        """Return the limited x in C."""
+        low, high = format_int32(self.low), self.high
+        return f"zd_clamp32({self.inputs[0]}, {low}, {high})"
 
 
 def limit(nodes: FormattedNodes, x: Signal, low: float, high: float) -> Signal:

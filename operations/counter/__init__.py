@@ -59,5 +59,9 @@ class IntegerCounter(IntegerNode):
         """Return the fields of the state in C."""
         return (StateField(32, f"{self.name}_count", comment="steps since the start"),)
 
+    def express_at_rest(self) -> str:
+        """Return 0."""
+        return "0"
+
 
 NODES = (IntegerCounter,)

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray, matmul_exact, round_shift, saturate
-from zerodrift.operations.c_text import Table, make_table
+from zerodrift.operations.c_text import RuntimePart, Table, make_table
 from zerodrift.operations.intervals import Bound, Interval, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
-from zerodrift.operations.tables import NODE_MAX, STEP_BITS, tanh_q30, write_tanh
+from zerodrift.operations.tables import NODE_MAX, STEP_BITS, TANH, tanh_q30, write_tanh
 
 if TYPE_CHECKING:
     from zerodrift.operations.onnx_writer import OnnxWriter
@@ -164,6 +164,11 @@ class IntegerDense(IntegerNode):
             make_table(f"{self.name}_shift", "u8", self.shift),
             *(make_table(f"{self.name}_{end}", "i16", limit) for end, limit in limits.items()),
         )
+
+    @property
+    def parts(self) -> tuple[RuntimePart, ...]:
+        """The table of tanh, if it is the activation."""
+        return (TANH,) if self.activation == "tanh" else ()
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,10 @@ class IntegerDifference(IntegerNode):
         """Write a - b."""
         return {}, w.sub(values[self.inputs[0]], values[self.inputs[1]])
 
+    def express(self) -> str:
+        """Return a - b in C."""
+        return f"{self.inputs[0]} - {self.inputs[1]}"
+
 
 def combine(nodes: FormattedNodes, node: Node, a: Signal, b: Signal, sign: float) -> Signal:
     """Return a + sign * b, which needs a node only where both move."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.c_text import RuntimePart, format_factor, format_int32, format_int64
 from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, check_shift
@@ -26,6 +27,7 @@ EXPONENT_LIMIT = 60.0
 """|x| beyond this is limited: 2**60 of anything is no longer a measurement."""
 
 
+EXP2 = RuntimePart("zd_exp2.h", "zd_exp2_is_sound")
 EXPONENT_BITS = 24
 """Fractional bits of the exponent in fixed point."""
 
@@ -122,6 +124,18 @@ class IntegerExp2(IntegerNode):
         divisor = w.op("Gather", w.constant([1 << s for s in range(32)]), shift)
         half = w.op("Gather", w.constant([1 << s >> 1 for s in range(32)]), shift)
         return {}, w.op("Div", w.add(mantissa, half), divisor)  # the mantissa is positive
+
+    def express(self) -> str:
+        """Return the power of two in C."""
+        term = f"({format_factor(self.coefficient)} * {self.inputs[0]})"
+        total = f"zd_asr64({format_int64(self.bias)} + {term}, {self.shift}u)"
+        exponent = f"zd_clamp64({total}, {format_int32(self.low)}, {self.high})"
+        return f"zd_exp2((int32_t){exponent}, {self.top})"
+
+    @property
+    def parts(self) -> tuple[RuntimePart, ...]:
+        """The table of 2**f."""
+        return (EXP2,)
 
 
 def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray
-from zerodrift.operations.c_text import StateField, list_ring
+from zerodrift.operations.c_text import RuntimePart, StateField, list_ring
 from zerodrift.operations.gru.cell import H_LIMIT_Q30, IntegerGru, write_gru_step, write_relaxed
+from zerodrift.operations.gru.layouts import FILTERS
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.tables import TANH
 
 if TYPE_CHECKING:
     from zerodrift.operations.onnx_writer import OnnxWriter
@@ -114,6 +116,11 @@ class IntegerGruLayer(IntegerNode):
             return list_ring(self.name, "window", 16, (self.window, self.layers[0].inputs))
         return (StateField(32, f"{self.name}_h_q30", (self.width,)),)
 
+    @property
+    def parts(self) -> tuple[RuntimePart, ...]:
+        """The table of tanh."""
+        return (TANH,)
+
 
 def move_window(w: "OnnxWriter", length: int, x: str, window: str) -> str:
     """Write a window [B, N, I] with x [B, I] appended and the oldest left out."""
@@ -131,3 +138,4 @@ def rest_window(w: "OnnxWriter", length: int, x: str) -> str:
 
 
 NODES = (IntegerGruLayer,)
+__all__ = ["FILTERS", "NODES", "IntegerGruLayer"]

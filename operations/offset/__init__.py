@@ -35,6 +35,10 @@ class IntegerOffset(IntegerNode):
         """Write x - offset."""
         return {}, w.sub(values[self.inputs[0]], w.constant(self.offset))
 
+    def express(self) -> str:
+        """Return x - offset in C."""
+        return f"{self.inputs[0]} - ({self.offset})"
+
 
 def remove_offset(nodes: FormattedNodes, x: Signal) -> Signal:
     """Return the same physical signal with offset 0, as far as the format resolves it."""

@@ -130,6 +130,10 @@ class IntegerPower(IntegerNode):
             make_table(f"{self.name}_gains", "i32", self.gains),
         )
 
+    def express(self) -> str:
+        """Return the power in C."""
+        return f"zd_power(&{self.name}_p, {self.inputs[0]})"
+
 
 def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
     """Return x**exponent: products where that is whole, octaves where not."""

@@ -14,6 +14,7 @@ from zerodrift.operations.arithmetic import (
     round_shift,
     saturate,
 )
+from zerodrift.operations.c_text import format_int32
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, check_limits, check_shift
@@ -69,6 +70,14 @@ class IntegerProduct(IntegerNode):
         """Write saturate(round_shift(a * b, shift), low, high)."""
         a, b = (values[name] for name in self.inputs)
         return {}, w.saturate(w.round_shift(w.mul(a, b), self.shift), self.low, self.high)
+
+    def express(self) -> str:
+        """Return the product in C."""
+        a, b = self.inputs
+        product = f"zd_round_shift64((int64_t){a} * {b}, {self.shift}u)"
+        if self.limited:
+            product = f"zd_clamp64({product}, {format_int32(self.low)}, {self.high})"
+        return f"(int32_t){product}"
 
 
 def multiply(nodes: FormattedNodes, a: Signal, b: Signal, node: Node | None = None) -> Signal:

@@ -14,6 +14,7 @@ from zerodrift.operations.arithmetic import (
     choose_exponent,
     saturate,
 )
+from zerodrift.operations.c_text import format_factor, format_int32, format_int64
 from zerodrift.operations.formats import (
     EXACT_BITS,
     MOST_EXTRA_BITS,
@@ -75,6 +76,17 @@ class IntegerSum(IntegerNode):
         for name, coefficient in zip(self.inputs, self.coefficients, strict=True):
             total = w.add(total, w.mul(values[name], w.constant(coefficient)))
         return {}, w.saturate(w.floor_shift(total, self.shift), self.low, self.high)
+
+    def express(self) -> str:
+        """Return the sum, without operations that do nothing in C."""
+        terms = [format_int64(self.bias)] if self.bias else []
+        for coefficient, name in zip(self.coefficients, self.inputs, strict=True):
+            terms.append(f"({format_factor(coefficient)} * {name})")
+        total = " + ".join(terms)
+        total = f"zd_asr64({total}, {self.shift}u)" if self.shift else f"({total})"
+        if self.limited:
+            total = f"zd_clamp64({total}, {format_int32(self.low)}, {self.high})"
+        return f"(int32_t){total}"
 
 
 def fit(nodes: FormattedNodes, x: Signal, bits: int) -> Signal:

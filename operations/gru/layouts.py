@@ -4,8 +4,7 @@ Two neighbouring 16-bit numbers are a *pair*: one 32-bit number, the first in it
 row is filled up with a zero.
 """
 
-import zlib
-from collections.abc import Iterable
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +95,21 @@ def lay_out_row_biases(gru: IntegerGru) -> list[int]:
     return [int(b) for b in bias.transpose(1, 0, 2).ravel()]
 
 
-def crc_of_words(numbers: Iterable[int]) -> int:
-    """Return the CRC-32 of numbers as 32-bit words, the least significant byte first."""
-    return zlib.crc32(np.array([int(n) & 0xFFFFFFFF for n in numbers], dtype="<u4").tobytes())
+def arrange_by_unit(gru: IntegerGru, field: str) -> list[int]:
+    """Return a GRU array in the order of the C: unit by unit, within a unit gate by gate.
+
+    [3, H, n] becomes [H][3][n], [4, H] and [3, H] become [H][4] and [H][3].
+    """
+    array = np.asarray(getattr(gru, field))
+    return [int(v) for v in np.moveaxis(array, 1, 0).ravel()]
+
+
+FILTERS: dict[str, Callable[..., object]] = {
+    "has_fast_kernels": has_fast_kernels,
+    "by_unit": arrange_by_unit,
+    "lay_out_pairs": lay_out_pairs,
+    "lay_out_columns": lay_out_columns,
+    "lay_out_rows": lay_out_rows,
+    "lay_out_row_biases": lay_out_row_biases,
+}
+"""What the templates of a GRU call."""
