@@ -3,12 +3,13 @@
 import json
 import re
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import to_dict
 from zerodrift.calibration.matrix import Array, Calibration
+from zerodrift.calibration.summary import summarise_calibration
 
 LARGEST_ENTRY = 2.0**30
 MOST_SHIFT = 40
@@ -21,39 +22,6 @@ def split_output(name: str) -> tuple[str, str]:
     """Return quantity and unit of an output's name such as `Fz_N`."""
     quantity, _, unit = name.rpartition("_")
     return (quantity, unit) if quantity else (name, "")
-
-
-def describe_calibration(fitted: Calibration) -> dict[str, Any]:
-    """Return a calibration as plain data."""
-    features = list(fitted.channels)
-    if fitted.squares:
-        features += [f"{name}^2" for name in fitted.channels]
-    outputs = {}
-    for k, name in enumerate(fitted.outputs):
-        outputs[name] = {
-            "row": fitted.matrix[k].tolist(),
-            "offset": float(fitted.offset[k]),
-            "offsets_of_logs": None
-            if fitted.log_offsets is None
-            else fitted.log_offsets[:, k].tolist(),
-            "rmse": float(fitted.rmse[k]),
-            "rmse_heldout": None if fitted.held_out is None else float(fitted.held_out[k]),
-            "max_abs": float(fitted.largest[k]),
-            "rmse_pct_of_span": float(100.0 * fitted.rmse[k] / fitted.span[k]),
-            "span": float(fitted.span[k]),
-        }
-    unloaded = fitted.unloaded_codes
-    return {
-        "channels": list(fitted.channels),
-        "features": features,
-        "center": fitted.center.tolist(),
-        "outputs": outputs,
-        "codes_without_load": None if unloaded is None else unloaded.tolist(),
-        "condition_number": fitted.condition,
-        "condition_number_of_loads": fitted.load_condition,
-        "rows": fitted.rows,
-        "notes": list(fitted.notes),
-    }
 
 
 def _list(values: Array) -> str:
@@ -85,7 +53,7 @@ def render_toml(fitted: Calibration) -> str:
 
 def render_json(fitted: Calibration) -> str:
     """Return a calibration as JSON."""
-    return json.dumps(describe_calibration(fitted), indent=1) + "\n"
+    return json.dumps(to_dict(summarise_calibration(fitted)), indent=1) + "\n"
 
 
 def choose_counts(largest: float) -> int:

@@ -7,7 +7,6 @@ than one way; and what the programme never did. `docs/how-to/record-logs.md` has
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset, Run
@@ -22,6 +21,12 @@ from zerodrift.diagnosis.heat_paths import (
 )
 from zerodrift.diagnosis.memory import MemoryTable, TimeConstant, find_time_constants
 from zerodrift.diagnosis.network_memory import Memory, judge_memory, list_windows
+from zerodrift.diagnosis.summary import (
+    AdviceSummary,
+    MemorySummary,
+    ProtocolSummary,
+    TimeConstantSummary,
+)
 from zerodrift.diagnosis.thermometers import list_thermometers
 from zerodrift.physics.live import find_live
 
@@ -30,15 +35,6 @@ SLOW_SHARE = 0.05
 NARROW_K = 30.0
 """A programme over fewer kelvin teaches little about curvature."""
 MOST_NAMED = 4
-
-
-@dataclass(frozen=True)
-class Protocol:
-    """What to record, and why."""
-
-    name: str
-    instruction: str
-    why: str
 
 
 @dataclass(frozen=True)
@@ -56,7 +52,7 @@ class Advice:
     untold_K: dict[str, float]
     """Further thermometer -> kelvin RMS by which it moves beyond what the chip's history tells."""
     thermometers: tuple[str, ...]
-    protocols: tuple[Protocol, ...]
+    protocols: tuple[ProtocolSummary, ...]
     """What to record next, the most wanted first; empty: nothing more."""
 
     @property
@@ -64,34 +60,28 @@ class Advice:
         """Whether the memory spans the time constants; None where there are none."""
         return self.memory.spans if self.time_constants else None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the advice as JSON values."""
-        return {
-            "time_constants": [
-                {
-                    "tau_s": t.tau_s,
-                    "low_s": t.low_s,
-                    "high_s": t.high_s,
-                    "determined": t.determined,
-                }
+    def summarise(self) -> AdviceSummary:
+        """Return the advice as the commands print it."""
+        memory = self.memory
+        return AdviceSummary(
+            time_constants=tuple(
+                TimeConstantSummary(t.tau_s, t.low_s, t.high_s, t.determined)
                 for t in self.time_constants
-            ],
-            "rmse_ratio_without_memory": self.without_memory,
-            "memory": {
-                "name": self.memory.name,
-                "span_s": self.memory.span_s,
-                "rmse_ratio": self.memory.error_ratio,
-                "rmse_ratio_of_window_alone": self.memory.window_ratio,
-                "spans": self.spans,
-            },
-            "heat_paths": self.heat,
-            "runs": {path.run: path.ratio for path in self.paths},
-            "untold_K": dict(self.untold_K),
-            "next_protocols": [
-                {"name": p.name, "instruction": p.instruction, "why": p.why} for p in self.protocols
-            ],
-            "sentences": self.explain(),
-        }
+            ),
+            rmse_ratio_without_memory=self.without_memory,
+            memory=MemorySummary(
+                name=memory.name,
+                span_s=memory.span_s,
+                rmse_ratio=memory.error_ratio,
+                rmse_ratio_of_window_alone=memory.window_ratio,
+                spans=self.spans,
+            ),
+            heat_paths=self.heat,
+            runs={path.run: path.ratio for path in self.paths},
+            untold_K=self.untold_K,
+            next_protocols=self.protocols,
+            sentences=tuple(self.explain()),
+        )
 
     def explain(self) -> list[str]:
         """Return the advice in sentences."""
@@ -243,12 +233,12 @@ def _list_protocols(
     found: Sequence[TimeConstant],
     heat: str,
     thermometers: Sequence[str],
-) -> list[Protocol]:
+) -> list[ProtocolSummary]:
     """Return what the logs lack, the most wanted first."""
     wanted = []
     if programme.hottest_degC - programme.coldest_degC < NARROW_K:
         wanted.append(
-            Protocol(
+            ProtocolSummary(
                 "the whole range",
                 "Cycle the air over all temperatures of the sensor's use, with dwells at both ends",
                 f"the logs cover {programme.coldest_degC:.0f} to {programme.hottest_degC:.0f} degC",
@@ -256,7 +246,7 @@ def _list_protocols(
         )
     if heat == "unknown":
         wanted.append(
-            Protocol(
+            ProtocolSummary(
                 "more runs",
                 "Record at least three runs, each with rates and dwells of its own",
                 "with one run nothing can be left out to judge by",
@@ -264,7 +254,7 @@ def _list_protocols(
         )
     if heat in ("one", "perhaps"):
         wanted.append(
-            Protocol(
+            ProtocolSummary(
                 "heat from one side",
                 "Heat the sole alone, cool it alone, and heat the top by a lamp, in steps of 5 to "
                 "15 min, from several starting temperatures, four runs or more",
@@ -273,7 +263,7 @@ def _list_protocols(
         )
     if heat == "several" and not thermometers:
         wanted.append(
-            Protocol(
+            ProtocolSummary(
                 "a second thermometer",
                 "Log a thermometer on the elastic body beside the chip's, as a column under "
                 "[inputs], and repeat a chamber cycle and a one-sided run",
@@ -283,7 +273,7 @@ def _list_protocols(
     slowest = max((t.tau_s for t in found), default=0.0)
     if not programme.varied:
         wanted.append(
-            Protocol(
+            ProtocolSummary(
                 "two ramp rates",
                 "Ramp the air once fast and once at a third of that rate, up and down, with dwells "
                 f"of {max(5.0 * slowest, 600.0) / 60.0:.0f} min",
@@ -293,7 +283,7 @@ def _list_protocols(
         )
     elif any(t.at_limit for t in found):
         wanted.append(
-            Protocol(
+            ProtocolSummary(
                 "long dwells",
                 f"Step the air once and wait {5.0 * slowest / 60.0:.0f} min or more",
                 f"the slowest lag is longer than runs of {programme.longest_s / 60.0:.0f} min show",
@@ -301,7 +291,7 @@ def _list_protocols(
         )
     if all(not (run.reference.max(axis=0) > run.reference.min(axis=0)).any() for run in runs):
         wanted.append(
-            Protocol(
+            ProtocolSummary(
                 "weights at several temperatures",
                 "Hang test weights on and off while the air ramps, their values in the reference "
                 "columns",
@@ -310,7 +300,7 @@ def _list_protocols(
         )
     if not programme.power_ons:
         wanted.append(
-            Protocol(
+            ProtocolSummary(
                 "cold power-on",
                 "Switch on after hours off, at rest, and log from the first second without taring",
                 "no log begins with the power-on, so self-heating is not in them",

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import EffectConfig
+from zerodrift.base.records import OPTIONAL
 from zerodrift.diagnosis.evidence import Errors, hold_out
 from zerodrift.physics.campaign import Campaign, Sums
 from zerodrift.physics.catalogue import Catalogue
@@ -113,7 +114,7 @@ class Untested:
 
     effect: str
     why: str
-    excitation: float | None = field(default=None)
+    excitation: float | None = field(default=None, metadata=OPTIONAL)
 
 
 def propose(

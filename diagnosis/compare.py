@@ -118,13 +118,16 @@ class Comparison:
 
 def _summarise_output(comparison: Comparison, k: int) -> OutputSummary:
     told = comparison.told[k]
+    held_out = comparison.held_out[k].rmse if comparison.held_out is not None else None
+    is_test = comparison.method.method == TEST_LOGS
     percent = 100.0 / comparison.full_scale[k]
     return OutputSummary(
         unit=comparison.units[k],
         full_scale=comparison.full_scale[k],
         rmse_uncompensated=told.rmse_uncompensated,
         rmse=comparison.in_sample[k].rmse,
-        rmse_heldout=comparison.held_out[k].rmse if comparison.held_out is not None else None,
+        rmse_left_out=None if is_test else held_out,
+        rmse_test=held_out if is_test else None,
         max_abs=told.max_abs,
         rmse_pct_fs=percent * told.rmse,
         max_abs_pct_fs=percent * told.max_abs,

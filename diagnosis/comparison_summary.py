@@ -2,19 +2,24 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 
 @dataclass(frozen=True)
 class OutputSummary:
     """Errors of one output over all runs, in its unit; on held-out data where there are any."""
 
+    ALIASES: ClassVar = ("rmse_heldout",)
+
     unit: str
     full_scale: float
     rmse_uncompensated: float
     rmse: float
     """In the sample."""
-    rmse_heldout: float | None
-    """None where nothing was held out."""
+    rmse_left_out: float | None
+    """Of training runs left out in turn; null where that was not measured."""
+    rmse_test: float | None
+    """Of the test logs; null where there are none."""
     max_abs: float
     rmse_pct_fs: float
     max_abs_pct_fs: float
@@ -23,6 +28,11 @@ class OutputSummary:
     """Share of the drift's mean square, offsets apart, that the model takes away."""
     run_offset: float
     """What was taken off as the runs' own offsets, root mean square; 0 without tare."""
+
+    @property
+    def rmse_heldout(self) -> float | None:
+        """Older name: `rmse_test`, or else `rmse_left_out`."""
+        return self.rmse_test if self.rmse_test is not None else self.rmse_left_out
 
 
 @dataclass(frozen=True)

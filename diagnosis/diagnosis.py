@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.remainder import Pattern
@@ -12,32 +12,57 @@ from zerodrift.diagnosis.remainder import Pattern
 class CandidateReport:
     """One effect as the report lists it."""
 
+    ALIASES: ClassVar = ("heldout_rmse_ratio",)
+
     effect: str
-    heldout_rmse_ratio: float
+    rmse_left_out_ratio: float
+    """RMSE on runs left out with it, over that of the model as it is."""
     p_value: float
+    """How often chance alone does as well."""
     excitation: float
+    """Share of its features that the model as it is cannot imitate."""
     parameters: Mapping[str, float]
+    testable: bool = True
+
+    @property
+    def heldout_rmse_ratio(self) -> float:
+        """Older name of `rmse_left_out_ratio`."""
+        return self.rmse_left_out_ratio
 
 
 @dataclass(frozen=True)
 class OutputErrors:
-    """Held-out RMSE of one output, in its unit."""
+    """RMSE of one output on runs left out, in its unit."""
+
+    ALIASES: ClassVar = ("rmse_heldout", "rmse_heldout_after")
 
     unit: str
-    before: float
-    after: float | None
-    """With the missing effect; None unless the verdict is `missing`."""
+    rmse_left_out: float
+    rmse_left_out_after: float | None
+    """With the missing effect; null unless the verdict is `missing`."""
     noise_floor: float
+
+    @property
+    def rmse_heldout(self) -> float:
+        """Older name of `rmse_left_out`."""
+        return self.rmse_left_out
+
+    @property
+    def rmse_heldout_after(self) -> float | None:
+        """Older name of `rmse_left_out_after`."""
+        return self.rmse_left_out_after
 
 
 @dataclass(frozen=True)
 class Diagnosis:
     """What a model lacks, and how sure that is."""
 
+    ALIASES: ClassVar = ("floor",)
+
     verdict: str
     """missing | complete | unknown."""
     effect: str | None
-    """The effect that is missing; None unless the verdict is `missing`."""
+    """The effect that is missing; null unless the verdict is `missing`."""
     parameters: Mapping[str, float]
     """Its values as the fit found them, choices included."""
     lookalikes: tuple[str, ...]
@@ -49,10 +74,10 @@ class Diagnosis:
     candidates: tuple[CandidateReport, ...]
     not_testable: tuple[Untested, ...]
     floor_ratio_before: float
-    """Held-out RMSE over the noise floor, pooled over outputs."""
+    """RMSE on runs left out over the noise floor, pooled over outputs."""
     floor_ratio_after: float
     """The same with the effect added; with `complete` and `unknown`, as it is."""
-    floor_source: str
+    noise_floor_source: str
     """dwell | estimated."""
     outputs: Mapping[str, OutputErrors]
     """Output -> its errors."""
@@ -65,42 +90,7 @@ class Diagnosis:
     drop: tuple[str, ...] = ()
     """Effects of the model that no longer earn their place."""
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object of the user's contract, with a few keys more."""
-        return {
-            "verdict": self.verdict,
-            "effect": self.effect,
-            "parameters": dict(self.parameters),
-            "lookalikes": list(self.lookalikes),
-            "also": list(self.also),
-            "nearest": self.nearest,
-            "candidates": [
-                {
-                    "effect": c.effect,
-                    "heldout_rmse_ratio": c.heldout_rmse_ratio,
-                    "p_value": c.p_value,
-                    "excitation": c.excitation,
-                    "parameters": dict(c.parameters),
-                    "testable": True,
-                }
-                for c in self.candidates
-            ],
-            "not_testable": [{"effect": u.effect, "why": u.why} for u in self.not_testable],
-            "floor_ratio_before": self.floor_ratio_before,
-            "floor_ratio_after": self.floor_ratio_after,
-            "floor": self.floor_source,
-            "outputs": {
-                name: {
-                    "unit": output.unit,
-                    "rmse_heldout": output.before,
-                    "rmse_heldout_after": output.after,
-                    "noise_floor": output.noise_floor,
-                }
-                for name, output in self.outputs.items()
-            },
-            "remainder": [{"follows": p.follows, "share": p.share} for p in self.remainder],
-            "next_experiment": self.next_experiment,
-            "evidence": self.evidence,
-            "notes": list(self.notes),
-            "drop": list(self.drop),
-        }
+    @property
+    def floor(self) -> str:
+        """Older name of `noise_floor_source`."""
+        return self.noise_floor_source

@@ -62,7 +62,7 @@ def report(
         not_testable=_list_untested(case, first),
         floor_ratio_before=before,
         floor_ratio_after=after,
-        floor_source="dwell" if case.dataset.dwell else "estimated",
+        noise_floor_source="dwell" if case.dataset.dwell else "estimated",
         outputs=_list_errors(case, first, named),
         remainder=remainder,
         next_experiment=_advise(case, verdict, first, finding, alike),

@@ -8,12 +8,15 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import from_json, to_dict
 from zerodrift.base.sealed import read_sealed, render_sealed
 from zerodrift.diagnosis.changes import name_effect
-from zerodrift.diagnosis.revision import Revision, describe_revision
+from zerodrift.diagnosis.held_out import LEAVE_ONE_RUN_OUT
+from zerodrift.diagnosis.revision import Revision, summarise_revision
+from zerodrift.diagnosis.summary import StepSummary, sort_errors
+from zerodrift.physics.summary import FittedParameter
 
 FORMAT = 2
 UNSEALED = 1
@@ -29,6 +32,14 @@ Errors = Mapping[str, float]
 
 
 @dataclass(frozen=True)
+class Stored:
+    """Errors as they stand in the file."""
+
+    rmse_heldout: Errors
+    """Measured as the entry's `held_out` says."""
+
+
+@dataclass(frozen=True)
 class Entry:
     """One change of the model."""
 
@@ -36,41 +47,22 @@ class Entry:
     """add | change | remove."""
     effect: str
     """With its thermometer where it is not the chip's: `thermal_lag[body_temperature]`."""
+    effects_before: tuple[str, ...]
     effects: tuple[str, ...]
     """All effects after the change."""
-    before: Errors
-    after: Errors
+    before: Stored
+    after: Stored
     noise_floor: Errors
     noise_floor_source: str
     units: Mapping[str, str]
     held_out: str
     """test logs | leave one run out | blocks of one run."""
+    tared: bool
+    """Whether each run's own offset is taken off the errors."""
     helps: bool
     reason: str
-    parameters: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Mapping[str, FittedParameter] = field(default_factory=dict)
     """Of the effect that was added, as in `add --json`."""
-    effects_before: tuple[str, ...] = ()
-    tared: bool = False
-    """Whether each run's own offset is taken off the errors."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry as it stands in the file."""
-        return {
-            "action": self.action,
-            "effect": self.effect,
-            "effects_before": list(self.effects_before),
-            "effects": list(self.effects),
-            "before": {"rmse_heldout": dict(self.before)},
-            "after": {"rmse_heldout": dict(self.after)},
-            "noise_floor": dict(self.noise_floor),
-            "noise_floor_source": self.noise_floor_source,
-            "units": dict(self.units),
-            "held_out": self.held_out,
-            "tared": self.tared,
-            "helps": self.helps,
-            "reason": self.reason,
-            "parameters": dict(self.parameters),
-        }
 
 
 @dataclass(frozen=True)
@@ -84,6 +76,8 @@ class Step:
     units: Mapping[str, str]
     effects: tuple[str, ...]
     reason: str
+    held_out: str = LEAVE_ONE_RUN_OUT
+    """How the errors were measured: test logs | leave one run out | blocks of one run."""
 
     def ratio(self) -> float | None:
         """Return the error over the floor, root mean square over the outputs; None without one."""
@@ -94,25 +88,39 @@ class Step:
         ]
         return (sum(ratios) / len(ratios)) ** 0.5 if ratios else None
 
+    def summarise(self) -> StepSummary:
+        """Return the step as the command prints it."""
+        errors = sort_errors(self.held_out, self.errors)
+        return StepSummary(
+            step=self.label,
+            effects=self.effects,
+            rmse_left_out=errors.rmse_left_out,
+            rmse_test=errors.rmse_test,
+            noise_floor=self.noise_floor,
+            units=self.units,
+            ratio_to_floor=self.ratio(),
+            reason=self.reason,
+        )
+
 
 def record(revision: Revision) -> Entry:
     """Return the entry of a change."""
-    told = describe_revision(revision)
+    told = summarise_revision(revision)
     return Entry(
         action=revision.change.action,
         effect=name_effect(revision.change.effect),
-        effects=tuple(fitted.term.name for fitted in revision.after.model.terms),
-        before=told["before"]["rmse_heldout"],
-        after=told["after"]["rmse_heldout"],
-        noise_floor=told["noise_floor"],
-        noise_floor_source=told["noise_floor_source"],
-        units=told["units"],
-        held_out=told["held_out"],
-        helps=revision.helps,
-        reason=revision.reason,
-        parameters=told["parameters"],
         effects_before=tuple(fitted.term.name for fitted in revision.before.model.terms),
-        tared=revision.tared,
+        effects=tuple(fitted.term.name for fitted in revision.after.model.terms),
+        before=Stored(told.before.rmse_heldout),
+        after=Stored(told.after.rmse_heldout),
+        noise_floor=told.noise_floor,
+        noise_floor_source=told.noise_floor_source,
+        units=told.units,
+        held_out=told.held_out,
+        tared=told.tared,
+        helps=told.helps,
+        reason=told.reason,
+        parameters=told.parameters,
     )
 
 
@@ -145,37 +153,15 @@ def load_history(path: Path) -> tuple[Entry, ...]:
     return tuple(_read_entry(path, number, entry) for number, entry in enumerate(entries, 1))
 
 
-def _read_entry(path: Path, number: int, entry: Any) -> Entry:
+def _read_entry(path: Path, number: int, entry: object) -> Entry:
     try:
-        errors = [
-            {str(name): float(value) for name, value in part.items()}
-            for part in (
-                entry["before"]["rmse_heldout"],
-                entry["after"]["rmse_heldout"],
-                entry["noise_floor"],
-            )
-        ]
-        if errors[0].keys() != errors[1].keys():
-            raise KeyError("rmse_heldout")
-        return Entry(
-            action=str(entry["action"]),
-            effect=str(entry["effect"]),
-            effects=tuple(str(name) for name in entry["effects"]),
-            before=errors[0],
-            after=errors[1],
-            noise_floor=errors[2],
-            noise_floor_source=str(entry["noise_floor_source"]),
-            units={str(name): str(unit) for name, unit in entry["units"].items()},
-            held_out=str(entry["held_out"]),
-            helps=bool(entry["helps"]),
-            reason=str(entry["reason"]),
-            parameters=dict(entry["parameters"]),
-            effects_before=tuple(str(name) for name in entry["effects_before"]),
-            tared=bool(entry["tared"]),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        what = f"has no usable {error}" if isinstance(error, KeyError) else f"is damaged ({error})"
-        raise _explain_damage(f"{path}: entry {number}", what) from error
+        read = from_json(Entry, entry)
+    except ValueError as error:
+        raise _explain_damage(f"{path}: entry {number}", f"is damaged ({error})") from error
+    if read.before.rmse_heldout.keys() != read.after.rmse_heldout.keys():
+        what = "is damaged (rmse_heldout before and after are of other outputs)"
+        raise _explain_damage(f"{path}: entry {number}", what)
+    return read
 
 
 def _explain_damage(where: str, what: str) -> InputError:
@@ -187,7 +173,7 @@ def _explain_damage(where: str, what: str) -> InputError:
 
 def render_history(entries: Sequence[Entry]) -> bytes:
     """Return a history file."""
-    return render_sealed({"format": FORMAT, "entries": [entry.to_dict() for entry in entries]})
+    return render_sealed({"format": FORMAT, "entries": [to_dict(entry) for entry in entries]})
 
 
 def list_steps(entries: Sequence[Entry]) -> tuple[Step, ...]:
@@ -208,11 +194,12 @@ def list_steps(entries: Sequence[Entry]) -> tuple[Step, ...]:
             steps.append(
                 Step(
                     label,
-                    entry.before,
+                    entry.before.rmse_heldout,
                     entry.noise_floor,
                     entry.units,
                     entry.effects_before,
                     reason,
+                    entry.held_out,
                 )
             )
         tared = entry.tared
@@ -220,11 +207,12 @@ def list_steps(entries: Sequence[Entry]) -> tuple[Step, ...]:
         steps.append(
             Step(
                 f"{sign} {entry.effect}",
-                entry.after,
+                entry.after.rmse_heldout,
                 entry.noise_floor,
                 entry.units,
                 entry.effects,
                 entry.reason,
+                entry.held_out,
             )
         )
     return tuple(steps)
@@ -232,11 +220,12 @@ def list_steps(entries: Sequence[Entry]) -> tuple[Step, ...]:
 
 def _continues(step: Step, entry: Entry) -> bool:
     """Return whether an entry begins where the last step ended."""
+    before = entry.before.rmse_heldout
     return (
-        step.errors.keys() == entry.before.keys()
+        step.errors.keys() == before.keys()
         and set(step.effects) == set(entry.effects_before)
         and all(
-            abs(entry.before[name] - error) <= SAME * max(abs(error), 1e-300)
+            abs(before[name] - error) <= SAME * max(abs(error), 1e-300)
             for name, error in step.errors.items()
         )
     )

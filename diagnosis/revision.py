@@ -2,18 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
-from zerodrift.base.records import to_json
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.changes import REMOVE, Change, name_effect
 from zerodrift.diagnosis.floor import NoiseFloor, measure_floor
 from zerodrift.diagnosis.held_out import BLOCKS, BLOCKS_OF_ONE_RUN, HeldOut, hold_out
 from zerodrift.diagnosis.run_errors import RunError, collect_errors, pool_rmse
+from zerodrift.diagnosis.summary import RevisionSummary, sort_errors
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import FittedTerm, PhysicalModel
@@ -226,28 +225,28 @@ def judge_removal(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[
     return False, f"without it the held-out error is worse: {overall}, at worst {told}"
 
 
-def describe_revision(revision: Revision) -> dict[str, Any]:
-    """Return the command's JSON."""
-    model = revision.after.model
+def summarise_revision(revision: Revision) -> RevisionSummary:
+    """Return what the command prints, without the predictions behind it."""
+    model, term = revision.after.model, revision.term
     outputs = model.outputs
 
     def by_output(values: Array) -> dict[str, float]:
         return {name: float(value) for name, value in zip(outputs, values, strict=True)}
 
-    term = revision.term
-    return {
-        "effect": revision.change.effect.kind,
-        "parameters": to_json(describe_parameters(term)) if term is not None else {},
-        "before": {"rmse_heldout": by_output(revision.before.rmse)},
-        "after": {"rmse_heldout": by_output(revision.after.rmse)},
-        "noise_floor": by_output(revision.floor.rms),
-        "noise_floor_source": revision.floor.source,
-        "units": dict(zip(outputs, model.units, strict=True)),
-        "held_out": revision.after.held_out.method,
-        "tared": revision.tared,
-        "helps": revision.helps,
-        "reason": revision.reason,
-        "effects": list(model.effects),
-        "coefficients": to_json(describe_coefficients(model, term)) if term is not None else [],
-        "notes": list(model.notes),
-    }
+    method = revision.after.held_out.method
+    return RevisionSummary(
+        effect=revision.change.effect.kind,
+        parameters=describe_parameters(term) if term is not None else {},
+        before=sort_errors(method, by_output(revision.before.rmse)),
+        after=sort_errors(method, by_output(revision.after.rmse)),
+        noise_floor=by_output(revision.floor.rms),
+        noise_floor_source=revision.floor.source,
+        units=dict(zip(outputs, model.units, strict=True)),
+        held_out=method,
+        tared=revision.tared,
+        helps=revision.helps,
+        reason=revision.reason,
+        effects=tuple(model.effects),
+        coefficients=describe_coefficients(model, term) if term is not None else (),
+        notes=tuple(model.notes),
+    )

@@ -20,9 +20,9 @@ class OtherThermometer:
 
     signal: str
     """Its name in [inputs]."""
-    heldout_rmse_ratio: float
-    """Held-out RMSE with `KIND` following it over that of the model as it is, geometric mean over
-    the outputs."""
+    rmse_left_out_ratio: float
+    """RMSE on data held out, with `KIND` following it over that of the model as it is, geometric
+    mean over the outputs."""
     reason: str
     """What it gains, in a sentence."""
     command: AddCommand
@@ -62,4 +62,4 @@ def try_thermometers(
             command = AddCommand(KIND, ("--set", f"signal={signal}"))
             ratio = measure_overall(revision.before, revision.after)
             found.append(OtherThermometer(signal, ratio, revision.reason, command))
-    return sorted(found, key=lambda one: one.heldout_rmse_ratio)
+    return sorted(found, key=lambda one: one.rmse_left_out_ratio)

@@ -5,16 +5,17 @@ import io
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from zerodrift.base.journal import write_all
+from zerodrift.base.records import to_dict
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.outliers import Outlier, find_outliers
 from zerodrift.fleet.result import Outcome, SensorResult
+from zerodrift.fleet.summary import FleetSummary, OutlierSummary, SensorSummary, SpreadSummary
 
 FORMAT = 1
 NAME = "report"
@@ -27,7 +28,7 @@ REASONS_SHOWN = 3
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SensorVerdict:
     """One sensor, judged."""
 
     sensor: str
@@ -45,7 +46,7 @@ class FleetReport:
     """All sensors, judged, and how the fleet spreads."""
 
     design: str
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[SensorVerdict, ...]
     limits: dict[str, float]
     ratio_limit: float | None
     outlier_z: float
@@ -56,7 +57,7 @@ class FleetReport:
         return sum(v.status == status for v in self.verdicts)
 
     @property
-    def outliers(self) -> tuple[Verdict, ...]:
+    def outliers(self) -> tuple[SensorVerdict, ...]:
         """Sensors that are unlike the others in something."""
         return tuple(v for v in self.verdicts if v.outliers)
 
@@ -65,25 +66,25 @@ class FleetReport:
         """Of the sensors that went through."""
         return [v.result for v in self.verdicts if v.result is not None]
 
-    def spread(self) -> dict[str, dict[str, Any]]:
+    def spread(self) -> dict[str, SpreadSummary]:
         """Return per output the median and the quantiles of errors over the sensors."""
         results = self.results
-        table: dict[str, dict[str, Any]] = {}
+        table: dict[str, SpreadSummary] = {}
         for name in results[0].outputs if results else ():
             own = [r.outputs[name] for r in results]
             judged = np.array([o.judged for o in own])
             ratios = np.array([o.ratio for o in own])
-            table[name] = {
-                "unit": own[0].unit,
-                "rmse_uncompensated_median": float(np.median([o.rmse_uncompensated for o in own])),
-                "rmse_median": float(np.median(judged)),
-                "rmse_p95": float(np.quantile(judged, 0.95, method="higher")),
-                "rmse_worst": float(judged.max()),
-                "noise_floor_median": float(np.median([o.noise_floor for o in own])),
-                "ratio_median": float(np.median(ratios)),
-                "ratio_worst": float(ratios.max()),
-                "limit": self.limits.get(name),
-            }
+            table[name] = SpreadSummary(
+                unit=own[0].unit,
+                rmse_uncompensated_median=float(np.median([o.rmse_uncompensated for o in own])),
+                rmse_median=float(np.median(judged)),
+                rmse_p95=float(np.quantile(judged, 0.95, method="higher")),
+                rmse_worst=float(judged.max()),
+                noise_floor_median=float(np.median([o.noise_floor for o in own])),
+                ratio_median=float(np.median(ratios)),
+                ratio_worst=float(ratios.max()),
+                limit=self.limits.get(name),
+            )
         return table
 
 
@@ -102,7 +103,7 @@ def judge_fleet(design: Design, outcomes: Sequence[Outcome]) -> FleetReport:
             reasons = (*outcome.result.refused, *explain_range(outcome.result, reasons))
             status = FAIL if reasons else PASS
         verdicts.append(
-            Verdict(
+            SensorVerdict(
                 outcome.sensor,
                 status,
                 reasons,
@@ -156,8 +157,7 @@ def list_exceeded(
 def write_report(design: Design, report: FleetReport) -> tuple[Path, ...]:
     """Write report.json, report.csv and report.md below build/fleet/; return their paths."""
     contents = {
-        "json": json.dumps(describe_report(report), indent=1, ensure_ascii=False, allow_nan=False)
-        + "\n",
+        "json": render_json(summarise_report(report)),
         "csv": render_csv(report),
         "md": render_markdown(report),
     }
@@ -166,54 +166,57 @@ def write_report(design: Design, report: FleetReport) -> tuple[Path, ...]:
     return tuple(files)
 
 
-def describe_report(report: FleetReport) -> dict[str, Any]:
-    """Return the report as JSON values."""
-    return {
-        "format": FORMAT,
-        "design": report.design,
-        "sensors": len(report.verdicts),
-        "passed": report.count(PASS),
-        "failed": report.count(FAIL),
-        "errors": report.count(ERROR),
-        "outliers": len(report.outliers),
-        "limits": report.limits,
-        "ratio_limit": report.ratio_limit,
-        "outlier_z": report.outlier_z,
-        "outputs": _finite(report.spread()),
-        "results": [
-            {
-                "sensor": v.sensor,
-                "status": v.status,
-                "reasons": list(v.reasons),
-                "outliers": [
-                    {
-                        "quantity": o.quantity,
-                        "value": o.value,
-                        "median": o.median,
-                        "z": o.z,
-                        "unit": o.unit,
-                    }
-                    for o in v.outliers
-                ],
-                "kept": v.kept,
-                **(_describe_result(v.result) if v.result is not None else {}),
-            }
-            for v in report.verdicts
-        ],
-    }
+def render_json(summary: FleetSummary) -> str:
+    """Return report.json."""
+    return json.dumps(to_dict(summary), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _describe_result(result: SensorResult) -> dict[str, Any]:
-    values = result.to_dict()
-    names = ("outputs", "parameters", "held_out", "floor", "network", "vectors", "model_hash")
-    more = ("temperature_degC", "notes", "refused", "warnings")
-    return {name: values[name] for name in (*names, *more)}
+def summarise_report(report: FleetReport) -> FleetSummary:
+    """Return the report as plain values."""
+    return FleetSummary(
+        format=FORMAT,
+        design=report.design,
+        sensors=len(report.verdicts),
+        passed=report.count(PASS),
+        failed=report.count(FAIL),
+        errors=report.count(ERROR),
+        outliers=len(report.outliers),
+        limits=report.limits,
+        ratio_limit=report.ratio_limit,
+        outlier_z=report.outlier_z,
+        outputs=report.spread(),
+        results=tuple(_summarise_sensor(v) for v in report.verdicts),
+    )
 
 
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(inner) for key, inner in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def _summarise_sensor(verdict: SensorVerdict) -> SensorSummary:
+    judged = SensorSummary(
+        sensor=verdict.sensor,
+        status=verdict.status,
+        reasons=verdict.reasons,
+        outliers=tuple(
+            OutlierSummary(o.quantity, o.value, o.median, o.z, o.unit) for o in verdict.outliers
+        ),
+        kept=verdict.kept,
+    )
+    result = verdict.result
+    if result is None:
+        return judged
+    return replace(
+        judged,
+        outputs=result.outputs,
+        parameters=result.parameters,
+        held_out=result.held_out,
+        noise_floor_source=result.floor,
+        floor=result.floor,
+        network=result.network,
+        vectors=result.vectors,
+        model_hash=result.model_hash,
+        temperature_degC=result.temperature_degC,
+        notes=result.notes,
+        refused=result.refused,
+        warnings=result.warnings,
+    )
 
 
 def render_csv(report: FleetReport) -> str:
@@ -277,13 +280,13 @@ def render_markdown(report: FleetReport) -> str:
             "|---|---|---|---|---|---|---|---|---|---|",
         ]
         for name, row in report.spread().items():
-            limit = "" if row["limit"] is None else f"{row['limit']:g}"
+            limit = "" if row.limit is None else f"{row.limit:g}"
             lines.append(
-                f"| {_escape(name)} | {_escape(row['unit'])} |"
-                f" {row['rmse_uncompensated_median']:.4g} | {row['rmse_median']:.4g} |"
-                f" {row['rmse_p95']:.4g} | {row['rmse_worst']:.4g} |"
-                f" {row['noise_floor_median']:.4g} | {row['ratio_median']:.3g} |"
-                f" {row['ratio_worst']:.3g} | {limit} |"
+                f"| {_escape(name)} | {_escape(row.unit)} |"
+                f" {row.rmse_uncompensated_median:.4g} | {row.rmse_median:.4g} |"
+                f" {row.rmse_p95:.4g} | {row.rmse_worst:.4g} |"
+                f" {row.noise_floor_median:.4g} | {row.ratio_median:.3g} |"
+                f" {row.ratio_worst:.3g} | {limit} |"
             )
         lines.append("")
     for title, chosen in (

@@ -3,12 +3,13 @@
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
+from zerodrift.base.records import MEASURED, from_json, to_dict
 from zerodrift.base.sealed import read_sealed, render_sealed
 
 FORMAT = 2
@@ -20,14 +21,16 @@ RESULT = "result.json"
 class OutputResult:
     """Root mean square errors of one output, in its unit."""
 
+    ALIASES: ClassVar = ("ratio",)
+
     unit: str
-    rmse_uncompensated: float
-    rmse: float
+    rmse_uncompensated: float = field(metadata=MEASURED)
+    rmse: float = field(metadata=MEASURED)
     """Held out, of the float model."""
-    rmse_integer: float | None
+    rmse_integer: float | None = field(metadata=MEASURED)
     """The same of the firmware's integer model; None without firmware or without test logs."""
-    noise_floor: float
-    chip_error: Mapping[str, float] | None = None
+    noise_floor: float = field(metadata=MEASURED)
+    chip_error: Mapping[str, float] | None = field(default=None, metadata=MEASURED)
     """RMS of integer minus float model by cause: rounding, out_of_range, clamped, saturated."""
 
     @property
@@ -47,8 +50,8 @@ class OutputResult:
 class ParameterResult:
     """A fitted value of one sensor, which those of the other sensors are compared with."""
 
-    value: float
-    std_error: float
+    value: float = field(metadata=MEASURED)
+    std_error: float = field(metadata=MEASURED)
     unit: str
     is_log: bool = False
     """Whether sensors are compared by its logarithm."""
@@ -79,65 +82,8 @@ class SensorResult:
     """Why the gate did not let the firmware be written."""
     warnings: tuple[str, ...] = ()
     """What else the gate says: runs beyond the calibrated ranges, what was not judged."""
-    files: Mapping[str, str] | None = None
+    files: Mapping[str, str] = field(default_factory=dict)
     """Files written, relative to the project -> SHA-256."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as JSON values; infinity and NaN, which JSON lacks, are null."""
-        values = {"format": FORMAT, **asdict(self)}
-        for name, output in self.outputs.items():
-            values["outputs"][name]["ratio"] = output.ratio
-        return {key: _to_json(value) for key, value in values.items()}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "SensorResult":
-        """Return what `to_dict` described.
-
-        Raises:
-            KeyError, TypeError, ValueError: it is no such description.
-        """
-        if values["format"] != FORMAT:
-            raise ValueError(f"format {values['format']}")
-
-        def number(value: float | None) -> float:
-            return math.nan if value is None else float(value)
-
-        outputs = {}
-        for name, o in values["outputs"].items():
-            integer = o["rmse_integer"]
-            outputs[name] = OutputResult(
-                str(o["unit"]),
-                number(o["rmse_uncompensated"]),
-                number(o["rmse"]),
-                None if integer is None else float(integer),
-                number(o["noise_floor"]),
-                None
-                if o["chip_error"] is None
-                else {str(cause): number(x) for cause, x in o["chip_error"].items()},
-            )
-        parameters = {
-            name: ParameterResult(
-                number(p["value"]), number(p["std_error"]), str(p["unit"]), bool(p["is_log"])
-            )
-            for name, p in values["parameters"].items()
-        }
-        low, high = values["temperature_degC"]
-        return cls(
-            sensor=str(values["sensor"]),
-            mark=str(values["mark"]),
-            held_out=str(values["held_out"]),
-            floor=str(values["floor"]),
-            outputs=outputs,
-            parameters=parameters,
-            temperature_degC=(float(low), float(high)),
-            network=bool(values["network"]),
-            notes=tuple(map(str, values["notes"])),
-            vectors=int(values["vectors"]),
-            model_hash=str(values["model_hash"]),
-            refused=tuple(map(str, values["refused"])),
-            warnings=tuple(map(str, values["warnings"])),
-            files={str(k): str(v) for k, v in values["files"].items()},
-        )
 
 
 @dataclass(frozen=True)
@@ -150,17 +96,6 @@ class Outcome:
     """Why there is no result."""
     kept: bool = False
     """Whether an earlier run had done it."""
-
-
-def _to_json(value: Any) -> Any:
-    """Return a value with every number that JSON lacks made null."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: _to_json(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_to_json(inner) for inner in value]
-    return value
 
 
 def save_result(
@@ -187,7 +122,7 @@ def save_result(
         if content is not None
     }
     whole = replace(result, files=hashes)
-    contents = {**files, folder / RESULT: render_sealed(whole.to_dict())}
+    contents = {**files, folder / RESULT: render_sealed({"format": FORMAT, **to_dict(whole)})}
     write_all(project, contents, durable=False, under_lock=True)
     return whole
 
@@ -198,11 +133,23 @@ def load_result(folder: Path, project: Path, mark: str) -> SensorResult | None:
     A file that is damaged or of another version is not an error: the sensor is computed anew.
     """
     try:
-        result = SensorResult.from_dict(read_sealed((folder / RESULT).read_bytes()))
-        whole = all(hash_file(project / name) == h for name, h in (result.files or {}).items())
-    except (InputError, OSError, ValueError, KeyError, TypeError, AttributeError):
+        result = read_result((folder / RESULT).read_bytes())
+        whole = all(hash_file(project / name) == h for name, h in result.files.items())
+    except (InputError, OSError, ValueError):
         return None
     return result if whole and result.mark == mark else None
+
+
+def read_result(content: bytes) -> SensorResult:
+    """Return what result.json holds.
+
+    Raises:
+        ValueError: it is damaged, or of another format.
+    """
+    body = read_sealed(content)
+    if body.pop("format", None) != FORMAT:
+        raise ValueError(f"expected format {FORMAT}")
+    return from_json(SensorResult, body)
 
 
 def hash_file(path: Path) -> str:

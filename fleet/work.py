@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, ZerodriftError
 from zerodrift.base.files import explain_refusal
 from zerodrift.base.ownership import refuse_foreign
+from zerodrift.base.records import to_dict
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.c_runtime.host_batch import build_host_batch
@@ -28,7 +29,9 @@ from zerodrift.fleet.assess import assess, describe_parameters
 from zerodrift.fleet.design import RUNTIME, Design
 from zerodrift.fleet.result import Outcome, SensorResult, save_result
 from zerodrift.fleet.sensors import configure_sensor
+from zerodrift.fleet.summary import EffectValues, SensorConfiguration
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.scores import Trained
 from zerodrift.train.together import train_together
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
@@ -286,7 +289,8 @@ def _render(
     compensator = replace(job.trained.compensator, trained_from=job.mark)
     build = design.build_folder(job.sensor)
     files = compensator.render(build)
-    text = json.dumps(describe_sensor(design, result, compensator.to_dict()), indent=1) + "\n"
+    described = describe_sensor(design, result, compensator.physics)
+    text = json.dumps(to_dict(described), indent=1) + "\n"
     files[build / PARAMETERS] = text.encode()
     if job.code is not None and job.model is not None and not result.refused:
         out = design.firmware_folder(job.sensor)
@@ -313,27 +317,22 @@ def _describe_compiler() -> str:
 
 
 def describe_sensor(
-    design: Design, result: SensorResult, compensator: dict[str, Any]
-) -> dict[str, Any]:
+    design: Design, result: SensorResult, physics: PhysicalModel
+) -> SensorConfiguration:
     """Return the sensor's configuration: what distinguishes it from the others, for records."""
-    values = result.to_dict()
-    physics = compensator["physics"]
-    return {
-        "sensor": result.sensor,
-        "design": design.config.sensor_name,
-        "model_hash": result.model_hash,
-        "sample_period_s": design.config.sample_period_s,
-        "effects": [
-            {"kind": t["kind"], "values": t["values"], "std_errors": t["std_errors"]}
-            for t in physics["terms"]
-        ],
-        "outputs": physics["outputs"],
-        "units": physics["units"],
-        "features": physics["feature_names"],
-        "coefficients": physics["coefficients"],
-        "network": result.network,
-        "calibrated_temperature_degC": values["temperature_degC"],
-        "errors": values["outputs"],
-        "held_out": result.held_out,
-        "notes": values["notes"],
-    }
+    return SensorConfiguration(
+        sensor=result.sensor,
+        design=design.config.sensor_name,
+        model_hash=result.model_hash,
+        sample_period_s=design.config.sample_period_s,
+        effects=tuple(EffectValues(t.kind, t.term.values, t.std_errors) for t in physics.terms),
+        outputs=physics.outputs,
+        units=physics.units,
+        features=physics.feature_names,
+        coefficients=tuple(map(tuple, physics.coefficients.tolist())),
+        network=result.network,
+        calibrated_temperature_degC=result.temperature_degC,
+        errors=result.outputs,
+        held_out=result.held_out,
+        notes=result.notes,
+    )

@@ -163,7 +163,7 @@ def draw_candidates(diagnosis: Diagnosis, most: int = 12) -> go.Figure:
     """
     shown = diagnosis.candidates[:most][::-1]
     named = {diagnosis.effect, *diagnosis.lookalikes}
-    ratios = [c.heldout_rmse_ratio for c in shown]
+    ratios = [c.rmse_left_out_ratio for c in shown]
     figure = go.Figure(
         go.Bar(
             x=ratios,
@@ -173,7 +173,7 @@ def draw_candidates(diagnosis: Diagnosis, most: int = 12) -> go.Figure:
                 "color": [ACCENT if c.effect in named else MEASURED for c in shown],
                 "pattern": {"shape": ["" if c.effect in named else "/" for c in shown]},
             },
-            text=[f"{c.heldout_rmse_ratio:.3f}   p {c.p_value:.2g}" for c in shown],
+            text=[f"{c.rmse_left_out_ratio:.3f}   p {c.p_value:.2g}" for c in shown],
             textposition="outside",
             cliponaxis=False,
             hoverinfo="y+text",

@@ -131,7 +131,7 @@ def list_tiles(findings: Findings) -> list[tuple[str, str]]:
     tiles.append((f"{100.0 * least:.1f} %", "of the drift's mean square taken away, or more"))
     if explained is not None:
         diagnosis = explained.diagnosis
-        source = "measured on a dwell" if diagnosis.floor_source == "dwell" else "estimated"
+        source = "measured on a dwell" if diagnosis.noise_floor_source == "dwell" else "estimated"
         tiles.append(
             (
                 f"{diagnosis.floor_ratio_before:.2f} ×",

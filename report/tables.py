@@ -105,7 +105,7 @@ def tabulate_candidates(diagnosis: Diagnosis, titles: Mapping[str, str]) -> Tabl
             titles.get(c.effect, ""),
             ", ".join(f"{k} {v:.4g}" for k, v in c.parameters.items()),
             explain_standing(diagnosis, c),
-            f"{c.heldout_rmse_ratio:.3f}",
+            f"{c.rmse_left_out_ratio:.3f}",
             f"{c.p_value:.2g}",
             f"{100.0 * c.excitation:.0f} %",
         )

@@ -43,7 +43,7 @@ def write_headline(diagnosis: Diagnosis | None, titles: Mapping[str, str]) -> He
         return Headline("none", "Not diagnosed: what is missing was not asked.")
     effect = diagnosis.effect
     at_floor = f"the held-out error is {diagnosis.floor_ratio_before:.2f} times the noise floor"
-    if diagnosis.floor_source != "dwell":
+    if diagnosis.noise_floor_source != "dwell":
         at_floor += ", which is estimated"
     if diagnosis.verdict == "missing" and effect is not None:
         gain = (
@@ -87,7 +87,7 @@ def explain_standing(diagnosis: Diagnosis, candidate: CandidateReport) -> str:
         return "missing beside it"
     if name == diagnosis.nearest:
         return "nearest, and not it"
-    if candidate.heldout_rmse_ratio >= NO_GAIN:
+    if candidate.rmse_left_out_ratio >= NO_GAIN:
         return "does not lower the held-out error"
     if candidate.p_value > CHANCE:
         return "helps too few runs to rule out chance"
@@ -96,13 +96,13 @@ def explain_standing(diagnosis: Diagnosis, candidate: CandidateReport) -> str:
 
 def explain_candidate(diagnosis: Diagnosis, candidate: CandidateReport) -> str:
     """Return why a candidate is what is missing, or why not, with the figures it rests on."""
-    name, ratio = candidate.effect, candidate.heldout_rmse_ratio
+    name, ratio = candidate.effect, candidate.rmse_left_out_ratio
     left = f"with it {100.0 * ratio:.1f} % of the held-out RMSE is left"
     chance = f"p = {candidate.p_value:.2g}"
     named = next((c for c in diagnosis.candidates if c.effect == diagnosis.effect), None)
     beside = ""
     if named is not None and named is not candidate:
-        beside = f", with {named.effect} {100.0 * named.heldout_rmse_ratio:.1f} %"
+        beside = f", with {named.effect} {100.0 * named.rmse_left_out_ratio:.1f} %"
     standing = explain_standing(diagnosis, candidate)
     if name == diagnosis.effect:
         return f"It is what is missing: {left}, {chance}."

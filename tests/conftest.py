@@ -1,11 +1,13 @@
 """What tests of every folder use."""
 
+import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import pytest
 
+from tests.schemas import validate
 from zerodrift.base.threads import use_one_thread
 
 use_one_thread()
@@ -66,6 +68,10 @@ def zerodrift(
         except SystemExit as end:
             code = int(end.code or 0)
         captured = capsys.readouterr()
+        if "--json" in arguments and captured.out.startswith("{"):
+            record = json.loads(captured.out)
+            if "schema" in record:  # the laboratory's commands have none
+                validate(record)
         return Result(code, captured.out, captured.err)
 
     return run

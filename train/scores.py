@@ -39,6 +39,8 @@ class Scores:
     held_out_runs: tuple[str, ...]
     explanation: str
     """What "held out" means here, and whether runs' own offsets are taken off."""
+    on_test_logs: bool
+    """Whether the held-out runs are the test logs; else training runs that were left out."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,7 @@ def score(
         held_out=measure(judge, runs, tared, skip),
         held_out_runs=tuple(dict.fromkeys(run.group for run in runs)),
         explanation=explanation,
+        on_test_logs=bool(dataset.test),
     )
 
 

@@ -80,7 +80,7 @@ class Manifest:
 
 
 @dataclass(frozen=True)
-class Finding:
+class ManifestFinding:
     """One thing that is not as the manifest says."""
 
     kind: str
@@ -110,7 +110,7 @@ class ManifestCheck:
 
     manifest: Manifest | None
     """None where there is none, or none that can be read."""
-    findings: tuple[Finding, ...]
+    findings: tuple[ManifestFinding, ...]
     not_checked: tuple[NotChecked, ...]
 
     def require(self, name: str) -> "ManifestCheck":
@@ -282,11 +282,11 @@ def check_manifest(
         manifest = load_manifest(path)
     except InputError as error:
         if path.exists():
-            return ManifestCheck(None, (Finding(DAMAGED, shown, str(error)),), ())
+            return ManifestCheck(None, (ManifestFinding(DAMAGED, shown, str(error)),), ())
         named = find_naming_header(folder)
         if named is not None:
             text = f"{shown}: is missing; {named} says that it lies beside it."
-            return ManifestCheck(None, (Finding(MISSING, shown, text),), ())
+            return ManifestCheck(None, (ManifestFinding(MISSING, shown, text),), ())
         why = f"there is no {shown}: the firmware is from before manifests"
         return ManifestCheck(None, (), (NotChecked("manifest", why),))
     findings = [
@@ -309,25 +309,27 @@ def find_naming_header(folder: Path) -> str | None:
     return None
 
 
-def _check_files(known: Mapping[str, str], folder: Path, project: Path) -> Iterator[Finding]:
+def _check_files(
+    known: Mapping[str, str], folder: Path, project: Path
+) -> Iterator[ManifestFinding]:
     for name, expected in known.items():
         path = folder / name
         shown = _name(path, project)
         found = _hash_if_there(path)
         if not found:
             text = "is a directory; expected a file." if path.exists() else "is missing."
-            yield Finding(MISSING, shown, f"{shown}: {text}")
+            yield ManifestFinding(MISSING, shown, f"{shown}: {text}")
         elif found != expected:
-            yield Finding(CHANGED, shown, f"{shown}: was changed since it was written.")
+            yield ManifestFinding(CHANGED, shown, f"{shown}: was changed since it was written.")
 
 
-def _check_inputs(known: Inputs, config: Config) -> Iterator[Finding]:
+def _check_inputs(known: Inputs, config: Config) -> Iterator[ManifestFinding]:
     try:
         configuration = _hash_configuration(config)
     except InputError as error:
         if isinstance(error.__cause__, OSError) and not isinstance(error.__cause__, NOT_THERE):
             raise
-        yield Finding(STALE, CONFIGURATION, str(error))
+        yield ManifestFinding(STALE, CONFIGURATION, str(error))
         configuration = dict(known.configuration)
     yield from _compare(known.configuration, configuration)
     current: dict[str, Path] = {}
@@ -335,7 +337,7 @@ def _check_inputs(known: Inputs, config: Config) -> Iterator[Finding]:
         try:
             selected = expand_selectors(config, use)
         except InputError as error:
-            yield Finding(STALE, f"{CONFIGURATION} [logs] {use}", str(error))
+            yield ManifestFinding(STALE, f"{CONFIGURATION} [logs] {use}", str(error))
             continue
         current |= {_name(s.path, config.directory): s.path for s in selected}
     listed = {**known.logs, **known.network}
@@ -362,12 +364,14 @@ def _hash_if_there(path: Path) -> str:
         raise
 
 
-def _compare(known: Mapping[str, str], found: Mapping[str, str]) -> Iterator[Finding]:
+def _compare(known: Mapping[str, str], found: Mapping[str, str]) -> Iterator[ManifestFinding]:
     """Yield what was changed, is gone or is new since the firmware was built."""
     for name in sorted({*known, *found}):
         if name not in found:
-            yield Finding(STALE, name, f"{name}: is gone since the firmware was built.")
+            yield ManifestFinding(STALE, name, f"{name}: is gone since the firmware was built.")
         elif name not in known:
-            yield Finding(STALE, name, f"{name}: is new; the firmware was built without it.")
+            yield ManifestFinding(
+                STALE, name, f"{name}: is new; the firmware was built without it."
+            )
         elif known[name] != found[name]:
-            yield Finding(STALE, name, f"{name}: was changed since the firmware was built.")
+            yield ManifestFinding(STALE, name, f"{name}: was changed since the firmware was built.")

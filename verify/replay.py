@@ -17,8 +17,9 @@ from zerodrift.verify.expected import Expected, expect
 from zerodrift.verify.firmware_check import Failure, Progress
 from zerodrift.verify.folder_check import FolderCheck, check_folder
 from zerodrift.verify.header import HeaderFinding
-from zerodrift.verify.manifest import Finding, ManifestCheck, NotChecked, check_manifest
+from zerodrift.verify.manifest import ManifestCheck, ManifestFinding, NotChecked, check_manifest
 from zerodrift.verify.mismatch import find_mismatch
+from zerodrift.verify.summary import VerifySummary
 from zerodrift.verify.vectors import draw_sequences
 
 RANDOM_STEPS = 20_000
@@ -42,7 +43,7 @@ class Replay:
     """Back ends that differ, do not compile or do not run."""
     header: tuple[HeaderFinding, ...]
     """Names in the header whose values are not the model's."""
-    findings: tuple[Finding, ...]
+    findings: tuple[ManifestFinding, ...]
     """What is not as the manifest says."""
     forced: tuple[str, ...]
     """What had been found against this firmware when it was built, and was overridden."""
@@ -58,6 +59,21 @@ class Replay:
         """Everything that was found, a line each."""
         header = (f"header: {finding}" for finding in self.header)
         return (*(f.text for f in self.findings), *header, *self.failures)
+
+    def summarise(self) -> VerifySummary:
+        """Return what the command prints as JSON."""
+        return VerifySummary(
+            bit_exact=self.bit_exact,
+            vectors=self.vectors,
+            backends=self.backends,
+            model_hash=self.model_hash,
+            failures=self.failures,
+            header=self.header,
+            changed=tuple(f for f in self.findings if not f.is_stale),
+            stale=tuple(f for f in self.findings if f.is_stale),
+            forced=self.forced,
+            not_checked=self.not_checked,
+        )
 
     def require(self, wanted: Iterable[str] = ()) -> "Replay":
         """Return self.

@@ -2,8 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from zerodrift.base.records import OPTIONAL
+from zerodrift.verify.header import HeaderFinding
+from zerodrift.verify.manifest import ManifestFinding, NotChecked
 
 ByOutput = Mapping[str, float]
 """Output -> a value, in its unit where nothing else is said."""
@@ -98,6 +101,8 @@ class Claims:
 class FirmwareSummary:
     """A firmware: what it needs of a chip, how it was checked, and its error stage by stage."""
 
+    SCHEMA: ClassVar = "firmware/1"
+
     bit_exact: bool
     vectors: int
     """Steps that were compared."""
@@ -152,3 +157,28 @@ class CertificateSummary:
     """How many are claimed."""
     tightest: tuple[Bound, ...]
     """Those that come closest to their limits, the closest first."""
+
+
+@dataclass(frozen=True)
+class VerifySummary:
+    """What lies in the firmware folder, held against the model."""
+
+    SCHEMA: ClassVar = "verify/1"
+
+    bit_exact: bool
+    vectors: int
+    """Steps compared on the host."""
+    backends: tuple[str, ...]
+    """What ran and agreed, the reference first."""
+    model_hash: str
+    failures: tuple[str, ...]
+    """Back ends that differ, do not compile or do not run."""
+    header: tuple[HeaderFinding, ...]
+    """Names in the header whose values are not the model's."""
+    changed: tuple[ManifestFinding, ...]
+    """Files that are not as they were written."""
+    stale: tuple[ManifestFinding, ...]
+    """What would be made otherwise today."""
+    forced: tuple[str, ...]
+    """What had been found against this firmware when it was built, and was overridden."""
+    not_checked: tuple[NotChecked, ...]

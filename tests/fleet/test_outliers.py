@@ -11,16 +11,17 @@ import pytest
 from tests.fleet.conftest import TOML
 
 from zerodrift.base.config import parse_config
+from zerodrift.base.records import to_dict
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.outliers import find_outliers
 from zerodrift.fleet.report import (
     ERROR,
     FAIL,
     PASS,
-    describe_report,
     judge_fleet,
     render_csv,
     render_markdown,
+    summarise_report,
 )
 from zerodrift.fleet.result import (
     Outcome,
@@ -118,7 +119,7 @@ def test_verdicts_hold_results_against_the_limits(design):
     assert [v.status for v in report.verdicts] == [PASS, FAIL, FAIL, ERROR, FAIL]
     assert report.verdicts[1].reasons == ("Fz: RMSE 1.6 N > 1.5 N",)
     assert len(report.verdicts[2].reasons) == 2
-    values = json.loads(json.dumps(describe_report(report), allow_nan=False))
+    values = json.loads(json.dumps(to_dict(summarise_report(report)), allow_nan=False))
     assert (values["passed"], values["failed"], values["errors"]) == (1, 3, 1)
     rows = list(csv.DictReader(io.StringIO(render_csv(report))))
     assert [row["status"] for row in rows] == ["pass", "fail", "fail", "error", "fail"]

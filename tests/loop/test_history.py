@@ -5,7 +5,7 @@ import json
 import pytest
 
 from zerodrift.app.commands.history import draw_bar
-from zerodrift.diagnosis.history import Entry, list_steps, load_history, render_history
+from zerodrift.diagnosis.history import Entry, Stored, list_steps, load_history, render_history
 
 
 def make_entry(action, effect, before, after, effects_before, effects, **more):
@@ -13,8 +13,8 @@ def make_entry(action, effect, before, after, effects_before, effects, **more):
         action=action,
         effect=effect,
         effects=tuple(effects),
-        before={"Fz": before},
-        after={"Fz": after},
+        before=Stored({"Fz": before}),
+        after=Stored({"Fz": after}),
         noise_floor={"Fz": 1.0},
         noise_floor_source="dwell",
         units={"Fz": "N"},
@@ -22,7 +22,7 @@ def make_entry(action, effect, before, after, effects_before, effects, **more):
         helps=True,
         reason="because",
         effects_before=tuple(effects_before),
-        **more,
+        **{"tared": False, **more},
     )
 
 
@@ -95,7 +95,8 @@ def test_command_without_a_history_says_how_to_begin_one(project, zerodrift):
     result = zerodrift("history", "-C", project.directory)
     assert result.code == 0
     assert "zerodrift add" in result.out
-    assert json.loads(zerodrift("history", "-C", project.directory, "--json").out) == {"steps": []}
+    told = json.loads(zerodrift("history", "-C", project.directory, "--json").out)
+    assert told == {"schema": "history/1", "steps": []}
 
 
 def test_page_stands_alone_and_is_the_same_every_time(project, zerodrift, tmp_path):

@@ -26,7 +26,7 @@ def told(verdict, effect=None, **changes):
             "not_testable": (),
             "floor_ratio_before": 5.0,
             "floor_ratio_after": 1.03,
-            "floor_source": "dwell",
+            "noise_floor_source": "dwell",
             "outputs": {},
             "remainder": (),
             "next_experiment": "",
@@ -54,7 +54,7 @@ def told(verdict, effect=None, **changes):
         ),
         (told("complete", candidates=()), "not testable", "can test no further effect"),
         (told("unknown", nearest="creep"), "unknown", "Nearest, and not it: creep"),
-        (told("complete", floor_source="estimated"), "complete", "which is estimated"),
+        (told("complete", noise_floor_source="estimated"), "complete", "which is estimated"),
         (None, "none", "Not diagnosed"),
     ],
 )

@@ -15,7 +15,7 @@ from zerodrift.base.errors import CheckError
 from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
-from zerodrift.verify.manifest import FILE_NAME, Finding, check_manifest, load_manifest
+from zerodrift.verify.manifest import FILE_NAME, ManifestFinding, check_manifest, load_manifest
 from zerodrift.verify.summary import (
     BudgetSummary,
     ChipError,
@@ -34,7 +34,7 @@ SHIPPED = {
 BUILT = {"model.json", "integer.onnx", "golden.npz", "certificate.json"}
 
 
-def find(project: Path) -> list[Finding]:
+def find(project: Path) -> list[ManifestFinding]:
     check = check_manifest(load_config(project))
     assert not check.not_checked
     return list(check.findings)

@@ -10,8 +10,8 @@ from zerodrift.app.commands.common import (
     changes_project,
     directory_option,
     json_option,
-    print_json,
     print_notes,
+    print_result,
     skip_invalid_option,
 )
 from zerodrift.base.errors import InputError
@@ -98,10 +98,11 @@ def command(
         read_text,
         write_revision,
     )
+    from zerodrift.app.results import AddResult
     from zerodrift.base.config import EffectConfig
     from zerodrift.base.toml_edit import add_effect, set_parameters
     from zerodrift.diagnosis.changes import ADD, CHANGE, propose_forms
-    from zerodrift.diagnosis.revision import describe_revision, revise_best
+    from zerodrift.diagnosis.revision import revise_best, summarise_revision
     from zerodrift.physics.catalogue import load_catalogue
 
     held, texts = read_held(hold), _split(options, "--set", "signal=body_temperature")
@@ -132,7 +133,7 @@ def command(
     if is_kept:
         write_revision(config, text, text_after, revision)
     if as_json:
-        print_json({**describe_revision(revision), "added": is_kept})
+        print_result(AddResult(**vars(summarise_revision(revision)), added=is_kept))
     else:
         print_revision(revision)
         open_console().print(_conclude(revision, force, config.path))

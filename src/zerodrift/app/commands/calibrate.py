@@ -1,6 +1,7 @@
 """`zerodrift calibrate`: the calibration matrix from converter codes and test weights."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -8,8 +9,8 @@ import click
 from zerodrift.app.commands.common import (
     directory_option,
     json_option,
-    print_json,
     print_notes,
+    print_result,
     skip_invalid_option,
 )
 from zerodrift.base.errors import InputError
@@ -51,16 +52,17 @@ def _label(path: Path, directory: Path) -> str:
 def print_calibration(fitted: Calibration) -> None:
     """Print matrix, residuals and condition number as tables."""
     from zerodrift.app.commands.console import open_console, open_table
-    from zerodrift.calibration.files import describe_calibration, split_output
+    from zerodrift.calibration.files import split_output
+    from zerodrift.calibration.summary import summarise_calibration
 
     console = open_console()
-    plain = describe_calibration(fitted)
-    table = open_table("Matrix, unit per code", ["output", "unit"], plain["features"] + ["offset"])
+    told = summarise_calibration(fitted)
+    table = open_table("Matrix, unit per code", ["output", "unit"], [*told.features, "offset"])
     for k, name in enumerate(fitted.outputs):
         entries = [f"{value:.4e}" for value in fitted.matrix[k].tolist()]
         table.add_row(*split_output(name), *entries, f"{fitted.offset[k]:.4g}")
     console.print(table)
-    console.print("The offset belongs to codes at " + ", ".join(f"{c:g}" for c in plain["center"]))
+    console.print("The offset belongs to codes at " + ", ".join(f"{c:g}" for c in told.center))
     columns = ["RMSE", "% of span", "largest", "span"]
     columns += ["RMSE held out"] if fitted.held_out is not None else []
     table = open_table("Residuals", ["output", "unit"], columns)
@@ -213,8 +215,9 @@ def command(
     A set of weights that leaves a direction out is refused, and the direction named.
     """
     from zerodrift.app.commands.console import show_progress
-    from zerodrift.calibration.files import describe_calibration
+    from zerodrift.app.results import CalibrateResult
     from zerodrift.calibration.matrix import fit_calibration
+    from zerodrift.calibration.summary import summarise_calibration
     from zerodrift.dataset.codes import (
         CODE_COLUMNS,
         list_references,
@@ -272,7 +275,8 @@ def command(
     print_notes(tuple(notes))
     written = [_label(target, directory) for target in texts]
     if as_json:
-        print_json(describe_calibration(fitted) | {"notes": notes, "files": written})
+        told = replace(summarise_calibration(fitted), notes=tuple(notes))
+        print_result(CalibrateResult(**vars(told), files=tuple(written)))
         return
     print_calibration(fitted)
     for label in written:

@@ -10,6 +10,7 @@ from typing import TypeVar
 import click
 
 from zerodrift.base.journal import hold_project, settle_project
+from zerodrift.base.records import to_dict
 
 Command = TypeVar("Command", bound=Callable[..., object])
 Result = TypeVar("Result")
@@ -69,6 +70,11 @@ def trust_option(function: Command) -> Command:
         is_flag=True,
         help="Run the project's own files of effects ([plugins]) without asking.",
     )(function)
+
+
+def print_result(result: object) -> None:
+    """Print a command's record as JSON."""
+    print_json(to_dict(result))
 
 
 def print_json(value: object) -> None:

@@ -9,8 +9,8 @@ import click
 from zerodrift.app.commands.common import (
     directory_option,
     json_option,
-    print_json,
     print_notes,
+    print_result,
     skip_invalid_option,
 )
 from zerodrift.app.commands.console import (
@@ -21,7 +21,6 @@ from zerodrift.app.commands.console import (
     show_progress,
 )
 from zerodrift.app.commands.predictors import KINDS
-from zerodrift.base.records import to_dict, to_json
 from zerodrift.dataset.time_units import write_time
 from zerodrift.diagnosis.segments import MOST_SEGMENTS
 
@@ -95,14 +94,16 @@ def command(
         page = render_page(f"{config.sensor_name}: model against measurements", figures)
         write_text(html, page, config.directory)
     if as_json:
-        told = advice.to_dict() if advice is not None else None
-        chip = (
-            {"chip_error": to_json(firmware.chip_error), "warnings": to_json(firmware.warnings)}
-            if firmware is not None
-            else {}
-        )
-        print_json(
-            {"model": predictor.kind, **to_dict(comparison.summarise()), "advice": told, **chip}
+        from zerodrift.app.results import CompareResult
+
+        print_result(
+            CompareResult(
+                **vars(comparison.summarise()),
+                model=predictor.kind,
+                advice=advice.summarise() if advice is not None else None,
+                chip_error=firmware.chip_error if firmware is not None else None,
+                warnings=firmware.warnings if firmware is not None else None,
+            )
         )
         return
     console = open_console()

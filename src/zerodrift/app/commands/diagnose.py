@@ -1,15 +1,15 @@
 """`zerodrift diagnose`: names the physical effect that the model lacks."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from zerodrift.app.commands.common import (
     directory_option,
     json_option,
-    print_json,
     print_notes,
+    print_result,
     skip_invalid_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, print_advice, show_progress
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from zerodrift.diagnosis.course import Course
     from zerodrift.diagnosis.diagnosis import Diagnosis
     from zerodrift.diagnosis.explained import Sentence
     from zerodrift.physics.catalogue import Catalogue
@@ -52,7 +51,7 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
         explain_others,
         find_verdict,
         list_commands,
-        tell_steps,
+        summarise_verdict,
     )
     from zerodrift.diagnosis.advice import advise
     from zerodrift.diagnosis.changes import name_directory
@@ -67,10 +66,10 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
         advice = advise(config, dataset, config.effects if course is None else course.effects)
     print_notes((*dataset.notes, *diagnosis.notes))
     commands = list_commands(config.effects, verdict.steps, catalogue)
-    told = tell_steps(verdict, commands, directory)
     if as_json:
-        told[-1]["advice"] = advice.to_dict() if advice is not None else None
-        print_json(told[-1] if course is None else {**told[-1], **_tell_course(course, told)})
+        print_result(
+            summarise_verdict(verdict, commands, advice.summarise() if advice else None, directory)
+        )
         return
     console = open_console()
     written = ["" if one is None else one.write(directory) for one in commands]
@@ -85,19 +84,6 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
             f"To remove it: zerodrift remove {kind}{name_directory(directory)}"
         )
     print_advice(advice, console)
-
-
-def _tell_course(course: "Course", told: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return what JSON has beside the last diagnosis: the steps before it."""
-    return {
-        "added": [
-            {"effect": step["effect"], "parameters": step["parameters"], "command": step["command"]}
-            for step in told
-            if step["effect"] is not None
-        ],
-        "steps": told,
-        "drop": list(course.drop),
-    }
 
 
 def print_diagnosis(
@@ -115,7 +101,7 @@ def print_diagnosis(
             effect.kind,
             effect.title,
             write_values(effect, candidate.parameters),
-            f"{100.0 * candidate.heldout_rmse_ratio:.1f} %",
+            f"{100.0 * candidate.rmse_left_out_ratio:.1f} %",
             f"{candidate.p_value:.2g}",
             f"{100.0 * candidate.excitation:.0f} %",
         )
@@ -151,11 +137,12 @@ def write_values(effect: "Effect", values: "Mapping[str, float]") -> str:
 def _print_errors(diagnosis: "Diagnosis", console: "Console") -> None:
     """Print each output's error in its unit, beside the noise floor."""
     after = f"with {diagnosis.effect}" if diagnosis.effect is not None else ""
-    source = "noise floor" if diagnosis.floor_source == "dwell" else "noise floor (estimated)"
+    source = "noise floor" if diagnosis.noise_floor_source == "dwell" else "noise floor (estimated)"
     headings = ("RMSE now", *((after,) if after else ()), source)
     table = open_table("Error in runs left out", ("output", "unit"), headings)
     for name, output in diagnosis.outputs.items():
-        figures = [output.before, *((output.after,) if after else ()), output.noise_floor]
+        with_it = (output.rmse_left_out_after,) if after else ()
+        figures = [output.rmse_left_out, *with_it, output.noise_floor]
         table.add_row(name, output.unit, *("-" if x is None else f"{x:.4g}" for x in figures))
     console.print(table)
 
@@ -173,7 +160,7 @@ def explain_verdict(
     from zerodrift.diagnosis.explained import HEADLINE, STEP, Sentence
 
     floor = f"{diagnosis.floor_ratio_before:.2f} times the noise floor"
-    if diagnosis.floor_source != "dwell":
+    if diagnosis.noise_floor_source != "dwell":
         floor += " (estimated)"
     sentences: list[Sentence] = []
     thin = " (thin evidence)" if diagnosis.evidence.startswith("thin") else ""

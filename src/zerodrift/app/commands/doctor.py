@@ -1,11 +1,10 @@
 """`zerodrift doctor`: what this machine has and lacks."""
 
-import dataclasses
 from pathlib import Path
 
 import click
 
-from zerodrift.app.commands.common import directory_option, json_option, print_json
+from zerodrift.app.commands.common import directory_option, json_option, print_result
 from zerodrift.app.commands.console import open_console, open_table
 
 
@@ -17,6 +16,7 @@ def command(directory: Path, as_json: bool) -> None:
 
     Changes nothing. Exit code 1 where firmware cannot be built and checked on this machine.
     """
+    from zerodrift.app.results import DoctorResult
     from zerodrift.base.config import FILE_NAME, load_config
     from zerodrift.base.errors import CheckError
     from zerodrift.verify.machine import examine_machine, examine_project
@@ -27,9 +27,7 @@ def command(directory: Path, as_json: bool) -> None:
         config = load_config(directory)
         items += examine_project(directory, (config.build_directory, config.firmware_out))
     if as_json:
-        print_json(
-            {"can_check": machine.can_check, "items": [dataclasses.asdict(item) for item in items]}
-        )
+        print_result(DoctorResult(machine.can_check, tuple(items)))
     else:
         console = open_console()
         for group in dict.fromkeys(item.group for item in items):

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zerodrift.app.commands.common import json_option, print_json
+from zerodrift.app.commands.common import json_option, print_result
 from zerodrift.app.commands.console import open_console, open_table
 from zerodrift.base.journal import write_text
 
@@ -43,9 +43,9 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
     Equation, parameters with units and bounds, what it looks like, how to provoke it, what to do
     about it in hardware, and the source.
     """
+    from zerodrift.app.results import EffectResult, EffectsResult
     from zerodrift.base.config import load_config
     from zerodrift.base.errors import InputError
-    from zerodrift.base.records import to_dict
     from zerodrift.diagnosis.fingerprint import draw_fingerprint
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.physics.description import describe_effect
@@ -58,7 +58,7 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
         if html is not None:
             raise InputError("--html draws one effect; name it, as in: zerodrift effects creep")
         if as_json:
-            print_json({"effects": [to_dict(describe_effect(e)) for e in catalogue.listed()]})
+            print_result(EffectsResult(tuple(describe_effect(e) for e in catalogue.listed())))
         else:
             _print_catalogue(catalogue, open_console())
         return
@@ -69,7 +69,7 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
             raise InputError(f"effect '{name}' has no picture: it only sets samples aside.")
         write_text(html, _draw_page(effect, picture))
     if as_json:
-        print_json(to_dict(describe_effect(effect)))
+        print_result(EffectResult(**vars(describe_effect(effect))))
         return
     _print_effect(effect, picture, open_console())
     if html is not None:

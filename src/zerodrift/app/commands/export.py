@@ -8,8 +8,8 @@ from zerodrift.app.commands.common import (
     changes_project,
     directory_option,
     json_option,
-    print_json,
     print_notes,
+    print_result,
     skip_invalid_option,
 )
 
@@ -27,6 +27,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     from rich.console import Console
 
     from zerodrift.app.commands.project import open_project, train_project
+    from zerodrift.app.results import ExportResult
     from zerodrift.base.journal import write_all
     from zerodrift.codegen.generate import generate
     from zerodrift.export.compose import (
@@ -68,7 +69,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     ]
     bounds = model.prove()
     if as_json:
-        print_json({"model_hash": model.hash, "bounds_proven": len(bounds), "files": files})
+        print_result(ExportResult(model.hash, len(bounds), tuple(files)))
         return
     click.echo(f"model {model.hash[:12]}: {len(bounds)} bounds proven for every input")
     click.echo("wrote " + ", ".join(files))

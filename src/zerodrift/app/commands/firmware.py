@@ -9,8 +9,8 @@ from zerodrift.app.commands.common import (
     changes_project,
     directory_option,
     json_option,
-    print_json,
     print_notes,
+    print_result,
     skip_invalid_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, print_chip_error, show_progress
@@ -95,7 +95,7 @@ def command(
         if written:
             keep(result, config)
     if as_json:
-        print_json(to_dict(result))
+        print_result(result)
     else:
         _print(firmware, result, config.directory)
     if not written:

@@ -13,7 +13,7 @@ from zerodrift.app.commands.common import (
     changes_project,
     directory_option,
     json_option,
-    print_json,
+    print_result,
     skip_invalid_option,
 )
 
@@ -90,7 +90,7 @@ def command(
     from zerodrift.base.errors import CheckError
     from zerodrift.fleet.design import Design
     from zerodrift.fleet.executors import Executor, OverRay, Processes, Serial, import_ray
-    from zerodrift.fleet.report import ERROR, FAIL, describe_report, judge_fleet, write_report
+    from zerodrift.fleet.report import ERROR, FAIL, judge_fleet, summarise_report, write_report
     from zerodrift.fleet.run import run_fleet
 
     config = load_config(directory)
@@ -113,7 +113,7 @@ def command(
     report = judge_fleet(design, outcomes)
     paths = write_report(design, report)
     if as_json:
-        print_json(describe_report(report))
+        print_result(summarise_report(report))
     else:
         _print(report, [str(path) for path in paths], config.directory)
     if report.count(ERROR) or report.count(FAIL):
@@ -209,11 +209,11 @@ def _print(report: "FleetReport", paths: list[str], directory: Path) -> None:
             ("uncompensated", "median", "95 %", "worst", "floor", "x floor", "worst", "limit"),
         )
         for name, row in report.spread().items():
-            keys = ("rmse_uncompensated_median", "rmse_median", "rmse_p95", "rmse_worst")
-            numbers = [f"{row[key]:.4g}" for key in (*keys, "noise_floor_median")]
-            numbers += [f"{row['ratio_median']:.3g}", f"{row['ratio_worst']:.3g}"]
-            limit = "-" if row["limit"] is None else f"{row['limit']:g}"
-            table.add_row(name, row["unit"], *numbers, limit)
+            errors = (row.rmse_uncompensated_median, row.rmse_median, row.rmse_p95, row.rmse_worst)
+            numbers = [f"{value:.4g}" for value in (*errors, row.noise_floor_median)]
+            numbers += [f"{row.ratio_median:.3g}", f"{row.ratio_worst:.3g}"]
+            limit = "-" if row.limit is None else f"{row.limit:g}"
+            table.add_row(name, row.unit, *numbers, limit)
         console.print(table)
     for title, lines in (
         ("could not be worked on", _explain(report, ERROR)),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from zerodrift.app.commands.common import directory_option, json_option, print_json
+from zerodrift.app.commands.common import directory_option, json_option, print_result
 from zerodrift.app.commands.console import open_console, open_table
 from zerodrift.diagnosis.history import Step
 
@@ -52,7 +52,9 @@ def command(directory: Path, html: Path | None, as_json: bool) -> None:
         notes = [f"{step.label}: {step.reason}" for step in steps if step.reason]
         write_text(html, render_page(title, [draw_staircase(steps)], notes), directory)
     if as_json:
-        print_json({"steps": describe_steps(steps)})
+        from zerodrift.app.results import HistoryResult
+
+        print_result(HistoryResult(tuple(step.summarise() for step in steps)))
         return
     if not steps:
         click.echo(f"No history yet in {path}: `zerodrift add EFFECT` begins one.")
@@ -60,23 +62,6 @@ def command(directory: Path, html: Path | None, as_json: bool) -> None:
     print_steps(steps)
     if html is not None:
         click.echo(f"Wrote {html}")
-
-
-def describe_steps(steps: Sequence[Step]) -> list[dict[str, object]]:
-    """Return the staircase as it stands in the command's JSON."""
-    return [_describe_step(step) for step in steps]
-
-
-def _describe_step(step: Step) -> dict[str, object]:
-    return {
-        "step": step.label,
-        "effects": list(step.effects),
-        "rmse_heldout": dict(step.errors),
-        "noise_floor": dict(step.noise_floor),
-        "units": dict(step.units),
-        "ratio_to_floor": step.ratio(),
-        "reason": step.reason,
-    }
 
 
 def print_steps(steps: Sequence[Step]) -> None:

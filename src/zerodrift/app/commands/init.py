@@ -4,16 +4,20 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from zerodrift.app.commands.common import directory_option, json_option, print_json
+from zerodrift.app.commands.common import directory_option, json_option, print_result
 from zerodrift.base.clock_config import TIME_UNITS
 from zerodrift.base.config import FILE_NAME, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_text
 from zerodrift.dataset.guess import Guess, GuessedOutput, guess_project
 from zerodrift.dataset.selectors import CSV_SUFFIXES, PARQUET_SUFFIXES, order_path
+
+if TYPE_CHECKING:
+    from zerodrift.app.results import InitResult
 
 #: Use -> words in a log's name that suggest it.
 USE_WORDS = {"dwell": ("dwell", "isothermal", "noise"), "test": ("test", "walk", "valid")}
@@ -45,7 +49,7 @@ def command(logs: tuple[Path, ...], directory: Path, force: bool, as_json: bool)
     parse_config(text, target.absolute())
     write_text(target, text)
     if as_json:
-        print_json(_to_json(target, guess, selectors))
+        print_result(_summarise(target, guess, selectors))
         return
     click.echo(_describe_guess(target, guess, selectors))
 
@@ -166,25 +170,22 @@ def _write_selectors(paths: Sequence[Path], directory: Path) -> list[str]:
     return [Path(os.path.relpath(path, directory)).as_posix() for path in paths]
 
 
-def _to_json(target: Path, guess: Guess, selectors: dict[str, list[str]]) -> dict[str, object]:
-    return {
-        "file": str(target),
-        "time": guess.time,
-        "temperature": guess.temperature,
-        "sample_period_s": guess.sample_period_s,
-        "outputs": {
-            output.name: {
-                "measured": output.measured,
-                "reference": output.reference,
-                "unit": output.unit,
-                "full_scale": output.full_scale,
-            }
-            for output in guess.outputs
+def _summarise(target: Path, guess: Guess, selectors: dict[str, list[str]]) -> "InitResult":
+    from zerodrift.app.results import GuessedColumns, InitResult
+
+    return InitResult(
+        file=str(target),
+        time=guess.time,
+        temperature=guess.temperature,
+        sample_period_s=guess.sample_period_s,
+        outputs={
+            o.name: GuessedColumns(o.measured, o.reference, o.unit, o.full_scale)
+            for o in guess.outputs
         },
-        "inputs": dict(guess.inputs),
-        "logs": selectors,
-        "check": list(guess.checks),
-    }
+        inputs=guess.inputs,
+        logs={use: tuple(files) for use, files in selectors.items()},
+        check=tuple(guess.checks),
+    )
 
 
 def _describe_guess(target: Path, guess: Guess, selectors: dict[str, list[str]]) -> str:

@@ -8,8 +8,8 @@ from zerodrift.app.commands.common import (
     changes_project,
     directory_option,
     json_option,
-    print_json,
     print_notes,
+    print_result,
 )
 from zerodrift.base.journal import write_all
 from zerodrift.base.ownership import MANIFEST, list_own, refuse_foreign, render_manifest
@@ -30,6 +30,7 @@ def command(kind: str, directory: Path, as_json: bool) -> None:
     it is stale.
     """
     from zerodrift.app.commands.firmware import show_path
+    from zerodrift.app.results import PackageResult
     from zerodrift.base.config import load_config
     from zerodrift.codegen.packages import render_package
     from zerodrift.export.model_files import load_model
@@ -54,6 +55,6 @@ def command(kind: str, directory: Path, as_json: bool) -> None:
     shown = show_path(place, config.directory)
     written = [f"{shown}/{name}" for name in sorted(contents)]
     if as_json:
-        print_json({"package": kind, "model_hash": model.hash, "files": written})
+        print_result(PackageResult(kind, model.hash, tuple(written)))
         return
     click.echo("wrote " + ", ".join(written))

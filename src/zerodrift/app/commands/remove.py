@@ -8,8 +8,8 @@ from zerodrift.app.commands.common import (
     changes_project,
     directory_option,
     json_option,
-    print_json,
     print_notes,
+    print_result,
     skip_invalid_option,
 )
 from zerodrift.base.errors import InputError
@@ -43,9 +43,10 @@ def command(
         read_text,
         write_revision,
     )
+    from zerodrift.app.results import RemoveResult
     from zerodrift.base.toml_edit import remove_effect
     from zerodrift.diagnosis.changes import propose_removal
-    from zerodrift.diagnosis.revision import describe_revision, revise
+    from zerodrift.diagnosis.revision import revise, summarise_revision
     from zerodrift.physics.catalogue import load_catalogue
 
     signal = _read_signal(options)
@@ -61,7 +62,7 @@ def command(
     print_notes(dataset.notes)
     write_revision(config, text, text_after, revision)
     if as_json:
-        print_json({**describe_revision(revision), "removed": True})
+        print_result(RemoveResult(**vars(summarise_revision(revision))))
         return
     print_revision(revision)
     open_console().print(

@@ -8,15 +8,14 @@ import click
 from zerodrift.app.commands.common import (
     directory_option,
     json_option,
-    print_json,
     print_notes,
+    print_result,
     skip_invalid_option,
     trust_option,
 )
 from zerodrift.app.commands.console import show_progress
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_text
-from zerodrift.base.records import to_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -73,7 +72,7 @@ def command(
     The HTML file holds everything it needs, so it opens without a network, and prints. The same
     files give the same bytes.
     """
-    from zerodrift.app.commands.survey import describe_survey, survey_project
+    from zerodrift.app.commands.survey import summarise_survey, survey_project
     from zerodrift.app.trust import require_trust
     from zerodrift.base.config import load_config
     from zerodrift.report.browser import find_browser
@@ -98,8 +97,7 @@ def command(
         files = _write(findings, rows, target, kind, directory)
     print_notes(findings.notes)
     if as_json:
-        told = {**describe_survey(findings), "files": [str(path) for path in files]}
-        print_json(told if rows is None else {**told, "datasheet": to_json(rows)})
+        print_result(summarise_survey(findings, files, rows))
         return
     if findings.diagnosed is None:
         click.echo("Not diagnosed.")

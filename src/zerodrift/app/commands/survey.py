@@ -2,12 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,6 @@ from zerodrift import __version__
 from zerodrift.app.commands.built import read_firmware, read_kept
 from zerodrift.app.commands.compare import describe_patterns, explain_figures
 from zerodrift.app.commands.diagnose import explain_verdict
-from zerodrift.app.commands.history import describe_steps
 from zerodrift.app.commands.predictors import PHYSICS, compare_predictor, open_predictor
 from zerodrift.app.commands.project import open_project
 from zerodrift.app.commands.revise import open_history
@@ -24,9 +22,9 @@ from zerodrift.app.commands.verdict import (
     explain_others,
     find_verdict,
     list_commands,
-    tell_diagnosis,
-    tell_thermometers,
+    summarise_diagnosis,
 )
+from zerodrift.app.results import CompareResult, HistoryResult, ReportResult
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
@@ -43,6 +41,7 @@ from zerodrift.physics.description import describe_effect
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.physics.summary import summarise_model
+from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Findings, Provenance, SourceFile, trace_runs
 
 Array = NDArray[np.float64]
@@ -50,7 +49,7 @@ Say = Callable[[str], None]
 
 DIAGNOSIS = "diagnosis.json"
 """In build/: the last diagnosis, with the mark of what it was made from."""
-DIAGNOSIS_FORMAT = 4
+DIAGNOSIS_FORMAT = 5
 SIMULATED_FILES = ("truth.json", "twin.json")
 PACKAGES = ("numpy", "scipy", "polars", "torch", "onnx", "onnxruntime", "plotly")
 
@@ -251,30 +250,44 @@ def preview_effects(
     return previews
 
 
-def describe_survey(findings: Findings) -> dict[str, Any]:
-    """Return the JSON of the survey, with which `report --json` ends."""
+def summarise_survey(
+    findings: Findings, files: Sequence[Path], datasheet: Sequence[DatasheetRow] | None
+) -> ReportResult:
+    """Return what `report --json` prints.
+
+    Args:
+        findings: what was found.
+        files: what was written.
+        datasheet: its figures, where they were asked for.
+    """
     explained, advice = findings.diagnosed, findings.advice
-    told = to_dict(replace(findings, traces=()))
-    return {
-        "sensor": told["sensor"],
-        "simulated": told["simulated"],
-        "compare": {
-            "model": findings.predictor,
-            **told["comparison"],
-            "advice": advice.to_dict() if advice is not None else None,
-        },
-        "compare_sentences": told["comparison_sentences"],
-        "patterns": told["patterns"],
-        "diagnose": _tell_diagnosis(explained) if explained is not None else None,
-        "diagnose_sentences": [s.text for s in explained.sentences] if explained else [],
-        "history": {"steps": describe_steps(findings.steps)},
-        **{name: told[name] for name in ("model", "firmware", "certificate", "firmware_note")},
-        "titles": findings.titles,
-        **{name: told[name] for name in ("catalogue", "provenance", "notes", "skip_invalid")},
-    }
-
-
-def _tell_diagnosis(explained: ExplainedDiagnosis) -> dict[str, Any]:
-    """Return the JSON of `diagnose`, the advice apart."""
-    told = tell_diagnosis(explained.diagnosis, explained.command, Path())
-    return {**told, "thermometers": tell_thermometers(explained.thermometers, Path())}
+    diagnose = None
+    if explained is not None:
+        diagnose = summarise_diagnosis(
+            explained.diagnosis, explained.command, explained.thermometers, None, Path()
+        )
+    return ReportResult(
+        sensor=findings.sensor,
+        simulated=findings.simulated,
+        compare=CompareResult(
+            **vars(findings.comparison),
+            model=findings.predictor,
+            advice=advice.summarise() if advice is not None else None,
+        ),
+        compare_sentences=findings.comparison_sentences,
+        patterns=findings.patterns,
+        diagnose=diagnose,
+        diagnose_sentences=tuple(s.text for s in explained.sentences) if explained else (),
+        history=HistoryResult(tuple(step.summarise() for step in findings.steps)),
+        model=findings.model,
+        firmware=findings.firmware,
+        certificate=findings.certificate,
+        firmware_note=findings.firmware_note,
+        titles=findings.titles,
+        catalogue=findings.catalogue,
+        provenance=findings.provenance,
+        notes=findings.notes,
+        skip_invalid=findings.skip_invalid,
+        files=tuple(str(path) for path in files),
+        datasheet=None if datasheet is None else tuple(datasheet),
+    )

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,8 +10,8 @@ from zerodrift.app.commands.common import (
     changes_project,
     directory_option,
     json_option,
-    print_json,
     print_notes,
+    print_result,
     skip_invalid_option,
 )
 
@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from zerodrift.train.compensator import Compensator
-    from zerodrift.train.scores import Errors, Scores
+    from zerodrift.train.scores import Scores
 
 
 @click.command("train")
@@ -50,8 +49,10 @@ def command(
     """
     from zerodrift.app.commands.console import open_console, print_advice
     from zerodrift.app.commands.project import open_project
+    from zerodrift.app.results import TrainResult
     from zerodrift.diagnosis.advice import advise
     from zerodrift.train.progress import show_progress
+    from zerodrift.train.summary import summarise_training
     from zerodrift.train.training import list_checkpoints, train
 
     config, dataset = open_project(directory, skip_invalid)
@@ -62,44 +63,14 @@ def command(
     )
     advice = advise(config, dataset)
     if as_json:
-        told = {"advice": advice.to_dict() if advice is not None else None}
-        print_json({**_describe(trained.compensator, trained.scores), **told})
+        told = summarise_training(trained.compensator, trained.scores)
+        print_result(
+            TrainResult(**vars(told), advice=advice.summarise() if advice is not None else None)
+        )
     else:
         _print_table(trained.scores)
         print_advice(advice, open_console())
         print_notes((*dataset.notes, *trained.compensator.notes))
-
-
-def _describe(compensator: "Compensator", scores: "Scores") -> dict[str, Any]:
-    """Return the result as JSON values; what was not measured is null."""
-
-    def list_errors(errors: "Errors", k: int) -> dict[str, float | None]:
-        full_scale = scores.full_scale[k]
-        pairs = {
-            "rmse_uncompensated": errors.uncompensated[k],
-            "rmse_physics": errors.physics[k],
-            "rmse": errors.compensated[k],
-            "rmse_pct_fs": 100.0 * errors.compensated[k] / full_scale,
-        }
-        return {name: float(v) if math.isfinite(v) else None for name, v in pairs.items()}
-
-    return {
-        "outputs": {
-            name: {
-                "unit": scores.units[k],
-                "in_sample": list_errors(scores.in_sample, k),
-                "held_out": list_errors(scores.held_out, k),
-            }
-            for k, name in enumerate(scores.outputs)
-        },
-        "held_out": {"runs": list(scores.held_out_runs), "explanation": scores.explanation},
-        "effects": list(compensator.physics.effects),
-        "features": [str(tap) for tap in compensator.front_end.taps]
-        if compensator.front_end
-        else [],
-        "network": compensator.network is not None,
-        "notes": list(compensator.notes),
-    }
 
 
 def _print_table(scores: "Scores") -> None:

@@ -3,8 +3,13 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+from zerodrift.app.results import (
+    AddedEffect,
+    DiagnoseResult,
+    DiagnosisStep,
+    ThermometerSummary,
+)
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.bad_runs import describe_bad_run
@@ -13,6 +18,7 @@ from zerodrift.diagnosis.course import Course, diagnose_until_done, extend_model
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.explained import Sentence
+from zerodrift.diagnosis.summary import AdviceSummary
 from zerodrift.diagnosis.thermometers import OtherThermometer, try_thermometers
 from zerodrift.diagnosis.unseen import describe_unseen
 from zerodrift.physics.catalogue import Catalogue
@@ -76,42 +82,61 @@ def find_verdict(
     return Verdict(diagnosis, tuple(others), course)
 
 
-def tell_steps(
-    verdict: Verdict, commands: Sequence[AddCommand | None], directory: Path
-) -> list[dict[str, Any]]:
-    """Return the JSON of each diagnosis; the last tells of other thermometers too.
+def summarise_verdict(
+    verdict: Verdict,
+    commands: Sequence[AddCommand | None],
+    advice: AdviceSummary | None,
+    directory: Path,
+) -> DiagnoseResult:
+    """Return the verdict as the command prints it.
 
     Args:
         verdict: what was found.
         commands: what adds the effect that each step names.
+        advice: what the logs can teach.
         directory: of the project, as the user gave it.
     """
-    told = [
-        tell_diagnosis(step, command, directory)
+    steps = tuple(
+        DiagnosisStep(**vars(step), command=_write(command, directory))
         for step, command in zip(verdict.steps, commands, strict=True)
-    ]
-    told[-1]["thermometers"] = tell_thermometers(verdict.others, directory)
-    return told
+    )
+    told = summarise_diagnosis(verdict.diagnosis, commands[-1], verdict.others, advice, directory)
+    if verdict.course is None:
+        return told
+    added = tuple(
+        AddedEffect(step.effect, step.parameters, step.command)
+        for step in steps
+        if step.effect is not None
+    )
+    return replace(told, added=added, steps=steps, drop=verdict.course.drop)
 
 
-def tell_diagnosis(
-    diagnosis: Diagnosis, command: AddCommand | None, directory: Path
-) -> dict[str, Any]:
-    """Return the JSON of one diagnosis."""
-    return {**diagnosis.to_dict(), "command": "" if command is None else command.write(directory)}
+def summarise_diagnosis(
+    diagnosis: Diagnosis,
+    command: AddCommand | None,
+    others: Sequence[OtherThermometer],
+    advice: AdviceSummary | None,
+    directory: Path,
+) -> DiagnoseResult:
+    """Return one diagnosis as the command prints it."""
+    return DiagnoseResult(
+        **vars(diagnosis),
+        command=_write(command, directory),
+        thermometers=tuple(
+            ThermometerSummary(
+                other.signal,
+                other.rmse_left_out_ratio,
+                other.command.write(directory),
+                other.reason,
+            )
+            for other in others
+        ),
+        advice=advice,
+    )
 
 
-def tell_thermometers(others: Sequence[OtherThermometer], directory: Path) -> list[dict[str, Any]]:
-    """Return the JSON of other thermometers that the drift follows."""
-    return [
-        {
-            "signal": other.signal,
-            "heldout_rmse_ratio": other.heldout_rmse_ratio,
-            "command": other.command.write(directory),
-            "reason": other.reason,
-        }
-        for other in others
-    ]
+def _write(command: AddCommand | None, directory: Path) -> str:
+    return "" if command is None else command.write(directory)
 
 
 def explain_others(others: Sequence[OtherThermometer], directory: Path) -> list[Sentence]:

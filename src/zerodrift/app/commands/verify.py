@@ -1,11 +1,11 @@
 """`zerodrift verify`: what lies in the firmware folder and in build/, against the model."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from zerodrift.app.commands.common import directory_option, json_option, print_json
+from zerodrift.app.commands.common import directory_option, json_option, print_result
 from zerodrift.base.errors import CheckError, InputError
 
 if TYPE_CHECKING:
@@ -52,34 +52,10 @@ def command(directory: Path, as_json: bool, required: tuple[str, ...], certifica
     with show_progress("verifying") as say:
         outcome = read_together(directory, folders, lambda: replay(config, say, required))
     if as_json:
-        print_json(describe(outcome))
+        print_result(outcome.summarise())
     outcome.require(required)
     if not as_json:
         _print(outcome)
-
-
-def describe(outcome: "Replay") -> dict[str, Any]:
-    """Return the command's JSON."""
-    return {
-        "bit_exact": outcome.bit_exact,
-        "vectors": outcome.vectors,
-        "backends": list(outcome.backends),
-        "model_hash": outcome.model_hash,
-        "failures": list(outcome.failures),
-        "header": [
-            {"name": f.name, "found": f.found, "expected": f.expected} for f in outcome.header
-        ],
-        "changed": [
-            {"kind": f.kind, "name": f.name, "text": f.text}
-            for f in outcome.findings
-            if not f.is_stale
-        ],
-        "stale": [
-            {"kind": f.kind, "name": f.name, "text": f.text} for f in outcome.findings if f.is_stale
-        ],
-        "forced": list(outcome.forced),
-        "not_checked": [{"what": n.what, "why": n.why} for n in outcome.not_checked],
-    }
 
 
 def _print(outcome: "Replay") -> None:
@@ -97,6 +73,7 @@ def _print(outcome: "Replay") -> None:
 def _check_certificate(folder: Path, as_json: bool) -> None:
     """Tell which claims hold; needs nothing but the firmware folder."""
     from zerodrift.app.commands.console import show_progress
+    from zerodrift.app.results import CertificateResult
     from zerodrift.verify.certificate import FILE_NAME
     from zerodrift.verify.certificate_check import check_certificate
 
@@ -107,13 +84,8 @@ def _check_certificate(folder: Path, as_json: bool) -> None:
     with show_progress("deriving every bound again from the C"):
         outcome = check_certificate(folder)
     if as_json:
-        print_json(
-            {
-                "certificate": "refused" if outcome.failures else "holds",
-                "claims_that_hold": outcome.holds,
-                "failures": list(outcome.failures),
-            }
-        )
+        word = "refused" if outcome.failures else "holds"
+        print_result(CertificateResult(word, outcome.holds, tuple(outcome.failures)))
     if outcome.failures:
         lines = "\n  ".join(outcome.failures)
         raise CheckError(

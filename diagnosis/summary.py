@@ -1,0 +1,148 @@
+"""What `add`, `remove` and `history` say, and the advice of `compare` and `diagnose`, as figures.
+
+*left out* is an error on training data of which the model learnt nothing: each run is left out in
+turn. *test* is an error on the test logs. The two never share a name.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from zerodrift.diagnosis.held_out import TEST_LOGS
+from zerodrift.physics.summary import FittedCoefficient, FittedParameter
+
+ByOutput = Mapping[str, float]
+"""Output -> a value, in its unit where nothing else is said."""
+
+
+@dataclass(frozen=True)
+class HeldOutErrors:
+    """RMSE per output, in its unit, on data that the model did not learn from."""
+
+    ALIASES: ClassVar = ("rmse_heldout",)
+
+    rmse_left_out: ByOutput | None
+    """Of training runs left out in turn; null where the errors are those of the test logs."""
+    rmse_test: ByOutput | None
+    """Of the test logs; null where the errors are those of runs left out."""
+
+    @property
+    def rmse_heldout(self) -> ByOutput:
+        """Older name: `rmse_left_out`, or else `rmse_test`."""
+        found = self.rmse_left_out if self.rmse_left_out is not None else self.rmse_test
+        return found or {}
+
+
+def sort_errors(method: str, errors: ByOutput) -> HeldOutErrors:
+    """Return errors under the name that says how they were measured.
+
+    Args:
+        method: test logs | leave one run out | blocks of one run.
+        errors: output -> RMSE.
+    """
+    return HeldOutErrors(None, errors) if method == TEST_LOGS else HeldOutErrors(errors, None)
+
+
+@dataclass(frozen=True)
+class RevisionSummary:
+    """A change of the model's effects, and what it did to the errors."""
+
+    effect: str
+    parameters: Mapping[str, FittedParameter]
+    """Of the effect that was added."""
+    before: HeldOutErrors
+    after: HeldOutErrors
+    noise_floor: ByOutput
+    noise_floor_source: str
+    """dwell | estimated."""
+    units: Mapping[str, str]
+    held_out: str
+    """test logs | leave one run out | blocks of one run."""
+    tared: bool
+    """Whether each run's own offset is taken off the errors."""
+    helps: bool
+    """Whether the error is better by more than runs differ; for a removal, as good."""
+    reason: str
+    """Why, in a sentence."""
+    effects: tuple[str, ...]
+    """All effects after the change."""
+    coefficients: tuple[FittedCoefficient, ...]
+    """Of the effect that was added."""
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TimeConstantSummary:
+    """A lag of the drift behind the chip's thermometer."""
+
+    tau_s: float
+    low_s: float
+    """Between `low_s` and `high_s` the logs hardly tell one value from another."""
+    high_s: float
+    determined: bool
+
+
+@dataclass(frozen=True)
+class MemorySummary:
+    """What the network remembers, and whether that is enough."""
+
+    name: str
+    span_s: float | None
+    """null where it has no end."""
+    rmse_ratio: float | None
+    """Left-out RMSE with this memory over that with the lags found."""
+    rmse_ratio_of_window_alone: float | None
+    spans: bool | None
+    """null where the drift has no lag."""
+
+
+@dataclass(frozen=True)
+class ProtocolSummary:
+    """What to record, and why."""
+
+    name: str
+    instruction: str
+    why: str
+
+
+@dataclass(frozen=True)
+class AdviceSummary:
+    """What these logs can and cannot teach."""
+
+    time_constants: tuple[TimeConstantSummary, ...]
+    rmse_ratio_without_memory: float
+    """Left-out RMSE without memory over that with the lags found."""
+    memory: MemorySummary
+    heat_paths: str
+    """several | perhaps | one | unknown: whether heat came in more ways than one."""
+    runs: Mapping[str, float]
+    """Run -> error of the lags that the other runs teach, over that of lags of its own."""
+    untold_K: ByOutput
+    """Further thermometer -> K RMS by which it moves beyond what the chip's history tells."""
+    next_protocols: tuple[ProtocolSummary, ...]
+    sentences: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class StepSummary:
+    """A step of the staircase: a state of the model and its errors."""
+
+    ALIASES: ClassVar = ("rmse_heldout",)
+
+    step: str
+    """start, `+ creep`, `~ creep` for other values, `- creep`, or what no command did."""
+    effects: tuple[str, ...]
+    rmse_left_out: ByOutput | None
+    """Of training runs left out in turn; null where the errors are those of the test logs."""
+    rmse_test: ByOutput | None
+    """Of the test logs; null where the errors are those of runs left out."""
+    noise_floor: ByOutput
+    units: Mapping[str, str]
+    ratio_to_floor: float | None
+    """Root mean square over the outputs."""
+    reason: str
+
+    @property
+    def rmse_heldout(self) -> ByOutput:
+        """Older name: `rmse_left_out`, or else `rmse_test`."""
+        return HeldOutErrors(self.rmse_left_out, self.rmse_test).rmse_heldout

@@ -1,0 +1,271 @@
+"""What each command finds: one frozen record per command, which `--json` writes as it is.
+
+`base.json_schema` describes them; `docs/reference/schemas` holds the descriptions.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from zerodrift.base.records import OPTIONAL
+from zerodrift.calibration.summary import CalibrationSummary
+from zerodrift.diagnosis.comparison_summary import ComparisonSummary
+from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.summary import AdviceSummary, RevisionSummary, StepSummary
+from zerodrift.fleet.summary import FleetSummary
+from zerodrift.physics.description import EffectDescription
+from zerodrift.physics.summary import ModelSummary
+from zerodrift.report.datasheet import DatasheetRow
+from zerodrift.report.findings import Provenance
+from zerodrift.train.summary import TrainingSummary
+from zerodrift.verify.machine import Item
+from zerodrift.verify.summary import (
+    CertificateSummary,
+    ChipError,
+    FirmwareSummary,
+    Statement,
+    VerifySummary,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareResult(ComparisonSummary):
+    """The model against the measurements, run by run and output by output."""
+
+    SCHEMA: ClassVar = "compare/1"
+
+    model: str
+    """What predicted: physics | compensated | integer | c."""
+    advice: AdviceSummary | None
+    """What the logs can teach; null where no output moves."""
+    chip_error: Mapping[str, ChipError] | None = field(default=None, metadata=OPTIONAL)
+    """Of the last firmware, where it is current."""
+    warnings: tuple[Statement, ...] | None = field(default=None, metadata=OPTIONAL)
+    """Of the last firmware, where it is current."""
+
+
+@dataclass(frozen=True)
+class ThermometerSummary:
+    """A further thermometer that the drift follows."""
+
+    ALIASES: ClassVar = ("heldout_rmse_ratio",)
+
+    signal: str
+    """Its name in [inputs]."""
+    rmse_left_out_ratio: float
+    """RMSE on data held out with a zero shift that follows it, over that without."""
+    command: str
+    """What adds it, as a shell takes it."""
+    reason: str
+
+    @property
+    def heldout_rmse_ratio(self) -> float:
+        """Older name of `rmse_left_out_ratio`."""
+        return self.rmse_left_out_ratio
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnosisStep(Diagnosis):
+    """One diagnosis."""
+
+    command: str
+    """What adds the missing effect, as a shell takes it; "" where none is named."""
+
+
+@dataclass(frozen=True)
+class AddedEffect:
+    """An effect that `diagnose --auto` added in mind."""
+
+    effect: str
+    parameters: Mapping[str, float]
+    command: str
+    """What adds it, as a shell takes it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseResult(DiagnosisStep):
+    """Which effect the model lacks."""
+
+    SCHEMA: ClassVar = "diagnose/1"
+
+    thermometers: tuple[ThermometerSummary, ...]
+    """Further thermometers that the drift follows, the best first."""
+    advice: AdviceSummary | None
+    """What the logs can teach; null where no output moves."""
+    added: tuple[AddedEffect, ...] | None = field(default=None, metadata=OPTIONAL)
+    """With --auto: what was added, one after the other."""
+    steps: tuple[DiagnosisStep, ...] | None = field(default=None, metadata=OPTIONAL)
+    """With --auto: each diagnosis, the last one last."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddResult(RevisionSummary):
+    """An effect more, and what it brought."""
+
+    SCHEMA: ClassVar = "add/1"
+
+    added: bool
+    """Whether zerodrift.toml has it now."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemoveResult(RevisionSummary):
+    """An effect less, and what that costs."""
+
+    SCHEMA: ClassVar = "remove/1"
+
+    removed: bool = True
+
+
+@dataclass(frozen=True)
+class HistoryResult:
+    """The staircase of errors so far."""
+
+    SCHEMA: ClassVar = "history/1"
+
+    steps: tuple[StepSummary, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainResult(TrainingSummary):
+    """What training achieved, per output."""
+
+    SCHEMA: ClassVar = "train/1"
+
+    advice: AdviceSummary | None
+    """What the logs can teach; null where no output moves."""
+
+
+@dataclass(frozen=True)
+class ExportResult:
+    """The integer model, written and proven."""
+
+    SCHEMA: ClassVar = "export/1"
+
+    model_hash: str
+    bounds_proven: int
+    files: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class CertificateResult:
+    """Which claims of certificate.json hold (`verify --certificate`)."""
+
+    SCHEMA: ClassVar = "verify-certificate/1"
+
+    certificate: str
+    """holds | refused."""
+    claims_that_hold: int
+    failures: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PackageResult:
+    """The model as a package of a build system."""
+
+    SCHEMA: ClassVar = "package/1"
+
+    package: str
+    """cmake | zephyr | arduino | platformio."""
+    model_hash: str
+    files: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class DoctorResult:
+    """What this machine has and lacks."""
+
+    SCHEMA: ClassVar = "doctor/1"
+
+    can_check: bool
+    """Whether firmware can be built and checked here on the host and on a core."""
+    items: tuple[Item, ...]
+
+
+@dataclass(frozen=True)
+class EffectsResult:
+    """The catalogue of physical effects."""
+
+    SCHEMA: ClassVar = "effects/1"
+
+    effects: tuple[EffectDescription, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffectResult(EffectDescription):
+    """One effect (`effects NAME`)."""
+
+    SCHEMA: ClassVar = "effect/1"
+
+
+@dataclass(frozen=True)
+class GuessedColumns:
+    """An output as `init` guessed it."""
+
+    measured: str
+    reference: str | None
+    """A column; null where there is none."""
+    unit: str
+    full_scale: float
+
+
+@dataclass(frozen=True)
+class InitResult:
+    """What `init` guessed from the logs and wrote."""
+
+    SCHEMA: ClassVar = "init/1"
+
+    file: str
+    time: str
+    temperature: str
+    sample_period_s: float
+    outputs: Mapping[str, GuessedColumns]
+    inputs: Mapping[str, str]
+    logs: Mapping[str, tuple[str, ...]]
+    """train | test | dwell -> selectors."""
+    check: tuple[str, ...]
+    """What to look at, in sentences."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateResult(CalibrationSummary):
+    """A calibration matrix, and what it leaves."""
+
+    SCHEMA: ClassVar = "calibrate/1"
+
+    files: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportResult:
+    """All that is known about a sensor and its model."""
+
+    SCHEMA: ClassVar = "report/1"
+
+    sensor: str
+    simulated: bool
+    compare: CompareResult
+    compare_sentences: tuple[str, ...]
+    patterns: tuple[str, ...]
+    diagnose: DiagnoseResult | None
+    diagnose_sentences: tuple[str, ...]
+    history: HistoryResult
+    model: ModelSummary
+    firmware: FirmwareSummary | None
+    certificate: CertificateSummary | None
+    firmware_note: str
+    titles: Mapping[str, str]
+    catalogue: Mapping[str, EffectDescription]
+    provenance: Provenance
+    notes: tuple[str, ...]
+    skip_invalid: bool
+    files: tuple[str, ...]
+    datasheet: tuple[DatasheetRow, ...] | None = field(default=None, metadata=OPTIONAL)
+
+
+RESULTS: tuple[type, ...] = (
+    *(AddResult, CalibrateResult, CertificateResult, CompareResult, DiagnoseResult, DoctorResult),
+    *(EffectResult, EffectsResult, ExportResult, FirmwareSummary, FleetSummary, HistoryResult),
+    *(InitResult, PackageResult, RemoveResult, ReportResult, TrainResult, VerifySummary),
+)
+"""Every record that a command writes with `--json`."""
