@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: test-wheel bench-paper bench-foreign setup-browser setup-page test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: test-wheel bench-paper bench-foreign setup-browser setup-page test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -94,6 +94,9 @@ format: $(READY) ## rewrite Python and C in the project's format
 	$(VENV)/bin/ruff format .
 	$(VENV)/bin/ruff check --fix .
 	$(VENV)/bin/clang-format -i c_runtime/include/zerodrift/*.h c_runtime/tests/*.c
+
+schemas: $(READY) ## write the JSON Schemas of what the commands print again
+	$(RUN) -m zerodrift.app.schemas
 
 golden: $(READY) ## write the golden vectors and the runtime's table again; read the diff
 	$(RUN) -m zerodrift.c_runtime.write_table

@@ -5,6 +5,7 @@ import pytest
 from tests.advice.conftest import CHAMBER, HEAT_PATH, MIXED, lag, straighten
 
 from zerodrift.base.config import NetworkConfig
+from zerodrift.base.records import to_dict
 from zerodrift.diagnosis.advice import advise
 from zerodrift.diagnosis.network_memory import SPACING_S
 
@@ -164,7 +165,7 @@ def test_outputs_that_never_move_give_no_advice(project):
 
 def test_json_holds_what_the_sentences_say(ask):
     advice = ask(hidden=lag(100.0), seed=20)
-    told = advice.to_dict()
+    told = to_dict(advice.summarise())
     assert told["sentences"] == advice.explain()
     assert told["heat_paths"] == advice.heat
     assert told["next_protocols"][0]["name"] == "heat from one side"

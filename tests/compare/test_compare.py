@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from zerodrift.base.records import to_dict
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.compare import compare
 from zerodrift.diagnosis.held_out import LEAVE_ONE_RUN_OUT, NONE, HeldOut
@@ -24,7 +25,7 @@ def test_errors_are_those_of_measured_minus_reference_minus_model(make_run):
     train = tuple(make_run(i, linear) for i in range(3))
     test = (make_run(7, lambda r: 1.5 * linear(r)),)
     result = compare(Dataset(train, test, (), *NAMES), linear)
-    fz = result.to_dict()["outputs"]["Fz"]
+    fz = to_dict(result.summarise())["outputs"]["Fz"]
     error = test[0].drift[:, 0] - linear(test[0])[:, 0]
     assert fz["rmse_heldout"] == pytest.approx(rms(error))
     assert fz["max_abs"] == pytest.approx(float(np.abs(error).max()))
@@ -37,20 +38,22 @@ def test_errors_are_those_of_measured_minus_reference_minus_model(make_run):
 
 def test_offsets_of_tared_runs_are_taken_off_and_told(make_run):
     train = tuple(make_run(i, lambda r, i=i: linear(r) + 5.0 * i) for i in range(3))
-    result = compare(Dataset(train, (), (), *NAMES), linear, tared=True).to_dict()
+    result = compare(Dataset(train, (), (), *NAMES), linear, tared=True)
+    result = to_dict(result.summarise())
     assert result["tared"] is True
     assert result["outputs"]["Fz"]["rmse"] == pytest.approx(0.05, rel=0.1)
     assert result["outputs"]["Fz"]["run_offset"] == pytest.approx(rms([0.0, 5.0, 10.0]), rel=0.01)
-    plain = compare(Dataset(train, (), (), *NAMES), linear).to_dict()
+    plain = compare(Dataset(train, (), (), *NAMES), linear).summarise()
+    plain = to_dict(plain)
     assert plain["outputs"]["Fz"]["rmse"] > 5.0
     assert plain["outputs"]["Fz"]["run_offset"] == 0.0
 
 
 def test_json_has_every_promised_key_and_no_infinity(make_run):
     train = tuple(make_run(i, lambda r: 3.0 * linear(r)) for i in range(4))
-    told = compare(
-        Dataset(train, train[:1], (), *NAMES), linear, effects=("zero_tempco",)
-    ).to_dict()
+    told = to_dict(
+        compare(Dataset(train, train[:1], (), *NAMES), linear, effects=("zero_tempco",)).summarise()
+    )
     json.dumps(told, allow_nan=False)
     assert told["effects"] == ["zero_tempco"]
     assert set(told["outputs"]) == {"Fz", "Mx"}
@@ -65,7 +68,7 @@ def test_model_that_saw_every_run_has_no_held_out_error(make_run):
     train = tuple(make_run(i, linear) for i in range(3))
     result = compare(Dataset(train, (), (), *NAMES), linear)
     assert result.method.method == NONE
-    assert result.to_dict()["outputs"]["Fz"]["rmse_heldout"] is None
+    assert to_dict(result.summarise())["outputs"]["Fz"]["rmse_heldout"] is None
     assert "nothing is held out" in result.method.explain()
 
 
@@ -75,7 +78,7 @@ def test_runs_left_out_tell_their_held_out_error(make_run):
     result = compare(
         Dataset(train, (), (), *NAMES), linear, held_out=HeldOut(LEAVE_ONE_RUN_OUT, worse)
     )
-    fz = result.to_dict()["runs"]["run0"]["Fz"]
+    fz = to_dict(result.summarise())["runs"]["run0"]["Fz"]
     assert fz["held_out"] is True
     assert fz["rmse"] == pytest.approx(rms(train[0].drift[:, 0] - worse["run0"][:, 0]))
     assert fz["rmse_in_sample"] == pytest.approx(rms(train[0].drift[:, 0] - linear(train[0])[:, 0]))
@@ -91,7 +94,8 @@ def test_parts_of_a_run_are_told_as_one_run(make_run):
 
 def test_output_that_is_zero_throughout_is_compared_without_division_by_zero(make_run):
     runs = tuple(make_run(i, noise=0.0) for i in range(3))
-    told = compare(Dataset(runs, (), (), *NAMES), lambda run: np.zeros((len(run), 2))).to_dict()
+    result = compare(Dataset(runs, (), (), *NAMES), lambda run: np.zeros((len(run), 2)))
+    told = to_dict(result.summarise())
     json.dumps(told, allow_nan=False)
     assert told["outputs"]["Mx"]["rmse"] == 0.0
     assert told["outputs"]["Mx"]["explained"] == 0.0

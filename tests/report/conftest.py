@@ -82,7 +82,7 @@ def make_findings(**changes) -> Findings:
 
 def make_comparison(worst: tuple[WorstSegment, ...] = (), full_scale: float = 200.0):
     """Return what `compare` would say of one output, Fz in N."""
-    output = OutputSummary("N", full_scale, 5.0, 1.0, 1.0, 2.0, 0.5, 1.0, 0.1, 0.9, 0.0)
+    output = OutputSummary("N", full_scale, 5.0, 1.0, None, 1.0, 2.0, 0.5, 1.0, 0.1, 0.9, 0.0)
     return ComparisonSummary(
         {"Fz": output}, {}, worst, (), (), "leave one run out", "dwell", False, 0.0
     )
