@@ -28,9 +28,9 @@ from zerodrift.fleet.sensors import configure_sensor, find_sensors
 from zerodrift.lab.twin import EffectChoice, Recipe, simulate
 from zerodrift.lab.twin.logs import render_config, render_logs
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.train.batch import Problem, train_batch
-from zerodrift.train.optimise import Result, Trainer
-from zerodrift.train.together import pose_rehearsal, prepare
+from zerodrift.train.engine import Problem, Result, train_networks
+from zerodrift.train.prepare import prepare, read_settings
+from zerodrift.train.training import Task, pose_rehearsal
 
 TOLD = ("zero_tempco", "dark_current", "thermal_lag")
 SENSORS, QUICK_SENSORS = 1024, 24
@@ -130,19 +130,16 @@ def compare_training(project: Path, count: int) -> None:
     ratios, alone_s, together_s = [], [], []
     for _ in range(REPEATS):
         start = time.process_time()
-        alone = [
-            Trainer(p.build, p.sequences, p.held_out, p.settings, tared=p.tared).run()
-            for p in problems[: max(4, count // 8)]
-        ]
+        alone = [train_networks([problem])[0] for problem in problems[: max(4, count // 8)]]
         middle = time.process_time()
-        together = train_batch(problems)
+        together = train_networks(problems)
         alone_s.append((middle - start) / len(alone))
         together_s.append((time.process_time() - middle) / count)
         ratios.append(alone_s[-1] / together_s[-1])
         differences = [
             abs(a.rmse / b.rmse - 1.0)
             for a, b in zip(alone, together, strict=False)
-            if isinstance(b, Result)
+            if isinstance(a, Result) and isinstance(b, Result)
         ]
     ratio = statistics.median(ratios)
     print(
@@ -164,8 +161,9 @@ def pose_problems(project: Path, count: int) -> list[Problem]:
     problems = []
     for sensor in find_sensors(config)[:count]:
         own = configure_sensor(config, sensor)
-        prepared = prepare(own, load_dataset(own), catalogue)
-        problems.append(pose_rehearsal(own, prepared))
+        dataset, settings = load_dataset(own), read_settings(own.network)
+        task = Task(own, dataset, settings, prepare(own, dataset, settings, catalogue))
+        problems.append(pose_rehearsal(task))
     return problems
 
 

@@ -5,7 +5,7 @@ A network of zerodrift's own and an imported one take the same road.
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from zerodrift.train.fine_tune import Settings, Tuned, fine_tune
+from zerodrift.train.fine_tune import Tuned, Tuning, fine_tune
 from zerodrift.train.integer_network import IntegerGruNetwork, IntegerHead
 from zerodrift.train.onnx_export import build_onnx
 from zerodrift.train.onnx_network import OnnxNetwork
@@ -70,7 +70,7 @@ def tune_for_int8(
     ]
     memory = model.window or "stream"
     integer = build_integer_network(network, exponents, scale)
-    tuned = fine_tune(integer, sequences, memory, Settings(), report)
+    tuned = fine_tune(integer, sequences, memory, Tuning(), report)
     return replace_layers(model, tuned.layers), tuned
 
 
@@ -173,7 +173,8 @@ def tell(progress: Callable[[str], None]) -> Report:
 def _mark(model: FloatModel, network: FloatNetwork, runs: Sequence[Run]) -> str:
     """Return a mark of everything that a fine-tuning depends on."""
     assert model.tap_mean is not None and model.whitening is not None
-    digest = hashlib.sha256(f"{Settings()} {FEATURE_HEADROOM} {model.window}".encode())
+    recipe = ", ".join(f"{name}={value!r}" for name, value in asdict(Tuning()).items())
+    digest = hashlib.sha256(f"Settings({recipe}) {FEATURE_HEADROOM} {model.window}".encode())
     digest.update(f"{model.taps} {[layer.reset for layer in network.layers]}".encode())
     arrays: list[NDArray[Any]] = [a for g in network.layers for a in (g.w_x, g.w_h, g.bias)]
     arrays += [a for d in network.dense for a in (d.weight, d.bias)]

@@ -33,7 +33,7 @@ from zerodrift.fleet.summary import EffectValues, SensorConfiguration
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.scores import Trained
-from zerodrift.train.together import train_together
+from zerodrift.train.training import train_together
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import check_certificate

@@ -5,30 +5,21 @@ chip computes them. What the float network has learnt from the measurements is n
 that noise, tares and held-out runs have no part in it.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from zerodrift.base.errors import InputError
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.train.engine import Problem, train_networks
 from zerodrift.train.integer_network import IntegerGruNetwork
-from zerodrift.train.optimise import GRADIENT_LIMIT, one_cycle
-from zerodrift.train.sequences import (
-    Course,
-    Sequence32,
-    StreamCourse,
-    WindowCourse,
-    predict_sequences,
-)
-
-Array = NDArray[np.float64]
+from zerodrift.train.optimise import Settings
+from zerodrift.train.sequences import Sequence32
 
 
 @dataclass(frozen=True)
-class Settings:
+class Tuning:
     """How the fine-tuning is done."""
 
     epochs: int = 24
@@ -62,7 +53,7 @@ def fine_tune(
     network: IntegerGruNetwork,
     sequences: Sequence[Sequence32],
     memory: str | int,
-    settings: Settings | None = None,
+    settings: Tuning | None = None,
     report: Callable[[float, float], None] = lambda done, rms: None,
 ) -> Tuned:
     """Train an integer network towards the targets; the same inputs give the same weights.
@@ -74,43 +65,22 @@ def fine_tune(
         settings: the recipe.
         report: is told the share that is done and the difference so far.
     """
-    s = settings or Settings()
-    torch.set_num_threads(1)
-    course: Course
-    if memory == "stream":
-        course = StreamCourse(sequences, s.chunk, s.batch)
-    else:
-        course = WindowCourse(sequences, int(memory), s.chunk * s.batch // int(memory))
-    optimiser = torch.optim.Adam(network.parameters(), lr=s.learning_rate, betas=(0.9, 0.99))
-    before = best = measure(network, sequences, memory)
-    kept, kept_epoch = network.to_float(), 0
-    every = max(1, s.epochs // s.evaluations)
-    for epoch in range(s.epochs):
-        rng = np.random.default_rng((s.seed, epoch))
-        for number, batch in enumerate(course.walk(network, rng)):
-            place = (epoch + number / course.batches_per_epoch) / s.epochs
-            for group in optimiser.param_groups:
-                group["lr"] = s.learning_rate * one_cycle(place, s.warm_up)
-            drift, states = network(batch.features, batch.state)
-            course.keep(batch, states)
-            error = (drift[-batch.target.shape[0] :] - batch.target) * batch.weight
-            loss = error.square().sum() / (batch.weight.sum() * error.shape[1])
-            optimiser.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(network.parameters(), GRADIENT_LIMIT)
-            optimiser.step()
-        if (epoch + 1) % every == 0 or epoch + 1 == s.epochs:
-            rms = measure(network, sequences, memory)
-            if rms < best:
-                best, kept, kept_epoch = rms, network.to_float(), epoch + 1
-        report((epoch + 1) / s.epochs, best)
-    return Tuned(kept, before, best, kept_epoch)
-
-
-def measure(
-    network: IntegerGruNetwork, sequences: Sequence[Sequence32], memory: str | int
-) -> float:
-    """Return the RMS difference between a network's answers and the targets."""
-    answers = predict_sequences(network, [s.features for s in sequences], memory)
-    errors = [s.target - a for s, a in zip(sequences, answers, strict=True)]
-    return math.sqrt(float(np.mean(np.concatenate(errors) ** 2)))
+    s = settings or Tuning()
+    recipe = Settings(
+        memory=memory,
+        seed=s.seed,
+        starts=(0,),
+        epochs=s.epochs,
+        learning_rate=s.learning_rate,
+        weight_decay=0.0,
+        chunk=s.chunk,
+        batch=s.batch,
+        warm_up=s.warm_up,
+        evaluations=s.evaluations,
+    )
+    problem = Problem(lambda _: network, sequences, sequences, recipe)
+    (found,) = train_networks([problem], report=lambda p: report(p.done, p.best_rmse))
+    if isinstance(found, InputError):
+        raise found
+    network.load_state_dict({k: torch.from_numpy(v) for k, v in found.weights.items()})
+    return Tuned(network.to_float(), found.rmse_without, found.rmse, found.epoch)

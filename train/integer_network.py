@@ -10,8 +10,9 @@ States are float64 tensors that hold h_q30 / 2^30 exactly; features are float32 
 counts. Arrays run [time, channel, sequence].
 """
 
+import copy
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -21,8 +22,8 @@ from torch import Tensor
 from zerodrift.operations.arithmetic import IntArray, round_shift
 from zerodrift.operations.dense import COPY_BITS, IntegerDense
 from zerodrift.operations.gru.cell import FloatGru, IntegerGru
-from zerodrift.train.networks import Network
-from zerodrift.train.recurrence import Trace, propagate_back, sum_outer
+from zerodrift.train.networks import Network, Parameters, read_array
+from zerodrift.train.recurrence import GruTrace, GruWeights, run_backward
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,8 @@ class IntegerGruNetwork(Network):
     The state [H, B] is that of all layers one after the other, the one that reads the features
     first.
     """
+
+    state_type = torch.float64
 
     def __init__(
         self,
@@ -81,12 +84,14 @@ class IntegerGruNetwork(Network):
         self._counts = [torch.from_numpy(count.astype(np.float32))]
         self._counts += [torch.full((n,), 1.0 / COPY_ONE) for n in self.hidden[:-1]]
 
+    @property
+    def width(self) -> int:
+        """Width of the states of all layers."""
+        return sum(self.hidden)
+
     def to_float(self) -> tuple[FloatGru, ...]:
         """Return the weights in training, as the float network's file will hold them."""
-        parts = [
-            [w.detach().numpy().astype(np.float64) for w in weights]
-            for weights in (self.w_x, self.w_h, self.bias)
-        ]
+        parts = [map(read_array, weights) for weights in (self.w_x, self.w_h, self.bias)]
         return tuple(
             FloatGru(w_x, w_h, bias, reset)
             for w_x, w_h, bias, reset in zip(*parts, self.resets, strict=True)
@@ -95,6 +100,26 @@ class IntegerGruNetwork(Network):
     def to_integer(self) -> Sequence[IntegerGru]:
         """Return the chip's weights."""
         return self._quantize(self.to_float())
+
+    def run_many(self, parameters: Parameters, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return drift and states of S networks, one after the other; see `Network`."""
+        found = [
+            torch.func.functional_call(
+                self, {name: p[i] for name, p in parameters.items()}, (x[:, i], state[i])
+            )
+            for i in range(len(state))
+        ]
+        drift, states = zip(*found, strict=True)
+        return torch.stack(drift, dim=1), torch.stack(states, dim=1)
+
+    def rest_many(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """Return the states at rest of S networks, one after the other; see `Network`."""
+        found = []
+        for i, features in enumerate(x):
+            network = copy.deepcopy(self)
+            network.load_state_dict({name: p[i] for name, p in parameters.items()})
+            found.append(network.rest(features))
+        return torch.stack(found)
 
     def forward(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """Return the head's answer [T, K, B] over `scale`, and the states [T, H, B].
@@ -135,18 +160,14 @@ class IntegerGruNetwork(Network):
             counts = round_shift(h_q30, COPY_BITS)
         return torch.cat(states)
 
-    def cold(self, batch: int) -> Tensor:
-        """Return zeros [H, B]."""
-        return torch.zeros(sum(self.hidden), batch, dtype=torch.float64)
-
 
 def _to_state(h_q30: IntArray) -> Tensor:
     """Return integer states [B, H] as a tensor [H, B]; 31 bits fit a float64 exactly."""
     return torch.from_numpy(np.ascontiguousarray(h_q30.T / STATE_ONE))
 
 
-def run_integers(gru: IntegerGru, x: IntArray, h_q30: IntArray) -> tuple[Trace, NDArray[Any]]:
-    """Return what the backward pass needs, and the states [T, H, B] as exact float64.
+def run_integers(gru: IntegerGru, x: IntArray, h_q30: IntArray) -> tuple[GruTrace, Array]:
+    """Return what the backward pass needs of one network, and the states [T, H, B] in float64.
 
     Args:
         gru: the chip's weights.
@@ -169,7 +190,23 @@ def run_integers(gru: IntegerGru, x: IntArray, h_q30: IntArray) -> tuple[Trace, 
         product[t] = found.product.T * product_scale
         h_q30 = gru.move(found, h_q30)
         exact[t + 1] = h_q30.T / STATE_ONE
-    return Trace(exact.astype(np.float32), gates, candidate, product), exact[1:]
+    arrays = (exact.astype(np.float32), gates, candidate, product)
+    return GruTrace(*(torch.from_numpy(a)[:, None] for a in arrays)), exact[1:]
+
+
+class _Context(Protocol):
+    """Where autograd keeps what `forward` of one of the functions below leaves for `backward`."""
+
+    trace: GruTrace
+    gru: IntegerGru
+    layer: IntegerDense
+    head: IntegerHead
+    results: Array
+    saved_tensors: tuple[Tensor, ...]
+    needs_input_grad: tuple[bool, ...]
+
+    def save_for_backward(self, *tensors: Tensor) -> None:
+        """Keep tensors."""
 
 
 class _IntegerSequence(torch.autograd.Function):
@@ -177,7 +214,7 @@ class _IntegerSequence(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, gru: IntegerGru, count: Tensor, x: Tensor, state: Tensor, *weights: Tensor
+        ctx: _Context, gru: IntegerGru, count: Tensor, x: Tensor, state: Tensor, *weights: Tensor
     ) -> Tensor:
         """Run the recurrence; see `run_integers`. The float weights only take their gradients."""
         counts = np.ascontiguousarray(x.numpy().transpose(0, 2, 1)).astype(np.int64)
@@ -188,48 +225,32 @@ class _IntegerSequence(torch.autograd.Function):
         return torch.from_numpy(exact)
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: _Context, *grads: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients of w_x, w_h and bias, and of x where a layer is below."""
         x, count, w_x = ctx.saved_tensors
-        gru: IntegerGru = ctx.gru
-        d_states = grads[0].float().contiguous().numpy()
-        acting = torch.from_numpy(gru.dequantize_recurrent().astype(np.float32))
-        outside, inside, _ = propagate_back(d_states, ctx.trace, acting, gru.reset)
-        hidden = gru.hidden
-        d_w_x = sum_outer(outside, x * count[:, None])
-        d_bias = torch.zeros(4, hidden)
-        d_bias[:3] = outside.sum((0, 2)).reshape(3, hidden)
-        h = torch.from_numpy(ctx.trace.states[:-1])
-        if gru.reset == "after":
-            d_w_h = sum_outer(inside, h)
-            d_bias[3] = inside[:, 2 * hidden :].sum((0, 2))
-        else:
-            reset_h = torch.from_numpy(ctx.trace.product)
-            d_w_h = torch.cat(
-                (
-                    sum_outer(inside[:, : 2 * hidden], h),
-                    sum_outer(inside[:, 2 * hidden :], reset_h),
-                )
-            )
-        shape = (3, hidden, hidden)
+        acting = torch.from_numpy(ctx.gru.dequantize_recurrent().astype(np.float32))
+        acting, read = acting.flatten(0, 1)[None], w_x.flatten(0, 1)[None]
+        weights = GruWeights(read, acting, torch.empty(0), ctx.gru.reset)
+        d_states = grads[0].float().contiguous()
+        found = run_backward(d_states[:, None], (x * count[:, None])[:, None], ctx.trace, weights)
         d_x = None
         if ctx.needs_input_grad[2]:
-            d_x = torch.matmul(w_x.reshape(3 * hidden, -1).T, outside) * count[:, None]
-        d_w_x = d_w_x.reshape(3, hidden, -1)
-        return None, None, d_x, None, d_w_x, d_w_h.reshape(shape), d_bias
+            d_x = torch.matmul(weights.w_x[0].T, found.outside[:, 0]) * count[:, None]
+        d_w_x, d_w_h = found.w_x.view(w_x.shape), found.w_h.view(3, -1, ctx.gru.hidden)
+        return None, None, d_x, None, d_w_x, d_w_h, found.bias[0]
 
 
 class _StateCopy(torch.autograd.Function):
     """The int16 copy of a layer's states that the layer above reads, as float32 counts."""
 
     @staticmethod
-    def forward(ctx: Any, states: Tensor) -> Tensor:
+    def forward(ctx: _Context, states: Tensor) -> Tensor:
         """Return the counts [T, H, B] of states [T, H, B]."""
         h_q30 = (states.numpy() * STATE_ONE).astype(np.int64)
         return torch.from_numpy(round_shift(h_q30, COPY_BITS).astype(np.float32))
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> Tensor:
+    def backward(ctx: _Context, *grads: Tensor) -> Tensor:
         """Return the gradient of the states."""
         return grads[0].double() * COPY_ONE
 
@@ -238,7 +259,7 @@ class _IntegerDense(torch.autograd.Function):
     """A dense layer of the chip, with the gradient of the unrounded one."""
 
     @staticmethod
-    def forward(ctx: Any, layer: IntegerDense, below: Tensor) -> Tensor:
+    def forward(ctx: _Context, layer: IntegerDense, below: Tensor) -> Tensor:
         """Return the layer's results [T, M, B] for results [T, N, B] of the one below."""
         steps, width, batch = below.shape
         flat = below.numpy().transpose(0, 2, 1).reshape(-1, width).astype(np.int64)
@@ -248,7 +269,7 @@ class _IntegerDense(torch.autograd.Function):
         return torch.from_numpy(np.ascontiguousarray(results))
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[None, Tensor]:
+    def backward(ctx: _Context, *grads: Tensor) -> tuple[None, Tensor]:
         """Return the gradient of the results below."""
         layer, results = ctx.layer, ctx.results
         gain = 2.0 ** -np.array(layer.shift, dtype=np.float64)  # of the results per sum's count
@@ -265,13 +286,13 @@ class _IntegerHead(torch.autograd.Function):
     """The chip's output sums, with the gradient of the unrounded ones."""
 
     @staticmethod
-    def forward(ctx: Any, head: IntegerHead, results: Tensor) -> Tensor:
+    def forward(ctx: _Context, head: IntegerHead, results: Tensor) -> Tensor:
         """Return the sums [T, K, B] of results [T, H, B], which hold integers."""
         ctx.head = head
         copies = round_shift(results.numpy().astype(np.int64), COPY_BITS)
         return torch.from_numpy(head.rows @ copies.astype(np.float64))
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[None, Tensor]:
+    def backward(ctx: _Context, *grads: Tensor) -> tuple[None, Tensor]:
         """Return the gradient of the results."""
         return None, torch.from_numpy(ctx.head.rows.T / COPY_ONE) @ grads[0]

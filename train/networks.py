@@ -1,13 +1,14 @@
 """The networks that learn what physics leaves: features in, drift at unit scale out.
 
 A network carries a state from sample to sample, or is run afresh over the last `memory` samples;
-that is the business of whoever calls it (`zerodrift.train.sequences`). Arrays run
-[time, channel, sequence].
+that is the business of whoever calls it (`zerodrift.train.courses`). Arrays run
+[time, channel, sequence]; of many networks at once, [time, network, channel, sequence].
 """
 
 import itertools
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -17,9 +18,11 @@ from torch import Tensor
 from zerodrift.base.config import NetworkConfig
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
-from zerodrift.train.recurrence import GruWeights, run_gru
+from zerodrift.train.recurrence import GruWeights, run_gru, settle
 
 Array = NDArray[np.float64]
+Parameters = Mapping[str, Tensor]
+"""Those of S networks of one kind by name, each [S, ...]."""
 
 FORMS = {"reset_after": "after", "reset_before": "before"}
 """`[network] form` -> where the reset gate acts, in the words of `zerodrift.operations.gru`."""
@@ -31,7 +34,36 @@ LONGEST_START_STEPS = 10.0
 class Network(ABC, torch.nn.Module):
     """What every kind of network offers to training and export."""
 
+    state_type = torch.float32
+    """Of the states."""
+
+    @property
     @abstractmethod
+    def width(self) -> int:
+        """Width H of the state; 0 for a network without one."""
+
+    @abstractmethod
+    def run_many(self, parameters: Parameters, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the drift [T, S, K, B] and the states [T, S, H, B] of S networks of this kind.
+
+        Args:
+            parameters: of the S networks; this network's own are not read.
+            x: [T, S, I, B] features.
+            state: [S, H, B] before the first sample.
+        """
+
+    @abstractmethod
+    def rest_many(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """Return the states [S, H, B] of S networks at rest under constant features x [S, I, B].
+
+        Args:
+            parameters: of the S networks; this network's own are not read.
+            x: features.
+        """
+
+    def _alone(self) -> Parameters:
+        return {name: p[None] for name, p in self.named_parameters()}
+
     def forward(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """Return the drift [T, K, B] and the states [T, H, B] for features x [T, I, B].
 
@@ -39,14 +71,17 @@ class Network(ABC, torch.nn.Module):
             x: features.
             state: [H, B] before the first sample.
         """
+        drift, states = self.run_many(self._alone(), x[:, None], state[None])
+        return drift[:, 0], states[:, 0]
 
-    @abstractmethod
     def rest(self, x: Tensor) -> Tensor:
         """Return the state [H, B] of a sensor at rest under constant features x [I, B]."""
+        with torch.no_grad():
+            return self.rest_many(self._alone(), x[None])[0]
 
-    @abstractmethod
     def cold(self, batch: int) -> Tensor:
         """Return the state [H, B] that a window starts from."""
+        return torch.zeros(self.width, batch, dtype=self.state_type)
 
 
 class GruNetwork(Network):
@@ -78,27 +113,27 @@ class GruNetwork(Network):
             self.bias[1] = -torch.log(steps - 1.0 + 0.02)
 
     @property
-    def weights(self) -> GruWeights:
-        """The recurrence's weights."""
-        return GruWeights(self.w_x, self.w_h, self.bias)
+    def width(self) -> int:
+        """Number of hidden units H."""
+        return int(self.w_h.shape[1])
 
-    def forward(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the drift [T, K, B] and the states [T, H, B]; see `Network`."""
-        states = run_gru(x, state, self.weights, self.reset)
-        return torch.matmul(self.head, states) + self.head_bias[:, None], states
+    def _gather(self, parameters: Parameters) -> GruWeights:
+        w_x, w_h = (parameters[name].flatten(1, 2).contiguous() for name in ("w_x", "w_h"))
+        return GruWeights(w_x, w_h, parameters["bias"], self.reset)
 
-    def rest(self, x: Tensor) -> Tensor:
-        """Return the state at rest [H, B], by the relaxation that the chip's `settle` does."""
-        resting = self.to_float().settle(x.numpy().T.astype(np.float64))
-        return torch.from_numpy(np.ascontiguousarray(resting.T.astype(np.float32)))
+    def run_many(self, parameters: Parameters, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return drift and states of S GRUs; see `Network`."""
+        states = run_gru(x, state, self._gather(parameters))
+        drift = torch.matmul(parameters["head"], states) + parameters["head_bias"][..., None]
+        return drift, states
 
-    def cold(self, batch: int) -> Tensor:
-        """Return zeros [H, B]."""
-        return torch.zeros(self.w_h.shape[1], batch)
+    def rest_many(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """Return the states at rest [S, H, B], by the relaxation that the chip's `settle` does."""
+        return settle(x, self._gather(parameters))
 
     def to_float(self) -> FloatGru:
         """Return the recurrence's weights in the form that simulation and export use."""
-        w_x, w_h, bias = (w.detach().numpy().astype(np.float64) for w in self.weights)
+        w_x, w_h, bias = (read_array(w) for w in (self.w_x, self.w_h, self.bias))
         if self.reset == "before":
             bias[3] = 0.0
         return FloatGru(w_x=w_x, w_h=w_h, bias=bias, reset=self.reset)
@@ -108,26 +143,39 @@ class FeedForwardNetwork(Network):
     """A network without a state: its memory is in what it sees, windows or lags."""
 
     @abstractmethod
-    def answer(self, x: Tensor) -> Tensor:
-        """Return the outputs [N, K] for features x [N, I]."""
+    def answer_many(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """Return the outputs [S, K, N] of S networks of this kind for features x [S, I, N]."""
 
     @abstractmethod
     def to_dense(self) -> tuple[FloatDense, ...]:
         """Return the layers before the head, all of them dense, as simulation and chip run them."""
 
-    def forward(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the drift [T, K, B], and states of no width; see `Network`."""
-        steps, features, batch = x.shape
-        drift = self.answer(x.transpose(1, 2).reshape(steps * batch, features))
-        return drift.reshape(steps, batch, -1).transpose(1, 2), x.new_zeros(steps, 0, batch)
+    def answer(self, x: Tensor) -> Tensor:
+        """Return the outputs [N, K] for features x [N, I]."""
+        return self.answer_many(self._alone(), x.T[None])[0].T
 
-    def rest(self, x: Tensor) -> Tensor:
-        """Return a state of no width, [0, B]."""
-        return torch.zeros(0, x.shape[1])
+    @property
+    def width(self) -> int:
+        """No state."""
+        return 0
 
-    def cold(self, batch: int) -> Tensor:
-        """Return a state of no width, [0, B]."""
-        return torch.zeros(0, batch)
+    def run_many(self, parameters: Parameters, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the drift [T, S, K, B], and states of no width; see `Network`."""
+        steps, count, features, batch = x.shape
+        found = self.answer_many(
+            parameters, x.permute(1, 2, 0, 3).reshape(count, features, steps * batch)
+        )
+        drift = found.view(count, -1, steps, batch).permute(2, 0, 1, 3)
+        return drift, x.new_zeros(steps, count, 0, batch)
+
+    def rest_many(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """Return a state of no width, [S, 0, B]."""
+        return x.new_zeros(x.shape[0], 0, x.shape[2])
+
+
+def _apply_linear(weight: Tensor, bias: Tensor, x: Tensor) -> Tensor:
+    """Return weight [S, M, N] times x [S, N, B] plus bias [S, M]."""
+    return torch.baddbmm(bias[..., None], weight, x)
 
 
 class MlpNetwork(FeedForwardNetwork):
@@ -151,11 +199,11 @@ class MlpNetwork(FeedForwardNetwork):
                 weight.uniform_(-reach, reach, generator=generator)
                 bias.uniform_(-0.5, 0.5, generator=generator)
 
-    def answer(self, x: Tensor) -> Tensor:
-        """Return the outputs [N, K]; see `FeedForwardNetwork`."""
-        for weight, bias in zip(self.weights, self.biases, strict=True):
-            x = torch.tanh(torch.nn.functional.linear(x, weight, bias))
-        return torch.nn.functional.linear(x, self.head, self.head_bias)
+    def answer_many(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """Return the outputs [S, K, N]; see `FeedForwardNetwork`."""
+        for i in range(len(self.weights)):
+            x = torch.tanh(_apply_linear(parameters[f"weights.{i}"], parameters[f"biases.{i}"], x))
+        return _apply_linear(parameters["head"], parameters["head_bias"], x)
 
     def to_dense(self) -> tuple[FloatDense, ...]:
         """Return the hidden layers; see `FeedForwardNetwork`."""
@@ -196,12 +244,18 @@ class TcnNetwork(FeedForwardNetwork):
                 weight.uniform_(-reach, reach, generator=generator)
                 bias.uniform_(-0.5, 0.5, generator=generator)
 
-    def answer(self, x: Tensor) -> Tensor:
-        """Return the outputs [N, K]; see `FeedForwardNetwork`."""
-        x = x.reshape(-1, self.window, self.channels).flip(1).transpose(1, 2)  # oldest first
-        for weight, bias, dilation in zip(self.weights, self.biases, self.dilations, strict=True):
-            x = torch.relu(torch.nn.functional.conv1d(x, weight, bias, dilation=dilation))
-        return torch.nn.functional.linear(x[:, :, -1], self.head, self.head_bias)
+    def answer_many(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """Return the outputs [S, K, N]; see `FeedForwardNetwork`."""
+        count, _, batch = x.shape
+        # [S, window, channels, N], newest sample first, becomes [S, channels, window, N].
+        x = x.view(count, self.window, self.channels, batch).transpose(1, 2)
+        for i, dilation in enumerate(self.dilations):
+            weight, bias = parameters[f"weights.{i}"], parameters[f"biases.{i}"]
+            ages = x.shape[2] - dilation
+            taps = torch.cat((x[:, :, dilation:], x[:, :, :ages]), dim=1).flatten(2)
+            found = _apply_linear(weight.transpose(2, 3).flatten(2), bias, taps)
+            x = torch.relu(found).view(count, -1, ages, batch)
+        return _apply_linear(parameters["head"], parameters["head_bias"], x[:, :, 0])
 
     def to_dense(self) -> tuple[FloatDense, ...]:
         """Return the convolutions at those ages that the answer needs, as dense layers."""

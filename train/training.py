@@ -2,39 +2,36 @@
 
 In the rehearsal some training runs are held out; it tells which start does best, after how many
 epochs, and whether the network is worth its flash at all. In the performance the same training is
-repeated with all runs, since a run left out is a run not learnt from.
+repeated with all runs, since a run left out is a run not learnt from. Many sensors of one design
+take the same way at once.
 """
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import torch
 
-from zerodrift.base.config import Config, NetworkConfig
+from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.dataset.chip_codes import refuse_unsayable
-from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.operations.dense import FloatFeedForward
+from zerodrift.dataset.runs import Dataset
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
-from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.bank_training import train_bank
-from zerodrift.train.compensator import Compensator, calibrate
-from zerodrift.train.networks import GruNetwork, build_network
-from zerodrift.train.onnx_export import build_layers_onnx, build_onnx
-from zerodrift.train.optimise import Progress, Result, Settings, Trainer
-from zerodrift.train.scores import WORTH_ITS_FLASH, Stage, Trained, score
+from zerodrift.train.conclude import choose_length, conclude, is_worth_its_flash
+from zerodrift.train.engine import Problem, Progress, Result, train_networks
+from zerodrift.train.networks import Network, build_network
+from zerodrift.train.optimise import Settings
+from zerodrift.train.prepare import Prepared, prepare, read_settings, stand_alone
+from zerodrift.train.scores import Stage, Trained, score
 from zerodrift.train.sequences import Sequence32
-from zerodrift.train.split import Split, split_runs
-from zerodrift.train.stages import Stages, fit_physics, fit_stages
+from zerodrift.train.stages import Stages, fit_physics
 
-RATE = 5e-3
-"""Peak learning rate of networks without a recurrence."""
-WINDOW_EPOCHS = 24
-"""Default for windows: there are as many of them as samples, and each is a sequence of its own."""
 REHEARSAL, PERFORMANCE = "rehearsal.npz", "performance.npz"
+UNFORESEEN = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
+"""What one sensor's numbers might raise that nobody thought of; the others go on."""
+Answer = Trained | Exception
+Report = Callable[[Stage], None]
 
 
 def list_checkpoints(config: Config) -> tuple[Path, ...]:
@@ -42,39 +39,28 @@ def list_checkpoints(config: Config) -> tuple[Path, ...]:
     return tuple(config.build_directory / name for name in (REHEARSAL, PERFORMANCE))
 
 
-def read_settings(
-    network: NetworkConfig, epochs: int | None = None, starts: int | None = None
-) -> Settings:
-    """Return the training's settings: those of `[network]`, then the defaults.
+@dataclass(frozen=True)
+class Task:
+    """One sensor whose network is to be trained."""
 
-    Args:
-        network: the table of zerodrift.toml.
-        epochs: overrides the table's.
-        starts: overrides the table's.
-    """
-    default = Settings()
-    options = network.options
-    count = starts or int(options.get("starts", len(default.starts)))
-    memory = walk_of(network)
-    usual = default.epochs if memory == "stream" else WINDOW_EPOCHS
-    return replace(
-        default,
-        memory=memory,
-        seed=network.seed,
-        starts=tuple(range(count)),
-        epochs=epochs or int(options.get("epochs", usual)),
-        learning_rate=float(
-            options.get("learning_rate", default.learning_rate if network.kind == "gru" else RATE)
-        ),
-    )
+    config: Config
+    dataset: Dataset
+    settings: Settings
+    prepared: Prepared
 
 
-def walk_of(network: NetworkConfig) -> str | int:
-    """Return how a network walks through time: "stream", or a window that a GRU runs over.
+@dataclass(frozen=True)
+class Handling:
+    """What the training of networks is told beside the tasks."""
 
-    Windows of the other kinds are in what they see, so that they answer sample by sample.
-    """
-    return network.memory if network.kind == "gru" else "stream"
+    device: str = "cpu"
+    """"cpu" or "cuda"."""
+    folder: Path | None = None
+    """Where checkpoints are kept; None = nowhere."""
+    resume: bool = True
+    """Take up an interrupted training of these very inputs."""
+    report: Report = lambda _: None
+    """Called after each epoch."""
 
 
 def train(
@@ -84,7 +70,7 @@ def train(
     epochs: int | None = None,
     starts: int | None = None,
     resume: bool = True,
-    report: Callable[[Stage], None] | None = None,
+    report: Report | None = None,
     catalogue: Catalogue | None = None,
 ) -> Trained:
     """Fit physics, then train the network on what it leaves; checkpoints go to build/.
@@ -102,252 +88,138 @@ def train(
         InputError: an effect cannot be fitted, a setting of the network is out of range, or a log
             leaves what the chip's codes can say.
     """
-    refuse_unsayable(config, dataset)
     catalogue = catalogue or load_catalogue(config.plugin_files)
     settings = read_settings(config.network, epochs, starts)
+    handling = Handling(folder=config.build_directory, resume=resume)
+    if report is not None:
+        handling = replace(handling, report=report)
+    begun = _begin(config, dataset, settings, catalogue, handling.report)
+    if isinstance(begun, Trained):
+        return begun
+    (answer,) = _train_tasks([begun], handling)
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
+
+
+def train_together(
+    sensors: Sequence[tuple[Config, Dataset]], catalogue: Catalogue, *, device: str = "cpu"
+) -> list[Answer]:
+    """Return what `train` returns for each sensor, or the error that it would raise.
+
+    Args:
+        sensors: configuration and runs of each; effects, network and outputs are the same for all.
+        catalogue: the known effects.
+        device: where networks are trained: "cpu" or "cuda".
+    """
+    answers: dict[int, Answer] = {}
+    tasks: dict[int, Task] = {}
+    for i, (config, dataset) in enumerate(sensors):
+        try:
+            settings = read_settings(config.network)
+            begun = _begin(config, dataset, settings, catalogue, lambda _: None)
+        except (ZerodriftError, *UNFORESEEN) as error:
+            answers[i] = error
+            continue
+        if isinstance(begun, Task):
+            tasks[i] = begun
+        else:
+            answers[i] = begun
+    found = _train_tasks(list(tasks.values()), Handling(device=device))
+    answers |= dict(zip(tasks, found, strict=True))
+    return [answers[i] for i in range(len(sensors))]
+
+
+def _begin(
+    config: Config, dataset: Dataset, settings: Settings, catalogue: Catalogue, report: Report
+) -> Trained | Task:
+    """Return the result where no network is trained by epochs, else what is to be trained."""
+    refuse_unsayable(config, dataset)
+    if config.network.kind not in ("none", "lag_bank"):
+        return Task(config, dataset, settings, prepare(config, dataset, settings, catalogue))
     physics = fit_physics(config, dataset, dataset.train, catalogue)
     alone = stand_alone(config, dataset, physics, settings)
     if config.network.kind == "none":
         return Trained(alone, score(alone, dataset))
-    if config.network.kind == "lag_bank":
-        return train_bank(alone, config, dataset, catalogue, report)
-    split = split_runs(dataset.train)
-    course = _Course(config, settings, resume, report)
-    rehearsed = fit_stages(config, fit_physics(config, dataset, split.fit, catalogue), split.fit)
-    rehearsal = course.rehearse(rehearsed, split)
-    stages = fit_stages(config, physics, dataset.train)
-    result = None
-    if is_worth_its_flash(rehearsal):
-        result = course.perform(stages, dataset.train, rehearsal)
-    prepared = Prepared(alone, split, rehearsed, stages)
-    return conclude(config, dataset, prepared, rehearsal, result)
+    return train_bank(alone, config, dataset, catalogue, report)
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """What is fitted before a network is trained."""
+def _train_tasks(tasks: Sequence[Task], handling: Handling) -> list[Answer]:
+    """Rehearse all networks, then train those that are worth their flash on all runs."""
+    starts = max((len(task.settings.starts) for task in tasks), default=1)
+    share = starts / (starts + 1)
 
-    alone: Compensator
-    """Physics alone."""
-    split: Split
-    rehearsed: Stages
-    """Fitted to the runs that are not held out."""
-    stages: Stages
-    """Fitted to all training runs."""
+    def tell_rehearsal(p: Progress) -> None:
+        handling.report(Stage(share * p.done, f"held out {p.best_rmse:.3f}"))
 
+    def tell_performance(p: Progress) -> None:
+        done = share + (1.0 - share) * p.done
+        handling.report(Stage(done, f"all runs, {p.train_rmse:.3f}"))
 
-def stand_alone(
-    config: Config, dataset: Dataset, physics: PhysicalModel, settings: Settings
-) -> Compensator:
-    """Return the compensator of the physical model alone."""
-    return Compensator(
-        physics=physics,
-        outputs=dataset.outputs,
-        units=dataset.units,
-        sample_period_s=config.sample_period_s,
-        tared=physics.tared,
-        calibration=calibrate(dataset.train, [], physics.predict_all(dataset.train)),
-        trained_from=mark_inputs(config, dataset, settings),
-        notes=physics.notes,
-    )
-
-
-def is_worth_its_flash(rehearsal: Result) -> bool:
-    """Return whether the network helped on the runs held out."""
-    return rehearsal.rmse < WORTH_ITS_FLASH * rehearsal.rmse_without
-
-
-def choose_length(rehearsal: Result, epochs: int) -> int:
-    """Return the epochs of the performance.
-
-    A cycle that is cut short ends while its steps are long, so the cycle is walked to its end;
-    unless the rehearsal had lost by then what it had gained, which calls for a shorter one.
-    """
-    whole = rehearsal.last_rmse < WORTH_ITS_FLASH * rehearsal.rmse_without
-    return epochs if whole else rehearsal.epoch
-
-
-def conclude(
-    config: Config,
-    dataset: Dataset,
-    prepared: Prepared,
-    rehearsal: Result,
-    result: Result | None,
-) -> Trained:
-    """Return the compensator and its errors once the network is trained.
-
-    Args:
-        config: the project.
-        dataset: its runs.
-        prepared: what was fitted before the network.
-        rehearsal: the network trained with runs held out.
-        result: the network trained on all runs; None leaves it out.
-    """
-    alone, rehearsed, split = prepared.alone, prepared.rehearsed, prepared.split
-    compensator = assemble(alone, prepared.stages, dataset.train, config, result)
-    if result is None:
-        note = (
-            "the network found nothing that carries over to the runs held out "
-            f"(error {rehearsal.rmse / rehearsal.rmse_without:.3f} of that without it), and was "
-            "left out"
-        )
-        compensator = replace(compensator, notes=(*compensator.notes, note))
-    if dataset.test:
-        return Trained(compensator, score(compensator, dataset))
-    kept = rehearsal if compensator.network is not None else None
-    understudy = assemble(
-        replace(alone, physics=rehearsed.physics), rehearsed, split.fit, config, kept
-    )
-    return Trained(compensator, score(compensator, dataset, understudy, split))
-
-
-class _Course:
-    """The two trainings of the network, with their checkpoints and one progress report."""
-
-    def __init__(
-        self,
-        config: Config,
-        settings: Settings,
-        resume: bool,
-        report: Callable[[Stage], None] | None,
-    ) -> None:
-        self._config, self._settings = config, settings
-        self._resume = resume
-        self._report = report or (lambda _: None)
-        self._directory = config.build_directory
-        self._total = (len(settings.starts) + 1) * settings.epochs
-
-    def rehearse(self, stages: Stages, split: Split) -> Result:
-        """Train with runs held out; return the start and epoch that did best on them."""
-
-        def tell(progress: Progress) -> None:
-            before = self._settings.starts.index(progress.start) * self._settings.epochs
-            text = f"start {progress.start + 1}, held out {progress.heldout_rmse:.3f}"
-            self._report(Stage((before + progress.epoch) / self._total, text))
-
-        sequences = stages.make_sequences(split.fit)
-        held_out = stages.make_sequences(split.held_out, split.skip)
-        return self._train(stages, self._settings, REHEARSAL, tell, sequences, held_out)
-
-    def perform(self, stages: Stages, runs: Sequence[Run], rehearsal: Result) -> Result:
-        """Train with all runs, from the start that did best in the rehearsal."""
-        length = choose_length(rehearsal, self._settings.epochs)
-        settings = replace(self._settings, starts=(rehearsal.start,), epochs=length)
-
-        def tell(progress: Progress) -> None:
-            share = progress.epoch / length
-            done = 1.0 - (1.0 - share) * self._settings.epochs / self._total
-            self._report(Stage(done, f"all runs, {progress.train_rmse:.3f}"))
-
-        sequences = stages.make_sequences(runs)
-        return self._train(stages, settings, PERFORMANCE, tell, sequences, ())
-
-    def _train(
-        self,
-        stages: Stages,
-        settings: Settings,
-        checkpoint: str,
-        tell: Callable[[Progress], None],
-        sequences: Sequence[Sequence32],
-        held_out: Sequence[Sequence32],
-    ) -> Result:
-        trainer = Trainer(
-            lambda generator: build_network(
-                self._config.network, stages.front_end.width, len(stages.scale), generator
-            ),
-            sequences,
-            held_out,
-            settings,
-            tared=stages.tared,
-            checkpoint=self._directory / checkpoint,
+    def run(
+        problems: Sequence[Problem], name: str, tell: Callable[[Progress], None]
+    ) -> list[Result | InputError]:
+        checkpoint = handling.folder / name if handling.folder else None
+        return train_networks(
+            problems,
+            device=handling.device,
+            checkpoint=checkpoint,
+            resume=handling.resume,
             report=tell,
         )
-        return trainer.run(self._resume)
 
-
-def assemble(
-    alone: Compensator,
-    stages: Stages,
-    runs: Sequence[Run],
-    config: Config,
-    result: Result | None,
-) -> Compensator:
-    """Return the compensator of fitted stages and a trained network, calibrated on its runs.
-
-    Args:
-        alone: the compensator of physics alone.
-        stages: what was solved before the network.
-        runs: what they were fitted to.
-        config: the project.
-        result: the trained network, or None to leave it out.
-    """
-    if result is None and not stages.linear.any():
-        return alone
-    network = None
-    if result is not None:
-        network = _to_onnx(config, stages, result)
-    whole = replace(
-        alone,
-        front_end=stages.front_end,
-        linear=stages.linear,
-        constant=stages.constant,
-        tared=stages.tared,
-        network=network,
-        memory=walk_of(config.network),
+    rehearsals = run([pose_rehearsal(task) for task in tasks], REHEARSAL, tell_rehearsal)
+    worth = {
+        i: pose_performance(tasks[i], rehearsal)
+        for i, rehearsal in enumerate(rehearsals)
+        if isinstance(rehearsal, Result) and is_worth_its_flash(rehearsal)
+    }
+    performed = dict(
+        zip(worth, run(list(worth.values()), PERFORMANCE, tell_performance), strict=True)
     )
-    features = [stages.front_end.compute(run) for run in runs]
-    predictions = [whole.predict(run) for run in runs]
-    return replace(whole, calibration=calibrate(runs, features, predictions))
+    return [
+        _conclude(task, rehearsal, performed.get(i))
+        for i, (task, rehearsal) in enumerate(zip(tasks, rehearsals, strict=True))
+    ]
 
 
-def _to_onnx(config: Config, stages: Stages, result: Result) -> bytes:
-    """Return the ONNX file of a trained network, its head in the outputs' units."""
-    network = build_network(
-        config.network, stages.front_end.width, len(stages.scale), torch.Generator()
+def _conclude(
+    task: Task, rehearsal: Result | InputError, performed: Result | InputError | None
+) -> Answer:
+    """Return one sensor's compensator, or what ended its training."""
+    if isinstance(rehearsal, InputError):
+        return rehearsal
+    if isinstance(performed, InputError):
+        return performed
+    try:
+        return conclude(task.config, task.dataset, task.prepared, rehearsal, performed)
+    except (ZerodriftError, *UNFORESEEN) as error:
+        return error
+
+
+def pose_rehearsal(task: Task) -> Problem:
+    """Return one sensor's training with runs held out."""
+    stages, split = task.prepared.rehearsed, task.prepared.split
+    held_out = stages.make_sequences(split.held_out, split.skip)
+    return _pose(task, stages, stages.make_sequences(split.fit), held_out)
+
+
+def pose_performance(task: Task, rehearsal: Result) -> Problem:
+    """Return one sensor's training with all runs, from the start that did best in the rehearsal."""
+    stages = task.prepared.stages
+    problem = _pose(task, stages, stages.make_sequences(task.dataset.train), ())
+    epochs = choose_length(rehearsal, task.settings.epochs)
+    return replace(
+        problem, settings=replace(task.settings, starts=(rehearsal.start,), epochs=epochs)
     )
-    network.load_state_dict({k: torch.from_numpy(v) for k, v in result.weights.items()})
-    head = network.head.detach().numpy() * stages.scale[:, None]
-    bias = network.head_bias.detach().numpy() * stages.scale
-    names = [output.name for output in config.outputs]
-    if not isinstance(network, GruNetwork):
-        return build_layers_onnx(FloatFeedForward(network.to_dense(), head, bias), names)
-    return build_onnx(network.to_float(), head, bias, names)
 
 
-def mark_inputs(config: Config, dataset: Dataset, settings: Settings | None = None) -> str:
-    """Return a mark of everything that a training depends on: settings, effects, logs.
+def _pose(
+    task: Task, stages: Stages, sequences: Sequence[Sequence32], held_out: Sequence[Sequence32]
+) -> Problem:
+    network, width = task.config.network, stages.front_end.width
 
-    Args:
-        config: the project.
-        dataset: its runs.
-        settings: those of the training; by default those of zerodrift.toml.
-    """
-    settings = settings or read_settings(config.network)
-    effects = [[e.kind, dict(e.held), dict(e.options)] for e in config.effects]
-    network = [
-        config.network.kind,
-        config.network.hidden,
-        list(config.network.lags_s),
-        config.network.memory,
-        config.network.options.get("spacing_s"),
-        list(config.inputs),
-    ]
-    form = config.network.options.get("form", "reset_after")
-    values = [
-        effects,
-        network,
-        form,
-        asdict(settings),
-        list(dataset.outputs),
-        config.sample_period_s,
-    ]
-    digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
-    for file in config.plugin_files:
-        digest.update(Path(file).read_bytes())
-    for run in dataset.train:
-        digest.update(f"{run.name} {run.group} {len(run)}".encode())
-        for column in (run.time_s, run.temperature_degC, run.drift, run.reference):
-            digest.update(np.ascontiguousarray(column).tobytes())
-        for name in sorted(run.inputs):
-            digest.update(name.encode() + np.ascontiguousarray(run.inputs[name]).tobytes())
-    return digest.hexdigest()
+    def build(generator: torch.Generator) -> Network:
+        return build_network(network, width, len(stages.scale), generator)
+
+    return Problem(build, sequences, held_out, task.settings, stages.tared)

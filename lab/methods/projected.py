@@ -27,7 +27,6 @@ from zerodrift.lab.methods.interface import Fit, Fitted, FittedFunction, Options
 from zerodrift.lab.methods.networks import AT_ONCE, WINDOW, count_macs, make_gru
 from zerodrift.lab.methods.windows import Windows, fit_windows
 from zerodrift.train.networks import FORMS, GruNetwork
-from zerodrift.train.recurrence import GruWeights, run_gru
 
 Array = NDArray[np.float64]
 
@@ -123,7 +122,7 @@ class Projected:
         for part in self._parts:
             part.grad = None
         cold = network.cold(self._x.shape[2])
-        states = run_gru(self._x, cold, GruWeights(*self._parts), network.reset)
+        _, states = network(self._x, cold)
         hidden = states[-1].detach().double()
         columns = torch.cat([hidden, torch.ones_like(hidden[:1])])
         normal = (columns * self._weight) @ columns.T
@@ -131,7 +130,7 @@ class Projected:
         head = torch.linalg.solve(normal, (columns * self._weight) @ self._y.T).T
         error = head @ columns - self._y
         pull = 2.0 / outputs * (head[:, :-1].T @ (error * self._weight))
-        states[-1].backward(pull.float())  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        states[-1].backward(pull.float())
         with torch.no_grad():
             network.head.copy_(head[:, :-1])
             network.head_bias.copy_(head[:, -1])

@@ -27,8 +27,6 @@ from zerodrift.train.networks import (
     build_network,
 )
 from zerodrift.train.onnx_export import build_layers_onnx, read_onnx_layers
-from zerodrift.train.optimise import Progress, Result, Settings, Trainer
-from zerodrift.train.sequences import Sequence32
 
 NOISE = 0.02
 WITHOUT_MEMORY = ("lsm_linear", "lsm_cubic", "mlp")
@@ -153,53 +151,6 @@ def test_taps_of_a_window_are_the_signal_as_it_was() -> None:
     for age in range(4):
         late = run.temperature_degC[np.maximum(np.arange(200) - 3 * age, 0)]
         assert np.array_equal(seen[:, age], late)
-
-
-class Stopped(Exception):
-    """Stands for Ctrl-C in the middle of a training."""
-
-
-def make_trainer(kind: str, **options: Any) -> Trainer:
-    config = NetworkConfig(kind=kind, hidden=4, memory=2)
-    rng = np.random.default_rng(1)
-
-    def draw(i: int) -> Sequence32:
-        x = rng.normal(size=(300, 4)).astype(np.float32)
-        return Sequence32(f"run{i}", x, np.tanh(x[:, :2] @ np.ones((2, 3), np.float32)))
-
-    sequences, held_out = [draw(i) for i in range(3)], [draw(9)]
-    settings = Settings(seed=7, starts=(0, 1), epochs=6, chunk=50, batch=4)
-    return Trainer(
-        lambda generator: build_network(config, 4, 3, generator),
-        sequences,
-        held_out,
-        settings,
-        **options,
-    )
-
-
-@pytest.mark.parametrize("kind", ["mlp", "mlp_seq", "tcn"])
-@pytest.mark.parametrize("stop_after", [2, 8])
-def test_interrupted_training_resumes_to_the_same_weights(
-    kind: str, stop_after: int, tmp_path: Path
-) -> None:
-    whole = make_trainer(kind).run()
-    file = tmp_path / "checkpoint.npz"
-    seen = 0
-
-    def stop(_: Progress) -> None:
-        nonlocal seen
-        seen += 1
-        if seen == stop_after:
-            raise Stopped
-
-    with pytest.raises(Stopped):
-        make_trainer(kind, checkpoint=file, report=stop).run()
-    resumed: Result = make_trainer(kind, checkpoint=file).run()
-    assert (resumed.start, resumed.epoch) == (whole.start, whole.epoch)
-    for name, value in whole.weights.items():
-        assert np.array_equal(value, resumed.weights[name]), name
-    assert whole.rmse < whole.rmse_without
 
 
 def test_window_is_refused_where_it_means_nothing(tmp_path: Path) -> None:

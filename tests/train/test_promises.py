@@ -1,4 +1,4 @@
-"""What training promises: the same weights for the same seed, also after an interruption."""
+"""What training promises: the same weights for the same seed, and an ONNX file that holds them."""
 
 import numpy as np
 import onnxruntime
@@ -9,16 +9,13 @@ from numpy.typing import NDArray
 from zerodrift.base.config import NetworkConfig
 from zerodrift.export.onnx_reader import read_network_bytes
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.train.engine import Problem, Result, train_networks
 from zerodrift.train.networks import build_network
 from zerodrift.train.onnx_export import build_onnx
-from zerodrift.train.optimise import Progress, Result, Settings, Trainer
+from zerodrift.train.optimise import Settings
 from zerodrift.train.sequences import Sequence32
 
 FEATURES, OUTPUTS = 2, 3
-
-
-class Stopped(Exception):
-    """Stands for Ctrl-C in the middle of a training."""
 
 
 def make_sequences(count: int, seed: int) -> list[Sequence32]:
@@ -35,16 +32,18 @@ def make_sequences(count: int, seed: int) -> list[Sequence32]:
     return sequences
 
 
-def make_trainer(memory: str | int, form: str, **options: object) -> Trainer:
+def train(memory: str | int, form: str) -> Result:
     config = NetworkConfig(kind="gru", hidden=4, memory=memory, options={"form": form})
     settings = Settings(memory=memory, seed=7, starts=(0, 1), epochs=6, chunk=50, batch=4)
-    return Trainer(
+    problem = Problem(
         lambda generator: build_network(config, FEATURES, OUTPUTS, generator),
         make_sequences(3, 1),
         make_sequences(1, 2),
         settings,
-        **options,  # type: ignore[arg-type]  # checkpoint and report, as the test needs them
     )
+    (result,) = train_networks([problem])
+    assert isinstance(result, Result)
+    return result
 
 
 def assert_same_weights(a: Result, b: Result) -> None:
@@ -57,34 +56,9 @@ def assert_same_weights(a: Result, b: Result) -> None:
 @pytest.mark.parametrize("form", ["reset_after", "reset_before"])
 @pytest.mark.parametrize("memory", ["stream", 5])
 def test_same_seed_gives_the_same_weights_to_the_bit(memory: str | int, form: str) -> None:
-    first, second = make_trainer(memory, form).run(), make_trainer(memory, form).run()
+    first, second = train(memory, form), train(memory, form)
     assert_same_weights(first, second)
     assert first.rmse < first.rmse_without
-
-
-@pytest.mark.parametrize("memory", ["stream", 5])
-@pytest.mark.parametrize("stop_after", [2, 8])
-def test_interrupted_training_resumes_to_the_same_weights(
-    memory: str | int, stop_after: int, tmp_path: object
-) -> None:
-    from pathlib import Path
-
-    assert isinstance(tmp_path, Path)
-    calls = 0
-
-    def interrupt(_: Progress) -> None:
-        nonlocal calls
-        calls += 1
-        if calls == stop_after:
-            raise Stopped
-
-    whole = make_trainer(memory, "reset_after").run()
-    checkpoint = tmp_path / "training.npz"
-    with pytest.raises(Stopped):
-        make_trainer(memory, "reset_after", checkpoint=checkpoint, report=interrupt).run()
-    assert checkpoint.exists()
-    resumed = make_trainer(memory, "reset_after", checkpoint=checkpoint).run(resume=True)
-    assert_same_weights(whole, resumed)
 
 
 def random_gru(reset: str, seed: int) -> FloatGru:

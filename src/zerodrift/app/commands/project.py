@@ -31,8 +31,9 @@ def train_project(config: Config, dataset: Dataset, console: "Console") -> "Comp
     """Return the project's compensator: that in build/ if configuration and logs are the same."""
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.train.compensator import DESCRIPTION, Compensator
+    from zerodrift.train.prepare import mark_inputs
     from zerodrift.train.progress import show_progress
-    from zerodrift.train.training import list_checkpoints, mark_inputs, train
+    from zerodrift.train.training import list_checkpoints, train
 
     catalogue = load_catalogue(config.plugin_files)
     mark = mark_inputs(config, dataset)

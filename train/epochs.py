@@ -1,0 +1,268 @@
+"""The epochs of many trainings in step: gradients, steps, judgement on the held-out runs."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from zerodrift.train.courses import (
+    STEPS_AT_ONCE,
+    Attempt,
+    Batch,
+    Course,
+    Problem,
+    Runs,
+    Standing,
+    Stored,
+    StreamCourse,
+    WindowCourse,
+)
+from zerodrift.train.optimise import Stack, draw_seed, explain_divergence, one_cycle
+
+Array = NDArray[np.float64]
+
+WINDOWS_AT_ONCE = 4096
+"""Windows of a network that are judged together: enough to keep the loop over time short."""
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Of one epoch, [A] squared errors and their weights, [A G, K, 2] errors and weights."""
+
+    squares: Tensor
+    weight: Tensor
+    by_group: Tensor
+
+
+class Training:
+    """Some attempts on their way, each at its own epoch."""
+
+    def __init__(
+        self, problems: Sequence[Problem], attempts: Sequence[Attempt], device: str, block: int
+    ) -> None:
+        """Take what is trained together, and judge the untrained networks.
+
+        Args:
+            problems: of the whole batch.
+            attempts: those of its starts that go in step; none has begun.
+            device: where the tensors are.
+            block: networks in one pass forward and back.
+        """
+        self.attempts = attempts
+        self._device, self._block = device, block
+        mine = list(dict.fromkeys(a.problem for a in attempts))
+        self._problems = [problems[i] for i in mine]
+        self._owner = np.array([mine.index(a.problem) for a in attempts])
+        self._owner_t = torch.from_numpy(self._owner).to(device)
+        s = self._settings = self._problems[0].settings
+        self._windowed = s.memory != "stream"
+        networks = []
+        for attempt, owner in zip(attempts, self._owner, strict=True):
+            generator = torch.Generator().manual_seed(draw_seed(s.seed, attempt.start))
+            networks.append(self._problems[owner].build(generator))
+        self._network = networks[0]
+        self._stack = Stack(networks, s.weight_decay, device)
+        self._course = self._open_course()
+        self._held = (
+            Runs(
+                [p.held_out for p in self._problems],
+                int(s.memory) - 1 if self._windowed else 0,
+                0,
+                device,
+            )
+            if all(p.held_out for p in self._problems)
+            else None
+        )
+        self._tared = self._problems[0].tared
+        self._groups = max(map(len, self._course.runs.groups))
+        outputs = self._course.runs.target.shape[3]
+        self._offsets = torch.zeros(len(attempts), self._groups, outputs, device=device)
+        """[A, G, K] offset of each group, which is not the network's to explain."""
+        self._judge(np.full(len(attempts), math.inf), range(len(attempts)))
+        for attempt in attempts:
+            attempt.rmse_without = attempt.best_rmse
+
+    def _open_course(self) -> Course:
+        if self._windowed:
+            return WindowCourse(self._problems, self._owner, self._network, self._device)
+        return StreamCourse(
+            self._problems, self._owner, self._network, self._stack.read(), self._device
+        )
+
+    def run(self, report: Callable[[float, bool], None]) -> None:
+        """Train all attempts to their ends.
+
+        Args:
+            report: is told after each epoch the RMSE on the way, averaged over the attempts, and
+                whether any of them was judged.
+        """
+        while active := [i for i, a in enumerate(self.attempts) if a.is_active]:
+            rmse = self._run_epoch(active)
+            for i in active:
+                self.attempts[i].epoch += 1
+                if not math.isfinite(rmse[i]):
+                    self._give_up(i)
+            going = [i for i in active if self.attempts[i].error is None]
+            due = [i for i in going if self._is_due(self.attempts[i])]
+            self._judge(rmse, due)
+            report(float(np.mean(rmse[going])) if going else math.nan, bool(due))
+
+    def _is_due(self, a: Attempt) -> bool:
+        every = max(1, a.epochs // self._settings.evaluations)
+        return a.epoch % every == 0 or a.epoch == a.epochs
+
+    def _give_up(self, i: int) -> None:
+        """End all starts of a problem one of whose starts diverged."""
+        error = explain_divergence(self.attempts[i].epoch, self._settings.learning_rate)
+        for k, other in enumerate(self.attempts):
+            if other.problem == self.attempts[i].problem and other.error is None:
+                other.error = error
+                self._stack.flat[k] = 0.0
+
+    def _run_epoch(self, active: Sequence[int]) -> Array:
+        """Walk once through all training runs; return the RMSE [A] on the way."""
+        self._course.start_epoch(self.attempts, active, self._stack.read())
+        count, outputs = len(self.attempts), self._offsets.shape[2]
+        zeros = torch.zeros(count, dtype=torch.float64, device=self._device)
+        by_group = torch.zeros(count * self._groups, outputs, 2, device=self._device)
+        sums = Sums(zeros, zeros.clone(), by_group)
+        for number in range(max(self.attempts[i].batches for i in active)):
+            for begin in range(0, count, self._block):
+                self._differentiate(number, slice(begin, min(begin + self._block, count)), sums)
+            self._step(number)
+        self._course.end_epoch(active)
+        if self._tared:
+            totals = by_group.view(count, self._groups, outputs, 2).double()
+            change = totals[..., 0] / totals[..., 1].clamp(min=1.0)
+            offsets = self._offsets.double() - change
+            for i in active:
+                own = len(self._course.runs.groups[self._owner[i]])
+                self._offsets[i, :own] = (offsets[i, :own] - offsets[i, :own].mean(0)).float()
+        return np.asarray(torch.sqrt(sums.squares / sums.weight.clamp(min=1e-30)).cpu().numpy())
+
+    def _differentiate(self, number: int, part: slice, sums: Sums) -> None:
+        """Put the gradients of one batch of some attempts in their places, and note the errors."""
+        batch = self._course.take(number, part)
+        if batch is None:
+            self._stack.gradient[part] = 0.0
+            return
+        tracked = self._stack.track(part)
+        drift, states = self._network.run_many(tracked, batch.features, batch.state)
+        self._course.keep(states.detach())
+        error = drift[-len(batch.target) :] - batch.target
+        if self._tared:
+            where = batch.group[..., None].expand(-1, -1, error.shape[2])
+            error = error + torch.gather(self._offsets[part], 1, where).transpose(1, 2)
+        error = error * batch.weight
+        total = batch.weight.sum((0, 2, 3)) * error.shape[2]
+        squares = error.square().sum((0, 2, 3))
+        self._stack.differentiate((squares / total.clamp(min=1.0)).sum(), part, tracked)
+        sums.squares[part] += squares.detach().double()
+        sums.weight[part] += total.double()
+        if self._tared:
+            self._add_by_group(sums, part, error.detach(), batch)
+
+    def _add_by_group(self, sums: Sums, part: slice, error: Tensor, batch: Batch) -> None:
+        """Add errors [S, A, K, B] and their weights to the sums of their groups."""
+        first = torch.arange(part.start, part.stop, device=self._device)[:, None] * self._groups
+        weight = batch.weight.sum(0).transpose(1, 2).expand(-1, -1, error.shape[2])
+        found = torch.stack([error.sum(0).transpose(1, 2), weight], dim=-1)
+        sums.by_group.index_add_(0, (first + batch.group).reshape(-1), found.flatten(0, 1))
+
+    def _step(self, number: int) -> None:
+        """Take a step on every attempt that has a batch, each at its own place in its cycle."""
+        s, moving = self._settings, self._course.find_moving(number)
+        rates = [
+            s.learning_rate
+            * one_cycle((a.epoch * a.batches + number) / (a.epochs * a.batches), s.warm_up)
+            if moves
+            else 0.0
+            for a, moves in zip(self.attempts, moving, strict=True)
+        ]
+        self._stack.step(rates, moving)
+
+    def _judge(self, train_rmse: Array, due: Sequence[int]) -> None:
+        """Keep the weights of those that are at their best; with nothing held out, the latest."""
+        if len(due) == 0:
+            return
+        rmse = train_rmse if self._held is None else self._measure(self._held)
+        flat = self._stack.flat.cpu().numpy()
+        for i in due:
+            attempt = self.attempts[i]
+            attempt.last_rmse = float(rmse[i])
+            if self._held is not None and rmse[i] >= attempt.best_rmse:
+                continue
+            attempt.best_rmse, attempt.best_epoch = float(rmse[i]), attempt.epoch
+            attempt.best = self._stack.unstack(flat[i], i)
+
+    def _measure(self, held: Runs) -> Array:
+        """Return the RMSE [A] on the held-out runs, without each one's offset where tared."""
+        with torch.no_grad():
+            answer = self._answer_windows(held) if self._windowed else self._answer_streams(held)
+        front = held.length - answer.shape[2]
+        target, weight = (a[self._owner_t, :, front:] for a in (held.target, held.weight))
+        error, counts = (target - answer).cpu().numpy(), weight[..., 0].cpu().numpy() > 0.0
+        return np.array([self._pool(i, error[i], counts[i]) for i in range(len(error))])
+
+    def _answer_streams(self, held: Runs) -> Tensor:
+        """Return the answers [A, R, P, K] of networks that walk through whole runs."""
+        parameters = self._stack.read()
+        x = held.x[self._owner_t, :, :STEPS_AT_ONCE].permute(2, 0, 3, 1)
+        state = self._network.rest_many(parameters, x[0])
+        found = []
+        for begin in range(0, held.length, STEPS_AT_ONCE):
+            x = held.x[self._owner_t, :, begin : begin + STEPS_AT_ONCE].permute(2, 0, 3, 1)
+            drift, states = self._network.run_many(parameters, x.contiguous(), state)
+            state = states[-1]
+            found.append(drift.permute(1, 3, 0, 2))
+        return torch.cat(found, dim=2)
+
+    def _answer_windows(self, held: Runs) -> Tensor:
+        """Return the answers [A, R, P, K] of networks that walk through the window of a sample."""
+        memory = int(self._settings.memory)
+        parameters, piece = self._stack.read(), max(1, WINDOWS_AT_ONCE // held.count)
+        windows = held.x.unfold(2, memory, 1)  # [sensors, R, P, I, T]
+        found = []
+        for start in range(0, len(self.attempts), self._block):
+            part = slice(start, start + self._block)
+            mine = {name: p[part] for name, p in parameters.items()}
+            answers = []
+            for begin in range(0, windows.shape[2], piece):
+                x = windows[self._owner_t[part], :, begin : begin + piece]
+                shape = x.shape[:3]
+                x = x.permute(4, 0, 3, 1, 2).flatten(3).contiguous()
+                cold = self._network.cold(x.shape[3]).to(self._device)
+                drift, _ = self._network.run_many(mine, x, cold.expand(shape[0], -1, -1))
+                answers.append(drift[-1].transpose(1, 2).reshape(*shape, -1))
+            found.append(torch.cat(answers, dim=2))
+        return torch.cat(found)
+
+    def _pool(self, i: int, error: NDArray[np.floating], counts: NDArray[np.bool_]) -> float:
+        """Return the RMSE of errors [R, P, K] where they count [R, P]."""
+        by_group: dict[str, list[Array]] = {}
+        for j, s in enumerate(self._problems[self._owner[i]].held_out):
+            by_group.setdefault(s.group, []).append(error[j][counts[j]].astype(np.float64))
+        parts = [np.concatenate(found) for found in by_group.values()]
+        rest = [e - e.mean(axis=0) if self._tared else e for e in parts]
+        return float(np.sqrt(np.mean(np.concatenate(rest) ** 2)))
+
+    def export(self, i: int) -> Standing:
+        """Return where an attempt stands, for a checkpoint."""
+        attempt = self.attempts[i]
+        if not attempt.is_active:
+            return attempt.stand({})
+        own = len(self._course.runs.groups[self._owner[i]])
+        offsets: dict[str, Stored] = {"offsets": self._offsets[i, :own].cpu().numpy()}
+        return attempt.stand(offsets | self._stack.export(i) | self._course.export(i))
+
+    def restore(self, i: int, standing: Standing) -> None:
+        """Put an attempt back to where a checkpoint was written."""
+        self.attempts[i].take_up(standing)
+        offsets = torch.from_numpy(standing.arrays["offsets"].astype(np.float32))
+        self._offsets[i, : len(offsets)] = offsets.to(self._device)
+        self._stack.restore(i, standing.arrays)
+        self._course.restore(i, standing.arrays)

@@ -1,0 +1,129 @@
+"""What a checkpoint of a training holds: where each attempt stands, and a mark of the inputs."""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from zerodrift.base.errors import InputError
+from zerodrift.base.lock import tell
+from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from zerodrift.train.courses import Attempt, Problem, Standing, Stored
+
+NUMBERS = ("epoch", "best_epoch", "best_rmse", "last_rmse", "rmse_without")
+MOMENTS = ("weights", "exp_avg", "exp_avg_sq")
+
+
+def mark_problems(problems: Sequence[Problem]) -> str:
+    """Return a mark of everything that decides the results."""
+    marks = [_mark(problem) for problem in problems]
+    return marks[0] if len(marks) == 1 else hashlib.sha256(" ".join(marks).encode()).hexdigest()
+
+
+def _mark(problem: Problem) -> str:
+    digest = hashlib.sha256(json.dumps(asdict(problem.settings), sort_keys=True).encode())
+    digest.update(f"{problem.tared} {torch.__version__} {np.__version__}".encode())
+    network = problem.build(torch.Generator().manual_seed(0))
+    for name, p in network.named_parameters():
+        digest.update(f"{name} {tuple(p.shape)}".encode())
+    for use in (problem.sequences, problem.held_out):
+        for s in use:
+            digest.update(f"{s.group} {s.features.shape} {s.skip}".encode())
+            digest.update(np.ascontiguousarray(s.features).tobytes())
+            digest.update(np.ascontiguousarray(s.target).tobytes())
+    return digest.hexdigest()
+
+
+def save_standings(path: Path, mark: str, standings: Mapping[int, Standing]) -> None:
+    """Write a checkpoint.
+
+    Args:
+        path: the file.
+        mark: of the inputs.
+        standings: by the number of the attempt; one that is missing has not begun.
+    """
+    arrays: dict[str, Stored] = {}
+    for number, standing in standings.items():
+        arrays |= {f"{number}.best.{name}": value for name, value in standing.best.items()}
+        arrays |= {f"{number}.{name}": value for name, value in standing.arrays.items()}
+    values = {
+        str(number): {name: _store(getattr(standing, name)) for name in NUMBERS}
+        for number, standing in standings.items()
+    }
+    save_checkpoint(path, Checkpoint(arrays, {"mark": mark, "attempts": values}))
+
+
+def load_standings(path: Path, mark: str, attempts: Sequence[Attempt]) -> dict[int, Standing]:
+    """Return where each attempt stood, by its number; nothing if the file is of other inputs.
+
+    Args:
+        path: the checkpoint; it need not exist.
+        mark: of the inputs.
+        attempts: all of them.
+    """
+    try:
+        stored = load_checkpoint(path)
+    except InputError as error:
+        tell(f"{error} The training is begun again.")
+        return {}
+    if stored is None or stored.values["mark"] != mark:
+        return {}
+    if "attempts" not in stored.values:
+        return _read_in_turn(stored, attempts)
+    found = {}
+    for text, numbers in stored.values["attempts"].items():
+        mine = _pick(stored.arrays, f"{text}.")
+        best = {name: x.astype(np.float32) for name, x in _pick(mine, "best.").items()}
+        rmse = {name: math.inf for name in ("best_rmse", "last_rmse") if numbers[name] is None}
+        found[int(text)] = Standing(**(numbers | rmse), best=best, arrays=mine)
+    return found
+
+
+def _read_in_turn(stored: Checkpoint, attempts: Sequence[Attempt]) -> dict[int, Standing]:
+    """Return the standings of a file from when one start was trained after the other.
+
+    It holds the start that was on its way, and the best of those that were complete.
+    """
+    arrays, values = stored.arrays, stored.values
+    result = values.get("result")
+    found = {}
+    for attempt in attempts:
+        best = {k: v.astype(np.float32) for k, v in _pick(arrays, "result.").items()}
+        if attempt.start == values["start"]:
+            break
+        if result is not None and attempt.start == result["start"]:
+            numbers = (result["epoch"], result["rmse"], result["last_rmse"])
+            found[attempt.number] = Standing(
+                attempt.epochs, *numbers, best, {}, result["rmse_without"]
+            )
+        else:
+            found[attempt.number] = Standing(attempt.epochs, 0, math.inf, math.inf, {}, {})
+    state = {k: v for k, v in arrays.items() if k.split(".")[0] in MOMENTS} | {
+        "offsets": arrays["offsets"],
+        "step": next(v for k, v in arrays.items() if k.startswith("step.")),
+    }
+    if "course.states" in arrays:
+        state["states"] = arrays["course.states"].transpose(2, 0, 1)
+    found[attempt.number] = Standing(
+        epoch=int(values["epoch"]),
+        best_epoch=int(values["best_epoch"]),
+        best_rmse=float(values["best_rmse"]),
+        last_rmse=float(values["last_rmse"]),
+        best={k: v.astype(np.float32) for k, v in _pick(arrays, "attempt.").items()},
+        arrays=state,
+    )
+    return found
+
+
+def _store(number: float | None) -> float | None:
+    """Return a number as JSON can hold it: nothing where it is not known."""
+    return number if number is not None and math.isfinite(number) else None
+
+
+def _pick(arrays: Mapping[str, Stored], prefix: str) -> dict[str, Stored]:
+    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
