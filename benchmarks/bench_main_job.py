@@ -13,6 +13,14 @@ from zerodrift.lab.twin.example import ensure_example_logs
 EXAMPLE = Path(__file__).parent.parent / "examples" / "ft40"
 
 
+def copy_example(project: Path) -> None:
+    """Write the bundled example and its simulated logs into a folder."""
+    project.mkdir()
+    for name in ("zerodrift.toml", "twin.json"):
+        shutil.copy(EXAMPLE / name, project / name)
+    ensure_example_logs(project)
+
+
 def main(quick: bool) -> None:
     """Print the whole-process time of `zerodrift firmware` on a fresh copy of examples/ft40.
 
@@ -21,10 +29,7 @@ def main(quick: bool) -> None:
     del quick
     with tempfile.TemporaryDirectory() as scratch:
         project = Path(scratch) / "ft40"
-        project.mkdir()
-        for name in ("zerodrift.toml", "twin.json"):
-            shutil.copy(EXAMPLE / name, project / name)
-        ensure_example_logs(project)
+        copy_example(project)
         start = time.perf_counter()
         command = [sys.executable, "-m", "zerodrift", "firmware", "-C", str(project), "--json"]
         done = subprocess.run(command, check=True, capture_output=True, text=True)

@@ -32,18 +32,31 @@ def list_chain(run: Run) -> list[Run]:
 def plan_bridges(chain: Sequence[Run], block: int = 1) -> tuple[list[int], list[int]]:
     """Return the samples of each bridge, and where each stretch begins once they are laid.
 
-    A bridge has as many samples as the gap, but no more than all stretches before it: what lies
-    longer ago than that is as good as settled.
-
     Args:
         chain: a run's stretches.
         block: each stretch begins at a multiple of so many samples.
     """
+    return plan_spans([run.time_s for run in chain], chain[0].sample_period_s, block)
+
+
+def plan_spans(
+    times_s: Sequence[Array], sample_period_s: float, block: int = 1
+) -> tuple[list[int], list[int]]:
+    """Return the samples of each bridge, and where each stretch begins once they are laid.
+
+    A bridge has as many samples as the gap, but no more than all stretches before it: what lies
+    longer ago than that is as good as settled.
+
+    Args:
+        times_s: [n] of each stretch of a run.
+        sample_period_s: their period.
+        block: each stretch begins at a multiple of so many samples.
+    """
     bridges, starts = [], [0]
-    for before, after in pairwise(chain):
-        end = starts[-1] + len(before)
-        gap_s = float(after.time_s[0] - before.time_s[-1])
-        missing = min(max(round(gap_s / before.sample_period_s) - 1, 0), end)
+    for before_s, after_s in pairwise(times_s):
+        end = starts[-1] + before_s.size
+        gap_s = float(after_s[0] - before_s[-1])
+        missing = min(max(round(gap_s / sample_period_s) - 1, 0), end)
         missing += -(end + missing) % block
         bridges.append(missing)
         starts.append(end + missing)

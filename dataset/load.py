@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from zerodrift.dataset.checks import (
     check_time,
     explain_invalid_row,
     find_invalid_rows,
+    find_invalid_values,
     find_late_rows,
     guess_temperature_unit,
     widen_plausible,
@@ -73,7 +74,7 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
     for use in USES:
         pieces[use] = []
         for selection in selections[use]:
-            table, spans = _open_log(config, selection, skip_invalid, notes)
+            table, spans = open_log(config, selection, skip_invalid, notes)
             of_log: list[_Piece] = []
             for span in spans:
                 planned, rows = _plan_run(config, table, selection, span, notes)
@@ -89,7 +90,7 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
     known.sort(key=lambda run: (USES.index(run.use), _order(run.key, config.directory)))
     repeats = find_repeats(
         known,
-        lambda selection: _open_log(config, selection, skip_invalid, [])[0],
+        lambda selection: open_log(config, selection, skip_invalid, [])[0],
         config.time_column,
     )
     notes += repeats.notes
@@ -126,14 +127,30 @@ def list_columns(config: Config) -> dict[str, str]:
     return columns
 
 
-def _open_log(
-    config: Config, selection: Selection, skip_invalid: bool, notes: list[str]
+def open_log(
+    config: Config,
+    selection: Selection,
+    skip_invalid: bool,
+    notes: list[str],
+    columns: Mapping[str, str] | None = None,
 ) -> tuple[Table, list[tuple[str, int, int]]]:
-    """Read one file; return its checked rows, and (run, first row, row after the last) of each."""
-    table = read_log(config, selection.path, list_columns(config))
+    """Read one file; return its checked rows, and (run, first row, row after the last) of each.
+
+    Args:
+        config: the project.
+        selection: the file, and what of it.
+        skip_invalid: drop invalid rows instead of raising.
+        notes: what was noticed is added to them.
+        columns: column -> where it is named, where not all that the config names are needed. Only
+            the time must be valid then; what else is invalid becomes NaN.
+
+    Raises:
+        InputError: the log is missing, damaged, or holds what cannot be right.
+    """
+    table = read_log(config, selection.path, list_columns(config) if columns is None else columns)
     notes += table.source.notes
     _keep_selected_runs(table, selection)
-    _check_values(config, table, skip_invalid, notes)
+    _check_values(config, table, skip_invalid, notes, holes=columns is not None)
     return table, _split_runs(config, table, skip_invalid, notes)
 
 
@@ -158,8 +175,13 @@ def _keep_selected_runs(table: Table, selection: Selection) -> None:
         table.take(np.isin(table.run_of_row, accepted))
 
 
-def _check_values(config: Config, table: Table, skip_invalid: bool, notes: list[str]) -> None:
-    """Drop blank lines; raise for rows with invalid values, or drop them too."""
+def _check_values(
+    config: Config, table: Table, skip_invalid: bool, notes: list[str], holes: bool
+) -> None:
+    """Drop blank lines; raise for rows with invalid values, or drop them too.
+
+    With `holes` that goes for the time alone; other invalid values become NaN.
+    """
     temperatures = {config.temperature_column: widen_plausible(config.temperature_codes.range)}
     for name, column in config.inputs.items():
         if "temperature" in name or column.endswith("degC"):
@@ -171,6 +193,13 @@ def _check_values(config: Config, table: Table, skip_invalid: bool, notes: list[
         if blank:
             table.take(~np.isin(table.positions, blank))
             invalid = find_invalid_rows(table, temperatures)
+    if invalid is not None and holes:
+        for column, values in table.columns.items():
+            wrong = find_invalid_values(values, temperatures.get(column))
+            if wrong is not None:
+                values[wrong] = np.nan
+        untimed = np.isnan(table.columns[config.time_column])
+        invalid = untimed if untimed.any() else None
     if invalid is None:
         return
     count, rows = int(invalid.sum()), len(table)

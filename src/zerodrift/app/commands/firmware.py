@@ -1,7 +1,8 @@
 """`zerodrift firmware`: logs in, host-checked C out."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,6 +21,7 @@ from zerodrift.base.errors import CheckError
 from zerodrift.base.journal import change_together, write_all
 from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
+from zerodrift.dataset.chip_codes import RANGE_MARGIN
 from zerodrift.verify.summary import (
     BudgetSummary,
     Claims,
@@ -29,6 +31,12 @@ from zerodrift.verify.summary import (
     StageErrors,
     TimeShare,
 )
+
+if TYPE_CHECKING:
+    from zerodrift.dataset.runs import Dataset
+    from zerodrift.export.float_model import FloatModel
+    from zerodrift.verify.firmware import Firmware
+    from zerodrift.verify.left_out import LeftOut
 
 FILE_NAME = "firmware.json"
 """In build/: what the last firmware achieved."""
@@ -72,7 +80,7 @@ def command(
     from zerodrift.verify.left_out import leave_out
 
     console = Console(stderr=True)
-    left_out = None
+    left_out = trained_out = None
     if request:
         config, dataset, described, notes = open_import(request, directory, skip_invalid)
         print_notes((*dataset.notes, *notes))
@@ -83,7 +91,8 @@ def command(
         compensator = train_project(config, dataset, console)
         described = describe_compensator(compensator, config, dataset.train)
         with show_progress("leaving runs out"):
-            left_out = leave_out(config, dataset, compensator)
+            trained_out = leave_out(config, replace(dataset, test=()), compensator)
+        left_out = None if dataset.test else trained_out
     with change_together(config.directory):
         with show_progress("quantizing") as say:
             network = (request.path.absolute(),) if request and request.path else ()
@@ -94,6 +103,7 @@ def command(
         written = bool(firmware.files)
         if written:
             keep(result, config)
+            keep_uncertainty(firmware, config, dataset, described, trained_out)
     if as_json:
         print_result(result)
     else:
@@ -191,6 +201,35 @@ def keep(result: FirmwareSummary, config: Config) -> None:
     write_all(
         config.directory, {config.build_directory / FILE_NAME: render_sealed(to_dict(result))}
     )
+
+
+def keep_uncertainty(
+    firmware: "Firmware",
+    config: Config,
+    dataset: "Dataset",
+    described: "FloatModel",
+    left_out: "LeftOut | None",
+) -> None:
+    """Write build/uncertainty.json, for `apply`; none where no model left a run out."""
+    from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
+    from zerodrift.verify.uncertainty import measure_uncertainty
+
+    if left_out is None:
+        (config.build_directory / UNCERTAINTY).unlink(missing_ok=True)
+        return
+    model = firmware.model
+    scale = [output.lsb_per_unit for output in model.outputs]
+    limits = zip(model.drift.low, model.drift.high, scale, strict=True)
+    measured = measure_uncertainty(
+        described,
+        dataset,
+        left_out,
+        model_hash=model.hash,
+        rounding=[error.rounding for error in firmware.gate.chip_error],
+        span=[(high - low) / lsb / (1.0 + 2.0 * RANGE_MARGIN) for low, high, lsb in limits],
+    )
+    path = config.build_directory / UNCERTAINTY
+    write_all(config.directory, {path: render_sealed(to_dict(measured))})
 
 
 def show_path(path: Path, directory: Path) -> str:

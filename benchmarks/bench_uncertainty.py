@@ -1,0 +1,134 @@
+"""How often the expanded uncertainty covers the error on test runs: `python -m benchmarks NAME`.
+
+Sensors of two simulators, each with its own training runs: the uncertainty comes from those alone,
+and is held against runs that no model saw. Physics as it is told, half of them with a lag bank.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.foreign import case, files
+from zerodrift.app.apply import UNSTATED, Chip, measure_beyond
+from zerodrift.base.config import Config, NetworkConfig, load_config
+from zerodrift.dataset.load import load_dataset
+from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.run_errors import collect_errors
+from zerodrift.export.compose import (
+    compose_integer_model,
+    count_elapsed,
+    describe_compensator,
+    encode_inputs,
+)
+from zerodrift.lab.twin import Recipe, simulate, write_logs
+from zerodrift.train.training import train
+from zerodrift.verify.left_out import leave_out
+from zerodrift.verify.uncertainty import measure_uncertainty
+
+Array = NDArray[np.float64]
+
+SENSORS = 100
+"""Of each simulator; `quick`: 4."""
+RESAMPLES = 2000
+HELD_OUT = 2
+"""Runs of a foreign case that no model sees."""
+
+
+def main(quick: bool, sensors: int = 0, first: int = 0) -> None:
+    """Print the share of readings of test runs within the expanded uncertainty (k = 2).
+
+    Args:
+        quick: few sensors.
+        sensors: as many of each simulator; 0 leaves it to `quick`.
+        first: seed of the first sensor.
+    """
+    sensors = sensors or (4 if quick else SENSORS)
+    pooled: list[float] = []
+    for name, draw in (("couplers", draw_twin), ("foreign", draw_foreign)):
+        shares: list[float] = []
+        for seed in range(first, first + sensors):
+            with tempfile.TemporaryDirectory() as scratch:
+                shares += cover(*draw(seed, Path(scratch)), lag_bank=bool(seed % 2))
+        print(f"{name} (simulated): {describe(np.array(shares))}", flush=True)
+        pooled += shares
+    print(f"both, {2 * sensors} sensors: {describe(np.array(pooled))} (mark 93 to 97 %)")
+
+
+def draw_twin(seed: int, scratch: Path) -> tuple[Config, Dataset]:
+    """Return a sensor of the project's own simulator."""
+    recipe = Recipe(
+        seed=41_000 + seed,
+        train=("chamber",) * (4 + seed % 5),
+        test=("chamber", "walking"),
+        duration_s=1800.0,
+    )
+    write_logs(simulate(recipe), scratch)
+    config = load_config(scratch)
+    return config, load_dataset(config)
+
+
+def draw_foreign(seed: int, scratch: Path) -> tuple[Config, Dataset]:
+    """Return a sensor of the second simulator, its last runs kept for the test."""
+    recipe = case.Recipe("complete", (), 1.0, 6 + seed % 5 + HELD_OUT, 52_000 + seed)
+    config = load_config(files.write(case.draw(recipe), scratch))
+    dataset = load_dataset(config)
+    runs = [*dataset.train, *dataset.test]
+    groups = list(dict.fromkeys(run.group for run in runs))
+    kept = set(groups[-HELD_OUT:])
+    return config, replace(
+        dataset,
+        train=tuple(run for run in runs if run.group not in kept),
+        test=tuple(run for run in runs if run.group in kept),
+    )
+
+
+def cover(config: Config, dataset: Dataset, lag_bank: bool) -> Iterator[float]:
+    """Yield for each output the share of test readings within the expanded uncertainty."""
+    kind = "lag_bank" if lag_bank else "none"
+    config = replace(config, network=NetworkConfig(kind=kind))
+    config.build_directory.mkdir(exist_ok=True)
+    compensator = train(config, dataset).compensator
+    described = describe_compensator(compensator, config, dataset.train)
+    left_out = leave_out(config, replace(dataset, test=()), compensator)
+    if left_out is None:
+        return
+    model = compose_integer_model(described, config, dataset)
+    scale = np.array([output.lsb_per_unit for output in model.outputs], dtype=np.float64)
+    span = (np.array(model.drift.high) - np.array(model.drift.low)) / scale / 1.5
+    none = [0.0] * len(scale)
+    uncertainty = measure_uncertainty(
+        described, dataset, left_out, model_hash=model.hash, rounding=none, span=span.tolist()
+    )
+    chip = Chip(model)
+    predictions, beyond, stated = {}, {}, {}
+    for run in dataset.test:
+        codes = encode_inputs(model, run)
+        drift, flags = chip.run(codes, count_elapsed(model, run))
+        predictions[run.name] = drift / scale
+        beyond[run.name] = measure_beyond(model, codes)
+        stated[run.name] = flags & UNSTATED == 0
+    errors = collect_errors(dataset.test, predictions, described.tared, described.find_usable)
+    for k, known in enumerate(uncertainty.outputs.values()):
+        inside, count = 0, 0
+        for error in errors.values():
+            expanded = known.expand(np.concatenate([beyond[run.name] for run in error.runs]))
+            counts = error.usable[:, k] & np.concatenate([stated[run.name] for run in error.runs])
+            inside += int(np.sum(np.abs(error.error[counts, k]) <= expanded[counts]))
+            count += int(counts.sum())
+        if count:
+            yield inside / count
+
+
+def describe(shares: Array) -> str:
+    """Return the mean coverage with its interval over resampled outputs of sensors."""
+    rng = np.random.default_rng(0)
+    means = rng.choice(shares, (RESAMPLES, shares.size)).mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return (
+        f"{shares.mean():.1%} of test readings covered, 95 % interval {low:.1%} to {high:.1%};"
+        f" outputs below 90 %: {np.mean(shares < 0.9):.1%} of {shares.size}"
+    )

@@ -1,0 +1,183 @@
+"""A log to which a finished model is applied: its rows, and the firmware's steps they belong to.
+
+Unlike what is learnt from, such a log may lack readings, and needs no reference.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError
+from zerodrift.dataset.bridges import plan_spans
+from zerodrift.dataset.chip_codes import MEASURED, TEMPERATURE
+from zerodrift.dataset.load import open_log
+from zerodrift.dataset.resample import KEPT_TOLERANCE, Stretch, plan_stretches
+from zerodrift.dataset.runs import Array
+from zerodrift.dataset.selectors import Selection
+from zerodrift.dataset.tables import Source, Table
+
+FEWEST_ROWS = 2
+"""Of a run; one row has no period."""
+
+
+@dataclass(frozen=True)
+class StepStretch:
+    """One uninterrupted stretch of a log at the firmware's period."""
+
+    run: str
+    """Value of the `run` column; "" without one."""
+    stretch: Stretch
+    first_step: int
+    """Its first step among those of the whole log."""
+    part: int
+    """0 where it begins a run, then 1, 2, ..."""
+    bridge: int
+    """Steps that stand for the gap before it."""
+    start_s: float
+    """The log's own clock at the first row of the run."""
+
+
+@dataclass(frozen=True)
+class LogSteps:
+    """A log, and which step of the firmware each of its rows belongs to."""
+
+    source: Source
+    table: Table
+    rows: int
+    """Of the file, those that were dropped among them."""
+    stretches: tuple[StepStretch, ...]
+    step_of_row: NDArray[np.int64]
+    """[rows] the step that holds at each row of the file; -1 for a row that was dropped."""
+    notes: tuple[str, ...]
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of all stretches."""
+        return sum(one.stretch.steps for one in self.stretches)
+
+    def resample(self, column: str, one: StepStretch) -> Array:
+        """Return a column's values [steps] over one stretch; NaN where half a step has none."""
+        values = self.table.columns[column]
+        rows = values[one.stretch.start : one.stretch.stop]
+        lacks = np.isnan(rows)
+        if not lacks.any():
+            return one.stretch.resample(values)
+        if lacks.all():
+            return np.full(one.stretch.steps, np.nan)
+        known = np.flatnonzero(~lacks)
+        last = np.maximum.accumulate(np.where(lacks, known[0], np.arange(rows.size)))
+        held = values.copy()
+        held[one.stretch.start : one.stretch.stop] = rows[last]
+        missing = np.zeros_like(values)
+        missing[one.stretch.start : one.stretch.stop] = lacks
+        steps = np.array(one.stretch.resample(held))
+        steps[one.stretch.resample(missing) > 0.5] = np.nan
+        return steps
+
+
+def read_log_steps(
+    config: Config, path: Path, columns: Mapping[str, str], skip_invalid: bool = False
+) -> LogSteps:
+    """Read a log for a finished model.
+
+    Args:
+        config: the project; says how times and columns are to be read.
+        path: the log.
+        columns: column -> where it is named, of all that is needed.
+        skip_invalid: drop rows whose time is no number or does not rise, instead of raising.
+
+    Raises:
+        InputError: a column is missing, the file is damaged, or a time cannot be right.
+    """
+    notes: list[str] = []
+    selection = Selection(path, None, None, f"the log {path}")
+    time = config.time_column
+    needed = {time: "[sensor] time", **columns}
+    table, spans = open_log(config, selection, skip_invalid, notes, needed)
+    rows = int(table.positions.max()) + 1
+    step_of_row = np.full(rows, -1, dtype=np.int64)
+    stretches: list[StepStretch] = []
+    first = 0
+    for run, start, stop in spans:
+        if stop - start < FEWEST_ROWS:
+            raise InputError(
+                f"{table.source.label}: {f'run {run!r}' if run else 'the log'} has {stop - start} "
+                f"row; expected {FEWEST_ROWS} at least, as one row has no period. Leave it out."
+            )
+        time_s = table.columns[time]
+        planned, gaps = plan_stretches(time_s, start, stop, config.sample_period_s)
+        planned = [one for one in planned if one.steps]
+        if gaps:
+            notes.append(
+                f"{table.source.label}: {f'run {run!r}' if run else 'the log'} is interrupted "
+                f"{len(gaps)} times; a straight line stands for what was not logged"
+            )
+        bridges, _ = plan_spans([one.time_s for one in planned], config.sample_period_s)
+        for part, (stretch, bridge) in enumerate(zip(planned, (0, *bridges), strict=True)):
+            own = slice(stretch.start, stretch.stop)
+            step_of_row[table.positions[own]] = first + _find_steps(stretch, time_s[own])
+            stretches.append(StepStretch(run, stretch, first, part, bridge, float(time_s[start])))
+            first += stretch.steps
+    return LogSteps(table.source, table, rows, tuple(stretches), step_of_row, tuple(notes))
+
+
+def _find_steps(stretch: Stretch, time_s: Array) -> NDArray[np.int64]:
+    """Return the step that holds at each row [n]: the last one that is complete by then."""
+    if stretch.method == "kept":
+        return np.arange(time_s.size, dtype=np.int64)
+    period_s = float(stretch.time_s[1] - stretch.time_s[0]) if stretch.steps > 1 else 0.0
+    late = time_s + KEPT_TOLERANCE * period_s
+    found = np.searchsorted(stretch.time_s, late, side="right") - 1
+    return np.maximum(found, 0).astype(np.int64)
+
+
+def name_columns(config: Config, sources: Sequence[str]) -> dict[str, str]:
+    """Return column -> where it is named, for the sources of a model's channels.
+
+    Args:
+        config: the project.
+        sources: `temperature_degC`, `measured:Fz` of an output, or an input's name.
+
+    Raises:
+        InputError: the project has no such input.
+    """
+    columns = {}
+    for source in sources:
+        column = find_column(config, source)
+        if source == TEMPERATURE:
+            columns[column] = "[sensor] temperature"
+        elif source.startswith(MEASURED):
+            columns[column] = f"[outputs.{source.removeprefix(MEASURED)}] measured"
+        else:
+            columns[column] = f"[inputs] {source}"
+    return columns
+
+
+def find_column(config: Config, source: str) -> str:
+    """Return the column of a channel's source.
+
+    Raises:
+        InputError: zerodrift.toml has no such input.
+    """
+    if source == TEMPERATURE:
+        return config.temperature_column
+    if source.startswith(MEASURED):
+        name = source.removeprefix(MEASURED)
+        found = next((o.measured for o in config.outputs if o.name == name), None)
+    else:
+        found = config.inputs.get(source)
+    if found is None:
+        raise InputError(
+            f"{config.path}: the model takes '{source}', which the project does not name; expected "
+            "what the firmware was built with. Run `zerodrift firmware` again."
+        )
+    return found
+
+
+def lay_bridge(before: Array, after: Array, steps: int) -> Array:
+    """Return straight lines [steps, C] from the last of one stretch to the first of the next."""
+    return np.linspace(before[-1], after[0], steps + 2)[1:-1]

@@ -1,0 +1,165 @@
+"""The uncertainty of a compensated value, by cause, in the terms of the GUM (JCGM 100:2008).
+
+It is read from what models say of training runs that they did not learn from: the root mean square
+of those errors is split into noise, parameters and what the model lacks; the chip's rounding is
+added, and, outside the calibrated ranges, what lies beyond them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.floor import measure_floor
+from zerodrift.diagnosis.held_out import BLOCKS
+from zerodrift.diagnosis.run_errors import RunError, collect_errors
+from zerodrift.export.float_model import FloatModel
+from zerodrift.verify.left_out import LeftOut
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FILE_NAME = "uncertainty.json"
+COVERAGE_FACTOR = 2.0
+COVERAGE = 0.9545
+"""Of a normal distribution within two standard deviations (JCGM 100:2008, table G.1)."""
+FEWEST_DEGREES = 2.0
+"""Below this many degrees of freedom a spread between runs says next to nothing."""
+
+
+@dataclass(frozen=True)
+class OutputUncertainty:
+    """Standard uncertainties of one output's compensated value, in its unit."""
+
+    unit: str
+    noise: float
+    """Of a reading: what no compensation can take away."""
+    parameters: float
+    """By how far the model moves when a run is left out."""
+    left_out: float
+    """Of what the model lacks: the rest of the error on runs left out."""
+    rounding: float
+    """RMS of integer less float model."""
+    span: float
+    """Of the drift over the calibrated range: what may happen once more beyond it."""
+    degrees_of_freedom: float
+    """Of the error's mean square, from its spread between runs."""
+
+    @property
+    def standard(self) -> float:
+        """Combined standard uncertainty inside the calibrated ranges."""
+        parts = (self.noise, self.parameters, self.left_out, self.rounding)
+        return float(np.sqrt(np.sum(np.square(parts))))
+
+    @property
+    def widening(self) -> float:
+        """How much wider Student's interval is than the normal one, for these few runs."""
+        quantile = student.ppf((1.0 + COVERAGE) / 2.0, self.degrees_of_freedom)
+        return float(quantile / COVERAGE_FACTOR)
+
+    def expand(self, beyond: Array) -> Array:
+        """Return the expanded uncertainty (k = 2) in the output's unit.
+
+        Args:
+            beyond: [n] how far outside its calibrated range an input is, as a share of that range;
+                0 inside. The drift beyond is taken to be anything, evenly, up to as much per
+                kelvin as the whole range showed (a rectangular distribution, JCGM 100:2008, 4.3.7).
+        """
+        outside = self.span * beyond / np.sqrt(3.0)
+        standard = np.hypot(self.standard * self.widening, outside)
+        return np.asarray(COVERAGE_FACTOR * standard)
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What is known of a model's compensated values."""
+
+    model_hash: str
+    method: str
+    """leave one run out | blocks of one run: where the errors come from."""
+    tared: bool
+    """Whether each run's own offset was taken off; it is not in the figures then."""
+    outputs: Mapping[str, OutputUncertainty]
+
+
+def measure_uncertainty(
+    model: FloatModel,
+    dataset: Dataset,
+    left_out: LeftOut,
+    *,
+    model_hash: str,
+    rounding: Sequence[float],
+    span: Sequence[float],
+) -> Uncertainty:
+    """Return the uncertainty of each output.
+
+    Args:
+        model: the float model, of all training runs.
+        dataset: its runs.
+        left_out: what models say of training runs that they did not learn from.
+        model_hash: of the integer model.
+        rounding: [K] RMS of integer less float model, in each output's unit.
+        span: [K] of the drift over the calibrated range, likewise.
+    """
+    runs = dataset.train
+    covered = dict(zip((r.name for r in runs), left_out.covered, strict=True))
+
+    def find_counted(run: Run) -> Mask:
+        return np.asarray(model.find_usable(run) & covered[run.name][:, None])
+
+    fitted = dict(zip((r.name for r in runs), model.predict_all_on_chip(runs), strict=True))
+    others = dict(zip((r.name for r in runs), left_out.floating, strict=True))
+    errors = collect_errors(runs, others, model.tared, find_counted)
+    moved = _measure_moves(errors, fitted, others)
+    inside = collect_errors(runs, fitted, model.tared, model.find_usable)
+    floor = measure_floor(dataset, [part for e in inside.values() for part in e.stretches])
+    pieces = [(e.error, e.usable) for e in errors.values()]
+    if len(pieces) == 1:
+        pieces = list(zip(*(np.array_split(x, BLOCKS) for x in pieces[0]), strict=True))
+    counts = np.array([usable.sum(axis=0) for _, usable in pieces], dtype=np.float64)
+    squares = np.array([np.sum(error**2, axis=0) for error, _ in pieces]) / np.maximum(counts, 1.0)
+    weights = counts / np.maximum(counts.sum(axis=0), 1.0)
+    outputs = {}
+    for k, name in enumerate(dataset.outputs):
+        total = float(weights[:, k] @ squares[:, k])
+        noise = min(float(floor.rms[k]) ** 2, total)
+        parameters = min(float(moved[k]), total - noise)
+        outputs[name] = OutputUncertainty(
+            unit=dataset.units[k],
+            noise=noise**0.5,
+            parameters=parameters**0.5,
+            left_out=max(total - noise - parameters, 0.0) ** 0.5,
+            rounding=float(rounding[k]),
+            span=float(span[k]),
+            degrees_of_freedom=count_degrees(squares[:, k], weights[:, k]),
+        )
+    return Uncertainty(model_hash, left_out.method, model.tared, outputs)
+
+
+def _measure_moves(
+    errors: Mapping[str, RunError], fitted: Mapping[str, Array], others: Mapping[str, Array]
+) -> Array:
+    """Return the mean square [K] by which predictions move when their own run is left out."""
+    squares, counts = 0.0, 0.0
+    for error in errors.values():
+        moves = np.concatenate([fitted[run.name] - others[run.name] for run in error.runs])
+        counts = counts + error.usable.sum(axis=0)
+        squares = squares + np.sum(np.where(error.usable, moves, 0.0) ** 2, axis=0)
+    return np.asarray(squares / np.maximum(counts, 1.0))
+
+
+def count_degrees(squares: Array, weights: Array) -> float:
+    """Return the degrees of freedom of a mean square, from its spread between runs.
+
+    The variance of a mean square with n degrees of freedom is 2/n of its own square, so that what
+    the runs [R] show of the one tells the other (Welch-Satterthwaite, JCGM 100:2008, G.4).
+    """
+    total = float(weights @ squares)
+    own = weights > 0.0
+    if total == 0.0 or own.sum() < 2:
+        return FEWEST_DEGREES
+    spread = float(np.sum(weights**2 * (squares - total) ** 2)) * own.sum() / (own.sum() - 1)
+    return max(2.0 * total**2 / spread, FEWEST_DEGREES) if spread > 0.0 else 1e6
