@@ -20,7 +20,6 @@ from zerodrift.c_runtime.footprint import measure_footprint
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
-from zerodrift.operations.gru_stack import IntegerGruStack
 from zerodrift.verify.vectors import draw_sequences
 
 RECORD = Path(__file__).with_suffix(".json")
@@ -132,8 +131,7 @@ def count_macs(model: IntegerModel) -> int:
     layer = model.recurrent
     if layer is None:
         return 0
-    grus = (*layer.lower, layer.gru) if isinstance(layer, IntegerGruStack) else (layer.gru,)
-    return sum(3 * gru.hidden * (gru.hidden + gru.inputs) for gru in grus)
+    return sum(3 * gru.hidden * (gru.hidden + gru.inputs) for gru in layer.layers)
 
 
 def print_table(table: Table, recorded: Table) -> None:

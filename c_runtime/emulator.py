@@ -42,7 +42,6 @@ from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.operations.gru_stack import IntegerGruStack
 
 _ARM_CPUS = {
     "cortex-m0plus": UC_CPU_ARM_CORTEX_M0,
@@ -398,14 +397,12 @@ def _render_layer(model: IntegerModel) -> str:
     layer = model.recurrent
     if layer is None:
         return "void chip_layer(void) {}\n"
-    gru = layer.gru
-    if not isinstance(layer, IntegerGruStack):
-        return _LAYER.format(name=layer.name, inputs=gru.inputs, hidden=gru.hidden)
-    return _STACK_OF_LAYERS.format(
+    *lower, top = layer.layers
+    return (_STACK_OF_LAYERS if lower else _LAYER).format(
         name=layer.name,
-        inputs=layer.lower[0].inputs,
-        lower=sum(below.hidden for below in layer.lower),
-        hidden=gru.hidden,
+        inputs=layer.layers[0].inputs,
+        lower=sum(below.hidden for below in lower),
+        hidden=top.hidden,
     )
 
 

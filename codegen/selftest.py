@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
-from zerodrift.operations.input import IntegerInput
-from zerodrift.operations.load import IntegerLoad
+from zerodrift.operations.node import ChannelNode
 
 SELFTEST_STEPS = 64
 SELFTEST_SEED = 0x5EED1E57
@@ -39,7 +38,7 @@ def limits_of(model: IntegerModel) -> tuple[list[int], list[int]]:
     low = [-(1 << (channel.bits - 1)) for channel in model.channels]
     high = [(1 << (channel.bits - 1)) - 1 for channel in model.channels]
     for node in model.nodes:
-        if isinstance(node, IntegerInput | IntegerLoad):
+        if isinstance(node, ChannelNode):
             low[node.channel], high[node.channel] = node.low, node.high
     return low, high
 

@@ -14,7 +14,6 @@ from zerodrift.base.files import write_whole
 from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.node import IntegerNode
 
 FORMAT = 3
@@ -122,7 +121,7 @@ class IntegerModel:
     @property
     def feeds_back(self) -> bool:
         """Whether some node reads the previous step's drift."""
-        return any(isinstance(n, IntegerLoad) for n in self.nodes)
+        return any(node.reads_drift for node in self.nodes)
 
     @property
     def code_type(self) -> type[np.signedinteger[Any]]:

@@ -5,24 +5,16 @@ A hash shows that a file was not changed by accident; who edits a file can compu
 
 import types
 import typing
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from zerodrift.base.config import LONGEST_WINDOW
 from zerodrift.base.errors import CheckError, InputError
-from zerodrift.operations.features import IntegerFeatures
-from zerodrift.operations.gru import IntegerGruLayer
-from zerodrift.operations.gru.cell import IntegerGru
-from zerodrift.operations.head import IntegerHead
-from zerodrift.operations.input import IntegerInput
-from zerodrift.operations.load import IntegerLoad
+from zerodrift.operations.node import ChannelNode, IntegerNode
 
 if TYPE_CHECKING:
     from zerodrift.export.integer_model import IntegerModel
-
-RESETS = ("after", "before")
 
 
 def check_model(where: str, model: "IntegerModel") -> None:
@@ -45,8 +37,6 @@ def check_model(where: str, model: "IntegerModel") -> None:
         for part in (*model.channels, *model.outputs, model.guards):
             check_types(type(part).__name__.lower(), part)
         _check_whole(model)
-        for node in model.nodes:
-            _check_shapes(node)
         model.prove()
         _try_one_step(model)
     except CheckError:
@@ -65,7 +55,7 @@ def check_types(where: str, part: Any) -> None:
         if not fits_type(value, hints[field.name]):
             raise TypeError(f"{where}: {field.name} is {value!r:.60}")
         for item in value if isinstance(value, tuple) else (value,):
-            if isinstance(item, IntegerGru):
+            if is_dataclass(item):
                 check_types(f"{where}.{field.name}", item)
 
 
@@ -92,40 +82,17 @@ def fits_type(value: Any, hint: Any) -> bool:
     )
 
 
-def _check_references(node: Any, model: "IntegerModel") -> None:
-    """Raise where a node reads a channel, an output or a layer that does not fit."""
+def _check_references(node: IntegerNode, model: "IntegerModel") -> None:
+    """Raise where a node reads a channel or an output that is not there, or does not fit itself."""
     for name, count in (("channel", len(model.channels)), ("output", len(model.outputs))):
         index = getattr(node, name, 0)
         if not 0 <= index < count:
             raise IndexError(f"node '{node.name}' reads {name} {index} of {count}")
-    if isinstance(node, IntegerInput | IntegerLoad):
+    if isinstance(node, ChannelNode):
         reach = 1 << (model.channels[node.channel].bits - 1)
         if not -reach <= node.low <= node.high < reach:
             raise ValueError(f"node '{node.name}' is limited to {node.low} .. {node.high}")
-    if isinstance(node, IntegerFeatures):
-        shapes = [node.matrix.shape, node.bias.shape, (len(node.shift),)]
-        if shapes != [(node.width, len(node.inputs)), (node.width,), (node.width,)]:
-            raise ValueError(f"node '{node.name}': arrays {shapes} do not fit together")
-    if isinstance(node, IntegerGruLayer):
-        if not 0 <= node.window <= LONGEST_WINDOW:
-            raise ValueError(
-                f"node '{node.name}' has a window of {node.window}, not 0 to {LONGEST_WINDOW}"
-            )
-        for layer in (node.gru, *getattr(node, "lower", ())):
-            _check_layer(node.name, layer)
-
-
-def _check_layer(name: str, layer: IntegerGru) -> None:
-    hidden, inputs = layer.hidden, layer.inputs
-    shapes = [layer.w_x.shape, layer.w_h.shape, layer.bias.shape]
-    wanted = [(3, hidden, inputs), (3, hidden, hidden), (4, hidden)]
-    if layer.multiplier is not None:
-        shapes.append(layer.multiplier.shape)
-        wanted.append((3, hidden))
-    if shapes != wanted or hidden == 0:
-        raise ValueError(f"node '{name}': arrays {shapes} do not fit together")
-    if layer.reset not in RESETS:
-        raise ValueError(f"node '{name}': reset {layer.reset!r:.40}; expected one of {RESETS}")
+    node.check_form()
 
 
 def _check_whole(model: "IntegerModel") -> None:
@@ -157,20 +124,6 @@ def _check_whole(model: "IntegerModel") -> None:
         raise ValueError(f"guards: {guards.warm_up_steps} steps, {guards.rate_max} codes a step")
     if any(output.lsb_per_unit < 1 for output in model.outputs) or model.sample_period_s <= 0:
         raise ValueError("an output's lsb_per_unit or the sample period is not above 0")
-
-
-def _check_shapes(node: Any) -> None:
-    """Raise where the arrays of features or head do not fit together, or their inputs."""
-    shapes: list[tuple[int, ...]] = []
-    wanted: list[tuple[int, ...]] = []
-    if isinstance(node, IntegerFeatures):
-        shapes = [node.matrix.shape, node.bias.shape, (len(node.shift),)]
-        rows = node.bias.size
-        wanted = [(rows, len(node.inputs)), (rows,), (rows,)]
-    elif isinstance(node, IntegerHead):
-        shapes, wanted = [node.weights.shape[1:]], [node.weights.shape[-1:]]
-    if shapes != wanted or any(0 in shape for shape in shapes):
-        raise ValueError(f"node '{node.name}': arrays {shapes} do not fit its inputs")
 
 
 def _try_one_step(model: "IntegerModel") -> None:

@@ -2,9 +2,9 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from zerodrift.export.integer_model import (
 )
 from zerodrift.export.model_checks import check_model
 from zerodrift.operations.drift import IntegerDrift
-from zerodrift.operations.gru.cell import IntegerGru
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.registry import NODE_CLASSES
 
@@ -58,15 +57,17 @@ def _build(cls: type[Any], path: str, body: Any) -> Any:
     if not isinstance(body, dict) or not names - {*NEWER_FIELDS} <= set(body) <= names:
         found = sorted(body) if isinstance(body, dict) else type(body).__name__
         raise InputError(f"{path}: expected the fields {sorted(names)}, found {found}")
-    return cls(**{k: _read_field(f"{path}.{k}", k, v) for k, v in body.items()})
+    hints = get_type_hints(cls)
+    return cls(**{k: _read_field(f"{path}.{k}", hints[k], v) for k, v in body.items()})
 
 
-def _read_field(path: str, key: str, value: Any) -> Any:
-    """Return a field of a node; `gru` is a layer, `lower` a list of them."""
-    if key == "gru":
-        return _build(IntegerGru, path, value)
-    if key == "lower" and value and isinstance(value, list):
-        return tuple(_build(IntegerGru, f"{path}[{i}]", v) for i, v in enumerate(value))
+def _read_field(path: str, hint: Any, value: Any) -> Any:
+    """Return a field of a node, which may be a layer, or several."""
+    if isinstance(hint, type) and is_dataclass(hint):
+        return _build(hint, path, value)
+    (item, *_) = get_args(hint) or (None,)
+    if isinstance(item, type) and is_dataclass(item) and value and isinstance(value, list):
+        return tuple(_build(item, f"{path}[{i}]", v) for i, v in enumerate(value))
     return _typed(path, value)
 
 

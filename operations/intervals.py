@@ -75,6 +75,15 @@ class Bound:
         return self
 
 
+@dataclass(frozen=True)
+class Shift:
+    """A right shift: where, by how many bits, and by how many it may be at most."""
+
+    where: str
+    amount: int
+    most: int
+
+
 def check_shift(where: str, shift: int, most: int) -> None:
     """Refuse a shift that C leaves undefined.
 

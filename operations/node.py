@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.c_text import RuntimePart, StateField, Table
-from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.intervals import Bound, Interval, Shift
 
 if TYPE_CHECKING:
     from zerodrift.operations.onnx_writer import OnnxWriter
@@ -56,6 +56,11 @@ class IntegerNode:
         """Return the state after this step and the output."""
         raise NotImplementedError
 
+    @property
+    def reads_drift(self) -> bool:
+        """Whether the step takes the drift that the step before gave."""
+        return False
+
     def elapse(self, state: State, steps: int) -> State:
         """Return the state at rest of a log that begins some steps after power-on."""
         return state
@@ -67,6 +72,23 @@ class IntegerNode:
             CheckError: something could overflow.
         """
         raise NotImplementedError
+
+    def list_shifts(self) -> list[Shift]:
+        """Return every right shift in the C, for the certificate."""
+        return []
+
+    @property
+    def idle(self) -> frozenset[str]:
+        """Names of bounds in `prove` of what this node's C leaves out."""
+        return frozenset()
+
+    @property
+    def ends(self) -> tuple[int, int] | None:
+        """The values at which the result stands at a limit of its own; None without one."""
+        return None
+
+    def check_form(self) -> None:
+        """Raise ValueError where the fields of a node from a file do not fit together."""
 
     def bound_error(
         self, inputs: list[list[Interval]], errors: list[list[float]]

@@ -8,15 +8,11 @@ import hashlib
 import json
 from typing import Any
 
-import numpy as np
-
 from zerodrift import __version__
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.operations.gru import IntegerGruLayer
-from zerodrift.operations.gru.cell import GATES, H_LIMIT_Q30, IntegerGru
-from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.gru.cell import H_LIMIT_Q30
 from zerodrift.operations.tables import STEP_BITS, T_MAX, T_MIN, tanh_nodes
 
 FORMAT = 1
@@ -36,8 +32,7 @@ def certify(model: IntegerModel, code: GeneratedCode) -> str:
     texts = {code.header_name: code.header, code.source_name: code.source}
     texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
     layer = model.recurrent
-    # a delay by whole samples mixes no two of them
-    unused = {f"{n.name}.rise" for n in model.nodes if getattr(n, "newer_q31", 1) == 0}
+    idle = frozenset[str]().union(*(node.idle for node in model.nodes))
     body: dict[str, Any] = {
         "certificate": FORMAT,
         "about": "Nothing overflows, for any input code. Derived from the weights by intervals;"
@@ -55,12 +50,14 @@ def certify(model: IntegerModel, code: GeneratedCode) -> str:
             for channel in model.channels
         ],
         **({"checksum": "check"} if model.guarded else {}),
-        "invariants": [_describe_invariant(name) for name, _ in list_layers(layer)],
+        "invariants": [
+            _describe_invariant(name) for name in (layer.name_layers(".") if layer else ())
+        ],
         "tables": [_describe_table()] if layer else [],
         "shifts": [
-            {"where": where, "shift": shift, "most": most}
+            {"where": shift.where, "shift": int(shift.amount), "most": shift.most}
             for node in model.nodes
-            for where, shift, most in list_shifts(node)
+            for shift in node.list_shifts()
         ],
         "bounds": [
             {
@@ -70,7 +67,7 @@ def certify(model: IntegerModel, code: GeneratedCode) -> str:
                 "bits": bound.bits,
             }
             for bound in model.prove()
-            if bound.where not in unused
+            if bound.where not in idle
         ],
     }
     return format_certificate(body)
@@ -86,38 +83,6 @@ def format_certificate(body: dict[str, Any]) -> str:
         else:
             lines.append(f" {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}")
     return "{\n" + ",\n".join(lines) + "\n}\n"
-
-
-def list_shifts(node: IntegerNode) -> list[tuple[str, int, int]]:
-    """Return name, amount and largest defined amount of every right shift of a node."""
-    if isinstance(node, IntegerGruLayer):
-        shifts = []
-        for name, gru in list_layers(node):
-            pairs = zip(GATES, gru.shift, gru.multiplier_shift, strict=True)
-            for gate, amount, multiplier_shift in pairs:
-                shifts.append((f"{name}.{gate}.shift", amount, 31))
-                if gru.multiplier is not None:
-                    shifts.append((f"{name}.{gate}.multiplier_shift", multiplier_shift, 62))
-        return shifts
-    shift = getattr(node, "shift", None)
-    if shift is None or node.kind in ("input", "load"):  # these are multiplied, to the left
-        return []
-    if node.kind == "sum" and shift == 0:  # is left out of the C
-        return []
-    if isinstance(shift, tuple):
-        most = 31 if node.kind in ("dense", "feature_dense") else 63
-        return [(f"{node.name}[{i}].shift", int(s), most) for i, s in enumerate(shift)]
-    return [(f"{node.name}.shift", int(np.int64(shift)), 62)]
-
-
-def list_layers(node: IntegerGruLayer | None) -> list[tuple[str, IntegerGru]]:
-    """Return name and weights of a recurrent node's layers, of which a stack has several."""
-    if node is None:
-        return []
-    lower: tuple[IntegerGru, ...] = getattr(node, "lower", ())
-    if not lower:
-        return [(node.name, node.gru)]
-    return [(f"{node.name}.{level}", gru) for level, gru in enumerate((*lower, node.gru))]
 
 
 def _describe_invariant(name: str) -> dict[str, Any]:

@@ -25,13 +25,10 @@ from zerodrift.export.integer_model import (
     IntegerModel,
 )
 from zerodrift.export.reference import Reference
-from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, CodeArray, IntArray
-from zerodrift.operations.clip import IntegerClip
-from zerodrift.operations.features import IntegerFeatures
+from zerodrift.operations.arithmetic import CodeArray, IntArray
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.load import IntegerLoad
-from zerodrift.operations.product import IntegerProduct
-from zerodrift.operations.sum import IntegerSum
+from zerodrift.operations.node import ChannelNode
 from zerodrift.verify.summary import ChipError
 
 Array = NDArray[np.float64]
@@ -203,7 +200,7 @@ def find_outside(
     wide = codes.astype(np.int64)
     before = np.concatenate([drift[:1], drift[:-1]]).astype(np.int64)
     for node in model.nodes:
-        if isinstance(node, IntegerInput | IntegerLoad):
+        if isinstance(node, ChannelNode):
             value = wide[:, node.channel]
             if isinstance(node, IntegerLoad):
                 value = value - before[:, node.output]
@@ -311,7 +308,7 @@ def find_saturated(model: IntegerModel, run: Run) -> Mask:
     """Return [n] rows of a run, begun at rest, on which an operation stands at its limit."""
     codes = encode_inputs(model, run)
     stands = np.zeros(len(codes), dtype=np.bool_)
-    limits = [(node.name, *ends) for node in model.nodes if (ends := _limits_of(node))]
+    limits = [(node.name, *ends) for node in model.nodes if (ends := node.ends)]
 
     def look(step: int, values: dict[str, IntArray]) -> None:
         for name, low, high in limits:
@@ -322,18 +319,3 @@ def find_saturated(model: IntegerModel, run: Run) -> Mask:
 
     Reference(model).run(codes[None], elapsed=count_elapsed(model, run), observe=look)
     return stands
-
-
-def _limits_of(node: object) -> tuple[int, int] | None:
-    """Return the values at which an operation stands at its limit; None where it has none."""
-    if isinstance(node, IntegerInput):
-        return (node.low - node.origin) << node.shift, (node.high - node.origin) << node.shift
-    if isinstance(node, IntegerLoad):
-        return node.low << node.shift, node.high << node.shift
-    if isinstance(node, IntegerSum | IntegerProduct) and node.limited:
-        return node.low, node.high
-    if isinstance(node, IntegerClip):
-        return node.low, node.high
-    if isinstance(node, IntegerFeatures):
-        return INT16_MIN, INT16_MAX
-    return None

@@ -55,6 +55,11 @@ class IntegerClip(IntegerNode):
         low, high = format_int32(self.low), self.high
         return f"zd_clamp32({self.inputs[0]}, {low}, {high})"
 
+    @property
+    def ends(self) -> tuple[int, int]:
+        """The values at which the result stands at a limit."""
+        return self.low, self.high
+
 
 def limit(nodes: FormattedNodes, x: Signal, low: float, high: float) -> Signal:
     """Return x limited to low .. high in its unit."""

@@ -117,6 +117,11 @@ class IntegerDelay(IntegerNode):
         """Return the fields of the state in C."""
         return list_ring(self.name, "line", 32, (self.steps,))
 
+    @property
+    def idle(self) -> frozenset[str]:
+        """The mix of two samples, where the delay is by whole ones."""
+        return frozenset() if self.newer_q31 else frozenset({f"{self.name}.rise"})
+
 
 def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
     """Return x as it was some time ago: whole steps, and a share of one more."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray, matmul_exact, round_shift, saturate
 from zerodrift.operations.c_text import RuntimePart, Table, make_table
-from zerodrift.operations.intervals import Bound, Interval, check_shift
+from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 from zerodrift.operations.tables import NODE_MAX, STEP_BITS, TANH, tanh_q30, write_tanh
 
@@ -169,6 +169,10 @@ class IntegerDense(IntegerNode):
     def parts(self) -> tuple[RuntimePart, ...]:
         """The table of tanh, if it is the activation."""
         return (TANH,) if self.activation == "tanh" else ()
+
+    def list_shifts(self) -> list[Shift]:
+        """Return every right shift in the C."""
+        return [Shift(f"{self.name}[{i}].shift", by, 31) for i, by in enumerate(self.shift)]
 
 
 @dataclass(frozen=True)

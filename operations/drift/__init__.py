@@ -8,7 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import IntArray, saturate
-from zerodrift.operations.intervals import Bound, Interval, bound_row, check_limits, check_shift
+from zerodrift.operations.intervals import (
+    Bound,
+    Interval,
+    Shift,
+    bound_row,
+    check_limits,
+    check_shift,
+)
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 
 if TYPE_CHECKING:
@@ -106,6 +113,10 @@ class IntegerDrift(IntegerNode):
         for term in terms:
             total = w.add(total, term)
         return w.floor_shift(total, self.shift)
+
+    def list_shifts(self) -> list[Shift]:
+        """Return every right shift in the C."""
+        return [Shift(f"{self.name}[{i}].shift", by, 63) for i, by in enumerate(self.shift)]
 
 
 NODES = (IntegerDrift,)

@@ -12,7 +12,7 @@ from zerodrift.operations.arithmetic import IntArray, saturate
 from zerodrift.operations.c_text import RuntimePart, format_factor, format_int32, format_int64
 from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
-from zerodrift.operations.intervals import Bound, Interval, check_shift
+from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.polynomial import bound_polynomial, evaluate_polynomial, write_polynomial
@@ -136,6 +136,10 @@ class IntegerExp2(IntegerNode):
     def parts(self) -> tuple[RuntimePart, ...]:
         """The table of 2**f."""
         return (EXP2,)
+
+    def list_shifts(self) -> list[Shift]:
+        """Return every right shift in the C."""
+        return [Shift(f"{self.name}.shift", self.shift, 62)]
 
 
 def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray, saturate
 from zerodrift.operations.c_text import Table, make_table
-from zerodrift.operations.intervals import Bound, Interval, bound_row, check_shift
+from zerodrift.operations.intervals import Bound, Interval, Shift, bound_row, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 
 if TYPE_CHECKING:
@@ -73,6 +73,22 @@ class IntegerFeatures(IntegerNode):
             make_table(f"{self.name}_bias", "i64", self.bias),
             make_table(f"{self.name}_shift", "u8", self.shift),
         )
+
+    def list_shifts(self) -> list[Shift]:
+        """Return every right shift in the C."""
+        return [Shift(f"{self.name}[{i}].shift", by, 63) for i, by in enumerate(self.shift)]
+
+    def check_form(self) -> None:
+        """Raise ValueError where the arrays do not fit together, or the inputs."""
+        shapes = [self.matrix.shape, self.bias.shape, (len(self.shift),)]
+        rows = (self.bias.size,)
+        if 0 in self.matrix.shape or shapes != [(*rows, len(self.inputs)), rows, rows]:
+            raise ValueError(f"node '{self.name}': arrays {shapes} do not fit its inputs")
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """The values at which the result stands at a limit."""
+        return INT16_MIN, INT16_MAX
 
 
 NODES = (IntegerFeatures,)

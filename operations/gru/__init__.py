@@ -5,11 +5,19 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from zerodrift.base.config import LONGEST_WINDOW
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray
 from zerodrift.operations.c_text import RuntimePart, StateField, list_ring
-from zerodrift.operations.gru.cell import H_LIMIT_Q30, IntegerGru, write_gru_step, write_relaxed
+from zerodrift.operations.gru.cell import (
+    GATES,
+    H_LIMIT_Q30,
+    IntegerGru,
+    check_layer,
+    write_gru_step,
+    write_relaxed,
+)
 from zerodrift.operations.gru.layouts import FILTERS
-from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.intervals import Bound, Interval, Shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 from zerodrift.operations.tables import TANH
 
@@ -120,6 +128,25 @@ class IntegerGruLayer(IntegerNode):
     def parts(self) -> tuple[RuntimePart, ...]:
         """The table of tanh."""
         return (TANH,)
+
+    def list_shifts(self) -> list[Shift]:
+        """Return every right shift in the C."""
+        shifts = []
+        for name, gru in zip(self.name_layers("."), self.layers, strict=True):
+            for gate, by, scaled_by in zip(GATES, gru.shift, gru.multiplier_shift, strict=True):
+                shifts.append(Shift(f"{name}.{gate}.shift", by, 31))
+                if gru.multiplier is not None:
+                    shifts.append(Shift(f"{name}.{gate}.multiplier_shift", scaled_by, 62))
+        return shifts
+
+    def check_form(self) -> None:
+        """Raise ValueError where the window is too long, or a layer's arrays do not fit."""
+        if not 0 <= self.window <= LONGEST_WINDOW:
+            raise ValueError(
+                f"node '{self.name}' has a window of {self.window}, not 0 to {LONGEST_WINDOW}"
+            )
+        for layer in self.layers:
+            check_layer(self.name, layer)
 
 
 def move_window(w: "OnnxWriter", length: int, x: str, window: str) -> str:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+RESETS = ("after", "before")
 GATES = ("r", "u", "n")
 H_LIMIT_Q30 = 2**30 - 2**15 + 1
 """|h| in Q1.30 never exceeds this: the recurrent invariant (see `prove_state`)."""
@@ -257,6 +258,20 @@ class IntegerGru:
                 bounds.append(_symmetric(row, outside + product, 32))
         bounds.append(prove_state(name))
         return [bound.check() for bound in bounds]
+
+
+def check_layer(name: str, layer: IntegerGru) -> None:
+    """Raise ValueError where the arrays of a layer do not fit together."""
+    hidden, inputs = layer.hidden, layer.inputs
+    shapes = [layer.w_x.shape, layer.w_h.shape, layer.bias.shape]
+    wanted = [(3, hidden, inputs), (3, hidden, hidden), (4, hidden)]
+    if layer.multiplier is not None:
+        shapes.append(layer.multiplier.shape)
+        wanted.append((3, hidden))
+    if shapes != wanted or hidden == 0:
+        raise ValueError(f"node '{name}': arrays {shapes} do not fit together")
+    if layer.reset not in RESETS:
+        raise ValueError(f"node '{name}': reset {layer.reset!r:.40}; expected one of {RESETS}")
 
 
 def prove_state(name: str) -> Bound:

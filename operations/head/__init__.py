@@ -55,5 +55,10 @@ class IntegerHead(IntegerNode):
         """Return the constant tables in C."""
         return (make_table(f"{self.name}_weights", "i16", self.weights),)
 
+    def check_form(self) -> None:
+        """Raise ValueError where the weights are no matrix."""
+        if self.weights.ndim != 2 or not self.weights.shape[1]:
+            raise ValueError(f"node '{self.name}': weights {self.weights.shape} do not fit")
+
 
 NODES = (IntegerHead,)

@@ -45,5 +45,10 @@ class IntegerInput(ChannelNode):
         counted = w.sub(code, w.constant(self.origin)) if self.origin else code
         return {}, w.shift_left(counted, self.shift)
 
+    @property
+    def ends(self) -> tuple[int, int]:
+        """The values at which the result stands at a limit."""
+        return (self.low - self.origin) << self.shift, (self.high - self.origin) << self.shift
+
 
 NODES = (IntegerInput,)

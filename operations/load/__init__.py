@@ -61,5 +61,15 @@ class IntegerLoad(ChannelNode):
         load = w.sub(code, w.column(values[PREVIOUS_DRIFT], self.output))
         return {}, w.shift_left(w.saturate(load, self.low, self.high), self.shift)
 
+    @property
+    def ends(self) -> tuple[int, int]:
+        """The values at which the result stands at a limit."""
+        return self.low << self.shift, self.high << self.shift
+
+    @property
+    def reads_drift(self) -> bool:
+        """Whether the step takes the drift that the step before gave."""
+        return True
+
 
 NODES = (IntegerLoad,)

@@ -13,7 +13,7 @@ from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
-from zerodrift.operations.intervals import Bound, Interval, check_shift
+from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.sum import fit
@@ -162,6 +162,10 @@ class IntegerLowpass(IntegerNode):
     def list_state(self) -> tuple[StateField, ...]:
         """Return the fields of the state in C."""
         return (StateField(64, f"{self.name}_v"),)
+
+    def list_shifts(self) -> list[Shift]:
+        """Return every right shift in the C."""
+        return [Shift(f"{self.name}.shift", self.shift, 62)]
 
 
 def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:

@@ -13,7 +13,7 @@ from zerodrift.operations.c_text import Table, make_table
 from zerodrift.operations.clip import limit
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
-from zerodrift.operations.intervals import Bound, Interval, check_shift
+from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 from zerodrift.operations.offset import remove_offset
 from zerodrift.operations.operation import Operation
@@ -133,6 +133,10 @@ class IntegerPower(IntegerNode):
     def express(self) -> str:
         """Return the power in C."""
         return f"zd_power(&{self.name}_p, {self.inputs[0]})"
+
+    def list_shifts(self) -> list[Shift]:
+        """Return every right shift in the C."""
+        return [Shift(f"{self.name}.shift", self.shift, 62)]
 
 
 def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:

@@ -17,7 +17,7 @@ from zerodrift.operations.arithmetic import (
 from zerodrift.operations.c_text import format_int32
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
-from zerodrift.operations.intervals import Bound, Interval, check_limits, check_shift
+from zerodrift.operations.intervals import Bound, Interval, Shift, check_limits, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 from zerodrift.operations.offset import remove_offset
 from zerodrift.operations.operation import Operation
@@ -78,6 +78,15 @@ class IntegerProduct(IntegerNode):
         if self.limited:
             product = f"zd_clamp64({product}, {format_int32(self.low)}, {self.high})"
         return f"(int32_t){product}"
+
+    def list_shifts(self) -> list[Shift]:
+        """Return every right shift in the C."""
+        return [Shift(f"{self.name}.shift", self.shift, 62)]
+
+    @property
+    def ends(self) -> tuple[int, int] | None:
+        """The values at which the result stands at a limit."""
+        return (self.low, self.high) if self.limited else None
 
 
 def multiply(nodes: FormattedNodes, a: Signal, b: Signal, node: Node | None = None) -> Signal:

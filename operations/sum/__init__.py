@@ -22,7 +22,14 @@ from zerodrift.operations.formats import (
     FormattedNodes,
     Signal,
 )
-from zerodrift.operations.intervals import Bound, Interval, bound_row, check_limits, check_shift
+from zerodrift.operations.intervals import (
+    Bound,
+    Interval,
+    Shift,
+    bound_row,
+    check_limits,
+    check_shift,
+)
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 
 if TYPE_CHECKING:
@@ -87,6 +94,15 @@ class IntegerSum(IntegerNode):
         if self.limited:
             total = f"zd_clamp64({total}, {format_int32(self.low)}, {self.high})"
         return f"(int32_t){total}"
+
+    def list_shifts(self) -> list[Shift]:
+        """Return every right shift in the C."""
+        return [Shift(f"{self.name}.shift", self.shift, 62)] if self.shift else []
+
+    @property
+    def ends(self) -> tuple[int, int] | None:
+        """The values at which the result stands at a limit."""
+        return (self.low, self.high) if self.limited else None
 
 
 def fit(nodes: FormattedNodes, x: Signal, bits: int) -> Signal:
