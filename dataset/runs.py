@@ -1,13 +1,19 @@
 """What a log becomes: uninterrupted stretches at one sample period, with units in the names."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.dataset.outliers import Outliers, weigh_samples
+
 Array = NDArray[np.float64]
+
+MOST_TOLD = 3
+"""Runs that a sentence names."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,8 @@ class Run:
     """The log's own clock at the first row of the whole run; None: at this stretch's first."""
     before: "Run | None" = field(default=None, repr=False, compare=False)
     """The stretch of the same run before the gap; None for the first, or to begin at rest."""
+    explained: Array | None = field(default=None, repr=False, compare=False)
+    """[n, K] drift that is known to have a cause, so that outliers show beside it; None: none."""
 
     def at_rest(self) -> "Run":
         """Return the stretch as if nothing had been before it, as a chip takes it."""
@@ -58,12 +66,34 @@ class Run:
             measured=self.measured[rows],
             reference=self.reference[rows],
             inputs={name: values[rows] for name, values in self.inputs.items()},
+            explained=None if self.explained is None else self.explained[rows],
         )
 
     @property
     def drift(self) -> Array:
         """[n, K] measured minus reference: what the compensator has to predict."""
         return self.measured - self.reference
+
+    @cached_property
+    def outliers(self) -> Outliers | None:
+        """The weights of its samples; None where all of them are 1."""
+        signals = (self.temperature_degC, self.reference, self.inputs)
+        if self.explained is None:
+            return weigh_samples(self.drift, *signals)
+        beside = weigh_samples(self.drift - self.explained, *signals)
+        return None if beside is None else replace(beside, drift=beside.drift + self.explained)
+
+    @property
+    def steady_drift(self) -> Array:
+        """[n, K] the drift that is fitted: outliers count by their weights, `drift` without any."""
+        return self.drift if self.outliers is None else self.outliers.drift.copy()
+
+    @property
+    def weights(self) -> Array:
+        """[n, K] of the samples, from 0 (an outlier) to 1; not to be written to."""
+        if self.outliers is None:
+            return np.broadcast_to(1.0, self.measured.shape)
+        return self.outliers.weights
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -84,3 +114,40 @@ class Dataset:
     full_scale: tuple[float, ...]
     notes: tuple[str, ...] = ()
     """What was noticed while reading and is worth a look: gaps, rows left out, odd units."""
+
+
+@dataclass(frozen=True)
+class OutlierCount:
+    """How many rows hold a sample that is far off from its neighbours for no logged reason."""
+
+    rows: int
+    runs: Mapping[str, int]
+    """Run -> rows; runs without any are left out."""
+
+    def explain(self) -> str:
+        """Return it in a sentence; empty without any."""
+        if not self.rows:
+            return ""
+        most = sorted(self.runs, key=lambda run: -self.runs[run])
+        where = ", ".join(f"{run}: {self.runs[run]}" for run in most[:MOST_TOLD])
+        more = f" and {len(most) - MOST_TOLD} more runs" if len(most) > MOST_TOLD else ""
+        return (
+            f"{self.rows} row{'s are' if self.rows > 1 else ' is'} far off from the rows before "
+            f"and behind, with no cause in the logs ({where}{more}): outliers, which hardly count "
+            "in fits, floor and verdict"
+        )
+
+
+def tell_outliers(runs: Sequence[Run]) -> OutlierCount:
+    """Return how many rows of each run hold an outlier."""
+    counts: dict[str, int] = {}
+    for run in runs:
+        count = count_outliers((run,))
+        if count:
+            counts[run.group] = counts.get(run.group, 0) + count
+    return OutlierCount(sum(counts.values()), counts)
+
+
+def count_outliers(runs: Sequence[Run]) -> int:
+    """Return how many rows of the runs hold an outlier in some output."""
+    return sum(int(run.outliers.rows.sum()) for run in runs if run.outliers is not None)

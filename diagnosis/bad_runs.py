@@ -52,7 +52,7 @@ def describe_bad_run(
     live = floor > 0.0
     beyond = {}
     for group, e in errors.items():
-        squares = np.sum((e.error[:, live] / floor[live]) ** 2, axis=0)
+        squares = np.sum((e.steady[:, live] / floor[live]) ** 2, axis=0)
         beyond[group] = float(np.maximum(squares - e.usable[:, live].sum(axis=0), 0.0).sum())
     whole = sum(beyond.values())
     worst = max(beyond, key=lambda group: beyond[group])

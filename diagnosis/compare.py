@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.dataset.runs import Dataset, OutlierCount, Run, tell_outliers
 from zerodrift.diagnosis.comparison_summary import (
     ComparisonSummary,
     OutputSummary,
@@ -16,7 +16,13 @@ from zerodrift.diagnosis.comparison_summary import (
 )
 from zerodrift.diagnosis.floor import NoiseFloor, measure_floor
 from zerodrift.diagnosis.held_out import NONE, TEST_LOGS, HeldOut
-from zerodrift.diagnosis.run_errors import FindUsable, RunError, collect_errors, pool_rmse
+from zerodrift.diagnosis.run_errors import (
+    FindUsable,
+    RunError,
+    collect_errors,
+    pool_rmse,
+    pool_steady_rmse,
+)
 from zerodrift.diagnosis.segments import MOST_SEGMENTS, Failures, find_failures
 
 Array = NDArray[np.float64]
@@ -35,6 +41,8 @@ class ErrorSummary:
     """What was taken off as the run's own offset, root mean square over runs; 0 without tare."""
     explained: float
     """Share of the drift's mean square, offsets apart, that the model takes away."""
+    steady_rmse: float
+    """RMSE with outliers by their weights; `rmse` where there are none."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,8 @@ class Comparison:
     """Run -> [n, K] which samples count; None: all."""
     set_aside: float
     """Share of all samples that do not count: a converter stood at its rail."""
+    outliers: OutlierCount
+    """In the runs that the errors are told of."""
 
     @property
     def told(self) -> tuple[ErrorSummary, ...]:
@@ -113,6 +123,7 @@ class Comparison:
             noise_floor_source=self.floor.source,
             tared=self.tared,
             set_aside=self.set_aside,
+            outliers=self.outliers,
         )
 
 
@@ -134,6 +145,7 @@ def _summarise_output(comparison: Comparison, k: int) -> OutputSummary:
         noise_floor=float(comparison.floor.rms[k]),
         explained=told.explained,
         run_offset=told.offset,
+        rmse_without_outliers=told.steady_rmse if comparison.outliers.rows else None,
     )
 
 
@@ -222,6 +234,7 @@ def compare(
         tared=tared,
         find_usable=find_usable,
         set_aside=_share_set_aside(list(told.values())),
+        outliers=tell_outliers([run for e in told.values() for run in e.runs]),
     )
 
 
@@ -233,7 +246,7 @@ def _share_set_aside(errors: Sequence[RunError]) -> float:
 def _summarise(errors: Sequence[RunError]) -> tuple[ErrorSummary, ...]:
     """Return the errors [K] over all samples of some runs."""
     drift = _root_mean_square([e.drift for e in errors])
-    left = pool_rmse(errors)
+    left, steady = pool_rmse(errors), pool_steady_rmse(errors)
     largest = np.max([np.abs(e.error).max(axis=0) for e in errors], axis=0)
     offset = np.sqrt(np.mean([e.offset**2 for e in errors], axis=0))
     tared = bool(offset.any())
@@ -242,7 +255,7 @@ def _summarise(errors: Sequence[RunError]) -> tuple[ErrorSummary, ...]:
     explained = 1.0 - (left / np.where(moved > 0.0, moved, 1.0)) ** 2
     explained = np.where(moved > 0.0, explained, 0.0)
     return tuple(
-        ErrorSummary(*(float(x[k]) for x in (drift, left, largest, offset, explained)))
+        ErrorSummary(*(float(x[k]) for x in (drift, left, largest, offset, explained, steady)))
         for k in range(drift.size)
     )
 

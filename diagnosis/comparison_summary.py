@@ -1,8 +1,11 @@
 """What `compare` prints and the report shows: its figures, without the predictions behind them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
+
+from zerodrift.base.records import OPTIONAL
+from zerodrift.dataset.runs import OutlierCount
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,8 @@ class OutputSummary:
     """Share of the drift's mean square, offsets apart, that the model takes away."""
     run_offset: float
     """What was taken off as the runs' own offsets, root mean square; 0 without tare."""
+    rmse_without_outliers: float | None = field(default=None, metadata=OPTIONAL)
+    """Of the same rows as `rmse_heldout`, outliers by their weights; None where there are none."""
 
     @property
     def rmse_heldout(self) -> float | None:
@@ -98,3 +103,5 @@ class ComparisonSummary:
     tared: bool
     set_aside: float
     """Share of all samples that do not count: a converter stood at its rail."""
+    outliers: OutlierCount = field(default_factory=lambda: OutlierCount(0, {}))
+    """In the runs that the errors are told of."""

@@ -1,13 +1,20 @@
 """Which effect a model lacks: a name, a group of look-alikes, "nothing", or an honest "unknown"."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from zerodrift.base.config import Config, EffectConfig
-from zerodrift.dataset.runs import Dataset
+from zerodrift.dataset.runs import Dataset, count_outliers
 from zerodrift.diagnosis.case import Advance, Case, open_case
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.diagnosis_report import report
-from zerodrift.diagnosis.examination import Examination, examine, share_explained
+from zerodrift.diagnosis.examination import (
+    Examination,
+    examine,
+    fit_base,
+    predict,
+    share_explained,
+)
 from zerodrift.diagnosis.rail_gain import count_rails, look_at_rails, place_rails
 from zerodrift.diagnosis.rules import (
     EXPLAINED,
@@ -18,6 +25,7 @@ from zerodrift.diagnosis.rules import (
     lead,
     wanders,
 )
+from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.terms import Term
 
@@ -62,16 +70,47 @@ def diagnose(
 
 
 def conclude(case: Case) -> Diagnosis:
-    """Return the verdict."""
+    """Return the verdict.
+
+    Where something is left, outliers are looked for once more beside what the best model explains:
+    what jumps with a signal hides them, and they hide what is left.
+    """
+    diagnosis, terms = _conclude(case)
+    if diagnosis.verdict == "complete":
+        return diagnosis
+    again = weigh_again(case, terms)
+    return diagnosis if again is None else _conclude(again)[0]
+
+
+def weigh_again(case: Case, terms: Sequence[Term]) -> Case | None:
+    """Return the case with outliers found beside what these terms explain; None: the same ones."""
+    found = fit_base(case.campaign, case.dataset.dwell, terms)[0]
+    train = tuple(
+        replace(run, explained=predict(found, run, case.plan, case.campaign.order))
+        for run in case.dataset.train
+    )
+    if count_outliers(train) <= count_outliers(case.dataset.train):
+        return None
+    dataset = replace(case.dataset, train=train)
+    campaign = Campaign(
+        train, case.plan, case.campaign.order, tared=case.campaign.tared, set_aside=True
+    )
+    return replace(case, dataset=dataset, campaign=campaign)
+
+
+def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
+    """Return the verdict, and the model that explains most."""
     first = look(case, case.terms)
     findings, last = find_missing(case, first)
+    terms = findings[-1].judged.found.terms if findings else case.terms
     rails = look_at_rails(case, first)
     if rails is not None and helps(rails):
         first = count_rails(first, rails)
         findings = place_rails(first, rails, findings)
     if not findings:
         complete = has_arrived(case, first, first.fitted_ratio) and not wanders(case, first)
-        return report(case, "complete" if complete else "unknown", first, None, ())
+        verdict = "complete" if complete else "unknown"
+        return report(case, verdict, first, None, ()), terms
     left = findings[-1].judged.fitted_ratio if last is None else last.fitted_ratio
     if len(findings) > 1:
         findings = confirm(case, findings)
@@ -81,8 +120,8 @@ def conclude(case: Case) -> Diagnosis:
         # A floor that is a lower bound cannot refuse; a large held-out gain must do.
         explained = explained or findings[0].judged.rmse_ratio ** 2 <= LEFT_WITHOUT_DWELL
     if not explained:
-        return report(case, "unknown", first, findings[0], ())
-    return report(case, "missing", first, findings[0], tuple(findings[1:]))
+        return report(case, "unknown", first, findings[0], ()), terms
+    return report(case, "missing", first, findings[0], tuple(findings[1:])), terms
 
 
 def look(case: Case, terms: Sequence[Term], kinds: frozenset[str] | None = None) -> Examination:

@@ -1,9 +1,10 @@
 """What a diagnosis says: the verdict, the candidates, and what to do next."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
+from zerodrift.dataset.runs import OutlierCount
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.remainder import Pattern
 
@@ -89,6 +90,8 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     drop: tuple[str, ...] = ()
     """Effects of the model that no longer earn their place."""
+    outliers: OutlierCount = field(default_factory=lambda: OutlierCount(0, {}))
+    """In the training and dwell logs; they hardly count in what is said here."""
 
     @property
     def floor(self) -> str:

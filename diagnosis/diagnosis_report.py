@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.dataset.runs import OutlierCount, tell_outliers
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.case import Case
 from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis, OutputErrors
@@ -68,6 +69,7 @@ def report(
         next_experiment=_advise(case, verdict, first, finding, alike),
         evidence=_weigh_evidence(case),
         notes=_list_notes(case, verdict, first),
+        outliers=_tell_outliers(case),
     )
 
 
@@ -118,7 +120,7 @@ def _describe(case: Case, first: Examination) -> tuple[Pattern, ...]:
 def _list_rests(case: Case, first: Examination) -> list[Array]:
     """Return what the model as it is leaves of each run's drift, [n, K]."""
     return [
-        run.drift - predict(first.base, run, case.plan, case.campaign.order)
+        run.steady_drift - predict(first.base, run, case.plan, case.campaign.order)
         for run in case.dataset.train
     ]
 
@@ -194,9 +196,16 @@ def _weigh_evidence(case: Case) -> str:
     return f"{runs} runs"
 
 
+def _tell_outliers(case: Case) -> OutlierCount:
+    """Return the outliers in the logs that the verdict is drawn from."""
+    return tell_outliers((*case.dataset.train, *case.dataset.dwell))
+
+
 def _list_notes(case: Case, verdict: str, first: Examination) -> tuple[str, ...]:
     """Return what else a reader should know."""
     notes = list(case.notes)
+    outliers = _tell_outliers(case).explain()
+    notes += [outliers] if outliers else []
     if not case.dataset.dwell:
         notes.append(
             "no dwell shows the noise, so the floor is estimated from the fast part of "

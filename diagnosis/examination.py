@@ -191,7 +191,7 @@ def measure_rest(campaign: Campaign, dwell: Sequence[Run], found: Found) -> tupl
         rests = [_rest_of_dwell(found, run, campaign) for run in dwell]
         noise = measure_noise(rests, "dwell")
         return noise, noise.rms(span)
-    rests = [run.drift - predict(found, run, campaign.plan, campaign.order) for run in runs]
+    rests = [run.steady_drift - predict(found, run, campaign.plan, campaign.order) for run in runs]
     return measure_noise(rests, "residual"), estimate_fast_noise(rests, span)
 
 
@@ -202,7 +202,7 @@ def _rest_of_dwell(found: Found, run: Run, campaign: Campaign) -> Array:
     """
     warm = replace(run, time_s=run.time_s - run.time_s[0] + WARMED_UP_S, start_s=0.0, before=None)
     rests = [
-        run.drift - predict(found, reading, campaign.plan, campaign.order)
+        run.steady_drift - predict(found, reading, campaign.plan, campaign.order)
         for reading in (run, warm)
     ]
     return min(rests, key=lambda rest: float(np.log(rest.var(axis=0) + 1e-300).sum()))

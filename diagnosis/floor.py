@@ -82,10 +82,10 @@ def measure_floor(
     period_s = runs[0].sample_period_s
     span = int(np.median([len(run) for run in runs]))
     if dataset.dwell:
-        records = [run.drift for run in dataset.dwell]
+        records = [run.steady_drift for run in dataset.dwell]
         rms = measure_noise(records, DWELL).rms(span)
         if predict is not None:
-            beyond = [run.drift - predict(run) for run in dataset.dwell]
+            beyond = [run.steady_drift - predict(run) for run in dataset.dwell]
             rms = np.minimum(rms, measure_noise(beyond, DWELL).rms(span))
         silent = find_live(dataset.train) & (rms == 0.0)
         if silent.any():

@@ -11,8 +11,8 @@ from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.changes import REMOVE, Change, name_effect
 from zerodrift.diagnosis.floor import NoiseFloor, measure_floor
 from zerodrift.diagnosis.held_out import BLOCKS, BLOCKS_OF_ONE_RUN, HeldOut, hold_out
-from zerodrift.diagnosis.run_errors import RunError, collect_errors, pool_rmse
-from zerodrift.diagnosis.summary import RevisionSummary, sort_errors
+from zerodrift.diagnosis.run_errors import RunError, collect_errors, pool_rmse, pool_steady_rmse
+from zerodrift.diagnosis.summary import HeldOutErrors, RevisionSummary, sort_errors
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import FittedTerm, PhysicalModel
@@ -48,14 +48,27 @@ class Fitted:
         return pool_rmse(list(self.errors.values()))
 
     @property
+    def steady_rmse(self) -> Array:
+        """[K] over all held-out samples, outliers by their weights."""
+        return pool_steady_rmse(list(self.errors.values()))
+
+    @property
+    def has_outliers(self) -> bool:
+        """Whether some of the held-out samples are outliers."""
+        return any(e.outlier_rows for e in self.errors.values())
+
+    @property
     def is_one_run(self) -> bool:
         """Whether stretches of one run stand in for runs."""
         return self.held_out.method == BLOCKS_OF_ONE_RUN
 
     @property
     def squares(self) -> Array:
-        """[R, K] sums of squared errors, per run or per stretch of the only one."""
-        errors = [e.error for e in self.errors.values()]
+        """[R, K] sums of squared errors, per run or per stretch of the only one.
+
+        Outliers count by their weights: what they hold is neither gained nor lost by an effect.
+        """
+        errors = [np.sqrt(e.weights) * e.error for e in self.errors.values()]
         if self.is_one_run:
             errors = np.array_split(errors[0], BLOCKS)
         return np.stack([np.sum(error**2, axis=0) for error in errors])
@@ -175,7 +188,7 @@ def measure_overall(before: Fitted, after: Fitted) -> float:
 
 def _tell(before: Fitted, after: Fitted, units: Sequence[str], k: int) -> str:
     name = before.model.outputs[k]
-    return f"{name} from {before.rmse[k]:.4g} to {after.rmse[k]:.4g} {units[k]}"
+    return f"{name} from {before.steady_rmse[k]:.4g} to {after.steady_rmse[k]:.4g} {units[k]}"
 
 
 def judge(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[bool, str]:
@@ -234,11 +247,16 @@ def summarise_revision(revision: Revision) -> RevisionSummary:
         return {name: float(value) for name, value in zip(outputs, values, strict=True)}
 
     method = revision.after.held_out.method
+
+    def tell(fitted: Fitted) -> HeldOutErrors:
+        without = by_output(fitted.steady_rmse) if fitted.has_outliers else None
+        return sort_errors(method, by_output(fitted.rmse), without)
+
     return RevisionSummary(
         effect=revision.change.effect.kind,
         parameters=describe_parameters(term) if term is not None else {},
-        before=sort_errors(method, by_output(revision.before.rmse)),
-        after=sort_errors(method, by_output(revision.after.rmse)),
+        before=tell(revision.before),
+        after=tell(revision.after),
         noise_floor=by_output(revision.floor.rms),
         noise_floor_source=revision.floor.source,
         units=dict(zip(outputs, model.units, strict=True)),

@@ -29,12 +29,21 @@ class RunError:
     usable: NDArray[np.bool_]
     """[n, K] samples that count; where a converter stands at its rail they do not, if the model
     knows of it, and their error is zero."""
+    weights: Array
+    """[n, K] of the samples, 0 for what does not count; below 1 for outliers, see `Run.weights`."""
+    steady: Array
+    """[n, K] the error with outliers by their weights: of the drift that is fitted."""
 
     @property
     def stretches(self) -> tuple[Array, ...]:
-        """The errors [n, K] stretch by stretch."""
+        """The errors [n, K] stretch by stretch, outliers by their weights."""
         ends = np.cumsum([len(run) for run in self.runs])[:-1]
-        return tuple(np.split(self.error, ends))
+        return tuple(np.split(self.steady, ends))
+
+    @property
+    def outlier_rows(self) -> int:
+        """Rows with an outlier in some output."""
+        return int(sum(r.outliers.rows.sum() for r in self.runs if r.outliers is not None))
 
 
 def collect_errors(
@@ -57,15 +66,21 @@ def collect_errors(
     for group in groups:
         own = tuple(run for run in runs if run.group == group)
         drift = np.concatenate([run.drift for run in own])
-        error = drift - np.concatenate([predictions[run.name] for run in own])
-        usable = np.ones(error.shape, dtype=np.bool_)
+        prediction = np.concatenate([predictions[run.name] for run in own])
+        usable = np.ones(drift.shape, dtype=np.bool_)
         if find_usable is not None:
             usable = np.concatenate([find_usable(run) for run in own])
+        weights = usable * np.concatenate([run.weights for run in own])
+        error = drift - prediction
         offset = np.zeros(error.shape[1])
         if tared:
-            offset = (error * usable).sum(axis=0) / np.maximum(usable.sum(axis=0), 1)
+            offset = (error * weights).sum(axis=0) / np.maximum(weights.sum(axis=0), 1)
         left = np.where(usable, error - offset, 0.0)
-        collected[group] = RunError(group, own, drift, left, offset, usable)
+        steady = left
+        if any(run.outliers is not None for run in own):
+            mixed = np.concatenate([run.steady_drift for run in own])
+            steady = np.where(usable, mixed - prediction - offset, 0.0)
+        collected[group] = RunError(group, own, drift, left, offset, usable, weights, steady)
     return collected
 
 
@@ -73,4 +88,11 @@ def pool_rmse(errors: Sequence[RunError]) -> Array:
     """Return the RMSE [K] over all samples that count."""
     squares = np.sum([np.sum(e.error**2, axis=0) for e in errors], axis=0)
     counts = np.sum([e.usable.sum(axis=0) for e in errors], axis=0)
+    return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))
+
+
+def pool_steady_rmse(errors: Sequence[RunError]) -> Array:
+    """Return the RMSE [K] over all samples that count, outliers by their weights."""
+    squares = np.sum([np.sum(e.weights * e.error**2, axis=0) for e in errors], axis=0)
+    counts = np.sum([e.weights.sum(axis=0) for e in errors], axis=0)
     return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))

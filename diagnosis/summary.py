@@ -5,9 +5,10 @@ turn. *test* is an error on the test logs. The two never share a name.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
+from zerodrift.base.records import OPTIONAL
 from zerodrift.diagnosis.held_out import TEST_LOGS
 from zerodrift.physics.summary import FittedCoefficient, FittedParameter
 
@@ -25,6 +26,8 @@ class HeldOutErrors:
     """Of training runs left out in turn; null where the errors are those of the test logs."""
     rmse_test: ByOutput | None
     """Of the test logs; null where the errors are those of runs left out."""
+    rmse_without_outliers: ByOutput | None = field(default=None, metadata=OPTIONAL)
+    """The same, outliers by their weights; not written where there are none."""
 
     @property
     def rmse_heldout(self) -> ByOutput:
@@ -33,14 +36,18 @@ class HeldOutErrors:
         return found or {}
 
 
-def sort_errors(method: str, errors: ByOutput) -> HeldOutErrors:
+def sort_errors(
+    method: str, errors: ByOutput, without_outliers: ByOutput | None = None
+) -> HeldOutErrors:
     """Return errors under the name that says how they were measured.
 
     Args:
         method: test logs | leave one run out | blocks of one run.
         errors: output -> RMSE.
+        without_outliers: the same without outliers; None where there are none.
     """
-    return HeldOutErrors(None, errors) if method == TEST_LOGS else HeldOutErrors(errors, None)
+    left_out, test = (None, errors) if method == TEST_LOGS else (errors, None)
+    return HeldOutErrors(left_out, test, without_outliers)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.floor import measure_floor
-from zerodrift.diagnosis.run_errors import collect_errors, pool_rmse
+from zerodrift.diagnosis.run_errors import collect_errors, pool_steady_rmse
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit
 
@@ -51,7 +51,7 @@ def describe_unseen(
     live = floor > 0.0
 
     def measure(groups: Sequence[str]) -> float:
-        rmse = pool_rmse([errors[group] for group in groups])
+        rmse = pool_steady_rmse([errors[group] for group in groups])
         return float(np.sqrt(np.mean((rmse[live] / floor[live]) ** 2))) if live.any() else 0.0
 
     inside, outside = measure(list(seen)), measure(list(unseen))

@@ -262,7 +262,7 @@ class Campaign:
         """Return the coefficients of one output's drift."""
         drifts = []
         for i, run in enumerate(self.runs):
-            drift = run.drift[:, k]
+            drift = run.steady_drift[:, k]
             if self.plan.outputs[k] in self.plan.saturated and self.set_aside:
                 flags = read_signals(run, self.plan).saturated[self.plan.outputs[k]]
                 expected = predictions[i][:, k] if predictions else np.zeros_like(drift)

@@ -184,7 +184,7 @@ def _finish(campaign: Campaign, found: Found, units: Sequence[str]) -> PhysicalM
         signals = read_signals(run, plan)
         names = tuple(column.name for column in columns)
         feature_units = tuple(column.unit for column in columns)
-        rest = run.drift
+        rest = run.steady_drift
         for column, row in zip(columns, coefficients, strict=True):
             rest -= column.signal[:, None] * row
         counts = np.full(len(plan.outputs), float(len(run)))

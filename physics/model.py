@@ -124,7 +124,7 @@ class PhysicalModel:
     def fill_rails(self, run: Run) -> Array:
         """Return the drift [n, K], samples that are not usable filled by what the model says."""
         usable = self.find_usable(run)
-        drift = run.drift
+        drift = run.steady_drift
         if usable.all():
             return drift
         expected = self.predict(run)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.dataset.outliers import take_medians
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.graph import Node
@@ -97,7 +98,12 @@ def _start_of(run: Run) -> float:
 
 
 def _find_rails(run: Run, k: int) -> Array:
-    return find_rails(run.measured[:, k], run.reference[:, k])
+    measured = run.measured[:, k]
+    if run.outliers is not None:
+        # A spike beyond the rail would be the extreme; its neighbours say what was measured.
+        light = run.outliers.weights[:, k] < 1.0
+        measured = np.where(light, take_medians(measured), measured)
+    return find_rails(measured, run.reference[:, k])
 
 
 def _range_of(x: Array) -> tuple[float, float]:

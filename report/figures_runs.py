@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 CLOUD = 900
 """Points of a branch's cloud in one panel."""
 BINS = 14
+MOST_OUTLIERS = 500
+"""Outliers that are drawn of one run and output."""
 FEWEST_IN_BIN = 0.005
 """Share of a branch's samples below which a bin's mean is not drawn."""
 
@@ -226,6 +228,23 @@ def _draw_lines(
                 hovertemplate=f"%{{y:.4g}} {unit}<extra>{trace.run}, {label}</extra>",
                 xaxis=f"x{axis}",
                 yaxis=f"y{axis}",
+            )
+        )
+    wild = trace.outliers[trace.outliers[:, 1] == k, 0]
+    wild = wild[(wild >= start) & (wild < stop)][:MOST_OUTLIERS]
+    if wild.size:
+        drawn.append(
+            go.Scatter(
+                x=(trace.time_s[wild] / clock.seconds + offset_h).astype(np.float32),
+                y=trace.drift[k, wild].astype(np.float32),
+                name="outliers, hardly counted",
+                legendgroup="outliers",
+                showlegend=first,
+                mode="markers",
+                marker={"symbol": "x-thin-open", "size": 7, "color": MARKED_EDGE},
+                hovertemplate=f"%{{y:.4g}} {unit}<extra>{trace.run}, outlier</extra>",
+                xaxis="x",
+                yaxis="y",
             )
         )
     return drawn

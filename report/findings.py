@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.records import from_json, to_dict
+from zerodrift.dataset.outliers import COUNTED
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.advice import Advice
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
@@ -52,6 +53,8 @@ class Trace:
     """[K, n] drift minus model, without the run's own offset."""
     offset: Array
     """[K] what was taken off as the run's own offset; zeros where logs are not tared."""
+    outliers: NDArray[np.int64]
+    """[M, 2] row and output of each outlier: a sample far off from its neighbours."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,16 @@ def find_threshold(traces: Sequence[Trace]) -> float:
     return float(f"{min(MOVING_K_PER_MIN, fast):.1g}") if fast > 0.0 else MOVING_K_PER_MIN
 
 
-ARRAYS = ("time_s", "temperature_degC", "rate_K_per_min", "load", "drift", "error", "offset")
+ARRAYS = (
+    "time_s",
+    "temperature_degC",
+    "rate_K_per_min",
+    "load",
+    "drift",
+    "error",
+    "offset",
+    "outliers",
+)
 
 
 def measure_rate(time_s: Array, temperature_degC: Array, period_s: float) -> Array:
@@ -176,6 +188,7 @@ def trace_runs(errors: Mapping[str, RunError], held_out: Sequence[str]) -> tuple
             drift=np.ascontiguousarray(error.drift.T),
             error=np.ascontiguousarray(error.error.T),
             offset=error.offset,
+            outliers=np.argwhere((error.weights < COUNTED) & error.usable),
         )
         for error in errors.values()
     )

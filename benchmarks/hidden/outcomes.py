@@ -3,13 +3,14 @@
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.hidden.cases import Case, make_recipe, read_simulation
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.course import Course, diagnose_until_done, extend_model
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.lab.twin.simulate import simulate
@@ -67,8 +68,13 @@ class Outcome:
         return self.effect is not None and not self.group & set(self.case.hidden)
 
 
-def run_case(case: Case) -> Outcome:
-    """Return what the diagnosis says of one case."""
+def run_case(case: Case, change: Callable[[Dataset], Dataset] = lambda dataset: dataset) -> Outcome:
+    """Return what the diagnosis says of one case.
+
+    Args:
+        case: what is simulated.
+        change: what becomes of the logs before they are diagnosed.
+    """
     outcome = Outcome(case)
     recipe = make_recipe(case)
     try:
@@ -76,7 +82,7 @@ def run_case(case: Case) -> Outcome:
     except InputError as error:
         outcome.refused = str(error)
         return outcome
-    dataset = read_simulation(simulation)
+    dataset = change(read_simulation(simulation))
     effects: Sequence[EffectConfig] = [EffectConfig(choice.name) for choice in recipe.told]
     catalogue = load_catalogue()
     course: Course | None = None

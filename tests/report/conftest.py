@@ -49,6 +49,7 @@ def make_trace(
         drift[None],
         error[None],
         np.zeros(1),
+        np.zeros((0, 2), dtype=np.int64),
     )
 
 

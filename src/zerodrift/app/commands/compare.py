@@ -141,6 +141,17 @@ def explain_figures(comparison: "Comparison") -> list[str]:
             f"{100.0 * comparison.set_aside:.2g} % of the samples stand at a converter's rail and "
             "are set aside."
         )
+    if comparison.outliers.rows:
+        without = ", ".join(
+            f"{name} {told.steady_rmse:.4g} {unit}"
+            for name, unit, told in zip(
+                comparison.outputs, comparison.units, comparison.told, strict=True
+            )
+        )
+        sentences.append(_finish(comparison.outliers.explain()))
+        sentences.append(
+            f"The tables' errors are those of all rows; the RMSE without outliers is {without}."
+        )
     return sentences
 
 

@@ -93,6 +93,16 @@ def print_revision(revision: Revision) -> None:
         )
     console.print(table)
     notes = [revision.after.held_out.explain(), revision.floor.explain()]
+    if revision.before.has_outliers:
+        pairs = zip(
+            model.outputs,
+            model.units,
+            revision.before.steady_rmse,
+            revision.after.steady_rmse,
+            strict=True,
+        )
+        told = ", ".join(f"{n} {one:.4g} to {two:.4g} {unit}" for n, unit, one, two in pairs)
+        notes.append(f"the table's errors are those of all rows; without outliers: {told}")
     if revision.tared:
         notes.append("each run's own offset is taken off, as the logs are zeroed one by one")
     for note in notes:
