@@ -110,7 +110,8 @@ def draw_bench(seed: int, steps: int, hidden: int) -> Bench:
     signals = np.stack([values[tap] for tap in taps], axis=1)
     scale = signals.std(axis=0)
     gru = draw_slow_gru(rng, hidden)
-    states = run_gru(gru, (signals - signals.mean(axis=0)) / scale)
+    scaled = (signals - signals.mean(axis=0)) / scale
+    states = gru.run(scaled[None], gru.settle(scaled[:1]))[0]
     model = FloatModel(
         name="bench",
         sample_period_s=1.0,
@@ -171,16 +172,6 @@ def draw_slow_gru(rng: np.random.Generator, hidden: int) -> FloatGru:
     bias = rng.normal(size=(4, hidden)) * 0.2
     bias[1] = np.log(moves / (1.0 - moves))
     return FloatGru(w_x, w_h, bias, "after")
-
-
-def run_gru(gru: FloatGru, features: Array) -> Array:
-    """Return the states [n, H] of the float GRU, from rest at the first features [n, I]."""
-    h = gru.settle(features[:1])
-    states = np.empty((len(features), gru.w_h.shape[1]))
-    for t in range(len(features)):
-        h = gru.step(features[t : t + 1], h)
-        states[t] = h[0]
-    return states
 
 
 def encode(bench: Bench) -> NDArray[np.int32]:

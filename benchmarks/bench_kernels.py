@@ -296,11 +296,7 @@ def run_float_model(model: FloatModel, codes: NDArray[np.int16]) -> Array:
     signals = np.stack(evaluate(model.taps, {"temperature_degC": degc}, 1.0), axis=1)
     features = (signals - model.tap_mean) @ model.whitening.T
     gru = model.network.gru
-    h = gru.settle(features[:1])
-    states = np.empty((len(codes), HIDDEN))
-    for t in range(len(codes)):
-        h = gru.step(features[t : t + 1], h)
-        states[t] = h[0]
+    states = gru.run(features[None], gru.settle(features[:1]))[0]
     return np.asarray(states @ model.network.head.T + model.network.head_bias)
 
 

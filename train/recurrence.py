@@ -221,17 +221,13 @@ def settle(x: Tensor, weights: GruWeights) -> Tensor:
 
     The relaxation is that of the chip's `settle`.
     """
-    hidden = weights.hidden
-    w_x, w_h, bias = weights.w_x.double(), weights.w_h.double(), weights.bias.double()
-    outside = torch.matmul(w_x, x.double()) + bias[:, :3].reshape(len(x), 3 * hidden, 1)
-    a_r, a_n = outside[:, :hidden], outside[:, 2 * hidden :]
-    w_r, w_n = w_h[:, :hidden], w_h[:, 2 * hidden :]
-    h = x.new_zeros(len(x), hidden, x.shape[2], dtype=torch.float64)
-    for _ in range(RELAX_STEPS):
-        r = torch.sigmoid(a_r + torch.bmm(w_r, h))
-        if weights.reset == "after":
-            n = torch.tanh(a_n + r * (torch.bmm(w_n, h) + bias[:, 3, :, None]))
-        else:
-            n = torch.tanh(a_n + torch.bmm(w_n, r * h))
-        h = h + 0.5 * (n - h)
-    return h.to(x.dtype)
+    with torch.no_grad():
+        hidden = weights.hidden
+        w_x, w_h, bias = (w.double() for w in (weights.w_x, weights.w_h, weights.bias))
+        kept = torch.ones(4, 1, dtype=torch.float64, device=x.device)
+        kept[1] = 0.0  # the update gate is sigmoid(0) = 1/2
+        rows = kept[:3].repeat_interleave(hidden, dim=0)
+        held = GruWeights(w_x * rows, w_h * rows, bias * kept, weights.reset)
+        start = x.new_zeros(len(x), hidden, x.shape[2], dtype=torch.float64)
+        steady = x.double().expand(RELAX_STEPS, -1, -1, -1)
+        return run_forward(steady, start, held).states[-1].to(x.dtype)

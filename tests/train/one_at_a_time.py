@@ -4,6 +4,7 @@ It shares the networks' first weights and the draws of the order with the engine
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,16 +17,24 @@ from zerodrift.train.optimise import draw_seed, one_cycle
 from zerodrift.train.sequences import Sequence32
 
 
-def step_gru(network: GruNetwork, x: Tensor, h: Tensor, update: float | None = None) -> Tensor:
+@dataclass(frozen=True)
+class Cell:
+    """Weights of a GRU, as `GruNetwork` has them too."""
+
+    w_x: Tensor
+    w_h: Tensor
+    bias: Tensor
+    reset: str
+
+
+def step_gru(cell: Cell | GruNetwork, x: Tensor, h: Tensor, update: float | None = None) -> Tensor:
     """Return the next state [B, H] from features x [B, I]; `update` stands for the update gate."""
-    (a_r, a_u, a_n), (u_r, u_u, u_n) = network.w_x @ x.T, network.w_h
-    r = torch.sigmoid(a_r + u_r @ h.T + network.bias[0][:, None])
-    u = torch.sigmoid(a_u + u_u @ h.T + network.bias[1][:, None]) if update is None else update
-    if network.reset == "after":
-        inside = r * (u_n @ h.T + network.bias[3][:, None])
-    else:
-        inside = u_n @ (r * h.T)
-    n = torch.tanh(a_n + network.bias[2][:, None] + inside)
+    (a_r, a_u, a_n), (u_r, u_u, u_n) = cell.w_x @ x.T, cell.w_h
+    r = torch.sigmoid(a_r + u_r @ h.T + cell.bias[0][:, None])
+    u = torch.sigmoid(a_u + u_u @ h.T + cell.bias[1][:, None]) if update is None else update
+    after = cell.reset == "after"
+    inside = r * (u_n @ h.T + cell.bias[3][:, None]) if after else u_n @ (r * h.T)
+    n = torch.tanh(a_n + cell.bias[2][:, None] + inside)
     return h + (u * (n - h.T)).T
 
 

@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.fixed_point.strategies import shapes
 from tests.golden.model_factory import Draw, Shape, draw_float_model
+from tests.train.one_at_a_time import Cell, step_gru
 from torch import Tensor
 
 from zerodrift.export.fine_tune import build_integer_network
@@ -113,14 +114,11 @@ def test_gradient_is_that_of_the_float_cell(reset: str) -> None:
 def run_floats(network: FloatNetwork, layers: list[list[Tensor]], x: Tensor) -> Tensor:
     """Return the answers [T, K, B] of stacked layers, reset after, from zero, by autograd."""
     for w_x, w_h, bias in layers:
-        h = torch.zeros(w_h.shape[1], x.shape[2], dtype=torch.float64)
+        h = torch.zeros(x.shape[2], w_h.shape[1], dtype=torch.float64)
         states = []
         for now in x:
-            r, u = (torch.sigmoid(w_x[i] @ now + w_h[i] @ h + bias[i][:, None]) for i in range(2))
-            inside = w_h[2] @ h + bias[3][:, None]
-            n = torch.tanh(w_x[2] @ now + bias[2][:, None] + r * inside)
-            h = h + u * (n - h)
-            states.append(h)
+            h = step_gru(Cell(w_x, w_h, bias, "after"), now.T, h)
+            states.append(h.T)
         x = torch.stack(states)
     for layer in network.dense:
         total = torch.from_numpy(layer.weight) @ x + torch.from_numpy(layer.bias)[:, None]
