@@ -73,7 +73,8 @@ def explain_invalid_row(
             break
     count = int(invalid.sum())
     rows = "this row" if count == 1 else f"the {count} such rows"
-    text = place.values.get(column)
+    # In a run of several files a column may be called `FILE:NAME`.
+    text = place.values.get(column, place.values.get(column.partition(":")[2]))
     value = float(values[row])
     clock = table.clock
     if clock is not None and column == clock.name and clock.kind != "number":

@@ -275,7 +275,7 @@ def refuse_unsayable(config: Config, dataset: Dataset) -> None:
 def _explain_row(config: Config, codes: ChipCodes, run: Run, row: int) -> InputError:
     """Return the error about a run's value, at the row of its log that no code stands for."""
     columns = {config.time_column: "[sensor] time", codes.column: "a channel of the chip"}
-    table = read_log(config, run.source, columns)
+    (table,) = read_log(config, run.files or (run.source,), columns)
     source = table.source
     values = table.columns[codes.column]
     time_s = table.columns[config.time_column]

@@ -22,6 +22,7 @@ from zerodrift.dataset.checks import (
     guess_temperature_unit,
     widen_plausible,
 )
+from zerodrift.dataset.join import join_tables
 from zerodrift.dataset.locate import find_blank_rows, locate_row
 from zerodrift.dataset.logs import read_log
 from zerodrift.dataset.naming import RunKey, name_runs, refuse_overlaps
@@ -30,7 +31,7 @@ from zerodrift.dataset.resample import COARSEST, MIN_STEPS, Stretch, plan_stretc
 from zerodrift.dataset.runs import Array, Dataset, Run
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
 from zerodrift.dataset.shared_rows import KnownRun, Repeats, find_repeats
-from zerodrift.dataset.tables import Table
+from zerodrift.dataset.tables import Table, label_log
 from zerodrift.dataset.time_units import read_time_unit, refuse_unit, write_time
 from zerodrift.dataset.units import are_alike, read_unit
 
@@ -134,11 +135,11 @@ def open_log(
     notes: list[str],
     columns: Mapping[str, str] | None = None,
 ) -> tuple[Table, list[tuple[str, int, int]]]:
-    """Read one file; return its checked rows, and (run, first row, row after the last) of each.
+    """Read one log; return its checked rows, and (run, first row, row after the last) of each.
 
     Args:
         config: the project.
-        selection: the file, and what of it.
+        selection: the log, and what of it.
         skip_invalid: drop invalid rows instead of raising.
         notes: what was noticed is added to them.
         columns: column -> where it is named, where not all that the config names are needed. Only
@@ -147,11 +148,17 @@ def open_log(
     Raises:
         InputError: the log is missing, damaged, or holds what cannot be right.
     """
-    table = read_log(config, selection.path, list_columns(config) if columns is None else columns)
-    notes += table.source.notes
-    _keep_selected_runs(table, selection)
-    _check_values(config, table, skip_invalid, notes, holes=columns is not None)
-    return table, _split_runs(config, table, skip_invalid, notes)
+    needed = list_columns(config) if columns is None else columns
+    tables = read_log(config, selection.files, needed)
+    for table in tables:
+        notes += table.source.notes
+        _keep_selected_runs(table, selection)
+        _check_values(config, table, skip_invalid, notes, holes=columns is not None)
+        spans = _split_runs(config, table, skip_invalid, notes)
+    if len(tables) == 1:
+        return table, spans
+    joined = join_tables(config, tables, label_log(selection.path, config.directory), notes)
+    return joined, [("", 0, len(joined))]
 
 
 def _keep_selected_runs(table: Table, selection: Selection) -> None:
@@ -273,6 +280,8 @@ def _plan_run(
     run, start, stop = span
     source = table.source
     who = f"{source.label}: run '{run}'" if run else source.label
+    if len(selection.files) > 1:
+        who = label_log(selection.path, config.directory)
     time_s = table.columns[config.time_column]
     span_s = (0.0, math.inf)
     start_s = float(time_s[start])
@@ -304,7 +313,9 @@ def _plan_run(
             f"{config.sample_period_s:g} s"
         )
     cut_text = selection.cut.text if selection.cut else ""
-    key = RunKey(selection.path, run, cut_text, span_s, selection.where, start_s, place)
+    key = RunKey(
+        selection.path, run, cut_text, span_s, selection.where, start_s, place, selection.files
+    )
     parts = [_allocate(config, key, part, stretch) for part, stretch in enumerate(long_enough)]
     return parts, slice(start, stop)
 
@@ -405,6 +416,7 @@ def _finish(piece: _Piece, names: dict[RunKey, str], config: Config) -> Run:
         reference=piece.reference,
         inputs={name: piece.inputs[name] for name in config.inputs},
         start_s=piece.key.start_s,
+        files=piece.key.files,
     )
 
 

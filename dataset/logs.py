@@ -1,31 +1,145 @@
-"""One log of a project as a table: its file, its clock, its columns."""
+"""One log of a project as tables: its files, their clocks, which file holds which column."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from zerodrift.base.clock_config import fits
 from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.tables import Source, Table, label_log, open_source, read_table
+from zerodrift.dataset.text_format import UNNAMED
 from zerodrift.dataset.times import SAMPLE, Clock, find_clock
 
+COMMON = "[logs] common"
 
-def read_log(config: Config, path: Path, needed: Mapping[str, str]) -> Table:
-    """Read the needed columns of a log, times in seconds.
+
+@dataclass(frozen=True)
+class Part:
+    """One file of a log, and the columns that are read of it."""
+
+    source: Source
+    columns: Mapping[str, str]
+    """Column as zerodrift.toml names it -> its name in the file."""
+
+
+def read_log(config: Config, files: Sequence[Path], needed: Mapping[str, str]) -> list[Table]:
+    """Read the needed columns of a log, times in seconds: one table for each file that has some.
 
     Args:
         config: the project.
-        path: the log.
+        files: one, or several that are one run.
         needed: column -> where the config names it; the times are called `config.time_column`.
 
     Raises:
-        InputError: the log cannot be read, or a column of it.
+        InputError: a file cannot be read, a column is in none or in several of them.
     """
-    source = open_source(path, label_log(path, config.directory), config.where)
-    return read_table(source, needed, clock=find_log_clock(config, source))
+    if len(files) == 1:
+        source = open_source(files[0], label_log(files[0], config.directory), config.where)
+        return [read_table(source, needed, clock=find_log_clock(config, source))]
+    sources, refused = _open_all(config, files)
+    wanted = {name: role for name, role in needed.items() if name != config.time_column}
+    parts = _share_out(sources, wanted, files, refused, config)
+    return [_read_part(config, part, needed, len(parts) > 1) for part in parts]
+
+
+def _open_all(config: Config, files: Sequence[Path]) -> tuple[list[Source], list[str]]:
+    """Return the files that can be opened, and what is said of the others."""
+    sources, refused = [], []
+    for path in files:
+        try:
+            sources.append(open_source(path, label_log(path, config.directory), {}))
+        except InputError as error:
+            refused.append(str(error))
+    for column in config.where:
+        if not any(column in source.names for source in sources):
+            raise InputError(_explain_missing(files, sources, refused, column, "[logs] where"))
+    return [
+        replace(source, where={k: v for k, v in config.where.items() if k in source.names})
+        for source in sources
+    ], refused
+
+
+def _share_out(
+    sources: Sequence[Source],
+    wanted: Mapping[str, str],
+    files: Sequence[Path],
+    refused: Sequence[str],
+    config: Config,
+) -> list[Part]:
+    """Return the files that hold wanted columns, each with its own."""
+    columns: list[dict[str, str]] = [{} for _ in sources]
+    for column, role in wanted.items():
+        holders = find_holders(sources, column)
+        if not holders:
+            raise InputError(_explain_missing(files, sources, refused, column, role))
+        if len(holders) > 1:
+            names = [sources[number].path.name for number, _ in holders]
+            raise InputError(
+                f"{_label(files, config)}: column '{column}' is in {' and in '.join(names)}; "
+                f'expected one. Write "{names[0]}:{column}" where {role} names it.'
+            )
+        number, name = holders[0]
+        columns[number][column] = name
+    used = [Part(source, own) for source, own in zip(sources, columns, strict=True) if own]
+    return [
+        Part(part.source, {**part.columns, **_find_common(config, part, len(used))})
+        for part in used
+    ]
+
+
+def find_holders(sources: Sequence[Source], column: str) -> list[tuple[int, str]]:
+    """Return (position among the sources, name there) of each that holds a column.
+
+    The column is a name, or `FILE:NAME` with the file's name or a pattern of it.
+    """
+    found = [(i, column) for i, source in enumerate(sources) if column in source.names]
+    if found:
+        return found
+    return [
+        (i, name)
+        for i, source in enumerate(sources)
+        for name in source.names
+        if column.endswith(f":{name}") and _is_called(source, column.removesuffix(f":{name}"))
+    ]
+
+
+def _is_called(source: Source, name: str) -> bool:
+    return fits(source.path, name) or source.path.stem == name
+
+
+def _find_common(config: Config, part: Part, parts: int) -> dict[str, str]:
+    """Return the part's column of the quantity that all record, as `COMMON`."""
+    if parts < 2:
+        return {}
+    for column in config.clocks.common:
+        if holders := find_holders([part.source], column):
+            return {COMMON: holders[0][1]}
+    return {}
+
+
+def _read_part(config: Config, part: Part, needed: Mapping[str, str], is_joined: bool) -> Table:
+    clock = find_log_clock(config, part.source)
+    if clock is None:
+        columns = " and ".join(f"'{name}'" for name in config.time.columns)
+        names = ", ".join(name for name in part.source.names if not name.startswith(UNNAMED))
+        raise InputError(
+            f"{part.source.label}: there is no column {columns} of times. Found: {names}; "
+            f"expected one in each of a run's files. State it: [logs] time = {{ "
+            f'"{part.source.path.name}" = "COLUMN" }}, or its period: [logs] period_s = {{ '
+            f'"{part.source.path.name}" = 1.0 }}.'
+        )
+    own = {config.time_column: "[sensor] time"}
+    own |= {raw: needed.get(column, COMMON) for column, raw in part.columns.items()}
+    table = read_table(part.source, own, run_column=not is_joined, clock=clock)
+    values = {config.time_column: table.columns[config.time_column]}
+    values |= {column: table.columns[raw] for column, raw in part.columns.items()}
+    table.columns = values
+    return table
 
 
 def find_log_clock(config: Config, source: Source) -> Clock | None:
-    """Return how the times of one log are read; None: it has no such column, which is told later.
+    """Return how the times of one log are read; None: it has no such column.
 
     Raises:
         InputError: its times cannot be told.
@@ -43,3 +157,28 @@ def find_log_clock(config: Config, source: Source) -> Clock | None:
         return None
     clock = find_clock(time, first, source.label, lambda: source.sample(time.columns, None))
     return replace(clock, name=config.time_column, offset_s=offset_s)
+
+
+def _label(files: Sequence[Path], config: Config) -> str:
+    folder = files[0].parent
+    return label_log(folder, config.directory) if folder != config.directory else files[0].name
+
+
+def _explain_missing(
+    files: Sequence[Path],
+    sources: Sequence[Source],
+    refused: Sequence[str],
+    column: str,
+    role: str,
+) -> str:
+    known = [name for source in sources for name in source.names if not name.startswith(UNNAMED)]
+    found = "; ".join(
+        f"{source.path.name} has {', '.join(n for n in source.names[:12] if n[:1] != UNNAMED)}"
+        for source in sources
+    )
+    more = f" Not read: {' '.join(refused)}" if refused else ""
+    return (
+        f"{files[0].parent.name}: there is no column '{column}' in any of its {len(files)} files"
+        f"{nearest(column, known) or '.'} Found: {found}; expected the name that {role} gives. "
+        f"Correct the one or the other.{more}"
+    )

@@ -26,10 +26,13 @@ class RunKey:
     """The log's clock at the run's first row, before any cut."""
     place: int = 0
     """Position of the run among those of its file, in the order of appearance."""
+    files: tuple[Path, ...] = ()
+    """All files of the log, where `path` is a folder or the first of several."""
 
     def name(self, detail: int, directory: Path) -> str:
         """Return a name: by run or stem (0), by stem and run (1), by path and run (2)."""
-        file = self.path.stem
+        # What follows a point in a folder's name is part of it.
+        file = self.path.name if self.path.is_dir() else self.path.stem
         if detail == 2:
             inside = self.path.is_relative_to(directory)
             path = self.path.relative_to(directory) if inside else self.path

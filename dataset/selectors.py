@@ -16,6 +16,8 @@ from zerodrift.dataset.runs import Array
 CSV_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 PARQUET_SUFFIXES = (".parquet", ".pq")
 ARROW_SUFFIXES = (".feather", ".arrow", ".ipc")
+JOINT = " + "
+"""Between files that are one log."""
 LOG_SUFFIXES = CSV_SUFFIXES + PARQUET_SUFFIXES + ARROW_SUFFIXES
 
 _CUT = re.compile(r"^(?P<rest>.+)@(?P<start>[^@#/]*):(?P<stop>[^@#/]*)$")
@@ -61,9 +63,12 @@ class Cut:
 
 @dataclass(frozen=True)
 class Selection:
-    """One file that `[logs]` selects, and what of it."""
+    """One log that `[logs]` selects, and what of it."""
 
     path: Path
+    """The file, or the folder whose files are joined; of a list of files, the first."""
+    files: tuple[Path, ...]
+    """All of its files, joined on time where there are several."""
     run_pattern: str | None
     """Pattern for the value of the `run` column; None = every run, and files without one."""
     cut: Cut | None
@@ -111,25 +116,51 @@ def _expand_selector(directory: Path, text: str, where: str) -> list[Selection]:
             raise _explain_cut(text, where)
         if match := _RUN.match(pattern):
             pattern, run_pattern = match["rest"], match["run"]
+    if JOINT in pattern and not _glob(directory, pattern):
+        files = [_find_part(directory, part.strip(), where) for part in pattern.split(JOINT)]
+        return [Selection(files[0], tuple(files), run_pattern, cut, where)]
     paths = _glob(directory, pattern)
     if not paths:
         raise InputError(_explain_no_match(directory, pattern, where))
+    selections = []
     for path in paths:
-        if path.suffix.lower() not in LOG_SUFFIXES:
+        files = list_files(path)
+        if not files:
+            raise InputError(f"{where}: '{text}' selects {path.name}, a folder without logs.")
+        if path.is_file() and path.suffix.lower() not in LOG_SUFFIXES:
             raise InputError(
                 f"{where}: '{text}' selects {path.name}; expected logs that end in "
                 f"{', '.join(LOG_SUFFIXES)}. Narrow the glob."
             )
-    return [Selection(path, run_pattern, cut, where) for path in paths]
+        selections.append(Selection(path, tuple(files), run_pattern, cut, where))
+    return selections
+
+
+def list_files(path: Path) -> list[Path]:
+    """Return a log's files, sorted by name: those of a folder that could be logs, or the one."""
+    if not path.is_dir():
+        return [path]
+    return sorted(each for each in path.iterdir() if each.suffix.lower() in LOG_SUFFIXES)
+
+
+def _find_part(directory: Path, name: str, where: str) -> Path:
+    if (directory / name).is_file():
+        return directory / name
+    raise InputError(_explain_no_match(directory, name, where))
 
 
 def _glob(directory: Path, pattern: str) -> list[Path]:
-    """Return the files that match, sorted by name; a plain name is never read as a pattern."""
+    """Return the files that match, or else the folders with logs, sorted by name.
+
+    A plain name is never read as a pattern.
+    """
     if (directory / pattern).is_file():
         return [directory / pattern]
     # Path.glob refuses `..` and absolute patterns, which logs outside of the project need.
     names = glob.glob(pattern, root_dir=directory, recursive=True)  # noqa: PTH207
-    return [path for name in sorted(names) if not (path := directory / name).is_dir()]
+    found = [directory / name for name in sorted(names)]
+    files = [path for path in found if not path.is_dir()]
+    return files or [path for path in found if list_files(path)]
 
 
 def _parse_cut(start: str, stop: str, text: str, where: str) -> Cut:

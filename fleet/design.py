@@ -83,10 +83,10 @@ class Design:
         digest = hashlib.sha256(self.mark.encode())
         for use in USES:
             for selection in expand_selectors(config, use):
-                name = self._name(selection.path)
-                digest.update(f"{use} {name} {selection.run_pattern}".encode())
-                with selection.path.open("rb") as file:
-                    digest.update(hashlib.file_digest(file, "sha256").digest())
+                for path in selection.files:
+                    digest.update(f"{use} {self._name(path)} {selection.run_pattern}".encode())
+                    with path.open("rb") as file:
+                        digest.update(hashlib.file_digest(file, "sha256").digest())
         return digest.hexdigest()
 
     def _name(self, path: Path) -> str:

@@ -169,7 +169,7 @@ def hash_inputs(config: Config, network: tuple[Path, ...] = ()) -> Inputs:
     Raises:
         InputError: a selector matches no log, or a file cannot be read.
     """
-    paths = {s.path for use in USES for s in expand_selectors(config, use)}
+    paths = {path for use in USES for s in expand_selectors(config, use) for path in s.files}
     return Inputs(
         configuration=_hash_configuration(config),
         logs={_name(path, config.directory): hash_file(path) for path in paths},
@@ -339,7 +339,7 @@ def _check_inputs(known: Inputs, config: Config) -> Iterator[ManifestFinding]:
         except InputError as error:
             yield ManifestFinding(STALE, f"{CONFIGURATION} [logs] {use}", str(error))
             continue
-        current |= {_name(s.path, config.directory): s.path for s in selected}
+        current |= {_name(path, config.directory): path for s in selected for path in s.files}
     listed = {**known.logs, **known.network}
     found = {name: _hash_if_there(config.directory / name) for name in listed}
     if not known.network:  # an imported network may have been calibrated on other logs

@@ -44,6 +44,8 @@ class ClockConfig:
     """Pattern -> seconds to add to the log's times."""
     times: Mapping[str, TimeConfig] = field(default_factory=dict)
     """Pattern -> its times, where it is not as `[sensor] time` says."""
+    common: tuple[str, ...] = ()
+    """Columns of one quantity that several logs of a run record: one name, or one per log."""
 
     def period_s(self, path: Path) -> float | None:
         """Return the interval between a log's rows that zerodrift.toml states, if it does."""
@@ -108,12 +110,17 @@ def read_time(table: TomlTable, key: str) -> TimeConfig:
 
 
 def read_clocks(logs: TomlTable) -> ClockConfig:
-    """Read `[logs] period_s`, `offset_s` and `time`."""
+    """Read `[logs] period_s`, `offset_s`, `time` and `common`."""
     times: dict[str, TimeConfig] = {}
     if "time" in logs.values:
         table = logs.table("time", None)
         times = {pattern: read_time(table, pattern) for pattern in table.values}
-    return ClockConfig(_read_seconds(logs, "period_s"), _read_seconds(logs, "offset_s"), times)
+    common: tuple[str, ...] = ()
+    if "common" in logs.values:
+        is_name = isinstance(logs.values["common"], str)
+        common = (logs.text("common"),) if is_name else logs.texts("common")
+    periods_s, offsets_s = _read_seconds(logs, "period_s"), _read_seconds(logs, "offset_s")
+    return ClockConfig(periods_s, offsets_s, times, common)
 
 
 def _read_seconds(logs: TomlTable, key: str) -> dict[str, float]:

@@ -27,7 +27,7 @@ FOLDER = "firmware"
 """Where the C goes unless `[firmware] out` says otherwise."""
 USES = ("train", "test", "dwell")
 """What `[logs]` selects runs for."""
-LOG_KEYS = ("train", "test", "dwell", "where", "period_s", "offset_s", "time")
+LOG_KEYS = ("train", "test", "dwell", "where", "period_s", "offset_s", "time", "common")
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
 MOST = {"starts": 1000, "epochs": 1_000_000}
 """Trainings from different weights, and passes over the logs, that are still meant."""
@@ -216,9 +216,9 @@ def parse_config(text: str, path: Path) -> Config:
         sample_period_s=sensor.positive("sample_period_s"),
         outputs=outputs,
         inputs={name: column for name, (column, _) in columns.items()},
-        train_logs=logs.texts("train"),
-        test_logs=logs.texts("test", optional=True),
-        dwell_logs=logs.texts("dwell", optional=True),
+        train_logs=_read_selectors(logs, "train"),
+        test_logs=_read_selectors(logs, "test"),
+        dwell_logs=_read_selectors(logs, "dwell"),
         effects=_read_effects(root),
         network=_read_network(root.table("network", None, optional=True)),
         weights=quantization.choice("weights", WEIGHT_FORMATS, "int16"),
@@ -262,6 +262,16 @@ def _describe_syntax_error(path: Path, message: str) -> str:
     what = re.sub(r"\s*\(at .*\)$", "", message)
     place = f"{path}:{match.group(1)}" if match else str(path)
     return f"{place}: not valid TOML: {what}. Text needs quotes, tables are written [name]."
+
+
+def _read_selectors(logs: TomlTable, use: str) -> tuple[str, ...]:
+    """Read a list of selectors; a list within it is one log of several files."""
+    found = logs.values.get(use)
+    if isinstance(found, list) and any(isinstance(item, list) for item in found):
+        lists = [item if isinstance(item, list) else [item] for item in found]
+        tables = (TomlTable(logs.file, logs.lines, logs.key, {use: item}) for item in lists)
+        return tuple(" + ".join(table.texts(use)) for table in tables)
+    return logs.texts(use, optional=use != "train")
 
 
 def _read_outputs(root: TomlTable) -> tuple[OutputConfig, ...]:
