@@ -1,6 +1,5 @@
 """Checks of a log's values: vectorised first, the offending line only after one has failed."""
 
-import itertools
 from collections.abc import Mapping
 
 import numpy as np
@@ -22,8 +21,6 @@ COLDEST_DEGC = -200.0
 HOTTEST_DEGC = 500.0
 LARGEST = 1e30
 """No measured value is larger, in any unit; powers of it stay finite in double precision."""
-MIXED_RATIO = 1.5
-"""Blocks of a run whose median intervals differ by more than this are mixed sampling."""
 _SKIP = "or pass --skip-invalid to drop"
 
 
@@ -174,35 +171,6 @@ def find_late_rows(time_s: Array) -> Mask:
     late = np.zeros(time_s.size, dtype=np.bool_)
     late[1:] = time_s[1:] <= np.maximum.accumulate(time_s)[:-1]
     return late
-
-
-def check_sampling(table: Table, column: str, start: int, stop: int) -> None:
-    """Raise InputError when rows `start` to `stop` mix sample periods, say 1 s and 10 s.
-
-    Medians of up to 64 blocks are compared, so that lost rows, gaps and jitter do not matter.
-    """
-    interval_s = np.diff(table.columns[column][start:stop])
-    blocks = min(64, max(2, interval_s.size // 64))
-    if interval_s.size < 16 or interval_s.max() <= MIXED_RATIO * interval_s.min():
-        return
-    edges = np.linspace(0, interval_s.size, blocks + 1).astype(int)
-    medians = np.array([np.median(interval_s[a:b]) for a, b in itertools.pairwise(edges)])
-    if medians.max() <= MIXED_RATIO * medians.min():
-        return
-    first = float(medians[0])
-    changed = (medians > MIXED_RATIO**0.5 * first) | (medians < first / MIXED_RATIO**0.5)
-    block = int(np.argmax(changed))
-    second = float(medians[block])
-    near = interval_s[edges[block - 1] : edges[block + 1]]
-    # The change is where intervals are nearer to the second period from there on.
-    is_second = np.abs(np.log(near / second)) < np.abs(np.log(near / first))
-    score = np.cumsum(np.where(is_second, -1, 1))
-    row = start + edges[block - 1] + int(np.argmax(score)) + 2
-    place = locate_row(table.source, table.position(min(row, stop - 1)))
-    raise InputError(
-        f"{place.text}: the sample period changes from {first:.4g} s to {second:.4g} s; expected "
-        "one period within a run. Split the file there, or bring the log to one period."
-    )
 
 
 def check_period(

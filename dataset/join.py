@@ -14,8 +14,9 @@ from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import check_period
 from zerodrift.dataset.clock_difference import ClockDifference, measure_difference
 from zerodrift.dataset.logs import COMMON
-from zerodrift.dataset.resample import COARSEST, find_gaps
+from zerodrift.dataset.resample import find_gaps
 from zerodrift.dataset.runs import Array
+from zerodrift.dataset.sampling import COARSEST
 from zerodrift.dataset.tables import Table
 from zerodrift.dataset.times import write_local
 

@@ -13,7 +13,6 @@ from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.checks import (
     check_period,
-    check_sampling,
     check_time,
     explain_invalid_row,
     find_invalid_rows,
@@ -27,8 +26,9 @@ from zerodrift.dataset.locate import find_blank_rows, locate_row
 from zerodrift.dataset.logs import read_log
 from zerodrift.dataset.naming import RunKey, name_runs, refuse_overlaps
 from zerodrift.dataset.oddities import find_oddities
-from zerodrift.dataset.resample import COARSEST, MIN_STEPS, Stretch, plan_stretches
+from zerodrift.dataset.resample import MIN_STEPS, Stretch, plan_stretches
 from zerodrift.dataset.runs import Array, Dataset, Run
+from zerodrift.dataset.sampling import COARSEST, Sampling, look_at_sampling
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
 from zerodrift.dataset.shared_rows import KnownRun, Repeats, find_repeats
 from zerodrift.dataset.tables import Table, label_log
@@ -292,14 +292,15 @@ def _plan_run(
         start, stop = start + cut.start, start + cut.stop
     if stop - start < 2:
         raise InputError(_explain_too_few(who, stop - start, 0, config))
-    check_sampling(table, config.time_column, start, stop)
-    median_s = float(np.median(np.diff(time_s[start:stop])))
+    sampling = look_at_sampling(time_s[start:stop], config.sample_period_s)
+    median_s = sampling.usual_s
     setting = locate_key(config.path, "sensor", "sample_period_s")
     # Only numbers leave their unit open.
     is_number = table.clock is None or table.clock.kind == "number"
     stated = config.time.unit or read_time_unit(config.time_column) if is_number else "s"
     period_s = config.sample_period_s
     refuse_unit(who, config.time_column, stated, start_s, median_s, period_s, setting)
+    _judge_sampling(config, table, who, start, sampling, notes)
     check_period(who, median_s, config.sample_period_s, COARSEST, setting)
     stretches, gaps = plan_stretches(time_s, start, stop, config.sample_period_s)
     long_enough = [stretch for stretch in stretches if stretch.steps >= MIN_STEPS]
@@ -318,6 +319,37 @@ def _plan_run(
     )
     parts = [_allocate(config, key, part, stretch) for part, stretch in enumerate(long_enough)]
     return parts, slice(start, stop)
+
+
+def _judge_sampling(
+    config: Config, table: Table, who: str, start: int, sampling: Sampling, notes: list[str]
+) -> None:
+    """Refuse a cadence that is too slow for the firmware's step; tell what a change costs."""
+    period_s = config.sample_period_s
+    if sampling.bursts is not None:
+        rows = float(np.median(np.diff(sampling.bursts)))
+        notes.append(
+            f"{who}: rows come in bursts of {rows:g} every {sampling.usual_s:.4g} s; each is taken "
+            "as its mean"
+        )
+    if len(sampling.cadences) == 1:
+        return
+    (_, first_s), (row, second_s) = sampling.cadences[:2]
+    place = locate_row(table.source, table.position(min(start + row, len(table) - 1)))
+    if sampling.slowest_s > COARSEST * period_s:
+        raise InputError(
+            f"{place.text}: the sample period changes from {first_s:.4g} s to {second_s:.4g} s; "
+            f"expected a row at least every {COARSEST * period_s:.4g} s throughout, for "
+            f"sample_period_s = {period_s:g}. Set sample_period_s = {sampling.slowest_s:.3g}, or "
+            "split the file there and leave the slower part out."
+        )
+    ratio = (sampling.slowest_s / sampling.fastest_s) ** 0.5
+    notes.append(
+        f"{place.text}: the sample period changes from {first_s:.4g} s to {second_s:.4g} s; "
+        f"brought to {period_s:g} s with {period_s / sampling.fastest_s:.3g} to "
+        f"{period_s / sampling.slowest_s:.3g} rows in a step, whose noise differs by up to "
+        f"{ratio:.2g} times where that of rows is white"
+    )
 
 
 def _note_stretches(

@@ -9,12 +9,13 @@ lost row is interpolated linearly, which looks ahead by less than one row.
 """
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Array
+from zerodrift.dataset.sampling import look_at_sampling, measure_neighbours
 
 MIN_STEPS = 10
 """A stretch with fewer steps is dropped: no filter has settled by then."""
@@ -24,8 +25,6 @@ KEPT_TOLERANCE = 0.01
 """Time stamps within this share of a step of the uniform grid are taken as uniform."""
 AVERAGED_BELOW = 0.9
 """A log whose period is a smaller share of the step is averaged; else it is interpolated."""
-COARSEST = 1.5
-"""A log whose period is more than this many steps holds too little to be brought to them."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +41,8 @@ class Stretch:
     """The rows' own times; a view of the log's."""
     averager: "Averager | None"
     """Set when the method is `averaged`."""
+    bursts: NDArray[np.intp] | None = None
+    """First row, from `start` on, of each burst that is taken as its mean; None: there are none."""
 
     @property
     def steps(self) -> int:
@@ -51,6 +52,8 @@ class Stretch:
     def resample(self, values: Array) -> Array:
         """Return a column of the log (all of its rows) as [steps] values of this stretch."""
         rows = values[self.start : self.stop]
+        if self.bursts is not None:
+            rows = average_bursts(rows, self.bursts)
         if self.averager is not None:
             return self.averager.average(rows)
         if self.method == "kept":
@@ -109,9 +112,23 @@ def plan_average(
     return Averager(width_s, in_force, edges_s - time_s[in_force], period_s)
 
 
-def find_gaps(time_s: Array, median_period_s: float, sample_period_s: float) -> list[int]:
-    """Return the rows after which the log is interrupted."""
-    limit_s = max(GAP_PERIODS * median_period_s, sample_period_s * (1 + KEPT_TOLERANCE))
+def average_bursts(rows: Array, bursts: NDArray[np.intp]) -> Array:
+    """Return the means [b] of rows [n] that come in bursts, each from its first row on."""
+    counts = np.diff(bursts, append=rows.size)
+    # About the first row, so that Unix times keep their digits.
+    mean: Array = rows[0] + np.add.reduceat(rows - rows[0], bursts) / counts
+    return mean
+
+
+def find_gaps(time_s: Array, median_period_s: Array | float, sample_period_s: float) -> list[int]:
+    """Return the rows after which the log is interrupted.
+
+    Args:
+        time_s: [n] rising times.
+        median_period_s: the usual interval, everywhere or around each [n - 1].
+        sample_period_s: the firmware's step.
+    """
+    limit_s = np.maximum(GAP_PERIODS * median_period_s, sample_period_s * (1 + KEPT_TOLERANCE))
     return [int(row) for row in np.flatnonzero(np.diff(time_s) > limit_s)]
 
 
@@ -130,14 +147,36 @@ def plan_stretches(
         The stretches, the shortest of which may have any number of steps, and the rows after which
         a gap begins.
     """
-    median_s = float(np.median(np.diff(time_s[start:stop])))
-    gaps = [start + row for row in find_gaps(time_s[start:stop], median_s, sample_period_s)]
+    sampling = look_at_sampling(time_s[start:stop], sample_period_s)
+    if sampling.bursts is not None:
+        return _plan_bursts(time_s[start:stop], start, sampling.bursts, sample_period_s)
+    own_s = np.diff(time_s[start:stop])
+    median_s = float(np.median(own_s))
+    usual_s = measure_neighbours(own_s, sampling)
+    gaps = [start + row for row in find_gaps(time_s[start:stop], usual_s, sample_period_s)]
     bounds = [start, *(row + 1 for row in gaps), stop]
     stretches = [
         _plan_stretch(time_s[first:last], first, last, median_s, sample_period_s)
         for first, last in itertools.pairwise(bounds)
     ]
     return stretches, gaps
+
+
+def _plan_bursts(
+    time_s: Array, start: int, bursts: NDArray[np.intp], sample_period_s: float
+) -> tuple[list[Stretch], list[int]]:
+    """Plan the stretches of a run whose bursts are taken as their means; as `plan_stretches`."""
+    mean_s = average_bursts(time_s, bursts)
+    ends = np.append(bursts, time_s.size)
+    median_s = float(np.median(np.diff(mean_s)))
+    gaps = find_gaps(mean_s, median_s, sample_period_s)
+    stretches = []
+    for first, last in itertools.pairwise([0, *(row + 1 for row in gaps), mean_s.size]):
+        plan = _plan_stretch(mean_s[first:last], first, last, median_s, sample_period_s)
+        rows = start + int(ends[first]), start + int(ends[last])
+        own = bursts[first:last] - bursts[first]
+        stretches.append(replace(plan, start=rows[0], stop=rows[1], bursts=own))
+    return stretches, [start + int(ends[row + 1]) - 1 for row in gaps]
 
 
 def _plan_stretch(
