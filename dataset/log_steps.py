@@ -17,7 +17,7 @@ from zerodrift.dataset.chip_codes import MEASURED, TEMPERATURE
 from zerodrift.dataset.load import open_log
 from zerodrift.dataset.resample import KEPT_TOLERANCE, Stretch, plan_stretches
 from zerodrift.dataset.runs import Array
-from zerodrift.dataset.selectors import Selection
+from zerodrift.dataset.selectors import Selection, list_files
 from zerodrift.dataset.tables import Source, Table
 
 FEWEST_ROWS = 2
@@ -94,7 +94,7 @@ def read_log_steps(
         InputError: a column is missing, the file is damaged, or a time cannot be right.
     """
     notes: list[str] = []
-    selection = Selection(path, None, None, f"the log {path}")
+    selection = Selection(path, tuple(list_files(path)), None, None, f"the log {path}")
     time = config.time_column
     needed = {time: "[sensor] time", **columns}
     table, spans = open_log(config, selection, skip_invalid, notes, needed)

@@ -48,12 +48,12 @@ class Run:
     """Optional channels [n] by the name that effects use: supply, humidity, clock, ..."""
     start_s: float | None = None
     """The log's own clock at the first row of the whole run; None: at this stretch's first."""
-    files: tuple[Path, ...] = ()
-    """The files that `source` joins; empty: `source` is the one."""
     before: "Run | None" = field(default=None, repr=False, compare=False)
     """The stretch of the same run before the gap; None for the first, or to begin at rest."""
     explained: Array | None = field(default=None, repr=False, compare=False)
     """[n, K] drift that is known to have a cause, so that outliers show beside it; None: none."""
+    files: tuple[Path, ...] = ()
+    """The files that `source` joins; empty: `source` is the one."""
 
     def at_rest(self) -> "Run":
         """Return the stretch as if nothing had been before it, as a chip takes it."""
