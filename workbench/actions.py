@@ -1,7 +1,6 @@
 """What the page's buttons do: each runs a command, as a user would type it."""
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 from zerodrift.base.errors import InputError
 from zerodrift.workbench.uploads import list_logs
@@ -31,7 +30,7 @@ def add(place: Workplace, kind: str, *, force: bool) -> None:
     place.run("add", f"Adding {kind}", ["add", kind, "--json", *options])
 
 
-def press(place: Workplace, button: str, chosen: Mapping[str, Any]) -> None:
+def press(place: Workplace, button: str, chosen: Mapping[str, object]) -> None:
     """Do what a button says.
 
     Args:

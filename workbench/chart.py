@@ -1,16 +1,18 @@
 """The chart of one run: what part of it is shown, and what went on there."""
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
 
 from dash import no_update
 
+from zerodrift.base.records import from_json, to_dict
 from zerodrift.report import tables
 from zerodrift.report.figures_runs import Window, choose_clock, draw_run, find_rows
 from zerodrift.report.findings import Findings, Trace
 from zerodrift.report.thin import pick_spread
 from zerodrift.workbench import panels
-from zerodrift.workbench.views import choose_first
+from zerodrift.workbench.state import Chart, Drawn, Part, View
+from zerodrift.workbench.views import Shown, choose_first
 from zerodrift.workbench.workplace import Workplace
 
 MOST_ROWS = 100
@@ -26,11 +28,11 @@ MOST_PRESSES = 50
 
 def draw_main(
     place: Workplace,
-    view: Mapping[str, Any] | None,
+    view: Mapping[str, object] | None,
     presses: Mapping[str, int | None],
-    moved: dict[str, Any] | None,
-    drawn: Mapping[str, Any] | None,
-) -> tuple[Any, ...]:
+    moved: Mapping[str, object] | None,
+    drawn: Mapping[str, object] | None,
+) -> Shown:
     """Return the chart of one run, refined to the part that is shown, and what went on there.
 
     A request may be answered by a later one of the same chart, and two may be made as one. So what
@@ -38,35 +40,33 @@ def draw_main(
 
     Args:
         place: the project.
-        view: output, run, and ghost (the effect to draw over what is left) as chosen, and `part`,
-            the worst segment that was asked for last, with its number among such requests; None
-            where the page has told nothing yet.
+        view: a `View` as the page's script writes it; None where it has told nothing yet.
         presses: how often each of `MOVES` was pressed.
         moved: what the chart tells of a zoom.
-        drawn: what is drawn now.
+        drawn: a `Drawn` as it was returned last: what is drawn now.
     """
     findings = place.findings
     if findings is None:
         return tuple([no_update] * 4)
-    output, run = choose_first(findings)
-    if view is not None:
-        output, run = view["output"], view["run"]
-    if output not in findings.outputs or run not in [trace.run for trace in findings.traces]:
+    chosen = View(*choose_first(findings)) if view is None else from_json(View, view)
+    output, run, ghost, part = chosen.output, chosen.run, chosen.ghost, chosen.part
+    runs = [trace.run for trace in findings.traces]
+    if output is None or output not in findings.outputs or run is None or run not in runs:
         return tuple([no_update] * 4)
     trace = findings.find_trace(run)
     k = findings.outputs.index(output)
-    ghost, part = ((view or {}).get(name) for name in ("ghost", "part"))
     curve = place.preview(ghost, run) if ghost else None
-    wanted = {
-        "chart": [place.shown, output, run, ghost if curve is not None else None],
-        "part": part["number"] if part else 0,
-        "presses": {name: presses.get(name) or 0 for name in MOVES},
-        "moved": moved,
-    }
-    changed = {name for name, value in wanted.items() if not drawn or drawn[name] != value}
-    if not changed or (changed == {"moved"} and read_zoom(trace, moved or {}) is None):
+    wanted = Drawn(
+        chart=Chart(place.shown, output, run, ghost if curve is not None else None),
+        part=part.number if part else 0,
+        presses={name: presses.get(name) or 0 for name in MOVES},
+        moved=moved,
+    )
+    last = None if drawn is None else from_json(Drawn, drawn)
+    is_same_but_moved = last is not None and replace(wanted, moved=last.moved) == last
+    if is_same_but_moved and (wanted == last or read_zoom(trace, moved or {}) is None):
         return tuple([no_update] * 4)
-    window = choose_window(trace, output, part, wanted, drawn)
+    window = choose_window(trace, part, wanted, last)
     figure = draw_run(
         trace,
         findings.comparison,
@@ -79,46 +79,40 @@ def draw_main(
         figure,
         panels.show_segments(findings, run, output),
         panels.show_table(tabulate_part(findings, k, window)),
-        {**wanted, "window": [window.from_s, window.to_s]},
+        to_dict(replace(wanted, window=(window.from_s, window.to_s))),
     )
 
 
-def choose_window(
-    trace: Trace,
-    output: str,
-    part: Mapping[str, Any] | None,
-    wanted: Mapping[str, Any],
-    drawn: Mapping[str, Any] | None,
-) -> Window:
+def choose_window(trace: Trace, part: Part | None, wanted: Drawn, drawn: Drawn | None) -> Window:
     """Return the part of a run to be shown: what was shown of it, and moved as was asked since.
 
     Args:
         trace: the run.
-        output: which one is shown.
         part: the worst segment that was asked for last.
-        wanted: what is to be drawn, as `draw_main` keeps it.
+        wanted: what is to be drawn.
         drawn: what was drawn last.
     """
-    of_part = part is not None and (part["run"], part["output"]) == (trace.run, output)
-    if part is not None and of_part and wanted["part"] != (drawn["part"] if drawn else 0):
-        return Window(trace.run, part["from_s"], part["to_s"])
-    if not drawn or drawn["chart"][2] != trace.run:
+    is_new = wanted.part != (drawn.part if drawn else 0)
+    if part is not None and is_new and (part.run, part.output) == (trace.run, wanted.chart.output):
+        return Window(trace.run, part.from_s, part.to_s)
+    if drawn is None or drawn.chart.run != trace.run:
         return Window(trace.run)
-    window = Window(trace.run, *drawn["window"])
-    if wanted["moved"] != drawn["moved"]:
-        window = read_zoom(trace, wanted["moved"] or {}) or window
+    window = Window(trace.run, *drawn.window)
+    if wanted.moved != drawn.moved:
+        window = read_zoom(trace, wanted.moved or {}) or window
     for move in MOVES:
-        for _ in range(min(wanted["presses"][move] - drawn["presses"][move], MOST_PRESSES)):
+        for _ in range(min(wanted.presses[move] - drawn.presses[move], MOST_PRESSES)):
             window = move_window(trace, window, move)
     return window
 
 
-def read_zoom(trace: Trace, moved: dict[str, Any]) -> Window | None:
+def read_zoom(trace: Trace, moved: Mapping[str, object]) -> Window | None:
     """Return the part that was zoomed to; None where nothing of the time axis changed."""
-    ends = moved.get("xaxis2.range") or [moved.get(f"xaxis2.range[{i}]") for i in (0, 1)]
+    both = moved.get("xaxis2.range")
+    ends = both if isinstance(both, list) else [moved.get(f"xaxis2.range[{i}]") for i in (0, 1)]
     if ends[0] is not None and ends[1] is not None:
         clock = choose_clock(trace)
-        return Window(trace.run, *sorted(clock.seconds * float(end) for end in ends))
+        return Window(trace.run, *sorted(clock.seconds * float(str(end)) for end in ends))
     return Window(trace.run) if moved.get("xaxis2.autorange") else None
 
 

@@ -5,13 +5,14 @@ anything.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from dash import no_update
+from dash.development.base_component import Component
 
 from zerodrift.workbench import views
 from zerodrift.workbench.chart import draw_main
 from zerodrift.workbench.layout import lay_out
+from zerodrift.workbench.views import Shown
 from zerodrift.workbench.workplace import Workplace
 
 Places = tuple[tuple[str, str], ...]
@@ -49,12 +50,12 @@ CHART: Places = (
 )
 
 
-def lay_out_first(place: Workplace) -> Any:
+def lay_out_first(place: Workplace) -> Component:
     """Return the whole page, what is known by now filled in; the rest comes by the callbacks."""
     # Read before all else: what changes meanwhile is then shown by the page's next request.
     version = place.version
     page = lay_out()
-    shown: Sequence[tuple[Places, Callable[[], tuple[Any, ...]]]] = (
+    shown: Sequence[tuple[Places, Callable[[], Shown]]] = (
         (FRAME, lambda: views.show_frame(place)),
         (TOP, lambda: views.show_top(place, None, None)),
         (CHOICES, lambda: views.list_choices(place, None)),

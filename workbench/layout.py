@@ -1,8 +1,7 @@
 """The page without anything in it yet: places for what the callbacks bring."""
 
-from typing import Any
-
 from dash import dcc, html
+from dash.development.base_component import Component
 
 from zerodrift.workbench import panels
 
@@ -49,7 +48,7 @@ PAGE = """<!doctype html>
 """
 
 
-def lay_out() -> Any:
+def lay_out() -> Component:
     """Return the whole page."""
     stores = [dcc.Store(id=name) for name in STORES]
     return html.Div(
@@ -78,13 +77,15 @@ def lay_out() -> Any:
     )
 
 
-def _lay_out_contents() -> Any:
+def _lay_out_contents() -> Component:
     links = [html.Li(html.A(words, href=f"#{where}")) for where, words in CONTENTS]
     theme = html.Button("Dark page", id="theme", className="theme")
     return html.Nav([html.Ol(links), theme], className="contents", **{"aria-label": "Contents"})
 
 
-def _choose(words: str, name: str, *, store: str = "picks", empty: str | None = "choose") -> Any:
+def _choose(
+    words: str, name: str, *, store: str = "picks", empty: str | None = "choose"
+) -> Component:
     """Return a list to choose from, with its words; its choices come by `data-choices`.
 
     Args:
@@ -97,12 +98,12 @@ def _choose(words: str, name: str, *, store: str = "picks", empty: str | None = 
     return html.Label([words, html.Select(id=name, **told)], className="wide")
 
 
-def _press(words: str, button: str, **options: Any) -> Any:
+def _press(words: str, button: str, **options: object) -> Component:
     """Return a button that has the server do something."""
     return html.Button(words, id=button, **{"data-press": button}, **options)
 
 
-def _lay_out_top() -> list[Any]:
+def _lay_out_top() -> list[Component]:
     """Return the head: verdict, guess, actions, and what the last change brought."""
     force = dcc.Checklist(["keep it even if it does not help"], [], id="force")
     return [
@@ -143,7 +144,7 @@ def _lay_out_top() -> list[Any]:
     ]
 
 
-def _lay_out_sections() -> list[Any]:
+def _lay_out_sections() -> list[Component]:
     """Return the sections below the head."""
     ghost = "an effect, drawn over what is left"
     choices = [
@@ -204,5 +205,5 @@ def _lay_out_sections() -> list[Any]:
     ]
 
 
-def _section(name: str, title: str, *parts: Any) -> Any:
+def _section(name: str, title: str, *parts: Component) -> Component:
     return html.Section([html.H2(title), *parts], id=name)

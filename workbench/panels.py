@@ -1,17 +1,28 @@
 """The parts of the page, built from what the commands found; nothing is computed here."""
 
 import json
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from dash import dcc, html
+from dash.development.base_component import Component
+from plotly.graph_objects import Figure
 
+from zerodrift.base.records import to_dict
 from zerodrift.diagnosis.comparison_summary import WorstSegment
 from zerodrift.report import tables
 from zerodrift.report.figures import draw_budget, draw_revision, draw_staircase
 from zerodrift.report.findings import Findings
 from zerodrift.report.report import list_tiles
+from zerodrift.report.results import (
+    AddResult,
+    RemoveResult,
+    ReportResult,
+    TrainResult,
+    is_done,
+)
 from zerodrift.report.tables import Table
+from zerodrift.verify.summary import FirmwareSummary, VerifySummary
+from zerodrift.workbench.state import Part
 
 GRAPH = {
     "displaylogo": False,
@@ -21,7 +32,7 @@ GRAPH = {
 }
 
 
-def show_table(table: Table, *, folded: bool = False) -> Any:
+def show_table(table: Table, *, folded: bool = False) -> Component:
     """Return a table; `folded` behind its title.
 
     Its cells are one attribute, from which the page's script makes the rows: as components of their
@@ -36,7 +47,7 @@ def show_table(table: Table, *, folded: bool = False) -> Any:
     return html.Div([html.H3(table.title), *inner], className="table")
 
 
-def show_figure(figure: Any, label: str) -> Any:
+def show_figure(figure: Figure, label: str) -> Component:
     """Return a figure with words for those who cannot see it."""
     return html.Figure(
         [
@@ -46,7 +57,7 @@ def show_figure(figure: Any, label: str) -> Any:
     )
 
 
-def show_tiles(findings: Findings) -> list[Any]:
+def show_tiles(findings: Findings) -> list[Component]:
     """Return the few figures that come first."""
     return [
         html.Div([html.B(value), html.Span(what)], className="tile")
@@ -54,7 +65,7 @@ def show_tiles(findings: Findings) -> list[Any]:
     ]
 
 
-def show_segments(findings: Findings, run: str, output: str) -> list[Any]:
+def show_segments(findings: Findings, run: str, output: str) -> list[Component]:
     """Return the worst segments as a list, each of which can be gone to.
 
     Args:
@@ -74,10 +85,11 @@ def show_segments(findings: Findings, run: str, output: str) -> list[Any]:
             f"{number}. {segment.run}, {segment.output}, {segment.from_s:.6g} to "
             f"{segment.to_s:.6g} s"
         )
+        part = to_dict(find_part(findings, segment))
         items.append(
             html.Li(
                 [
-                    html.Button(words, **{"data-choose": json.dumps(find_part(findings, segment))}),
+                    html.Button(words, **{"data-choose": json.dumps(part)}),
                     f" {segment.pattern}, RMSE {segment.rmse:.3g} {unit}"
                     + (" (shaded above)" if is_here else ""),
                 ]
@@ -89,8 +101,8 @@ def show_segments(findings: Findings, run: str, output: str) -> list[Any]:
     ]
 
 
-def find_part(findings: Findings, segment: WorstSegment) -> dict[str, Any]:
-    """Return output, run and part to be shown of a worst segment: it, and as much on either side.
+def find_part(findings: Findings, segment: WorstSegment) -> Part:
+    """Return the part of a run to be shown of a worst segment: it, and as much on either side.
 
     Args:
         findings: what was found.
@@ -98,22 +110,22 @@ def find_part(findings: Findings, segment: WorstSegment) -> dict[str, Any]:
     """
     beside = segment.to_s - segment.from_s
     time_s = findings.find_trace(segment.run).time_s
-    return {
-        "output": segment.output,
-        "run": segment.run,
-        "from_s": max(segment.from_s - beside, float(time_s[0])),
-        "to_s": min(segment.to_s + beside, float(time_s[-1])),
-    }
+    return Part(
+        output=segment.output,
+        run=segment.run,
+        from_s=max(segment.from_s - beside, float(time_s[0])),
+        to_s=min(segment.to_s + beside, float(time_s[-1])),
+    )
 
 
-def show_revision(revision: Mapping[str, Any]) -> list[Any]:
-    """Return what the last `add` or `remove` printed: errors before and after, per output."""
-    before, after = revision["before"]["rmse_heldout"], revision["after"]["rmse_heldout"]
-    floor, units = revision["noise_floor"], revision["units"]
+def show_revision(revision: AddResult | RemoveResult) -> list[Component]:
+    """Return what the last `add` or `remove` found: errors before and after, per output."""
+    before, after = revision.before.rmse_heldout, revision.after.rmse_heldout
+    floor = revision.noise_floor
     rows = tuple(
         (
             name,
-            units[name],
+            revision.units[name],
             tables.write_number(before[name]),
             tables.write_number(after[name]),
             f"{after[name] / before[name]:.3f}" if before[name] > 0.0 else "–",
@@ -122,27 +134,26 @@ def show_revision(revision: Mapping[str, Any]) -> list[Any]:
         )
         for name in after
     )
-    done = revision.get("added", revision.get("removed", False))
-    verb = {"add": "Added", "remove": "Removed"}[revision["command"]]
-    title = f"{verb} {revision['effect']}" if done else f"{revision['effect']} was not added"
+    verb = "Removed" if isinstance(revision, RemoveResult) else "Added"
+    title = f"{verb} {revision.effect}" if is_done(revision) else f"{revision.effect} was not added"
     headings = ("output", "unit", "before", "after", "after/before", "noise floor", "× floor")
     values = ", ".join(
-        f"{name} = {p['value']:.4g} {'' if p['unit'] == '1' else p['unit']}".rstrip()
-        + (f" ± {p['std_error']:.2g}" if p["std_error"] is not None else "")
-        for name, p in revision["parameters"].items()
+        f"{name} = {p.value:.4g} {'' if p.unit == '1' else p.unit}".rstrip()
+        + (f" ± {p.std_error:.2g}" if p.std_error is not None else "")
+        for name, p in revision.parameters.items()
     )
-    reason = revision["reason"]
-    parts: list[Any] = [html.H2(title), html.P(f"{reason[0].upper()}{reason[1:]}.")]
+    reason = revision.reason
+    parts = [html.H2(title), html.P(f"{reason[0].upper()}{reason[1:]}.")]
     if values:
         parts.append(html.P(f"Fitted: {values}.", className="note"))
     if any(level > 0.0 for level in floor.values()):
         words = "Held-out error of each output before and after, in noise floors."
         parts.append(show_figure(draw_revision(before, after, floor), words))
-    table = Table(f"Held-out RMSE ({revision['held_out']})", headings, rows, texts=2)
+    table = Table(f"Held-out RMSE ({revision.held_out})", headings, rows, texts=2)
     return [*parts, show_table(table)]
 
 
-def show_staircase(findings: Findings) -> list[Any]:
+def show_staircase(findings: Findings) -> list[Component]:
     """Return the staircase of errors, once there is a step."""
     if not findings.steps:
         return [html.P("No step yet: adding an effect makes the first.", className="note")]
@@ -153,10 +164,10 @@ def show_staircase(findings: Findings) -> list[Any]:
     ]
 
 
-def show_errors(findings: Findings) -> list[Any]:
+def show_errors(findings: Findings) -> list[Component]:
     """Return the errors per output and run, and where the model fails."""
     compared = findings.comparison
-    parts: list[Any] = [html.P(s, className="note") for s in findings.comparison_sentences]
+    parts: list[Component] = [html.P(s, className="note") for s in findings.comparison_sentences]
     parts.append(show_table(tables.tabulate_outputs(compared)))
     parts.append(show_table(tables.tabulate_runs(compared), folded=True))
     parts.append(html.H3("Where the model fails"))
@@ -168,7 +179,7 @@ def show_errors(findings: Findings) -> list[Any]:
     return parts
 
 
-def show_model(findings: Findings) -> list[Any]:
+def show_model(findings: Findings) -> list[Component]:
     """Return the effects in the model with their parameters."""
     model = findings.model
     return [
@@ -177,7 +188,7 @@ def show_model(findings: Findings) -> list[Any]:
     ]
 
 
-def show_firmware(findings: Findings) -> list[Any]:
+def show_firmware(findings: Findings) -> list[Component]:
     """Return error budget, sizes and certificate of the last firmware, where it is current."""
     firmware, certificate = findings.firmware, findings.certificate
     if firmware is None:
@@ -194,33 +205,34 @@ def show_firmware(findings: Findings) -> list[Any]:
     ]
 
 
-def show_outcome(outcome: Mapping[str, Any]) -> list[Any]:
-    """Return what the last `train`, `firmware` or `verify` printed, in a sentence."""
-    name, told = outcome["name"], outcome["told"]
-    if name == "verify":
-        equal = "equal in every bit" if told["bit_exact"] else "DIFFERENT"
-        backends = " = ".join(told["backends"])
-        lines = [f"Verified: {equal} over {told['vectors']} steps on {backends}."]
-        lines += [finding["text"] for finding in (*told["changed"], *told["stale"])]
-        lines += [f"{f['name']} in the header is not the model's." for f in told["header"]]
-        lines += told["failures"]
-        lines += [f"Not checked: {n['what']} ({n['why']})." for n in told["not_checked"]]
+def show_outcome(
+    outcome: TrainResult | FirmwareSummary | VerifySummary | ReportResult,
+) -> list[Component]:
+    """Return what the last `train`, `firmware`, `verify` or `report` found, in a sentence."""
+    if isinstance(outcome, VerifySummary):
+        equal = "equal in every bit" if outcome.bit_exact else "DIFFERENT"
+        backends = " = ".join(outcome.backends)
+        lines = [f"Verified: {equal} over {outcome.vectors} steps on {backends}."]
+        lines += [finding.text for finding in (*outcome.changed, *outcome.stale)]
+        lines += [f"{f.name} in the header is not the model's." for f in outcome.header]
+        lines += outcome.failures
+        lines += [f"Not checked: {n.what} ({n.why})." for n in outcome.not_checked]
         return [html.P(line) for line in lines]
-    if name == "firmware":
+    if isinstance(outcome, FirmwareSummary):
         return [
             html.P(
-                f"Built: flash {told['flash_bytes']} B, RAM {told['ram_bytes']} B, stack "
-                f"{told['stack_bytes']} B on {told['core']}; "
-                f"{'bit-exact' if told['bit_exact'] else 'DIFFERENT'} over {told['vectors']} "
-                f"steps. Files: {', '.join(told['files'])}."
+                f"Built: flash {outcome.flash_bytes} B, RAM {outcome.ram_bytes} B, stack "
+                f"{outcome.stack_bytes} B on {outcome.core}; "
+                f"{'bit-exact' if outcome.bit_exact else 'DIFFERENT'} over {outcome.vectors} "
+                f"steps. Files: {', '.join(outcome.files)}."
             )
         ]
-    if name == "train":
+    if isinstance(outcome, TrainResult):
         rmse = ", ".join(
-            f"{n} {tables.write_number(o['held_out']['rmse'])} {o['unit']}"
-            for n, o in told["outputs"].items()
+            f"{n} {tables.write_number(o.held_out.rmse)} {o.unit}"
+            for n, o in outcome.outputs.items()
         )
-        kept = "with a network" if told["network"] else "without a network"
+        kept = "with a network" if outcome.network else "without a network"
         return [html.P(f"Trained {kept}; held-out RMSE: {rmse}.")]
     return [
         html.P(
@@ -235,7 +247,7 @@ def show_outcome(outcome: Mapping[str, Any]) -> list[Any]:
     ]
 
 
-def show_waiting(name: str, *, is_busy: bool) -> list[Any]:
+def show_waiting(name: str, *, is_busy: bool) -> list[Component]:
     """Return the page of a project of which nothing is known yet.
 
     Args:
@@ -251,7 +263,7 @@ def show_waiting(name: str, *, is_busy: bool) -> list[Any]:
     return [html.H2(name, className="first"), html.P(words)]
 
 
-def show_start(logs: Sequence[str], directory: str) -> list[Any]:
+def show_start(logs: Sequence[str], directory: str) -> list[Component]:
     """Return the page of a directory without a project."""
     return [
         html.H2("A new project", className="first"),

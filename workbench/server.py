@@ -2,7 +2,6 @@
 
 import socket
 from pathlib import Path
-from typing import Any
 
 from flask import Flask, Response, jsonify, request, send_file
 from werkzeug.serving import WSGIRequestHandler, make_server
@@ -20,7 +19,7 @@ HOST = "127.0.0.1"
 class _Quiet(WSGIRequestHandler):  # type: ignore[misc,unused-ignore]
     """A request handler that prints nothing."""
 
-    def log(self, type: str, message: str, *args: Any) -> None:  # noqa: A002 - the base's name
+    def log(self, type: str, message: str, *args: object) -> None:  # noqa: A002 - the base's name
         """Say nothing."""
 
 

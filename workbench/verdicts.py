@@ -2,9 +2,9 @@
 
 import json
 from collections.abc import Sequence
-from typing import Any
 
 from dash import html
+from dash.development.base_component import Component
 
 from zerodrift.diagnosis.diagnosis import CandidateReport
 from zerodrift.diagnosis.explained import DETAIL, ExplainedDiagnosis
@@ -19,7 +19,9 @@ MOST_CARDS = 4
 """Candidates that are told in full; the table has all."""
 
 
-def show_verdict(findings: Findings, *, diagnosing: bool, hides: bool) -> tuple[str, list[Any]]:
+def show_verdict(
+    findings: Findings, *, diagnosing: bool, hides: bool
+) -> tuple[str, list[Component]]:
     """Return the verdict card's class and content.
 
     Args:
@@ -34,7 +36,7 @@ def show_verdict(findings: Findings, *, diagnosing: bool, hides: bool) -> tuple[
     if explained is None and diagnosing:
         return "verdict none", [html.P("Diagnosing …", className="sentence")]
     headline = write_headline(explained.diagnosis if explained else None, findings.titles)
-    parts: list[Any] = [
+    parts: list[Component] = [
         html.P(headline.label, className="kicker"),
         html.P(headline.sentence, className="sentence", id="verdict-sentence"),
     ]
@@ -44,7 +46,7 @@ def show_verdict(findings: Findings, *, diagnosing: bool, hides: bool) -> tuple[
     return f"verdict {headline.kind.replace(' ', '-')}", parts
 
 
-def make_add(effect: str, *, words: str = "", primary: bool = False) -> Any:
+def make_add(effect: str, *, words: str = "", primary: bool = False) -> Component:
     """Return a button that adds an effect.
 
     Args:
@@ -59,7 +61,7 @@ def make_add(effect: str, *, words: str = "", primary: bool = False) -> Any:
     )
 
 
-def show_adds(findings: Findings) -> list[Any]:
+def show_adds(findings: Findings) -> list[Component]:
     """Return a button for each effect that the verdict names, its look-alikes included."""
     explained = findings.diagnosed
     if explained is None:
@@ -74,7 +76,7 @@ def show_adds(findings: Findings) -> list[Any]:
     return alike
 
 
-def show_candidates(findings: Findings, previews: Sequence[str]) -> list[Any]:
+def show_candidates(findings: Findings, previews: Sequence[str]) -> list[Component]:
     """Return the ranking of what could be missing: the first in full, then all of them.
 
     Args:
@@ -89,7 +91,7 @@ def show_candidates(findings: Findings, previews: Sequence[str]) -> list[Any]:
         _show_candidate(findings, explained, candidate, previews)
         for candidate in diagnosis.candidates[:MOST_CARDS]
     ]
-    parts: list[Any] = [html.Ol(cards, className="ranking")] if cards else []
+    parts: list[Component] = [html.Ol(cards, className="ranking")] if cards else []
     if diagnosis.candidates:
         words = "Held-out error with each candidate; shorter is better. Hatched: not named."
         parts.append(show_figure(draw_candidates(diagnosis), words))
@@ -102,7 +104,7 @@ def _show_candidate(
     explained: ExplainedDiagnosis,
     candidate: CandidateReport,
     previews: Sequence[str],
-) -> Any:
+) -> Component:
     """Return one candidate: why or why not, its equation, and what can be done with it."""
     kind, is_named = candidate.effect, candidate.effect in explained.named
     effect = findings.catalogue.get(kind)
@@ -142,13 +144,13 @@ def _show_candidate(
     )
 
 
-def show_effect(findings: Findings, kind: str) -> list[Any]:
+def show_effect(findings: Findings, kind: str) -> list[Component]:
     """Return what the catalogue says about an effect, and its standing in the diagnosis."""
     effect = findings.catalogue.get(kind)
     if effect is None:
         return []
     diagnosis = findings.diagnosed.diagnosis if findings.diagnosed is not None else None
-    parts: list[Any] = [
+    parts: list[Component] = [
         html.P([html.B(effect.title), ". ", effect.physics]),
         html.P(html.Code(effect.equation)),
         html.P(["Looks like: ", effect.fingerprint], className="note"),

@@ -2,9 +2,9 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from dash import html, no_update
+from dash.development.base_component import Component
 
 from zerodrift.report.findings import Findings
 from zerodrift.workbench import panels, verdicts
@@ -15,21 +15,23 @@ NOTHING = "nothing is missing"
 PREDICTORS = {"physics": "the effects alone"}
 
 
-def poll(place: Workplace, version: int) -> tuple[Any, str, bool]:
+Shown = tuple[object, ...]
+"""Values of the page's parts, in the order in which the callback lists them."""
+
+
+def poll(place: Workplace, version: int) -> Shown:
     """Return the version if there is something new to show, and how the job stands."""
     place.poll()
-    told = place.describe()
-    job = told["job"]
-    words = ""
-    if job is not None:
-        words = f"{job['title']}: {job['progress'] or 'starting'} ({job['seconds']} s)"
-    return (told["version"] if told["version"] != version else no_update), words, job is None
+    now = place.describe()
+    job = now.job
+    words = "" if job is None else f"{job.title}: {job.progress or 'starting'} ({job.seconds} s)"
+    return (now.version if now.version != version else no_update), words, job is None
 
 
-def show_frame(place: Workplace) -> tuple[Any, ...]:
+def show_frame(place: Workplace) -> Shown:
     """Return the start page where there is no project, and the message."""
     is_new = not place.has_project and place.findings is None
-    start: list[Any] = []
+    start: list[Component] = []
     if is_new:
         logs = list_logs(place.directory)
         start = [html.Main(panels.show_start(logs, str(place.directory)))]
@@ -46,9 +48,7 @@ def hides(place: Workplace, told: bool | None) -> bool:
     return place.is_practice and not told and not place.undo_stack and place.revision is None
 
 
-def show_top(
-    place: Workplace, told: bool | None, picks: Mapping[str, str] | None
-) -> tuple[Any, ...]:
+def show_top(place: Workplace, told: bool | None, picks: Mapping[str, str] | None) -> Shown:
     """Return the head of the page: the verdict, and what can be done about it."""
     findings, guess = place.findings, (picks or {}).get("guess-choice")
     if findings is None:
@@ -80,7 +80,7 @@ def show_top(
     )
 
 
-def list_choices(place: Workplace, told: bool | None) -> tuple[Any, ...]:
+def list_choices(place: Workplace, told: bool | None) -> Shown:
     """Return what can be chosen of output, run, ghost, effect and present, each as JSON.
 
     What is chosen is up to the page's script: an answer of the server may be older than the
@@ -120,12 +120,12 @@ def write_choices(names: Sequence[str], first: str = "") -> str:
     return json.dumps({"choices": [(name, name) for name in names], "first": first})
 
 
-def show_sections(place: Workplace, told: bool | None) -> tuple[Any, ...]:
+def show_sections(place: Workplace, told: bool | None) -> Shown:
     """Return the sections below the chart."""
     findings = place.findings
     if findings is None:
         return tuple([no_update] * 9)
-    candidates: Any = html.P("Guess first.", className="note")
+    candidates: Component | list[Component] = html.P("Guess first.", className="note")
     if not hides(place, told):
         candidates = verdicts.show_candidates(findings, place.previews)
     revision, outcome = place.revision, place.outcome
@@ -144,7 +144,7 @@ def show_sections(place: Workplace, told: bool | None) -> tuple[Any, ...]:
 
 def tell_effect(
     place: Workplace, picks: Mapping[str, str] | None, told: bool | None
-) -> tuple[Any, bool]:
+) -> tuple[list[Component], bool]:
     """Return all that is known about the effect that was chosen in the list of effects."""
     findings, effect = place.findings, (picks or {}).get("effect")
     if findings is None or not effect or hides(place, told):

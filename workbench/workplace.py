@@ -9,10 +9,9 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,16 @@ from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json
 from zerodrift.diagnosis.explained import ExplainedDiagnosis
 from zerodrift.report.findings import Findings, load_findings
+from zerodrift.report.results import (
+    AddResult,
+    InitResult,
+    RemoveResult,
+    ReportResult,
+    TrainResult,
+    is_done,
+    read_result,
+)
+from zerodrift.verify.summary import FirmwareSummary, VerifySummary
 from zerodrift.workbench.events import (
     DIAGNOSED,
     DIAGNOSIS,
@@ -34,6 +43,7 @@ from zerodrift.workbench.hold import hold_directory
 from zerodrift.workbench.jobs import Job
 from zerodrift.workbench.marks import Marks, mark_files
 from zerodrift.workbench.messages import Message, explain_guess
+from zerodrift.workbench.state import JobState, Standing
 from zerodrift.workbench.undo import Snapshot, Undo, take_back, take_snapshot
 
 Array = NDArray[np.float64]
@@ -68,10 +78,10 @@ class Workplace:
         self.previews: tuple[str, ...] = ()
         self.job: Job | None = None
         self.message: Message | None = None
-        self.revision: dict[str, Any] | None = None
-        """The JSON of the last `add` or `remove`."""
-        self.outcome: dict[str, Any] | None = None
-        """The JSON of the last `train`, `firmware` or `verify`, with its name."""
+        self.revision: AddResult | RemoveResult | None = None
+        """What the last `add` or `remove` found."""
+        self.outcome: TrainResult | FirmwareSummary | VerifySummary | ReportResult | None = None
+        """What the last `train`, `firmware`, `verify` or `report` found."""
         self.undo_stack: list[Undo] = []
         self.version = 0
         """Counts up whenever there is something new to show."""
@@ -275,22 +285,20 @@ class Workplace:
                 # One failing survey usually fails twice, in the same words.
                 reasons = dict.fromkeys(child.explanation for child in job.failures)
                 self.message = Message(f"{job.title}: " + "\n".join(reasons))
-            if told is not None and job.name in ("add", "remove"):
-                self.revision = {**told, "command": job.name}
-                done = told.get("added", told.get("removed", False))
-                if done and before is not None:
+            if isinstance(told, AddResult | RemoveResult):
+                self.revision = told
+                if is_done(told) and before is not None:
                     self._keep_undo(job.title, before)
-                if not done:
-                    self.message = Message(
-                        f"{told['effect']} was not added: {told['reason']}.", is_error=False
-                    )
-            elif told is not None and job.name in ("train", "firmware", "verify", "report"):
-                self.outcome = {"name": job.name, "told": told}
-            elif told is not None and job.name == "init":
+                if not is_done(told):
+                    text = f"{told.effect} was not added: {told.reason}."
+                    self.message = Message(text, is_error=False)
+            elif isinstance(told, TrainResult | FirmwareSummary | VerifySummary | ReportResult):
+                self.outcome = told
+            elif isinstance(told, InitResult):
                 self.message = Message(explain_guess(told), is_error=False)
             self._touch()
-            is_done = not job.cancelled and not job.failures
-            if is_done and job.name not in ("look", "verify", "report"):
+            succeeded = not job.cancelled and not job.failures
+            if succeeded and job.name not in ("look", "verify", "report"):
                 self.look()
 
     def _keep_undo(self, title: str, before: Snapshot) -> None:
@@ -301,15 +309,9 @@ class Workplace:
             return  # deleted since; there is nothing to go back from
         self.undo_stack.append(Undo(title, before, after))
 
-    def _read_result(self, job: Job) -> dict[str, Any] | None:
-        """Return the JSON that a command printed; None where it printed none."""
-        if job.name == "look":
-            return None
-        try:
-            told = json.loads("".join(job.children[0].out))
-        except ValueError:
-            return None
-        return told if isinstance(told, dict) else None
+    def _read_result(self, job: Job) -> object | None:
+        """Return what a command found; None where it printed no such record."""
+        return None if job.name == "look" else read_result("".join(job.children[0].out))
 
     def undo(self) -> None:
         """Put zerodrift.toml and the history back as they were before the last change.
@@ -350,21 +352,13 @@ class Workplace:
             self.message = None
             self._touch()
 
-    def describe(self) -> Mapping[str, Any]:
+    def describe(self) -> Standing:
         """Return where things stand, for the page's polling."""
         with self._lock:
             job = self.job if self.busy else None
-            return {
-                "version": self.version,
-                "job": None
-                if job is None
-                else {
-                    "name": job.name,
-                    "title": job.title,
-                    "progress": job.progress,
-                    "seconds": int(job.seconds),
-                },
-            }
+            if job is None:
+                return Standing(self.version, None)
+            return Standing(self.version, JobState(job.title, job.progress, int(job.seconds)))
 
     def close(self) -> None:
         """End what runs, and let others open the directory."""

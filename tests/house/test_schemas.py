@@ -8,9 +8,9 @@ import pytest
 from setup import ROOT
 from tests.schemas import FOLDER, validate
 
-from zerodrift.app.results import RESULTS, DoctorResult
 from zerodrift.app.schemas import render_schemas
 from zerodrift.base.records import from_json, get_schema_name, list_fields, to_dict
+from zerodrift.report.results import RESULTS, DoctorResult
 from zerodrift.verify.machine import Item
 
 COMMANDS = ROOT / "src/zerodrift/app/commands"

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from zerodrift.base.records import from_json
+from zerodrift.report.results import AddResult
 from zerodrift.workbench.workplace import Workplace
 
 
@@ -57,7 +59,7 @@ def test_add_does_what_the_command_does_and_undo_takes_it_back(place, project, t
     place.run("add", "Adding thermal_lag", ["add", "thermal_lag", "--json"])
     settle(place)
     _, told = run_command(copy, "add", "thermal_lag", "--json")
-    assert place.revision == {**told, "command": "add"}
+    assert place.revision == from_json(AddResult, told)
     assert told["after"]["rmse_heldout"]["Fz"] < told["before"]["rmse_heldout"]["Fz"]
     assert project.toml.read_bytes() == (copy / "zerodrift.toml").read_bytes()
     assert project.history.read_bytes() == (copy / "build" / "history.json").read_bytes()
@@ -237,7 +239,7 @@ def test_invalid_rows_are_dropped_where_that_was_asked(project):
             assert any("run_0.csv" in note for note in workplace.findings.notes)
             workplace.run("add", "Adding thermal_lag", ["add", "thermal_lag", "--json"])
             settle(workplace)
-            assert workplace.revision["added"]
+            assert workplace.revision.added
         finally:
             workplace.close()
 

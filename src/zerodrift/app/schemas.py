@@ -4,9 +4,9 @@ import json
 import sys
 from pathlib import Path
 
-from zerodrift.app.results import RESULTS
 from zerodrift.base.json_schema import describe_schema
 from zerodrift.base.records import get_schema_name
+from zerodrift.report.results import RESULTS
 
 FOLDER = Path("docs/reference/schemas")
 

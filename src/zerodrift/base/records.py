@@ -119,8 +119,9 @@ def _read(kind: Any, value: object, where: str) -> Any:
     elif origin in (Union, UnionType):
         if value is None and NoneType in arguments:
             return None
-        (kind,) = (one for one in arguments if one is not NoneType)
-        return _read(kind, value, where)
+        choices = [one for one in arguments if one is not NoneType]
+        fitting = [one for one in choices[:-1] if one in PLAIN and type(value) in PLAIN[one]]
+        return _read(fitting[0] if fitting else choices[-1], value, where)
     elif origin is Literal:
         if value in arguments:
             return value

@@ -98,12 +98,12 @@ def command(
         read_text,
         write_revision,
     )
-    from zerodrift.app.results import AddResult
     from zerodrift.base.config import EffectConfig
     from zerodrift.base.toml_edit import add_effect, set_parameters
     from zerodrift.diagnosis.changes import ADD, CHANGE, propose_forms
     from zerodrift.diagnosis.revision import revise_best, summarise_revision
     from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.report.results import AddResult
 
     held, texts = read_held(hold), _split(options, "--set", "signal=body_temperature")
     with show_progress("reading logs") as say:

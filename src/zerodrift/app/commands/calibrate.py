@@ -215,7 +215,6 @@ def command(
     A set of weights that leaves a direction out is refused, and the direction named.
     """
     from zerodrift.app.commands.console import show_progress
-    from zerodrift.app.results import CalibrateResult
     from zerodrift.calibration.matrix import fit_calibration
     from zerodrift.calibration.summary import summarise_calibration
     from zerodrift.dataset.codes import (
@@ -224,6 +223,7 @@ def command(
         read_calibration_log,
     )
     from zerodrift.dataset.tables import open_source
+    from zerodrift.report.results import CalibrateResult
 
     if bool(targets) != (out is not None):
         raise InputError("calibrate: --apply and --out belong together; give both or neither.")

@@ -94,7 +94,7 @@ def command(
         page = render_page(f"{config.sensor_name}: model against measurements", figures)
         write_text(html, page, config.directory)
     if as_json:
-        from zerodrift.app.results import CompareResult
+        from zerodrift.report.results import CompareResult
 
         print_result(
             CompareResult(

@@ -16,9 +16,9 @@ def command(directory: Path, as_json: bool) -> None:
 
     Changes nothing. Exit code 1 where firmware cannot be built and checked on this machine.
     """
-    from zerodrift.app.results import DoctorResult
     from zerodrift.base.config import FILE_NAME, load_config
     from zerodrift.base.errors import CheckError
+    from zerodrift.report.results import DoctorResult
     from zerodrift.verify.machine import examine_machine, examine_project
 
     machine = examine_machine()

@@ -43,12 +43,12 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
     Equation, parameters with units and bounds, what it looks like, how to provoke it, what to do
     about it in hardware, and the source.
     """
-    from zerodrift.app.results import EffectResult, EffectsResult
     from zerodrift.base.config import load_config
     from zerodrift.base.errors import InputError
     from zerodrift.diagnosis.fingerprint import draw_fingerprint
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.physics.description import describe_effect
+    from zerodrift.report.results import EffectResult, EffectsResult
 
     plugins: tuple[Path, ...] = ()
     if (directory / "zerodrift.toml").is_file():

@@ -27,7 +27,6 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     from rich.console import Console
 
     from zerodrift.app.commands.project import open_project, train_project
-    from zerodrift.app.results import ExportResult
     from zerodrift.base.journal import write_all
     from zerodrift.codegen.generate import generate
     from zerodrift.export.compose import (
@@ -38,6 +37,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     from zerodrift.export.fine_tune import load_or_tune
     from zerodrift.export.golden import compute_golden
     from zerodrift.export.integer_onnx import build_integer_onnx
+    from zerodrift.report.results import ExportResult
     from zerodrift.verify.certificate import certify
     from zerodrift.verify.vectors import draw_golden
 

@@ -52,7 +52,7 @@ def command(directory: Path, html: Path | None, as_json: bool) -> None:
         notes = [f"{step.label}: {step.reason}" for step in steps if step.reason]
         write_text(html, render_page(title, [draw_staircase(steps)], notes), directory)
     if as_json:
-        from zerodrift.app.results import HistoryResult
+        from zerodrift.report.results import HistoryResult
 
         print_result(HistoryResult(tuple(step.summarise() for step in steps)))
         return

@@ -17,7 +17,7 @@ from zerodrift.dataset.guess import Guess, GuessedOutput, guess_project
 from zerodrift.dataset.selectors import CSV_SUFFIXES, PARQUET_SUFFIXES, order_path
 
 if TYPE_CHECKING:
-    from zerodrift.app.results import InitResult
+    from zerodrift.report.results import InitResult
 
 #: Use -> words in a log's name that suggest it.
 USE_WORDS = {"dwell": ("dwell", "isothermal", "noise"), "test": ("test", "walk", "valid")}
@@ -171,7 +171,7 @@ def _write_selectors(paths: Sequence[Path], directory: Path) -> list[str]:
 
 
 def _summarise(target: Path, guess: Guess, selectors: dict[str, list[str]]) -> "InitResult":
-    from zerodrift.app.results import GuessedColumns, InitResult
+    from zerodrift.report.results import GuessedColumns, InitResult
 
     return InitResult(
         file=str(target),

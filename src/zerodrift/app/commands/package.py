@@ -30,10 +30,10 @@ def command(kind: str, directory: Path, as_json: bool) -> None:
     it is stale.
     """
     from zerodrift.app.commands.firmware import show_path
-    from zerodrift.app.results import PackageResult
     from zerodrift.base.config import load_config
     from zerodrift.codegen.packages import render_package
     from zerodrift.export.model_files import load_model
+    from zerodrift.report.results import PackageResult
     from zerodrift.verify.manifest import check_manifest
     from zerodrift.verify.replay import read_code
 

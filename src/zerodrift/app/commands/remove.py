@@ -43,11 +43,11 @@ def command(
         read_text,
         write_revision,
     )
-    from zerodrift.app.results import RemoveResult
     from zerodrift.base.toml_edit import remove_effect
     from zerodrift.diagnosis.changes import propose_removal
     from zerodrift.diagnosis.revision import revise, summarise_revision
     from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.report.results import RemoveResult
 
     signal = _read_signal(options)
     with show_progress("reading logs") as say:

@@ -24,7 +24,6 @@ from zerodrift.app.commands.verdict import (
     list_commands,
     summarise_diagnosis,
 )
-from zerodrift.app.results import CompareResult, HistoryResult, ReportResult
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
@@ -43,6 +42,7 @@ from zerodrift.physics.model import PhysicalModel
 from zerodrift.physics.summary import summarise_model
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Findings, Provenance, SourceFile, trace_runs
+from zerodrift.report.results import CompareResult, HistoryResult, ReportResult
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]

@@ -49,8 +49,8 @@ def command(
     """
     from zerodrift.app.commands.console import open_console, print_advice
     from zerodrift.app.commands.project import open_project
-    from zerodrift.app.results import TrainResult
     from zerodrift.diagnosis.advice import advise
+    from zerodrift.report.results import TrainResult
     from zerodrift.train.progress import show_progress
     from zerodrift.train.summary import summarise_training
     from zerodrift.train.training import list_checkpoints, train

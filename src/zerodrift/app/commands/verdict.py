@@ -4,12 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from zerodrift.app.results import (
-    AddedEffect,
-    DiagnoseResult,
-    DiagnosisStep,
-    ThermometerSummary,
-)
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.bad_runs import describe_bad_run
@@ -22,6 +16,12 @@ from zerodrift.diagnosis.summary import AdviceSummary
 from zerodrift.diagnosis.thermometers import OtherThermometer, try_thermometers
 from zerodrift.diagnosis.unseen import describe_unseen
 from zerodrift.physics.catalogue import Catalogue
+from zerodrift.report.results import (
+    AddedEffect,
+    DiagnoseResult,
+    DiagnosisStep,
+    ThermometerSummary,
+)
 
 
 @dataclass(frozen=True)

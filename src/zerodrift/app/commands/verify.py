@@ -73,7 +73,7 @@ def _print(outcome: "Replay") -> None:
 def _check_certificate(folder: Path, as_json: bool) -> None:
     """Tell which claims hold; needs nothing but the firmware folder."""
     from zerodrift.app.commands.console import show_progress
-    from zerodrift.app.results import CertificateResult
+    from zerodrift.report.results import CertificateResult
     from zerodrift.verify.certificate import FILE_NAME
     from zerodrift.verify.certificate_check import check_certificate
 

@@ -3,11 +3,12 @@
 `base.json_schema` describes them; `docs/reference/schemas` holds the descriptions.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from zerodrift.base.records import OPTIONAL
+from zerodrift.base.records import OPTIONAL, SCHEMA_KEY, from_json, get_schema_name
 from zerodrift.calibration.summary import CalibrationSummary
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.diagnosis.diagnosis import Diagnosis
@@ -269,3 +270,21 @@ RESULTS: tuple[type, ...] = (
     *(InitResult, PackageResult, RemoveResult, ReportResult, TrainResult, VerifySummary),
 )
 """Every record that a command writes with `--json`."""
+
+
+def is_done(revision: AddResult | RemoveResult) -> bool:
+    """Return whether zerodrift.toml was changed."""
+    return revision.removed if isinstance(revision, RemoveResult) else revision.added
+
+
+def read_result(text: str) -> object | None:
+    """Return the record that a command printed with `--json`; None where it is none.
+
+    Of `RESULTS` the one that the key `schema` names.
+    """
+    try:
+        told = json.loads(text)
+        kinds = {get_schema_name(kind): kind for kind in RESULTS}
+        return from_json(kinds[told[SCHEMA_KEY]], told)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None

@@ -1,0 +1,117 @@
+"""Counts what the types do not see: `python -m tests.house.counts` lists every place.
+
+*String subscripts* are values read by a key that is written out, `told["rmse"]`: a field of a
+record has a name that the type checker knows. *Any* is an annotation that says nothing.
+"""
+
+import ast
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.house.test_order import FOLDERS
+
+NAMED = {
+    "match": "groups of a regular expression",
+    "p": "parameters by the names under which an effect declares them, a user's file too",
+    "state": "arrays by the names under which an operation declares them",
+    "environ": "variables of the environment",
+    "channels": "a chip's inputs by the names that effects ask for",
+}
+"""What a key may be written out for: names that are declared elsewhere, and none of a result."""
+EDGES = {
+    "c_runtime/elf.py": "pyelftools hands out sections and symbols by the names of the ELF format",
+}
+"""Modules that turn what another program wrote into records."""
+
+PRODUCT = {name: folder for name, folder in FOLDERS.items() if name != "lab"}
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Place:
+    """A line of the product."""
+
+    file: str
+    line: int
+    text: str
+
+
+def list_trees() -> Iterator[tuple[Path, str, ast.Module]]:
+    """Yield every module of the product, its text and its syntax tree."""
+    for folder in PRODUCT.values():
+        for path in sorted(folder.rglob("*.py")):
+            text = path.read_text("utf-8")
+            yield path, text, ast.parse(text)
+
+
+def list_subscripts() -> list[Place]:
+    """Return every value that is read by a key that is written out."""
+    return [
+        _place(path, text, node)
+        for path, text, tree in list_trees()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Subscript)
+        and isinstance(node.ctx, ast.Load)
+        and isinstance(node.slice, ast.Constant)
+        and isinstance(node.slice.value, str)
+        and not _is_annotation(node)
+        and _name_receiver(node) not in NAMED
+        and str(path.relative_to(ROOT)) not in EDGES
+    ]
+
+
+def list_any() -> list[Place]:
+    """Return every use of `Any`, imports apart, within quoted annotations too."""
+    return [
+        _place(path, text, node)
+        for path, text, tree in list_trees()
+        for node in ast.walk(tree)
+        if (isinstance(node, ast.Name) and node.id == "Any")
+        or (isinstance(node, ast.Attribute) and node.attr == "Any")
+    ]
+
+
+def list_classes() -> dict[str, list[str]]:
+    """Return the modules in which each name of a class stands."""
+    found: dict[str, list[str]] = {}
+    for path, _, tree in list_trees():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                found.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    return found
+
+
+def _is_annotation(node: ast.Subscript) -> bool:
+    """Return whether the key is a quoted type, as in `list["Run"]`."""
+    return isinstance(node.value, ast.Name) and node.value.id in (
+        *("list", "dict", "tuple", "type", "set", "frozenset", "Mapping", "Sequence", "Iterator"),
+        *("Callable", "Iterable", "Literal"),
+    )
+
+
+def _name_receiver(node: ast.Subscript) -> str:
+    """Return what is subscripted: `x` of `x["key"]` and of `self.x["key"]`."""
+    inner = node.value
+    if isinstance(inner, ast.Name):
+        return inner.id
+    return inner.attr if isinstance(inner, ast.Attribute) else ""
+
+
+def _place(path: Path, text: str, node: ast.expr) -> Place:
+    line = text.splitlines()[node.lineno - 1].strip()
+    return Place(str(path.relative_to(ROOT)), node.lineno, line)
+
+
+def main() -> None:
+    """Print every place, or the number of each with `--short`."""
+    for title, places in (("string subscripts", list_subscripts()), ("Any", list_any())):
+        if "--short" not in sys.argv:
+            for place in places:
+                print(f"{place.file}:{place.line}: {place.text}")
+        print(f"{title}: {len(places)}")
+
+
+if __name__ == "__main__":
+    main()
