@@ -70,7 +70,7 @@ CPPCHECK_SUPPRESSED = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class ToolResult:
     """What one tool said."""
 
     tool: str
@@ -83,7 +83,7 @@ class Finding:
         return self.outcome not in ("ok", "skipped")
 
 
-def analyse(folder: Path) -> Iterator[Finding]:
+def analyse(folder: Path) -> Iterator[ToolResult]:
     """Yield what each tool says of the runtime, its tests and the models, written into `folder`."""
     models = [_write_model(name, folder) for name in MODELS]
     tests = sorted((RUNTIME_DIRECTORY / "tests").glob("*.c"))
@@ -122,7 +122,7 @@ def _write_model(name: str, folder: Path) -> list[Path]:
 
 def _compile(
     tests: list[Path], models: list[list[Path]], includes: list[str], folder: Path
-) -> Iterator[Finding]:
+) -> Iterator[ToolResult]:
     """Compile every variant with every compiler, the firmware's part also by gcc's analyser."""
     firmware = [*models[0], *(files[0] for files in models[1:])]
     vectors = [("-mavx2",)] if machine() in ("x86_64", "AMD64") else []
@@ -139,30 +139,30 @@ def _compile(
 
 def _compile_all(
     compiler: Compiler, extra: list[str], sources: list[Path], includes: list[str], folder: Path
-) -> Finding:
+) -> ToolResult:
     tool = " ".join([compiler.name, *extra])
     try:
         for source in sources:
             target = ["-c", str(source), "-o", str(folder / "object.o")]
             compiler.run([*WARNINGS, "-O2", *extra, *includes, *target])
     except CheckError as error:
-        return Finding(tool, str(error))
-    return Finding(tool, "ok")
+        return ToolResult(tool, str(error))
+    return ToolResult(tool, "ok")
 
 
-def _run(tool: str, arguments: list[str], variant: tuple[str, ...] = ()) -> Finding:
+def _run(tool: str, arguments: list[str], variant: tuple[str, ...] = ()) -> ToolResult:
     path = _find(tool)
     name = " ".join([tool, *variant])
     if path is None:
-        return Finding(name, "skipped")
+        return ToolResult(name, "skipped")
     done = subprocess.run([path, *arguments], capture_output=True, text=True, cwd=ROOT, check=False)
-    return Finding(name, "ok" if done.returncode == 0 else f"{done.stdout}{done.stderr}")
+    return ToolResult(name, "ok" if done.returncode == 0 else f"{done.stdout}{done.stderr}")
 
 
-def _check_misra(models: list[list[Path]]) -> Finding:
+def _check_misra(models: list[list[Path]]) -> ToolResult:
     path = _find("cppcheck")
     if path is None:
-        return Finding("misra", "skipped")
+        return ToolResult("misra", "skipped")
     lines = []
     runs = [(files, ()) for files in models] + [(models[0], variant) for variant in VARIANTS[1:]]
     for files, variant in runs:
@@ -173,10 +173,10 @@ def _check_misra(models: list[list[Path]]) -> Finding:
     new = [line for line in lines if _rule_of(line) not in MISRA_DEVIATIONS]
     stale = set(MISRA_DEVIATIONS) - {_rule_of(line) for line in lines}
     if new:
-        return Finding("misra", "\n".join(["rules without a listed deviation:", *new[:20]]))
+        return ToolResult("misra", "\n".join(["rules without a listed deviation:", *new[:20]]))
     if stale:
-        return Finding("misra", f"deviations that are no longer needed: {sorted(stale)}")
-    return Finding("misra", "ok")
+        return ToolResult("misra", f"deviations that are no longer needed: {sorted(stale)}")
+    return ToolResult("misra", "ok")
 
 
 def _rule_of(line: str) -> str:

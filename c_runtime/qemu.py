@@ -38,7 +38,7 @@ SECTIONS {{
 
 
 @dataclass(frozen=True)
-class Machine:
+class QemuMachine:
     """A board that QEMU emulates."""
 
     program: str
@@ -49,13 +49,13 @@ class Machine:
     data_at: int
 
 
-MACHINES: dict[str, Machine] = {
-    "cortex-m3": Machine("qemu-system-arm", ("-M", "mps2-an385"), 0x0, 0x2000_0000),
-    "cortex-m4": Machine("qemu-system-arm", ("-M", "mps2-an386"), 0x0, 0x2000_0000),
-    "cortex-m7": Machine("qemu-system-arm", ("-M", "mps2-an500"), 0x0, 0x2000_0000),
-    "cortex-m33": Machine("qemu-system-arm", ("-M", "mps2-an505"), 0x1000_0000, 0x3800_0000),
-    "cortex-m55": Machine("qemu-system-arm", ("-M", "mps3-an547"), 0x0, 0x2000_0000),
-    "rv32imc": Machine(
+MACHINES: dict[str, QemuMachine] = {
+    "cortex-m3": QemuMachine("qemu-system-arm", ("-M", "mps2-an385"), 0x0, 0x2000_0000),
+    "cortex-m4": QemuMachine("qemu-system-arm", ("-M", "mps2-an386"), 0x0, 0x2000_0000),
+    "cortex-m7": QemuMachine("qemu-system-arm", ("-M", "mps2-an500"), 0x0, 0x2000_0000),
+    "cortex-m33": QemuMachine("qemu-system-arm", ("-M", "mps2-an505"), 0x1000_0000, 0x3800_0000),
+    "cortex-m55": QemuMachine("qemu-system-arm", ("-M", "mps3-an547"), 0x0, 0x2000_0000),
+    "rv32imc": QemuMachine(
         "qemu-system-riscv32", ("-M", "virt", "-bios", "none"), 0x8000_0000, 0x8010_0000
     ),
 }

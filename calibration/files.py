@@ -8,7 +8,7 @@ import numpy as np
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import to_dict
-from zerodrift.calibration.matrix import Array, Calibration
+from zerodrift.calibration.matrix import Array, CalibrationMatrix
 from zerodrift.calibration.summary import summarise_calibration
 
 LARGEST_ENTRY = 2.0**30
@@ -28,7 +28,7 @@ def _list(values: Array) -> str:
     return "[" + ", ".join(repr(value) for value in values.tolist()) + "]"
 
 
-def render_toml(fitted: Calibration) -> str:
+def render_toml(fitted: CalibrationMatrix) -> str:
     """Return a calibration as TOML; numbers read back as the same doubles."""
     lines = [
         "# load = row . (codes - center) + offset"
@@ -51,7 +51,7 @@ def render_toml(fitted: Calibration) -> str:
     return "\n".join(lines) + "\n"
 
 
-def render_json(fitted: Calibration) -> str:
+def render_json(fitted: CalibrationMatrix) -> str:
     """Return a calibration as JSON."""
     return json.dumps(to_dict(summarise_calibration(fitted)), indent=1) + "\n"
 
@@ -91,7 +91,7 @@ def _make_identifier(text: str, fallback: str) -> str:
 
 
 def render_header(
-    fitted: Calibration, name: str, full_scale: Mapping[str, float] | None = None
+    fitted: CalibrationMatrix, name: str, full_scale: Mapping[str, float] | None = None
 ) -> str:
     """Return a C header with the matrix as integers and a function that applies it.
 

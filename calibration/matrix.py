@@ -25,7 +25,7 @@ WARM_SPAN_K = 3.0
 
 
 @dataclass(frozen=True)
-class Calibration:
+class CalibrationMatrix:
     """A fitted calibration; K outputs, C converter channels, F features (C, or 2C with squares)."""
 
     outputs: tuple[str, ...]
@@ -190,7 +190,7 @@ def fit_calibration(
     squares: bool = False,
     offset_per_log: bool = False,
     temperatures: Sequence[Array | None] = (),
-) -> Calibration:
+) -> CalibrationMatrix:
     """Fit a calibration matrix.
 
     Args:
@@ -223,7 +223,7 @@ def fit_calibration(
     linear = matrix[:, : len(channels)] * np.ptp(every_code, axis=0) / span[:, None]
     singular = np.linalg.svd(linear, compute_uv=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
-    bare = Calibration(
+    bare = CalibrationMatrix(
         outputs=tuple(outputs),
         channels=tuple(channels),
         squares=squares,
@@ -278,7 +278,9 @@ def check_answers(codes: Array, loads: Array, names: Sequence[str]) -> None:
     )
 
 
-def _leave_out(bare: Calibration, codes: Sequence[Array], loads: Sequence[Array]) -> Array | None:
+def _leave_out(
+    bare: CalibrationMatrix, codes: Sequence[Array], loads: Sequence[Array]
+) -> Array | None:
     """Return the RMSE [K] with one log left out at a time; None where the rest does not suffice."""
     if len(codes) < 2:
         return None

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift.calibration.matrix import Array, Calibration
+from zerodrift.calibration.matrix import Array, CalibrationMatrix
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class CalibrationSummary:
     notes: tuple[str, ...]
 
 
-def summarise_calibration(fitted: Calibration) -> CalibrationSummary:
+def summarise_calibration(fitted: CalibrationMatrix) -> CalibrationSummary:
     """Return a calibration as plain values."""
     squares = tuple(f"{name}^2" for name in fitted.channels) if fitted.squares else ()
     unloaded = fitted.unloaded_codes
@@ -66,7 +66,7 @@ def summarise_calibration(fitted: Calibration) -> CalibrationSummary:
     )
 
 
-def _summarise_output(fitted: Calibration, k: int) -> CalibratedOutput:
+def _summarise_output(fitted: CalibrationMatrix, k: int) -> CalibratedOutput:
     offsets, held_out = fitted.log_offsets, fitted.held_out
     return CalibratedOutput(
         row=_list(fitted.matrix[k]),

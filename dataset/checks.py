@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.runs import Array
-from zerodrift.dataset.tables import Table
+from zerodrift.dataset.tables import LogTable
 from zerodrift.dataset.units import read_unit
 
 Mask = NDArray[np.bool_]
@@ -30,7 +30,7 @@ def widen_plausible(stated: tuple[float, float] | None) -> Limits:
     return min(low, COLDEST_DEGC), max(high, HOTTEST_DEGC)
 
 
-def find_invalid_rows(table: Table, temperatures: Mapping[str, Limits]) -> Mask | None:
+def find_invalid_rows(table: LogTable, temperatures: Mapping[str, Limits]) -> Mask | None:
     """Return the rows with a value that is no finite number or no temperature; None = none.
 
     Args:
@@ -60,7 +60,7 @@ def find_invalid_values(values: Array, temperature: Limits | None) -> Mask | Non
 
 
 def explain_invalid_row(
-    table: Table, invalid: Mask, temperatures: Mapping[str, Limits]
+    table: LogTable, invalid: Mask, temperatures: Mapping[str, Limits]
 ) -> InputError:
     """Return the error for the first invalid row, with its line and its text."""
     row = int(np.argmax(invalid))
@@ -141,7 +141,7 @@ def guess_temperature_unit(column: str, values: Array) -> str:
     return ""
 
 
-def check_time(table: Table, column: str, start: int, stop: int) -> None:
+def check_time(table: LogTable, column: str, start: int, stop: int) -> None:
     """Raise InputError unless the times of rows `start` to `stop`, one run, rise."""
     time_s = table.columns[column][start:stop]
     interval_s = np.diff(time_s)

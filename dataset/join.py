@@ -17,7 +17,7 @@ from zerodrift.dataset.logs import COMMON
 from zerodrift.dataset.resample import find_gaps
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.sampling import COARSEST
-from zerodrift.dataset.tables import Table
+from zerodrift.dataset.tables import LogTable
 from zerodrift.dataset.times import write_local
 
 UNIX_S = (1e8, 1e11)
@@ -30,7 +30,9 @@ ONE_CLOCK = (
 )
 
 
-def join_tables(config: Config, tables: Sequence[Table], label: str, notes: list[str]) -> Table:
+def join_tables(
+    config: Config, tables: Sequence[LogTable], label: str, notes: list[str]
+) -> LogTable:
     """Return the files of one run as one table, on the rows of the fastest.
 
     Args:
@@ -79,7 +81,7 @@ def _median_step(time_s: Array) -> float:
 
 
 def _find_common_rows(
-    config: Config, base: Table, others: Sequence[Table], label: str
+    config: Config, base: LogTable, others: Sequence[LogTable], label: str
 ) -> "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]":
     """Return which rows [n] of the base lie where every other file has rows around them."""
     time_s = base.columns[config.time_column]
@@ -92,7 +94,7 @@ def _find_common_rows(
     return kept
 
 
-def _refuse_mixed_clocks(config: Config, tables: Sequence[Table], label: str) -> None:
+def _refuse_mixed_clocks(config: Config, tables: Sequence[LogTable], label: str) -> None:
     """Refuse a local clock beside one that counts from 1970, as their zone is not known."""
     kinds = [_tell_scale(config, table) for table in tables]
     if "local" not in kinds or len(set(kinds)) == 1:
@@ -110,7 +112,7 @@ def _refuse_mixed_clocks(config: Config, tables: Sequence[Table], label: str) ->
     )
 
 
-def _tell_scale(config: Config, table: Table) -> str:
+def _tell_scale(config: Config, table: LogTable) -> str:
     """Return what a file's times count from: utc | local | own (day, row, power-on)."""
     clock = table.clock
     if clock is None or clock.kind in ("day", "rows"):
@@ -140,7 +142,9 @@ def propose_zone(local_s: Array, utc_s: Array) -> str:
     return best
 
 
-def _compare_clocks(config: Config, base: Table, others: Sequence[Table], notes: list[str]) -> None:
+def _compare_clocks(
+    config: Config, base: LogTable, others: Sequence[LogTable], notes: list[str]
+) -> None:
     """Bring the others to the base's clock where both record one quantity; tell in any case."""
     time = config.time_column
     is_told = False
@@ -176,7 +180,7 @@ def _tell_unlike(difference: ClockDifference) -> str:
     return f", as one explains only {100 * share:.3g} % of the other's changes"
 
 
-def _explain_apart(config: Config, tables: Sequence[Table], label: str) -> str:
+def _explain_apart(config: Config, tables: Sequence[LogTable], label: str) -> str:
     spans = "; ".join(
         f"{table.source.path.name} from {_write(table.columns[config.time_column][0])} to "
         f"{_write(table.columns[config.time_column][-1])}"

@@ -31,7 +31,7 @@ from zerodrift.dataset.runs import Array, Dataset, Run
 from zerodrift.dataset.sampling import COARSEST, Sampling, look_at_sampling
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
 from zerodrift.dataset.shared_rows import KnownRun, Repeats, find_repeats
-from zerodrift.dataset.tables import Table, label_log
+from zerodrift.dataset.tables import LogTable, label_log
 from zerodrift.dataset.time_units import read_time_unit, refuse_unit, write_time
 from zerodrift.dataset.units import are_alike, read_unit
 
@@ -134,7 +134,7 @@ def open_log(
     skip_invalid: bool,
     notes: list[str],
     columns: Mapping[str, str] | None = None,
-) -> tuple[Table, list[tuple[str, int, int]]]:
+) -> tuple[LogTable, list[tuple[str, int, int]]]:
     """Read one log; return its checked rows, and (run, first row, row after the last) of each.
 
     Args:
@@ -161,7 +161,7 @@ def open_log(
     return joined, [("", 0, len(joined))]
 
 
-def _keep_selected_runs(table: Table, selection: Selection) -> None:
+def _keep_selected_runs(table: LogTable, selection: Selection) -> None:
     source = table.source
     if table.run_of_row is None:
         if selection.run_pattern not in (None, "*"):
@@ -183,7 +183,7 @@ def _keep_selected_runs(table: Table, selection: Selection) -> None:
 
 
 def _check_values(
-    config: Config, table: Table, skip_invalid: bool, notes: list[str], holes: bool
+    config: Config, table: LogTable, skip_invalid: bool, notes: list[str], holes: bool
 ) -> None:
     """Drop blank lines; raise for rows with invalid values, or drop them too.
 
@@ -217,7 +217,7 @@ def _check_values(
 
 
 def _split_runs(
-    config: Config, table: Table, skip_invalid: bool, notes: list[str]
+    config: Config, table: LogTable, skip_invalid: bool, notes: list[str]
 ) -> list[tuple[str, int, int]]:
     """Return (run, first row, row after the last) of each run, rows sorted by run, times checked.
 
@@ -241,7 +241,7 @@ def _split_runs(
     return spans
 
 
-def _list_run_spans(table: Table) -> list[tuple[str, int, int]]:
+def _list_run_spans(table: LogTable) -> list[tuple[str, int, int]]:
     if table.run_of_row is None:
         return [("", 0, len(table))]
     codes = table.run_of_row
@@ -267,7 +267,7 @@ def _list_run_spans(table: Table) -> list[tuple[str, int, int]]:
 
 def _plan_run(
     config: Config,
-    table: Table,
+    table: LogTable,
     selection: Selection,
     span: tuple[str, int, int],
     notes: list[str],
@@ -322,7 +322,7 @@ def _plan_run(
 
 
 def _judge_sampling(
-    config: Config, table: Table, who: str, start: int, sampling: Sampling, notes: list[str]
+    config: Config, table: LogTable, who: str, start: int, sampling: Sampling, notes: list[str]
 ) -> None:
     """Refuse a cadence that is too slow for the firmware's step; tell what a change costs."""
     period_s = config.sample_period_s
@@ -391,7 +391,7 @@ def _allocate(config: Config, key: RunKey, part: int, stretch: Stretch) -> _Piec
     )
 
 
-def _fill(config: Config, table: Table, pieces: Sequence[_Piece]) -> None:
+def _fill(config: Config, table: LogTable, pieces: Sequence[_Piece]) -> None:
     """Resample each column into the pieces, letting go of it at once."""
     for column in list(table.columns):
         values = table.columns.pop(column)

@@ -10,7 +10,7 @@ from zerodrift.dataset.text_format import list_lines
 
 
 @dataclass(frozen=True)
-class Place:
+class RowPlace:
     """Where a row stands in its file."""
 
     text: str
@@ -19,7 +19,7 @@ class Place:
     """The row's fields as text; None where there is none."""
 
 
-def locate_row(source: Source, position: int) -> Place:
+def locate_row(source: Source, position: int) -> RowPlace:
     """Return the place of the row at `position` (from 0) among the rows that the filter keeps.
 
     Raises:
@@ -35,8 +35,8 @@ def locate_row(source: Source, position: int) -> Place:
     values: dict[str, str | None] = found.row(0, named=True)
     record = int(values.pop("_row") or 0)
     if not source.is_csv:
-        return Place(f"{source.label}: row {record + 1}", values)
-    return Place(f"{source.label}:{_find_line(source, record)}", values)
+        return RowPlace(f"{source.label}: row {record + 1}", values)
+    return RowPlace(f"{source.label}:{_find_line(source, record)}", values)
 
 
 def find_blank_rows(source: Source) -> list[int]:

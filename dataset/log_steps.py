@@ -18,7 +18,7 @@ from zerodrift.dataset.load import open_log
 from zerodrift.dataset.resample import KEPT_TOLERANCE, Stretch, plan_stretches
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.selectors import Selection, list_files
-from zerodrift.dataset.tables import Source, Table
+from zerodrift.dataset.tables import LogTable, Source
 
 FEWEST_ROWS = 2
 """Of a run; one row has no period."""
@@ -46,7 +46,7 @@ class LogSteps:
     """A log, and which step of the firmware each of its rows belongs to."""
 
     source: Source
-    table: Table
+    table: LogTable
     rows: int
     """Of the file, those that were dropped among them."""
     stretches: tuple[StepStretch, ...]

@@ -7,7 +7,7 @@ from pathlib import Path
 from zerodrift.base.clock_config import fits
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError, nearest
-from zerodrift.dataset.tables import Source, Table, label_log, open_source, read_table
+from zerodrift.dataset.tables import LogTable, Source, label_log, open_source, read_table
 from zerodrift.dataset.text_format import UNNAMED
 from zerodrift.dataset.times import SAMPLE, Clock, find_clock
 
@@ -23,7 +23,7 @@ class Part:
     """Column as zerodrift.toml names it -> its name in the file."""
 
 
-def read_log(config: Config, files: Sequence[Path], needed: Mapping[str, str]) -> list[Table]:
+def read_log(config: Config, files: Sequence[Path], needed: Mapping[str, str]) -> list[LogTable]:
     """Read the needed columns of a log, times in seconds: one table for each file that has some.
 
     Args:
@@ -118,7 +118,7 @@ def _find_common(config: Config, part: Part, parts: int) -> dict[str, str]:
     return {}
 
 
-def _read_part(config: Config, part: Part, needed: Mapping[str, str], is_joined: bool) -> Table:
+def _read_part(config: Config, part: Part, needed: Mapping[str, str], is_joined: bool) -> LogTable:
     clock = find_log_clock(config, part.source)
     if clock is None:
         columns = " and ".join(f"'{name}'" for name in config.time.columns)

@@ -26,7 +26,7 @@ _BOUND = re.compile(r"^(?P<number>\d+(\.\d*)?)(?P<percent>%?)$")
 
 
 @dataclass(frozen=True)
-class Bound:
+class CutEnd:
     """One end of a cut: seconds since the run's first row, or a share of its duration."""
 
     value: float
@@ -44,8 +44,8 @@ class Cut:
 
     text: str
     """As written, for the run's name: `0%:60%`."""
-    start: Bound
-    stop: Bound | None
+    start: CutEnd
+    stop: CutEnd | None
 
     def to_span(self, duration_s: float) -> tuple[float, float]:
         """Return the cut's two ends in seconds since the first row; the last may be infinite."""
@@ -164,7 +164,7 @@ def _glob(directory: Path, pattern: str) -> list[Path]:
 
 
 def _parse_cut(start: str, stop: str, text: str, where: str) -> Cut:
-    first = _parse_bound(start, text, where) if start else Bound(0.0, False)
+    first = _parse_bound(start, text, where) if start else CutEnd(0.0, False)
     last = _parse_bound(stop, text, where) if stop else None
     alike = last is not None and (last.is_share == first.is_share or first.value == 0)
     if last is not None and alike and last.value <= first.value:
@@ -174,12 +174,12 @@ def _parse_cut(start: str, stop: str, text: str, where: str) -> Cut:
     return Cut(f"{start}:{stop}", first, last)
 
 
-def _parse_bound(bound: str, text: str, where: str) -> Bound:
+def _parse_bound(bound: str, text: str, where: str) -> CutEnd:
     match = _BOUND.match(bound)
     if match is None or (match["percent"] and float(match["number"]) > 100):
         raise _explain_cut(text, where)
     number = float(match["number"])
-    return Bound(number / 100, True) if match["percent"] else Bound(number, False)
+    return CutEnd(number / 100, True) if match["percent"] else CutEnd(number, False)
 
 
 def _explain_cut(text: str, where: str) -> InputError:

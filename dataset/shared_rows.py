@@ -10,7 +10,7 @@ from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.naming import RunKey
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.selectors import Selection
-from zerodrift.dataset.tables import Table
+from zerodrift.dataset.tables import LogTable
 
 WHOLLY = 0.95
 """A run is a copy if so many of its rows are another one's."""
@@ -33,18 +33,18 @@ class KnownRun:
 
     @staticmethod
     def mark(
-        use: str, key: RunKey, selection: Selection, table: Table, rows: slice, config: Config
+        use: str, key: RunKey, selection: Selection, table: LogTable, rows: slice, config: Config
     ) -> "KnownRun":
         """Mark a run before its log is resampled."""
         columns = (*(each.measured for each in config.outputs), config.temperature_column)
         marks = mark_run([table.columns[column][rows] for column in columns])
         return KnownRun(use, key, selection, columns, rows, marks)
 
-    def take(self, table: Table) -> tuple[Array, ...]:
+    def take(self, table: LogTable) -> tuple[Array, ...]:
         """Return the run's measured columns, each [n], of its log's table."""
         return tuple(table.columns[column][self.rows] for column in self.columns)
 
-    def name_rows(self, table: Table, first: int, count: int) -> str:
+    def name_rows(self, table: LogTable, first: int, count: int) -> str:
         """Return `log.csv:2 to log.csv:61` for rows of the run."""
         start = self.rows.start + first
         ends = (start, start + count - 1)
@@ -64,7 +64,7 @@ class Repeats:
 
 
 def find_repeats(
-    runs: Sequence[KnownRun], read: Callable[[Selection], Table], time_column: str
+    runs: Sequence[KnownRun], read: Callable[[Selection], LogTable], time_column: str
 ) -> Repeats:
     """Return the runs to leave out, and those to end early, as another of the same use goes on.
 
@@ -84,9 +84,9 @@ def find_repeats(
     alignments = find_alignments([run.marks for run in runs], groups)
     if not alignments:
         return Repeats({}, {}, ())
-    kept: dict[Selection, Table] = {}
+    kept: dict[Selection, LogTable] = {}
 
-    def read_table(number: int) -> Table:
+    def read_table(number: int) -> LogTable:
         selection = runs[number].selection
         if selection not in kept:
             while len(kept) > 1:
@@ -129,7 +129,7 @@ def _find_end(
     first: KnownRun,
     second: KnownRun,
     found: Sequence[SharedRows],
-    tables: tuple[Table, Table],
+    tables: tuple[LogTable, LogTable],
     time_column: str,
     same: str,
 ) -> tuple[float, KnownRun, KnownRun]:
@@ -156,7 +156,9 @@ def _write(run: KnownRun) -> str:
     return f"{name}@{run.key.cut}" if run.key.cut else name
 
 
-def _name(first: KnownRun, second: KnownRun, found: SharedRows, tables: tuple[Table, Table]) -> str:
+def _name(
+    first: KnownRun, second: KnownRun, found: SharedRows, tables: tuple[LogTable, LogTable]
+) -> str:
     there = second.name_rows(tables[1], found.other_row, found.rows)
     here = first.name_rows(tables[0], found.row, found.rows)
     return f"{there} are the rows of {here}, {found.rows} rows"

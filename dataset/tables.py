@@ -125,7 +125,7 @@ class Source:
 
 
 @dataclass
-class Table:
+class LogTable:
     """The parsed columns of one log; columns are taken out one by one to keep the memory low."""
 
     source: Source
@@ -193,7 +193,7 @@ def _open_text(source: Source) -> Source:
 
 def read_table(
     source: Source, needed: Mapping[str, str], run_column: bool = True, clock: Clock | None = None
-) -> Table:
+) -> LogTable:
     """Parse the needed columns of a log.
 
     Args:
@@ -233,7 +233,7 @@ def read_table(
     if clock is not None:
         arrays[clock.name] = clock.settle(arrays[clock.name], source.label)
         arrays = {name: arrays[name] for name in needed if name in arrays}
-    return Table(source, arrays, tuple(runs), codes, clock=clock)
+    return LogTable(source, arrays, tuple(runs), codes, clock=clock)
 
 
 def _parse(

@@ -15,7 +15,7 @@ MOST_ADDED = 6
 
 
 @dataclass(frozen=True)
-class Course:
+class RepeatedDiagnosis:
     """What repeated diagnosis came to: its steps, the model in the end, and what to drop."""
 
     steps: tuple[Diagnosis, ...]
@@ -31,7 +31,7 @@ def diagnose_until_done(
     dataset: Dataset,
     catalogue: Catalogue | None = None,
     advance: Advance = lambda kind: None,
-) -> Course:
+) -> RepeatedDiagnosis:
     """Return the course of adding what is missing until nothing is, or it cannot be named.
 
     Args:
@@ -48,7 +48,7 @@ def diagnose_until_done(
             break
         effects = extend_model(effects, catalogue, steps[-1])
     drop = list_idle(open_case(dataset, catalogue, effects, advance))
-    return Course(tuple(steps), tuple(effects), drop)
+    return RepeatedDiagnosis(tuple(steps), tuple(effects), drop)
 
 
 def extend_model(

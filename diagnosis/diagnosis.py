@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from zerodrift.dataset.runs import OutlierCount
 from zerodrift.diagnosis.candidates import Untested
-from zerodrift.diagnosis.remainder import Pattern
+from zerodrift.diagnosis.remainder import RemainderPattern
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Diagnosis:
     """dwell | estimated."""
     outputs: Mapping[str, OutputErrors]
     """Output -> its errors."""
-    remainder: tuple[Pattern, ...]
+    remainder: tuple[RemainderPattern, ...]
     """For `unknown`: what the remainder follows."""
     next_experiment: str
     evidence: str

@@ -11,7 +11,7 @@ from zerodrift.diagnosis.case import Case
 from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis, OutputErrors
 from zerodrift.diagnosis.examination import Examination, Judged, predict
 from zerodrift.diagnosis.experiments import choose_experiment
-from zerodrift.diagnosis.remainder import Pattern, describe_remainder, single_out_runs
+from zerodrift.diagnosis.remainder import RemainderPattern, describe_remainder, single_out_runs
 from zerodrift.diagnosis.rules import Finding, list_lookalikes, wanders
 from zerodrift.physics.campaign import FEWEST_RUNS
 from zerodrift.physics.fit import flat_weights
@@ -111,7 +111,7 @@ def _list_untested(case: Case, first: Examination) -> tuple[Untested, ...]:
     return tuple(untested)
 
 
-def _describe(case: Case, first: Examination) -> tuple[Pattern, ...]:
+def _describe(case: Case, first: Examination) -> tuple[RemainderPattern, ...]:
     """Return what the remainder of the model as it is follows."""
     rests = _list_rests(case, first)
     return tuple(describe_remainder(case.dataset.train, rests, case.plan, first.floor))

@@ -27,7 +27,7 @@ LINE_SHARE = 0.3
 
 
 @dataclass(frozen=True)
-class Pattern:
+class RemainderPattern:
     """One signal that the remainder follows."""
 
     follows: str
@@ -37,7 +37,7 @@ class Pattern:
 
 def describe_remainder(
     runs: Sequence[Run], rests: Sequence[Array], plan: SignalPlan, noise: Array
-) -> list[Pattern]:
+) -> list[RemainderPattern]:
     """Return what the remainder follows, most telling first.
 
     Each signal is cut into bins; the mean remainder per bin, taken from all other runs, predicts
@@ -57,7 +57,9 @@ def describe_remainder(
     for name in _describe(runs[0], plan, block):
         signals = [_describe(run, plan, block)[name] for run in runs]
         shares[name] = _predict_share(signals, targets, groups)
-    patterns = [Pattern(name, share) for name, share in shares.items() if share >= LEAST_SHARE]
+    patterns = [
+        RemainderPattern(name, share) for name, share in shares.items() if share >= LEAST_SHARE
+    ]
     period = _find_period(targets, block * plan.sample_period_s)
     if period is not None:
         patterns.append(period)
@@ -159,7 +161,7 @@ def _predict_share(
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def _find_period(targets: Sequence[Array], step_s: float) -> Pattern | None:
+def _find_period(targets: Sequence[Array], step_s: float) -> RemainderPattern | None:
     """Return the period at which much of the remainder swings, if there is one."""
     length = min(target.shape[0] for target in targets)
     if length < 64:
@@ -175,4 +177,4 @@ def _find_period(targets: Sequence[Array], step_s: float) -> Pattern | None:
     share = float(power[max(peak - 2, 0) : peak + 3].sum() / max(power.sum(), 1e-300))
     if share < LINE_SHARE or peak < 4:
         return None
-    return Pattern(f"a period of about {length * step_s / peak:.0f} s", share)
+    return RemainderPattern(f"a period of about {length * step_s / peak:.0f} s", share)

@@ -25,7 +25,7 @@ from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from zerodrift.train.fine_tune import Tuned, Tuning, fine_tune
-from zerodrift.train.integer_network import IntegerGruNetwork, IntegerHead
+from zerodrift.train.integer_network import IntegerGruNetwork, TorchIntegerHead
 from zerodrift.train.onnx_export import build_onnx
 from zerodrift.train.onnx_network import OnnxNetwork
 from zerodrift.train.sequences import Sequence32
@@ -101,7 +101,7 @@ def build_integer_network(
         network.layers,
         lambda layers: quantize_layers(layers, exponents, "int8"),
         2.0 ** -exponents.astype(np.float64),
-        IntegerHead(read_out.head.weights, read_out.head_exponents),
+        TorchIntegerHead(read_out.head.weights, read_out.head_exponents),
         scale,
         read_out.dense,
     )

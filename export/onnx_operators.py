@@ -22,10 +22,10 @@ from zerodrift.export.onnx_shapes import (
 from zerodrift.export.onnx_values import (
     Axis,
     Dims,
+    OnnxSignal,
+    OnnxSource,
     Pending,
     RawInput,
-    Signal,
-    Source,
     Unsupported,
     Value,
     bind,
@@ -47,7 +47,7 @@ def elementwise(node: onnx.NodeProto, _: Attributes, values: list[Value]) -> lis
     op, (a, b) = node.op_type, values
     if any(isinstance(v, Dims) for v in values):
         return [_calculate(op, values)]
-    if isinstance(a, Signal) and isinstance(b, Signal) and op in ("Add", "Sub"):
+    if isinstance(a, OnnxSignal) and isinstance(b, OnnxSignal) and op in ("Add", "Sub"):
         if a.source is not b.source or a.axes != b.axes or a.last != b.last:
             raise Unsupported("it joins two branches of the graph")
         sign = 1.0 if op == "Add" else -1.0
@@ -71,7 +71,7 @@ def negate(_: onnx.NodeProto, __: Attributes, values: list[Value]) -> list[Value
 def _apply(data: Value, op: str, array: Array) -> Value:
     if isinstance(data, RawInput):
         return replace(data, pending=(*data.pending, Pending(op, array, data.axes)))
-    if isinstance(data, Signal):
+    if isinstance(data, OnnxSignal):
         return data.apply(op, array, data.axes)
     raise Unsupported("it is used on something that is not followed")
 
@@ -131,10 +131,10 @@ def gemm(_: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list
     return [_bind_last(values[0], weight.shape[1]).mix(weight, bias)]
 
 
-def _bind_last(value: Value, width: int) -> Signal:
+def _bind_last(value: Value, width: int) -> OnnxSignal:
     """Return data as a signal whose last axis holds its features."""
     signal = bind(value, width, len(value.axes) - 1) if isinstance(value, RawInput) else value
-    if not isinstance(signal, Signal):
+    if not isinstance(signal, OnnxSignal):
         raise Unsupported("it is used on something that is not followed")
     if signal.axes[-1].role != "feature" or signal.matrix.shape[0] != width:
         raise Unsupported(f"it mixes {width} values that are not the features")
@@ -158,7 +158,7 @@ def activate(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) 
     if node.op_type in ("Min", "Max") and len(values) == 2 and is_data(values[1]):
         values = values[::-1]
     signal = values[0]
-    if not isinstance(signal, Signal) or signal.source.below is None:
+    if not isinstance(signal, OnnxSignal) or signal.source.below is None:
         raise Unsupported("an activation before the GRU")
     m, b = signal.matrix, signal.bias
     one, none = np.eye(len(m)), np.zeros(len(m))
@@ -208,10 +208,10 @@ def _read_limits(
 
 
 def _add_dense(
-    signal: Signal, layer: FloatDense, matrix: Array, bias: Array, node: onnx.NodeProto
-) -> Signal:
+    signal: OnnxSignal, layer: FloatDense, matrix: Array, bias: Array, node: onnx.NodeProto
+) -> OnnxSignal:
     """Return matrix layer + bias, where the layer reads what the signal reads."""
-    source = Source(layer.weight.shape[0], signal.source, layer, node.name or node.op_type)
+    source = OnnxSource(layer.weight.shape[0], signal.source, layer, node.name or node.op_type)
     return replace(signal, source=source, matrix=matrix, bias=bias)
 
 
@@ -230,7 +230,7 @@ def gru(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> li
         raise Unsupported("it is given lengths of sequences (sequence_lens)")
     if isinstance(data, RawInput):
         data = bind(data, layer.w_x.shape[2], 2) if len(data.axes) == 3 else data
-    if not isinstance(data, Signal) or len(data.axes) != 3:
+    if not isinstance(data, OnnxSignal) or len(data.axes) != 3:
         raise Unsupported("its input X is not data of three axes")
     if data.last or isinstance(data.source.layer, FloatDense):
         raise Unsupported("its input is the last sample, or has been through an activation")
@@ -243,10 +243,10 @@ def gru(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> li
     outside[:3] += layer.w_x @ data.bias
     layer = replace(layer, w_x=layer.w_x @ data.matrix, bias=outside)
     hidden = layer.w_h.shape[1]
-    source = Source(hidden, data.source, layer, node.name or "GRU", time)
+    source = OnnxSource(hidden, data.source, layer, node.name or "GRU", time)
     one, feature = Axis(1, "one"), Axis(hidden, "feature")
     axes = (batch, time, one, feature) if layout else (time, one, batch, feature)
-    states = Signal(source, axes, np.eye(hidden), np.zeros(hidden))
+    states = OnnxSignal(source, axes, np.eye(hidden), np.zeros(hidden))
     end = (batch, one, feature) if layout else (one, batch, feature)
     return [states, replace(states, axes=end, last=True)]
 

@@ -24,9 +24,9 @@ from zerodrift.export.onnx_values import (
     Axis,
     Constant,
     Fill,
+    OnnxSignal,
     RawInput,
     Refused,
-    Signal,
     Unsupported,
     Value,
 )
@@ -220,7 +220,7 @@ def _walk(graph: onnx.GraphProto) -> _Walk:
         results = _evaluate(node, attributes, inputs)
         values.update((n, v) for n, v in zip(node.output, results, strict=False) if n)
         for result in results[:1]:
-            if node.op_type == "GRU" and isinstance(result, Signal):
+            if node.op_type == "GRU" and isinstance(result, OnnxSignal):
                 initial[id(result.source)] = _tell_initial(inputs)
     return _Walk(values, initial)
 
@@ -282,7 +282,7 @@ def _tell_initial(inputs: list[Value]) -> str:
 
 def _choose_output(
     graph: onnx.GraphProto, values: Mapping[str, Value], where: str, wanted: str | None
-) -> tuple[str, Signal]:
+) -> tuple[str, OnnxSignal]:
     """Return the graph output that is the drift.
 
     A graph may give its states beside its answer; the answer is what is not a state.
@@ -294,7 +294,7 @@ def _choose_output(
                 f"{where}: has no output '{wanted}'{nearest(wanted, names)} It has {names}."
             )
         names = [wanted]
-    found = {n: v for n in names if isinstance(v := values.get(n), Signal)}
+    found = {n: v for n in names if isinstance(v := values.get(n), OnnxSignal)}
     refused = [v for n in names if isinstance(v := values.get(n), Refused)]
     answers = {n: s for n, s in found.items() if not _is_state(s)}
     if not answers and refused:
@@ -309,14 +309,14 @@ def _choose_output(
     return next(iter(candidates.items()))
 
 
-def _is_state(signal: Signal) -> bool:
+def _is_state(signal: OnnxSignal) -> bool:
     """Tell whether a signal is the state of a GRU itself."""
     identity = np.eye(signal.source.width)
     same = signal.matrix.shape == identity.shape and (signal.matrix == identity).all()
     return bool(isinstance(signal.source.layer, FloatGru) and same and not signal.bias.any())
 
 
-def _feeds_another(signal: Signal, found: Mapping[str, Signal]) -> bool:
+def _feeds_another(signal: OnnxSignal, found: Mapping[str, OnnxSignal]) -> bool:
     """Tell whether another output comes from the same states, further up."""
     others = [s for s in found.values() if s.source is not signal.source]
     return any(signal.source in s.source.chain() for s in others)

@@ -15,9 +15,9 @@ from zerodrift.export.onnx_values import (
     Constant,
     Dims,
     Fill,
+    OnnxSignal,
     Pack,
     RawInput,
-    Signal,
     Unsupported,
     Value,
 )
@@ -57,14 +57,14 @@ def read_numbers(
 
 def axes_of(value: Value) -> tuple[Axis, ...]:
     """Return the axes of data."""
-    if isinstance(value, RawInput | Signal):
+    if isinstance(value, RawInput | OnnxSignal):
         return value.axes
     raise Unsupported("it is used on something that is not followed")
 
 
 def is_data(value: Value) -> bool:
     """Tell whether a value depends on the graph's input."""
-    return isinstance(value, RawInput | Signal | Pack)
+    return isinstance(value, RawInput | OnnxSignal | Pack)
 
 
 def keep(_: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
@@ -83,7 +83,7 @@ def shape(_: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> lis
     """Shape: what is known of it."""
     if isinstance(values[0], Constant):
         entries: tuple[int | Axis | None, ...] = tuple(values[0].array.shape)
-    elif isinstance(values[0], RawInput | Signal):
+    elif isinstance(values[0], RawInput | OnnxSignal):
         entries = tuple(a.size if a.size is not None else a for a in values[0].axes)
     else:
         raise Unsupported("it asks for the shape of something that is not followed")
@@ -123,7 +123,7 @@ def squeeze(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -
 
 def _drop(value: Value, gone: Sequence[Axis]) -> Value:
     """Return data without some axes of length 1; without time, it is the last sample."""
-    assert isinstance(value, RawInput | Signal)
+    assert isinstance(value, RawInput | OnnxSignal)
     last = False
     for axis in gone:
         if axis.role in ("batch", "") and axis.size is None:
@@ -132,7 +132,7 @@ def _drop(value: Value, gone: Sequence[Axis]) -> Value:
             raise Unsupported(f"it takes out the {axis.role or 'unknown'} axis, longer than 1")
         last |= axis.role == "time"
     axes = tuple(axis for axis in value.axes if axis not in gone)
-    if isinstance(value, Signal):
+    if isinstance(value, OnnxSignal):
         return replace(value, axes=axes, last=value.last or last)
     return replace(value, axes=axes)
 
@@ -199,7 +199,7 @@ def _pick(data: Value, at: int, picks: list[int], *, remove: bool) -> Value:
         if picks not in ([0], [-1]):
             raise Unsupported(f"it takes {picks} of an axis of length 1")
         return _drop(data, [axis]) if remove else data
-    if isinstance(data, Signal) and axis.role == "feature":
+    if isinstance(data, OnnxSignal) and axis.role == "feature":
         rest = () if remove else (Axis(len(picks), "feature"),)
         place = at % len(axes)
         return replace(
@@ -208,7 +208,7 @@ def _pick(data: Value, at: int, picks: list[int], *, remove: bool) -> Value:
             matrix=data.matrix[picks],
             bias=data.bias[picks],
         )
-    if isinstance(data, Signal) and axis.role == "time":
+    if isinstance(data, OnnxSignal) and axis.role == "time":
         ends = {-1} | ({axis.size - 1} if axis.size is not None else set())
         if len(picks) != 1 or picks[0] not in ends:
             raise Unsupported(f"it takes sample {picks} of the sequence, not the last")
@@ -276,7 +276,7 @@ def concat(_: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> li
         return values
     if all(isinstance(v, Fill) for v in values) and len({v.value for v in values}) == 1:  # type: ignore[union-attr]
         return [values[0]]
-    signals = tuple(v for v in values if isinstance(v, Signal))
+    signals = tuple(v for v in values if isinstance(v, OnnxSignal))
     if len(signals) != len(values) or not all(s.axes[at].is_one for s in signals):
         raise Unsupported("it joins values other than states of layers")
     return [Pack(signals, at % len(signals[0].axes))]

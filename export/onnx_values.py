@@ -52,11 +52,11 @@ class Axis:
 
 
 @dataclass(eq=False)
-class Source:
+class OnnxSource:
     """Where a signal's numbers come from: the graph's input, a GRU, or an activation."""
 
     width: int
-    below: "Source | None" = None
+    below: "OnnxSource | None" = None
     layer: FloatGru | FloatDense | None = None
     """None for the graph's input."""
     name: str = ""
@@ -64,9 +64,9 @@ class Source:
     time: Axis | None = None
     """A GRU's time axis."""
 
-    def chain(self) -> Iterator["Source"]:
+    def chain(self) -> Iterator["OnnxSource"]:
         """Give this source and all below it, downwards."""
-        source: Source | None = self
+        source: OnnxSource | None = self
         while source is not None:
             yield source
             source = source.below
@@ -105,7 +105,7 @@ class Refused:
 class Pack:
     """Signals one after the other along an axis of length 1 each, such as the states of layers."""
 
-    items: tuple["Signal", ...]
+    items: tuple["OnnxSignal", ...]
     axis: int
 
 
@@ -130,10 +130,10 @@ class RawInput:
 
 
 @dataclass(frozen=True)
-class Signal:
+class OnnxSignal:
     """matrix source + bias along the feature axis."""
 
-    source: Source
+    source: OnnxSource
     axes: tuple[Axis, ...]
     matrix: Array
     """[n, source.width]"""
@@ -142,12 +142,12 @@ class Signal:
     last: bool = False
     """Only the last sample of the sequence."""
 
-    def mix(self, weight: Array, bias: Array) -> "Signal":
+    def mix(self, weight: Array, bias: Array) -> "OnnxSignal":
         """Return weight signal + bias, on a new feature axis."""
         axes = (*self.axes[:-1], Axis(weight.shape[0], "feature"))
         return replace(self, axes=axes, matrix=weight @ self.matrix, bias=weight @ self.bias + bias)
 
-    def apply(self, op: str, array: Array, axes: Sequence[Axis]) -> "Signal":
+    def apply(self, op: str, array: Array, axes: Sequence[Axis]) -> "OnnxSignal":
         """Return the signal after an elementwise operation with a constant."""
         vector = take_feature_vector(array, axes, self.matrix.shape[0])
         match op:
@@ -163,7 +163,7 @@ class Signal:
                 return replace(self, matrix=self.matrix / vector[:, None], bias=self.bias / vector)
 
 
-Value = Constant | Fill | Dims | Refused | Pack | RawInput | Signal | None
+Value = Constant | Fill | Dims | Refused | Pack | RawInput | OnnxSignal | None
 """None is an optional input that is left out."""
 
 
@@ -187,7 +187,7 @@ def take_feature_vector(array: Array, axes: Sequence[Axis], width: int) -> Array
     return np.array(np.broadcast_to(array.ravel(), (width,)), dtype=np.float64)
 
 
-def bind(raw: RawInput, width: int, position: int) -> Signal:
+def bind(raw: RawInput, width: int, position: int) -> OnnxSignal:
     """Return a graph input as a signal whose feature axis stands at `position`.
 
     Raises:
@@ -200,7 +200,7 @@ def bind(raw: RawInput, width: int, position: int) -> Signal:
     if axis.size not in (None, width):
         raise Unsupported(f"it reads {width} features, input '{raw.name}' has {axis.size}")
     axis.size = width
-    signal = Signal(Source(width, name=raw.name), raw.axes, np.eye(width), np.zeros(width))
+    signal = OnnxSignal(OnnxSource(width, name=raw.name), raw.axes, np.eye(width), np.zeros(width))
     for step in raw.pending:
         signal = signal.apply(step.op, step.array, step.axes)
     return signal

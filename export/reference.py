@@ -79,7 +79,7 @@ class ModelState:
 
 
 @dataclass(frozen=True)
-class Trace:
+class ReferenceTrace:
     """What a run gave, step by step."""
 
     drift: NDArray[np.int32]  # [B, T, K]
@@ -222,7 +222,7 @@ class Reference:
         elapsed: int = 0,
         state: ModelState | None = None,
         observe: Observer | None = None,
-    ) -> Trace:
+    ) -> ReferenceTrace:
         """Run T steps over codes [B, T, C], from `state` or else from `start` at codes[:, 0]."""
         batch, steps, _ = codes.shape
         wide = np.ascontiguousarray(codes.swapaxes(0, 1), dtype=np.int64)  # step by step
@@ -239,7 +239,7 @@ class Reference:
                 states[t] = now.nodes[layer.name]["h_q30"]
             if observe is not None:
                 observe(t, values)
-        return Trace(
+        return ReferenceTrace(
             drift=np.ascontiguousarray(drift.swapaxes(0, 1)),
             flags=np.ascontiguousarray(flags.T),
             hidden=np.ascontiguousarray(states.swapaxes(0, 1)),

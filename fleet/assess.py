@@ -12,7 +12,7 @@ from zerodrift.diagnosis.run_errors import collect_errors, pool_rmse
 from zerodrift.fleet.result import OutputResult, ParameterResult
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.scores import Trained
-from zerodrift.verify.chip_error import Replay
+from zerodrift.verify.chip_error import ChipReplay
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class Figures:
 def assess(
     trained: Trained,
     dataset: Dataset,
-    replay: Replay | None = None,
+    replay: ChipReplay | None = None,
 ) -> Figures:
     """Return the held-out errors of a sensor.
 

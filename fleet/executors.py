@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.threads import BLAS
 from zerodrift.fleet.design import Design
-from zerodrift.fleet.result import Outcome
+from zerodrift.fleet.result import SensorOutcome
 
 Batch = tuple[str, ...]
 ONE_THREAD = (*BLAS, "POLARS_MAX_THREADS")
@@ -21,12 +21,14 @@ ONE_THREAD = (*BLAS, "POLARS_MAX_THREADS")
 class Executor(Protocol):
     """What works on batches of sensors."""
 
-    def run(self, design: Design, batches: Sequence[Batch]) -> Generator[list[Outcome], None, None]:
+    def run(
+        self, design: Design, batches: Sequence[Batch]
+    ) -> Generator[list[SensorOutcome], None, None]:
         """Yield the outcomes of each batch as it is done, in any order."""
         ...
 
 
-def _work_on(design: Design, sensors: Batch) -> list[Outcome]:
+def _work_on(design: Design, sensors: Batch) -> list[SensorOutcome]:
     """Work on a batch; what that takes is loaded only where it is done."""
     from zerodrift.fleet.work import work_on
 
@@ -36,7 +38,9 @@ def _work_on(design: Design, sensors: Batch) -> list[Outcome]:
 class Serial:
     """In this process, one batch after the other."""
 
-    def run(self, design: Design, batches: Sequence[Batch]) -> Generator[list[Outcome], None, None]:
+    def run(
+        self, design: Design, batches: Sequence[Batch]
+    ) -> Generator[list[SensorOutcome], None, None]:
         """Yield the outcomes batch by batch."""
         for batch in batches:
             yield _work_on(design, batch)
@@ -48,7 +52,9 @@ class Processes:
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
 
-    def run(self, design: Design, batches: Sequence[Batch]) -> Generator[list[Outcome], None, None]:
+    def run(
+        self, design: Design, batches: Sequence[Batch]
+    ) -> Generator[list[SensorOutcome], None, None]:
         """Yield the outcomes batch by batch; leaving the loop ends the processes.
 
         Raises:
@@ -59,7 +65,7 @@ class Processes:
         # A fork would take along threads of Polars and PyTorch that no longer run.
         context = multiprocessing.get_context("spawn")
         pool = ProcessPoolExecutor(self._jobs, context, initializer=_ignore_interrupts)
-        pending: set[Future[list[Outcome]]] = set()
+        pending: set[Future[list[SensorOutcome]]] = set()
         try:
             pending = {pool.submit(_work_on, design, batch) for batch in batches}
             while pending:
@@ -101,7 +107,9 @@ class OverRay:
         """
         self._address, self._jobs = address, jobs
 
-    def run(self, design: Design, batches: Sequence[Batch]) -> Generator[list[Outcome], None, None]:
+    def run(
+        self, design: Design, batches: Sequence[Batch]
+    ) -> Generator[list[SensorOutcome], None, None]:
         """Yield the outcomes batch by batch.
 
         Raises:

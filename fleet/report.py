@@ -14,7 +14,7 @@ from zerodrift.base.journal import write_all
 from zerodrift.base.records import to_dict
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.outliers import Outlier, find_outliers
-from zerodrift.fleet.result import Outcome, SensorResult
+from zerodrift.fleet.result import SensorOutcome, SensorResult
 from zerodrift.fleet.summary import FleetSummary, OutlierSummary, SensorSummary, SpreadSummary
 
 FORMAT = 1
@@ -88,7 +88,7 @@ class FleetReport:
         return table
 
 
-def judge_fleet(design: Design, outcomes: Sequence[Outcome]) -> FleetReport:
+def judge_fleet(design: Design, outcomes: Sequence[SensorOutcome]) -> FleetReport:
     """Return the report on these sensors, by the limits of `[fleet]`."""
     fleet = design.config.fleet
     results = [o.result for o in outcomes if o.result is not None]

@@ -87,7 +87,7 @@ class SensorResult:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SensorOutcome:
     """What became of one sensor."""
 
     sensor: str

@@ -13,7 +13,7 @@ from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.identifiers import sanitize_prefix
 from zerodrift.fleet.design import RUNTIME, Design
 from zerodrift.fleet.executors import Batch, Executor
-from zerodrift.fleet.result import RESULT, Outcome, SensorResult, load_result
+from zerodrift.fleet.result import RESULT, SensorOutcome, SensorResult, load_result
 from zerodrift.fleet.sensors import configure_sensor, find_sensors
 from zerodrift.verify.manifest import check_manifest
 
@@ -22,7 +22,7 @@ BATCH = 32
 
 
 @dataclass(frozen=True)
-class Progress:
+class FleetProgress:
     """Where a fleet stands, for a bar."""
 
     done: int
@@ -38,8 +38,8 @@ def run_fleet(
     jobs: int = 1,
     batch: int | None = None,
     fresh: bool = False,
-    report: Callable[[Progress], None] = lambda _: None,
-) -> tuple[Outcome, ...]:
+    report: Callable[[FleetProgress], None] = lambda _: None,
+) -> tuple[SensorOutcome, ...]:
     """Return what became of every sensor, sorted by name.
 
     Args:
@@ -58,18 +58,18 @@ def run_fleet(
     refuse_equal_prefixes(design, sensors)
     if design.firmware:
         write_runtime(design)
-    outcomes: dict[str, Outcome] = {}
+    outcomes: dict[str, SensorOutcome] = {}
 
     def tell() -> None:
         kept = sum(o.kept for o in outcomes.values())
         failed = sum(o.result is None for o in outcomes.values())
-        report(Progress(len(outcomes), len(sensors), kept, failed))
+        report(FleetProgress(len(outcomes), len(sensors), kept, failed))
 
     tell()
     for sensor in () if fresh else sensors:
         kept = find_kept(design, sensor)
         if kept is not None:
-            outcomes[sensor] = Outcome(sensor, kept, kept=True)
+            outcomes[sensor] = SensorOutcome(sensor, kept, kept=True)
             tell()
     left = [sensor for sensor in sensors if sensor not in outcomes]
     size = batch or max(1, min(BATCH, -(-len(left) // jobs)))

@@ -27,7 +27,7 @@ from zerodrift.export.float_model import FloatModel
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.fleet.assess import assess, describe_parameters
 from zerodrift.fleet.design import RUNTIME, Design
-from zerodrift.fleet.result import Outcome, SensorResult, save_result
+from zerodrift.fleet.result import SensorOutcome, SensorResult, save_result
 from zerodrift.fleet.sensors import configure_sensor
 from zerodrift.fleet.summary import EffectValues, SensorConfiguration
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
@@ -75,7 +75,7 @@ class _Batch:
 
     def __init__(self, sensors: Sequence[str]) -> None:
         self.sensors = sensors
-        self.outcomes: dict[str, Outcome] = {}
+        self.outcomes: dict[str, SensorOutcome] = {}
 
     def attempt(self, sensor: str, work: Callable[[], T]) -> T | None:
         """Return what `work` returns, or None once its failure is noted."""
@@ -89,9 +89,9 @@ class _Batch:
 
     def fail(self, sensor: str, message: str) -> None:
         """Note why a sensor has no result."""
-        self.outcomes[sensor] = Outcome(sensor, None, message)
+        self.outcomes[sensor] = SensorOutcome(sensor, None, message)
 
-    def list(self) -> list[Outcome]:
+    def list(self) -> list[SensorOutcome]:
         """Return the outcomes in the sensors' order."""
         return [self.outcomes[sensor] for sensor in self.sensors]
 
@@ -102,7 +102,7 @@ def explain_unforeseen(error: Exception) -> str:
     return told or f"unforeseen {type(error).__name__}: {error}. Please report it."
 
 
-def work_on(design: Design, sensors: Sequence[str]) -> list[Outcome]:
+def work_on(design: Design, sensors: Sequence[str]) -> list[SensorOutcome]:
     """Return what became of these sensors; each one's files are written when it is complete.
 
     Args:
@@ -250,7 +250,7 @@ def _finish(
         warnings=tuple(s.text for s in verdict.warnings) if verdict is not None else (),
     )
     files = _render(design, job, result, certificate)
-    batch.outcomes[job.sensor] = Outcome(
+    batch.outcomes[job.sensor] = SensorOutcome(
         job.sensor, save_result(design.build_folder(job.sensor), design.directory, result, files)
     )
 

@@ -52,7 +52,7 @@ class RuntimePart:
 
 
 @dataclass(frozen=True)
-class Table:
+class CTable:
     """A constant array of the generated C, as the self-test finds it there."""
 
     name: str
@@ -72,9 +72,9 @@ class Table:
 
 def make_table(
     name: str, kind: str, numbers: Iterable[int] | NDArray[np.signedinteger], rows: int = 0
-) -> Table:
+) -> CTable:
     """Return the table of an array of any shape."""
-    return Table(name, kind, tuple(map(int, np.asarray(numbers).ravel())), rows)
+    return CTable(name, kind, tuple(map(int, np.asarray(numbers).ravel())), rows)
 
 
 def crc_of_words(numbers: Iterable[int]) -> int:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from zerodrift.operations.arithmetic import IntArray
-from zerodrift.operations.c_text import RuntimePart, StateField, Table
+from zerodrift.operations.c_text import CTable, RuntimePart, StateField
 from zerodrift.operations.intervals import Bound, Interval, Shift
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ class IntegerNode:
         """Return the C expression of a number that has a state, at rest."""
         return self.inputs[0]
 
-    def list_tables(self) -> tuple[Table, ...]:
+    def list_tables(self) -> tuple[CTable, ...]:
         """Return the constant tables in C that the self-test takes the CRC of."""
         return ()
 

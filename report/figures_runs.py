@@ -50,7 +50,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Clock:
+class TimeAxis:
     """The unit of a time axis."""
 
     unit: str
@@ -58,12 +58,12 @@ class Clock:
     """One unit."""
 
 
-HOURS = Clock("h", 3600.0)
-CLOCKS = (Clock("s", 1.0), Clock("min", 60.0), HOURS)
+HOURS = TimeAxis("h", 3600.0)
+CLOCKS = (TimeAxis("s", 1.0), TimeAxis("min", 60.0), HOURS)
 LONGEST_IN_UNITS = 300.0
 
 
-def choose_clock(trace: Trace) -> Clock:
+def choose_clock(trace: Trace) -> TimeAxis:
     """Return the unit in which a run's time reads best."""
     length_s = float(trace.time_s[-1] - trace.time_s[0])
     return next((c for c in CLOCKS if length_s <= LONGEST_IN_UNITS * c.seconds), HOURS)
@@ -201,7 +201,7 @@ def _draw_lines(
     *,
     first: bool,
     rows: tuple[int, int] | None = None,
-    clock: Clock = HOURS,
+    clock: TimeAxis = HOURS,
 ) -> list[go.Scatter]:
     """Return one run's lines: measured, model, and what is left."""
     start, stop = rows or (0, trace.time_s.size)
@@ -251,7 +251,7 @@ def _draw_lines(
 
 
 def _mark_worst(
-    compared: ComparisonSummary, run: str, output: str, offset: float, clock: Clock = HOURS
+    compared: ComparisonSummary, run: str, output: str, offset: float, clock: TimeAxis = HOURS
 ) -> tuple[list[go.Scatter], list[dict[str, Any]]]:
     """Return marks and shades of the worst segments of one run and output, numbered as tabled."""
     marks, shapes = [], []

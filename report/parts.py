@@ -14,7 +14,7 @@ MOST_ROWS = 150
 
 
 @dataclass(frozen=True)
-class Part:
+class ReportPart:
     """A part of a run."""
 
     run: str
@@ -32,7 +32,7 @@ class Part:
     left_rms: float
 
 
-def list_parts(traces: Sequence[Trace], k: int) -> list[Part]:
+def list_parts(traces: Sequence[Trace], k: int) -> list[ReportPart]:
     """Return the means of equal parts of each run, in order.
 
     Args:
@@ -46,7 +46,7 @@ def list_parts(traces: Sequence[Trace], k: int) -> list[Part]:
         for rows in np.array_split(np.arange(count), min(most, count)):
             measured, left = trace.drift[k, rows], trace.error[k, rows]
             parts.append(
-                Part(
+                ReportPart(
                     trace.run,
                     float(trace.time_s[rows[0]]),
                     float(trace.time_s[rows[-1]]),

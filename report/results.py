@@ -161,6 +161,45 @@ class CertificateResult:
 
 
 @dataclass(frozen=True)
+class OutputApplied:
+    """One output over a log, in its unit."""
+
+    unit: str
+    rms_drift: float
+    largest_drift: float
+    uncertainty: float | None
+    """Median expanded uncertainty (k = 2); None where none is known."""
+
+
+@dataclass(frozen=True)
+class AppliedLog:
+    """What a model gave for one log."""
+
+    log: str
+    file: str
+    rows: int
+    steps: int
+    """Steps of the firmware."""
+    outputs: Mapping[str, OutputApplied]
+    flags: Mapping[str, int]
+    """Flag, in words -> steps that carry it."""
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ApplyResult:
+    """The finished model over logs, as the chip would run it."""
+
+    SCHEMA: ClassVar = "apply/1"
+
+    model: str
+    """integer | float."""
+    model_hash: str
+    logs: tuple[AppliedLog, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class PackageResult:
     """The model as a package of a build system."""
 
@@ -265,7 +304,8 @@ class ReportResult:
 
 
 RESULTS: tuple[type, ...] = (
-    *(AddResult, CalibrateResult, CertificateResult, CompareResult, DiagnoseResult, DoctorResult),
+    *(AddResult, ApplyResult, CalibrateResult, CertificateResult, CompareResult, DiagnoseResult),
+    *(DoctorResult,),
     *(EffectResult, EffectsResult, ExportResult, FirmwareSummary, FleetSummary, HistoryResult),
     *(InitResult, PackageResult, RemoveResult, ReportResult, TrainResult, VerifySummary),
 )

@@ -9,7 +9,7 @@ from zerodrift.diagnosis.history import Step
 from zerodrift.physics.summary import ModelSummary
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Provenance
-from zerodrift.report.parts import Part
+from zerodrift.report.parts import ReportPart
 from zerodrift.report.verdict import explain_standing
 from zerodrift.verify.summary import CertificateSummary, ChipError, FirmwareSummary
 
@@ -122,7 +122,7 @@ def tabulate_candidates(diagnosis: Diagnosis, titles: Mapping[str, str]) -> Tabl
     return Table("Effects that are not in the model", headings, tuple(rows), texts=4)
 
 
-def tabulate_parts(parts: Sequence[Part], unit: str) -> Table:
+def tabulate_parts(parts: Sequence[ReportPart], unit: str) -> Table:
     """Return what was measured, modelled and left along the runs, part by part.
 
     Args:

@@ -38,7 +38,7 @@ BIASES = (".B", ".bias")
 
 
 @dataclass(frozen=True)
-class Calibration:
+class TrainedRanges:
     """What the training logs showed; beyond it the compensator has not been tried."""
 
     temperature_degC: tuple[float, float]
@@ -61,7 +61,7 @@ class Compensator:
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     sample_period_s: float
-    calibration: Calibration
+    calibration: TrainedRanges
     front_end: FrontEnd | None = None
     """None where physics stands alone."""
     linear: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -272,7 +272,7 @@ class Compensator:
             outputs=outputs,
             units=tuple(values["units"]),
             sample_period_s=values["sample_period_s"],
-            calibration=Calibration(
+            calibration=TrainedRanges(
                 temperature_degC=(low, high),
                 rate_K_per_s=calibration["rate_K_per_s"],
                 drift=np.array(calibration["drift"]),
@@ -308,7 +308,7 @@ def _read_network(directory: Path, values: Mapping[str, Any]) -> bytes | None:
 
 def calibrate(
     runs: Sequence[Run], features: Sequence[Array], predictions: Sequence[Array]
-) -> Calibration:
+) -> TrainedRanges:
     """Return the ranges that the training runs showed.
 
     Args:
@@ -320,7 +320,7 @@ def calibrate(
     drift = np.concatenate([run.drift for run in runs])
     predicted = np.concatenate(predictions)
     temperature = np.concatenate([run.temperature_degC for run in runs])
-    return Calibration(
+    return TrainedRanges(
         temperature_degC=(float(temperature.min()), float(temperature.max())),
         rate_K_per_s=max(steps) / runs[0].sample_period_s,
         drift=np.stack([drift.min(axis=0), drift.max(axis=0)]),

@@ -30,7 +30,7 @@ WINDOWS_AT_ONCE = 4096
 
 
 @dataclass(frozen=True)
-class Sums:
+class EpochSums:
     """Of one epoch, [A] squared errors and their weights, [A G, K, 2] errors and weights."""
 
     squares: Tensor
@@ -129,7 +129,7 @@ class Training:
         count, outputs = len(self.attempts), self._offsets.shape[2]
         zeros = torch.zeros(count, dtype=torch.float64, device=self._device)
         by_group = torch.zeros(count * self._groups, outputs, 2, device=self._device)
-        sums = Sums(zeros, zeros.clone(), by_group)
+        sums = EpochSums(zeros, zeros.clone(), by_group)
         for number in range(max(self.attempts[i].batches for i in active)):
             for begin in range(0, count, self._block):
                 self._differentiate(number, slice(begin, min(begin + self._block, count)), sums)
@@ -144,7 +144,7 @@ class Training:
                 self._offsets[i, :own] = (offsets[i, :own] - offsets[i, :own].mean(0)).float()
         return np.asarray(torch.sqrt(sums.squares / sums.weight.clamp(min=1e-30)).cpu().numpy())
 
-    def _differentiate(self, number: int, part: slice, sums: Sums) -> None:
+    def _differentiate(self, number: int, part: slice, sums: EpochSums) -> None:
         """Put the gradients of one batch of some attempts in their places, and note the errors."""
         batch = self._course.take(number, part)
         if batch is None:
@@ -166,7 +166,7 @@ class Training:
         if self._tared:
             self._add_by_group(sums, part, error.detach(), batch)
 
-    def _add_by_group(self, sums: Sums, part: slice, error: Tensor, batch: Batch) -> None:
+    def _add_by_group(self, sums: EpochSums, part: slice, error: Tensor, batch: Batch) -> None:
         """Add errors [S, A, K, B] and their weights to the sums of their groups."""
         first = torch.arange(part.start, part.stop, device=self._device)[:, None] * self._groups
         weight = batch.weight.sum(0).transpose(1, 2).expand(-1, -1, error.shape[2])

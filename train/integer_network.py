@@ -33,7 +33,7 @@ STATE_ONE = 2.0**30
 COPY_ONE = 2.0**15
 
 
-class IntegerHead:
+class TorchIntegerHead:
     """The chip's linear output layer: int16 rows and the exponent of each row's sum."""
 
     def __init__(self, rows: NDArray[np.int16], exponents: NDArray[np.int64]) -> None:
@@ -55,7 +55,7 @@ class IntegerGruNetwork(Network):
         layers: Sequence[FloatGru],
         quantize: Quantizer,
         count: Array,
-        head: IntegerHead,
+        head: TorchIntegerHead,
         scale: Array,
         dense: Sequence[IntegerDense] = (),
     ) -> None:
@@ -194,13 +194,13 @@ def run_integers(gru: IntegerGru, x: IntArray, h_q30: IntArray) -> tuple[GruTrac
     return GruTrace(*(torch.from_numpy(a)[:, None] for a in arrays)), exact[1:]
 
 
-class _Context(Protocol):
+class _IntegerContext(Protocol):
     """Where autograd keeps what `forward` of one of the functions below leaves for `backward`."""
 
     trace: GruTrace
     gru: IntegerGru
     layer: IntegerDense
-    head: IntegerHead
+    head: TorchIntegerHead
     results: Array
     saved_tensors: tuple[Tensor, ...]
     needs_input_grad: tuple[bool, ...]
@@ -214,7 +214,12 @@ class _IntegerSequence(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: _Context, gru: IntegerGru, count: Tensor, x: Tensor, state: Tensor, *weights: Tensor
+        ctx: _IntegerContext,
+        gru: IntegerGru,
+        count: Tensor,
+        x: Tensor,
+        state: Tensor,
+        *weights: Tensor,
     ) -> Tensor:
         """Run the recurrence; see `run_integers`. The float weights only take their gradients."""
         counts = np.ascontiguousarray(x.numpy().transpose(0, 2, 1)).astype(np.int64)
@@ -225,7 +230,7 @@ class _IntegerSequence(torch.autograd.Function):
         return torch.from_numpy(exact)
 
     @staticmethod
-    def backward(ctx: _Context, *grads: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: _IntegerContext, *grads: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients of w_x, w_h and bias, and of x where a layer is below."""
         x, count, w_x = ctx.saved_tensors
         acting = torch.from_numpy(ctx.gru.dequantize_recurrent().astype(np.float32))
@@ -244,13 +249,13 @@ class _StateCopy(torch.autograd.Function):
     """The int16 copy of a layer's states that the layer above reads, as float32 counts."""
 
     @staticmethod
-    def forward(ctx: _Context, states: Tensor) -> Tensor:
+    def forward(ctx: _IntegerContext, states: Tensor) -> Tensor:
         """Return the counts [T, H, B] of states [T, H, B]."""
         h_q30 = (states.numpy() * STATE_ONE).astype(np.int64)
         return torch.from_numpy(round_shift(h_q30, COPY_BITS).astype(np.float32))
 
     @staticmethod
-    def backward(ctx: _Context, *grads: Tensor) -> Tensor:
+    def backward(ctx: _IntegerContext, *grads: Tensor) -> Tensor:
         """Return the gradient of the states."""
         return grads[0].double() * COPY_ONE
 
@@ -259,7 +264,7 @@ class _IntegerDense(torch.autograd.Function):
     """A dense layer of the chip, with the gradient of the unrounded one."""
 
     @staticmethod
-    def forward(ctx: _Context, layer: IntegerDense, below: Tensor) -> Tensor:
+    def forward(ctx: _IntegerContext, layer: IntegerDense, below: Tensor) -> Tensor:
         """Return the layer's results [T, M, B] for results [T, N, B] of the one below."""
         steps, width, batch = below.shape
         flat = below.numpy().transpose(0, 2, 1).reshape(-1, width).astype(np.int64)
@@ -269,7 +274,7 @@ class _IntegerDense(torch.autograd.Function):
         return torch.from_numpy(np.ascontiguousarray(results))
 
     @staticmethod
-    def backward(ctx: _Context, *grads: Tensor) -> tuple[None, Tensor]:
+    def backward(ctx: _IntegerContext, *grads: Tensor) -> tuple[None, Tensor]:
         """Return the gradient of the results below."""
         layer, results = ctx.layer, ctx.results
         gain = 2.0 ** -np.array(layer.shift, dtype=np.float64)  # of the results per sum's count
@@ -286,13 +291,13 @@ class _IntegerHead(torch.autograd.Function):
     """The chip's output sums, with the gradient of the unrounded ones."""
 
     @staticmethod
-    def forward(ctx: _Context, head: IntegerHead, results: Tensor) -> Tensor:
+    def forward(ctx: _IntegerContext, head: TorchIntegerHead, results: Tensor) -> Tensor:
         """Return the sums [T, K, B] of results [T, H, B], which hold integers."""
         ctx.head = head
         copies = round_shift(results.numpy().astype(np.int64), COPY_BITS)
         return torch.from_numpy(head.rows @ copies.astype(np.float64))
 
     @staticmethod
-    def backward(ctx: _Context, *grads: Tensor) -> tuple[None, Tensor]:
+    def backward(ctx: _IntegerContext, *grads: Tensor) -> tuple[None, Tensor]:
         """Return the gradient of the results."""
         return None, torch.from_numpy(ctx.head.rows.T / COPY_ONE) @ grads[0]

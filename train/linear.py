@@ -37,7 +37,7 @@ class Moments:
 
 
 @dataclass(frozen=True)
-class Table:
+class FeatureTable:
     """Columns and targets of all samples, each group without its mean."""
 
     group: NDArray[np.int64]
@@ -47,7 +47,9 @@ class Table:
     width: int
 
 
-def stack_centred(runs: Sequence[Run], columns: Sequence[Array], targets: Sequence[Array]) -> Table:
+def stack_centred(
+    runs: Sequence[Run], columns: Sequence[Array], targets: Sequence[Array]
+) -> FeatureTable:
     """Return columns [n, J] and targets [n, K] of all runs as one table.
 
     A group's mean is taken off, since its offset may be that of a tare. A single run is cut into
@@ -64,10 +66,10 @@ def stack_centred(runs: Sequence[Run], columns: Sequence[Array], targets: Sequen
     else:
         rows -= rows.mean(axis=0)
         group = np.arange(len(rows)) * BLOCKS // len(rows)
-    return Table(group, rows, columns[0].shape[1])
+    return FeatureTable(group, rows, columns[0].shape[1])
 
 
-def collect_moments(table: Table) -> Moments:
+def collect_moments(table: FeatureTable) -> Moments:
     """Return the sums of products of a table."""
     groups = [table.rows[table.group == g] for g in range(int(table.group.max()) + 1)]
     by_group = np.stack([rows.T @ rows for rows in groups])

@@ -17,7 +17,7 @@ WORTH_ITS_FLASH = 0.97
 
 
 @dataclass(frozen=True)
-class Errors:
+class StageRmse:
     """RMSE [K] over some runs, in the outputs' units."""
 
     uncompensated: Array
@@ -34,8 +34,8 @@ class Scores:
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     full_scale: tuple[float, ...]
-    in_sample: Errors
-    held_out: Errors
+    in_sample: StageRmse
+    held_out: StageRmse
     held_out_runs: tuple[str, ...]
     explanation: str
     """What "held out" means here, and whether runs' own offsets are taken off."""
@@ -103,7 +103,7 @@ def measure(
     runs: Sequence[Run],
     tared: bool,
     skip: Mapping[str, int] | None = None,
-) -> Errors:
+) -> StageRmse:
     """Return the errors of a compensator over runs; NaN where there are none.
 
     Args:
@@ -124,7 +124,7 @@ def measure(
         rest = [g - g.mean(axis=0) if tared else g for g in groups]
         return np.asarray(np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0)))
 
-    return Errors(
+    return StageRmse(
         uncompensated=rmse([np.zeros_like(run.drift) for run in runs]),
         physics=rmse(compensator.physics.predict_all(runs)),
         compensated=rmse(compensator.predict_all(runs)),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from zerodrift.train.compensator import Compensator
-from zerodrift.train.scores import Errors, Scores
+from zerodrift.train.scores import Scores, StageRmse
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def _summarise_output(scores: Scores, k: int) -> TrainingOutput:
     )
 
 
-def _list_errors(errors: Errors, k: int, full_scale: float) -> TrainingErrors:
+def _list_errors(errors: StageRmse, k: int, full_scale: float) -> TrainingErrors:
     def read(value: float) -> float | None:
         return float(value) if math.isfinite(value) else None
 

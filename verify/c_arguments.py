@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from zerodrift.verify.c_intervals import Machine
+from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_values import TYPES, Address, FaultError, Pointer, Value
 
 Action = Callable[..., Any]
@@ -25,7 +25,7 @@ def typed(types: str, action: Action, result: str = "") -> Action:
     """
     kinds = [kind.strip() for kind in types.split(",")] if types else []
 
-    def rule(machine: Machine, *arguments: Any) -> Any:
+    def rule(machine: IntervalMachine, *arguments: Any) -> Any:
         if len(arguments) != len(kinds):
             raise FaultError(f"{len(arguments)} arguments where {len(kinds)} are expected")
         given = [check(machine, k, a) for k, a in zip(kinds, arguments, strict=True)]
@@ -35,7 +35,7 @@ def typed(types: str, action: Action, result: str = "") -> Action:
     return rule
 
 
-def check(machine: Machine, kind: str, argument: Any) -> Any:
+def check(machine: IntervalMachine, kind: str, argument: Any) -> Any:
     """Return an argument as the parameter holds it.
 
     Raises:

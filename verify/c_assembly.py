@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from zerodrift.verify.c_gru import PAIRS, run_packed
-from zerodrift.verify.c_intervals import Machine
+from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_values import (
     FaultError,
     NotUnderstoodError,
@@ -36,7 +36,7 @@ Text = tuple[Mapping[str, int], Mapping[str, tuple[str, ...]]]
 """What a build defines, and its functions of assembly."""
 
 
-def run_assembly(machine: Machine, name: str, given: list[Any], texts: list[Text]) -> None:
+def run_assembly(machine: IntervalMachine, name: str, given: list[Any], texts: list[Text]) -> None:
     """Step a layer by a function of assembly, which must be the text that is known for its shape.
 
     Args:

@@ -8,7 +8,7 @@ and keep its sum. Shares no code with the generator and needs the standard libra
 from itertools import product
 
 from zerodrift.verify.c_expressions import Expressions
-from zerodrift.verify.c_nodes import Node, Variable
+from zerodrift.verify.c_nodes import CNode, Variable
 from zerodrift.verify.c_values import FaultError, NotUnderstoodError
 
 FIELD = "check"
@@ -44,12 +44,12 @@ def is_summed(machine: Expressions, prefix: str) -> bool:
         raise NotUnderstoodError(f"{prefix}_sum_up is not given a state")
     if function.result != "uint32_t":
         raise NotUnderstoodError(f"{prefix}_sum_up returns no uint32_t")
-    reader = _Reader(machine, parameters[0].name, [f for f in fields if f.name != FIELD])
+    reader = _ChecksumReader(machine, parameters[0].name, [f for f in fields if f.name != FIELD])
     reader.read(function.body)
     return True
 
 
-class _Reader:
+class _ChecksumReader:
     def __init__(self, machine: Expressions, state: str, fields: list[Variable]) -> None:
         self._machine, self._state = machine, state
         self._types = {f.name: f.type.name for f in fields}
@@ -59,11 +59,11 @@ class _Reader:
         }
         """(field, indices of an element, none for a number) -> in how many words it is."""
 
-    def _error(self, node: Node) -> NotUnderstoodError:
+    def _error(self, node: CNode) -> NotUnderstoodError:
         place = self._machine.program.place(node.at)
         return NotUnderstoodError(f"{place}: no rule for this in a checksum of the state")
 
-    def read(self, body: Node) -> None:
+    def read(self, body: CNode) -> None:
         if len(body.parts) < 2:
             raise self._error(body)
         first, *middle, last = body.parts
@@ -89,7 +89,7 @@ class _Reader:
                 element = field + "".join(f"[{k}]" for k in at)
                 raise FaultError(f"s->{element} is in {words} words of its sum")
 
-    def _take(self, node: Node, index: str = "", rounds: int = 0) -> None:
+    def _take(self, node: CNode, index: str = "", rounds: int = 0) -> None:
         """check = zd_check_...(check, s->x), or s->x[2], or of two halves; of rows (check, s->x, N)
         and (check, s->x[k], N)."""
         if node.kind != "assign" or node.parts[0] != "=" or not _is_name(node.parts[1], "check"):
@@ -120,10 +120,10 @@ class _Reader:
         for at in product(*map(range, sizes)):
             self._seen[field, at] += 1
 
-    def _take_number(self, name: str, node: Node) -> None:
+    def _take_number(self, name: str, node: CNode) -> None:
         self._count(node, NUMBERS[name], name)
 
-    def _take_halves(self, name: str, node: Node) -> None:
+    def _take_halves(self, name: str, node: CNode) -> None:
         """(uint16_t)a, or (uint16_t)a | ((uint32_t)(uint16_t)b << 16)."""
         if node.kind == "binary":
             operator, node, high = node.parts
@@ -135,12 +135,12 @@ class _Reader:
             self._take_half(name, wide.parts[1])
         self._take_half(name, node)
 
-    def _take_half(self, name: str, node: Node) -> None:
+    def _take_half(self, name: str, node: CNode) -> None:
         if not _is_cast(node, "uint16_t"):
             raise self._error(node)
         self._count(node.parts[1], HALVES, f"half of {name}")
 
-    def _count(self, node: Node, types: tuple[str, ...], summed_as: str) -> None:
+    def _count(self, node: CNode, types: tuple[str, ...], summed_as: str) -> None:
         """Note that s->x, s->x[2] or s->x[1][2] is in a word."""
         indices: tuple[int, ...] = ()
         while node.kind == "index":
@@ -154,7 +154,7 @@ class _Reader:
             )
         self._seen[field, indices] += 1
 
-    def _name_of(self, node: Node) -> str:
+    def _name_of(self, node: CNode) -> str:
         known = node.kind == "field" and node.parts[1] == "->"
         if not known or not _is_name(node.parts[0], self._state):
             raise self._error(node)
@@ -163,7 +163,7 @@ class _Reader:
             raise self._error(node)
         return field
 
-    def _read_rows(self, node: Node) -> None:
+    def _read_rows(self, node: CNode) -> None:
         """for (uint32_t k = 0; k < N; k++) { check = zd_check_i16(check, s->x[k], I); }"""
         _, name, first, operator, end, body = node.parts
         if self._machine.constant(first) != 0 or operator != "<" or len(body.parts) != 1:
@@ -171,10 +171,10 @@ class _Reader:
         self._take(body.parts[0], name, self._machine.constant(end))
 
 
-def _is_name(node: Node, name: str) -> bool:
+def _is_name(node: CNode, name: str) -> bool:
     return node.kind == "name" and bool(node.parts[0] == name)
 
 
-def _is_cast(node: Node, type_: str) -> bool:
+def _is_cast(node: CNode, type_: str) -> bool:
     kind = node.parts[0] if node.kind == "cast" else None
     return kind is not None and bool(kind.name == type_) and not kind.pointer

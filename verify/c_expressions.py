@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from zerodrift.verify.c_arithmetic import MIRRORED, Arithmetic
-from zerodrift.verify.c_nodes import Node, Program
+from zerodrift.verify.c_nodes import CNode, Program
 from zerodrift.verify.c_reader import LIMITS
 from zerodrift.verify.c_values import (
     BITS,
@@ -62,7 +62,7 @@ class Expressions(Arithmetic):
             size += width * count
         return size if self.packed else -(-size // widest) * widest
 
-    def constant(self, node: Node) -> int:
+    def constant(self, node: CNode) -> int:
         """Return the number of an expression that has to be one."""
         value = self.evaluate(node)
         if not isinstance(value, Value) or value.exact is None:
@@ -71,7 +71,7 @@ class Expressions(Arithmetic):
 
     # --- evaluation
 
-    def evaluate(self, node: Node) -> Any:
+    def evaluate(self, node: CNode) -> Any:
         """Return a Value, a Pointer or an Address; None for a call that returns nothing."""
         self.stand_at(node.at)
         found = getattr(self, f"_on_{node.kind}")(*node.parts)
@@ -80,7 +80,7 @@ class Expressions(Arithmetic):
         self._at = node.at
         return found
 
-    def number(self, node: Node) -> Value:
+    def number(self, node: CNode) -> Value:
         """Return the value of an expression that has to be a number."""
         value = self.evaluate(node)
         if not isinstance(value, Value):
@@ -100,7 +100,7 @@ class Expressions(Arithmetic):
             return value
         return Value(value.low, value.high, value.type, value.reach, copy_of)
 
-    def locate(self, node: Node) -> Any:
+    def locate(self, node: CNode) -> Any:
         """Return where a variable, field or element lies: a Pointer; or a Struct or Address."""
         self.stand_at(node.at)
         if node.kind == "name":
@@ -148,7 +148,7 @@ class Expressions(Arithmetic):
             kind = self._on_integer(str(number), number, False, 0).type
         return Value(number, number, kind)
 
-    def _on_field(self, of: Node, operator: str, name: str) -> Pointer:
+    def _on_field(self, of: CNode, operator: str, name: str) -> Pointer:
         holder = self.evaluate(of) if operator == "->" else self.locate(of)
         if isinstance(holder, Address) and operator == "->" and not holder.bytes:
             struct, constant = holder.struct, holder.constant
@@ -163,7 +163,7 @@ class Expressions(Arithmetic):
         block = struct.fields[name]
         return Pointer(block, Value(0, 0), block.sizes, constant or block.constant)
 
-    def _on_index(self, of: Node, at: Node) -> Pointer:
+    def _on_index(self, of: CNode, at: CNode) -> Pointer:
         array, index = self.evaluate(of), self.number(at)
         if not isinstance(array, Pointer):
             raise self.not_understood("an index into something that is no array")
@@ -183,7 +183,7 @@ class Expressions(Arithmetic):
         )
         return replace(array, first=first, sizes=tuple(inner), step=step)
 
-    def _on_unary(self, operator: str, of: Node) -> Any:
+    def _on_unary(self, operator: str, of: CNode) -> Any:
         if operator == "&":
             return self._address(of)
         if operator == "*":
@@ -200,7 +200,7 @@ class Expressions(Arithmetic):
             return self.convert(Value(*ends, kind), kind)
         return self._truth(value.high == value.low == 0, not value.low <= 0 <= value.high)
 
-    def _address(self, of: Node) -> Any:
+    def _address(self, of: CNode) -> Any:
         if of.kind == "index":
             array, index = self.evaluate(of.parts[0]), self.number(of.parts[1])
             if not isinstance(array, Pointer) or len(array.sizes) != 1:
@@ -228,7 +228,7 @@ class Expressions(Arithmetic):
         size = self.size_of(of)
         return Value(size, size, "uint64_t" if not self.packed else self.unsigned)
 
-    def _on_cast(self, kind: Any, of: Node) -> Any:
+    def _on_cast(self, kind: Any, of: CNode) -> Any:
         value = self.evaluate(of)
         if kind.pointer:
             if isinstance(value, Address) and kind.name == "uint8_t":
@@ -247,12 +247,12 @@ class Expressions(Arithmetic):
         if self.shift is None and not self.pending:
             self.pending["sum"] = (-value.reach, value.reach, 64)
 
-    def _on_binary(self, operator: str, left: Node, right: Node) -> Value:
+    def _on_binary(self, operator: str, left: CNode, right: CNode) -> Value:
         if operator in ("&&", "||"):
             return self._both(operator, left, right)
         return self.combine(operator, self.number(left), self.number(right))
 
-    def _both(self, operator: str, left: Node, right: Node) -> Value:
+    def _both(self, operator: str, left: CNode, right: CNode) -> Value:
         """&& and ||: the second is looked at only where the first does not decide."""
         value = self.number(left)
         decided = Value(int(operator == "||"), int(operator == "||"), self.int)
@@ -270,7 +270,7 @@ class Expressions(Arithmetic):
     def _as_truth(self, value: Value) -> Value:
         return self._truth(not value.low <= 0 <= value.high, value.exact == 0)
 
-    def _on_choose(self, condition: Node, first: Node, second: Node) -> Value:
+    def _on_choose(self, condition: CNode, first: CNode, second: CNode) -> Value:
         test = self._as_truth(self.number(condition))
         results = []
         for truth, branch in ((True, first), (False, second)):
@@ -287,7 +287,7 @@ class Expressions(Arithmetic):
 
     # --- what a condition says of variables
 
-    def assume(self, node: Node, truth: bool) -> list[tuple[Block, list[Any]]]:
+    def assume(self, node: CNode, truth: bool) -> list[tuple[Block, list[Any]]]:
         """Narrow the variables that a condition compares; return what they were."""
         if node.kind != "binary":
             return []
@@ -301,7 +301,7 @@ class Expressions(Arithmetic):
         operator = operator if truth else OPPOSITE[operator]
         return self._narrow(left, operator, right) + self._narrow(right, MIRRORED[operator], left)
 
-    def _narrow(self, node: Node, operator: str, other: Node) -> list[tuple[Block, list[Any]]]:
+    def _narrow(self, node: CNode, operator: str, other: CNode) -> list[tuple[Block, list[Any]]]:
         if node.kind not in ("name", "field") or holds_call(other):
             return []
         place = self.locate(node)
@@ -331,7 +331,7 @@ class Expressions(Arithmetic):
         """Return which of some ways to go; all are gone, one after the other."""
         raise NotImplementedError
 
-    def _on_call(self, name: str, arguments: tuple[Node, ...]) -> Any:
+    def _on_call(self, name: str, arguments: tuple[CNode, ...]) -> Any:
         raise NotImplementedError
 
 
@@ -339,7 +339,7 @@ def holds_call(node: Any) -> bool:
     """Return whether an expression calls anything."""
     if isinstance(node, tuple):
         return any(map(holds_call, node))
-    return isinstance(node, Node) and (node.kind == "call" or any(map(holds_call, node.parts)))
+    return isinstance(node, CNode) and (node.kind == "call" or any(map(holds_call, node.parts)))
 
 
 Rule = Callable[..., Any]

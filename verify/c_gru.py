@@ -8,14 +8,14 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from zerodrift.verify.c_intervals import Machine
+from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_values import TYPES, FaultError, Pointer, Struct, Value
 
 MOST = 1 << 16
 """Units and inputs that are looked at; a generated model has some hundreds at most."""
 
 
-def shift_right(machine: Machine, x: Value, shift: Value, most: int) -> Value:
+def shift_right(machine: IntervalMachine, x: Value, shift: Value, most: int) -> Value:
     """Return x >> shift, which C must define."""
     if shift.exact is None or not 0 <= shift.exact <= most:
         raise FaultError(f"a shift by {shift.low} .. {shift.high} bits; C defines 0 .. {most}")
@@ -27,7 +27,7 @@ Rows = tuple[list[int], list[int], list[int]]
 """w_x [H][3][I], w_h [H][3][H] and bias [H][4] of a layer."""
 
 
-def run_portable(machine: Machine, after: bool, layer: Struct, *given: Any) -> None:
+def run_portable(machine: IntervalMachine, after: bool, layer: Struct, *given: Any) -> None:
     """Step a layer whose weights lie unit by unit; `after` tells where the reset gate acts."""
     _check_sizes(given[0], given[1], given[-1])
     names = ("w_x", "w_h16", "w_h8", "multiplier", "bias")
@@ -42,7 +42,7 @@ def run_portable(machine: Machine, after: bool, layer: Struct, *given: Any) -> N
         _leave_unknown(scratch, given[1].low)
 
 
-def run_packed(machine: Machine, packing: "Packing", layer: Struct, *given: Any) -> None:
+def run_packed(machine: IntervalMachine, packing: "Packing", layer: Struct, *given: Any) -> None:
     """Step a layer whose weights lie in another order."""
     _check_sizes(given[0], given[1], given[-1])
     unpack, sizes = packing
@@ -138,7 +138,7 @@ def unpack_rows(numbers: list[int], biases: list[int], inputs: int, hidden: int)
     return rows
 
 
-Packing = tuple[Callable[..., Rows], Callable[[Machine, int, int], list[int]]]
+Packing = tuple[Callable[..., Rows], Callable[[IntervalMachine, int, int], list[int]]]
 """How to read the tables of a kernel, and what its scratch arrays have to hold, in order."""
 PAIRS: Packing = unpack_pairs, lambda m, i, h: [m.per_pair * (-(-i // 2) - (-h // 2))]
 ROWS: Packing = unpack_rows, lambda m, i, h: [8 * (-(-i // 8) - (-h // 8))]
@@ -153,7 +153,7 @@ def _trim(row: list[int], count: int) -> list[int]:
 
 
 def _gru(
-    machine: Machine,
+    machine: IntervalMachine,
     after: bool,
     layer: Struct,
     rows: Rows,

@@ -7,7 +7,7 @@ code with the generator and needs the standard library only.
 from dataclasses import dataclass
 
 from zerodrift.verify.c_expressions import Expressions
-from zerodrift.verify.c_nodes import Node
+from zerodrift.verify.c_nodes import CNode
 from zerodrift.verify.c_values import (
     BITS,
     TYPES,
@@ -81,10 +81,10 @@ def read_guard(machine: Expressions, prefix: str) -> Guard:
     Raises:
         NotUnderstoodError: a statement without a rule.
     """
-    return _Reader(machine, prefix).read()
+    return _GuardReader(machine, prefix).read()
 
 
-class _Reader:
+class _GuardReader:
     def __init__(self, machine: Expressions, prefix: str) -> None:
         self._machine = machine
         function = machine.program.functions.get(f"{prefix}_state_is_sound")
@@ -106,7 +106,7 @@ class _Reader:
         self._limits: Limits = {}
         self._early = False
 
-    def _error(self, node: Node) -> NotUnderstoodError:
+    def _error(self, node: CNode) -> NotUnderstoodError:
         place = self._machine.program.place(node.at)
         return NotUnderstoodError(f"{place}: no rule for this in a test of the state")
 
@@ -142,7 +142,7 @@ class _Reader:
             raise NotUnderstoodError("the state check does not look at s->steps")
         return self._limits["steps"][0][1]
 
-    def _read_identity(self, node: Node) -> int:
+    def _read_identity(self, node: CNode) -> int:
         """uint32_t sound = (s->identity == N) ? 1u : 0u;"""
         if node.kind != "declare" or node.parts[0].name != "sound" or node.parts[0].sizes:
             raise self._error(node)
@@ -157,10 +157,10 @@ class _Reader:
             raise self._error(node)
         return self._number(right)
 
-    def _number(self, node: Node) -> int:
+    def _number(self, node: CNode) -> int:
         return self._machine.constant(node)
 
-    def _field(self, node: Node) -> tuple[str, Node | None]:
+    def _field(self, node: CNode) -> tuple[str, CNode | None]:
         """Return the field of s that is read, and at which index."""
         index = None
         if node.kind == "index":
@@ -176,7 +176,7 @@ class _Reader:
             raise self._error(node)
         return name, index
 
-    def _read_early(self, node: Node) -> None:
+    def _read_early(self, node: CNode) -> None:
         """if (s->steps == 0u) { return sound; }"""
         condition, then, other = node.parts
         ok = condition.kind == "binary" and condition.parts[0] == "==" and other is None
@@ -188,7 +188,7 @@ class _Reader:
             raise self._error(node)
         self._early = True
 
-    def _read_limit(self, node: Node, count: int = 0, index: str = "") -> None:
+    def _read_limit(self, node: CNode, count: int = 0, index: str = "") -> None:
         """if (s->x < a || s->x > b) { sound = 0u; }, of one element or of `count` of them."""
         condition, then, other = node.parts
         if other is not None or len(then.parts) != 1:
@@ -200,7 +200,7 @@ class _Reader:
             raise self._error(node)
         self._forbid(condition, count, index)
 
-    def _forbid(self, node: Node, count: int, index: str) -> None:
+    def _forbid(self, node: CNode, count: int, index: str) -> None:
         if node.kind != "binary":
             raise self._error(node)
         operator, left, right = node.parts
@@ -224,7 +224,7 @@ class _Reader:
         for element in self._elements(node, name, at, count, index):
             self._admit(name, element, low, high)
 
-    def _elements(self, node: Node, name: str, at: Node | None, count: int, index: str) -> range:
+    def _elements(self, node: CNode, name: str, at: CNode | None, count: int, index: str) -> range:
         if at is None:
             return range(1)
         size = self._sizes[name][0]
@@ -246,7 +246,7 @@ class _Reader:
         before = limits[element]
         limits[element] = (max(low, before[0]), min(high, before[1]))
 
-    def _read_loop(self, node: Node) -> None:
+    def _read_loop(self, node: CNode) -> None:
         """for (uint32_t k = 0; k < N; k++) { if (...) { sound = 0u; } }"""
         _, name, first, operator, end, body = node.parts
         if self._number(first) != 0 or operator != "<" or len(body.parts) != 1:
@@ -255,7 +255,7 @@ class _Reader:
             raise self._error(node)
         self._read_limit(body.parts[0], self._number(end), name)
 
-    def _read_recurrent(self, node: Node) -> None:
+    def _read_recurrent(self, node: CNode) -> None:
         """sound &= zd_gru_state_is_sound(s->x, N);"""
         operator, target, call = node.parts
         if operator != "&=" or not _is_name(target, "sound") or call.kind != "call":
@@ -289,5 +289,5 @@ class _Reader:
                 self._machine.note(where, 1, self._sizes[name][0], 16)
 
 
-def _is_name(node: Node | None, name: str) -> bool:
+def _is_name(node: CNode | None, name: str) -> bool:
     return node is not None and node.kind == "name" and node.parts[0] == name

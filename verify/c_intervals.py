@@ -12,7 +12,7 @@ from typing import Any
 
 from zerodrift.verify.c_checksum import FIELD as SUM
 from zerodrift.verify.c_guard import Guard
-from zerodrift.verify.c_nodes import Node, Program, TypeName, Variable
+from zerodrift.verify.c_nodes import CNode, Program, TypeName, Variable
 from zerodrift.verify.c_statements import Statements
 from zerodrift.verify.c_values import (
     TYPES,
@@ -29,7 +29,7 @@ MOST_PATHS = 64
 DEEPEST = 20
 
 
-class Machine(Statements):
+class IntervalMachine(Statements):
     """Runs the functions of a model over intervals and notes what they reach."""
 
     def __init__(
@@ -152,7 +152,7 @@ class Machine(Statements):
             raise FaultError(f"something constant is given for {name}, which is not")
         return replace(argument, constant=kind.constant)
 
-    def _on_call(self, name: str, nodes: tuple[Node, ...]) -> Any:
+    def _on_call(self, name: str, nodes: tuple[CNode, ...]) -> Any:
         if name in ("UINT32_C", "INT64_C", "UINT64_C", "INT32_C"):
             return self._literal(name, nodes)
         at = self._at
@@ -184,7 +184,7 @@ class Machine(Statements):
         """Step a layer by assembly that is known."""
         raise NotImplementedError
 
-    def _literal(self, name: str, nodes: tuple[Node, ...]) -> Value:
+    def _literal(self, name: str, nodes: tuple[CNode, ...]) -> Value:
         """INT64_C(-5) and its kind."""
         if len(nodes) != 1:
             raise self.not_understood(name)
@@ -241,7 +241,7 @@ class Machine(Statements):
                 Pointer(block, Value(0, 0), (block.count,)).values(block.count)
         return replace(anything("uint32_t"), sum_of=self._fields_of(state.struct))
 
-    def _on_binary(self, operator: str, left: Node, right: Node) -> Value:
+    def _on_binary(self, operator: str, left: CNode, right: CNode) -> Value:
         if left.kind == "field" and left.parts[2] == SUM and operator in ("==", "!="):
             holder = self.evaluate(left.parts[0])
             found = self.number(right)

@@ -11,7 +11,7 @@ from typing import Any
 
 from zerodrift.verify.c_arguments import Action, check, number, typed
 from zerodrift.verify.c_gru import COLUMNS, PAIRS, ROWS, run_packed, run_portable, shift_right
-from zerodrift.verify.c_intervals import Machine
+from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_values import (
     TYPES,
     Address,
@@ -26,13 +26,13 @@ SAVED_EXTRA = 16
 """Bytes that a saved state has more than the state."""
 
 
-def _clamp(machine: Machine, x: Value, low: Value, high: Value) -> Value:
+def _clamp(machine: IntervalMachine, x: Value, low: Value, high: Value) -> Value:
     is_code = x.copy_of is not None and x.copy_of[0] in machine.inputs
     machine.pending["code" if is_code else "limits"] = (low.low, high.high, 32)
     return _limit(x, low, high)
 
 
-def _clamp_wide(machine: Machine, x: Value, low: Value, high: Value) -> Value:
+def _clamp_wide(machine: IntervalMachine, x: Value, low: Value, high: Value) -> Value:
     machine.note_plain_sum(x)
     return _limit(x, low, high)
 
@@ -43,19 +43,21 @@ def _limit(x: Value, low: Value, high: Value) -> Value:
     return Value(min(max(x.low, low.low), high.low), min(max(x.high, low.low), high.low))
 
 
-def _shift_sum(machine: Machine, x: Value, shift: Value) -> Value:
+def _shift_sum(machine: IntervalMachine, x: Value, shift: Value) -> Value:
     machine.pending["sum"] = (-x.reach, x.reach, 64)
     return shift_right(machine, x, shift, 63)
 
 
-def _round_shift(machine: Machine, x: Value, shift: Value) -> Value:
+def _round_shift(machine: IntervalMachine, x: Value, shift: Value) -> Value:
     half = 1 << number(shift, 0, 62, "the shift") >> 1
     rounded = machine.convert(Value(x.low + half, x.high + half, "int64_t"), "int64_t")
     machine.pending["product"] = (x.low, x.high + half, 64)
     return shift_right(machine, rounded, shift, 62)
 
 
-def _load(machine: Machine, measured: Value, drift: Value, low: Value, high: Value) -> Value:
+def _load(
+    machine: IntervalMachine, measured: Value, drift: Value, low: Value, high: Value
+) -> Value:
     """Any int32 less any int32, limited."""
     del measured, drift
     machine.pending["difference"] = (1 - (1 << 32), (1 << 32) - 1, 64)
@@ -70,7 +72,7 @@ def _state_cell(pointer: Pointer) -> Value:
     return pointer.values(1)[0]
 
 
-def _play(machine: Machine, place: Pointer, x: Value, half_width: Value) -> Value:
+def _play(machine: IntervalMachine, place: Pointer, x: Value, half_width: Value) -> Value:
     """y' lies between y and x, so a range of y that holds all x is never left."""
     y, half = _state_cell(place), number(half_width, 0, TYPES["int32_t"][1], "half of the slack")
     machine.pending["slack"] = (x.low - half, x.high + half, 32)
@@ -80,7 +82,7 @@ def _play(machine: Machine, place: Pointer, x: Value, half_width: Value) -> Valu
     return after
 
 
-def _between(machine: Machine, older: Value, newer: Value, share: Value) -> Value:
+def _between(machine: IntervalMachine, older: Value, newer: Value, share: Value) -> Value:
     part = number(share, 0, (1 << 31) - 1, "a share in 2^-31")
     ends = (older.low - newer.high, newer.high - older.low)
     rise = max(abs(e) for e in ends) * part
@@ -88,7 +90,7 @@ def _between(machine: Machine, older: Value, newer: Value, share: Value) -> Valu
     return older.join(newer)
 
 
-def _polynomial(machine: Machine, terms: list[int]) -> None:
+def _polynomial(machine: IntervalMachine, terms: list[int]) -> None:
     """Horner's rule for any share f of an octave, 0 <= f < 1."""
     low = high = terms[-1]
     top = (1 << 31) - 1
@@ -99,7 +101,7 @@ def _polynomial(machine: Machine, terms: list[int]) -> None:
         machine.pending[f"degree_{degree}"] = (low, high, 32)
 
 
-def _exp2(machine: Machine, t: Value, octave_of_top: Value) -> Value:
+def _exp2(machine: IntervalMachine, t: Value, octave_of_top: Value) -> Value:
     """Rises with t, since no coefficient of the octave is negative and 2^1 continues at 2^0."""
     octave, top = machine.tables["zd_exp2_octave_q29"], number(octave_of_top, -128, 127, "top")
     if min(octave) < 0 or sum(octave) > 1 << 30 or t.high >> 24 > top:
@@ -116,7 +118,7 @@ def _exp2(machine: Machine, t: Value, octave_of_top: Value) -> Value:
     return Value(ends[0], ends[1])
 
 
-def _power(machine: Machine, power: Struct, x: Value) -> Value:
+def _power(machine: IntervalMachine, power: Struct, x: Value) -> Value:
     octave, gains = (machine.table_of(power, name) for name in ("octave", "gains"))
     low, high, terms, shift = (
         power.fields[name].value(0).low for name in ("low", "high", "terms", "shift")
@@ -138,7 +140,7 @@ def _power(machine: Machine, power: Struct, x: Value) -> Value:
     return machine.convert(Value(0, product >> shift, "int64_t"), "int32_t")
 
 
-def _dot(machine: Machine, weights: Pointer, x: Pointer, count: Value) -> Value:
+def _dot(machine: IntervalMachine, weights: Pointer, x: Pointer, count: Value) -> Value:
     n = number(count, 0, TYPES["uint32_t"][1], "the length")
     machine.row_of = weights.block.name.removesuffix("_weights")
     if not weights.block.constant:
@@ -151,13 +153,13 @@ def _dot(machine: Machine, weights: Pointer, x: Pointer, count: Value) -> Value:
     return machine.convert(total, "int32_t")
 
 
-def _lowpass_rest(machine: Machine, x: Value, c: Value) -> Value:
+def _lowpass_rest(machine: IntervalMachine, x: Value, c: Value) -> Value:
     share = (1 << 24) - number(c, 0, 1 << 24, "c in 2^-24")
     return machine.combine("*", replace(x, type="int64_t"), Value(share, share, "int64_t"))
 
 
 def _lowpass(
-    machine: Machine, place: Pointer, x: Value, c_q24: Value, m_q31: Value, by: Value
+    machine: IntervalMachine, place: Pointer, x: Value, c_q24: Value, m_q31: Value, by: Value
 ) -> Value:
     """v tends into (1 - c) x and a margin: a step forgets the share a of how far it is outside and
     adds 2^21 a + 1/2, so that it stays where it is inside and comes nearer where it is not."""
@@ -180,7 +182,7 @@ def _lowpass(
     return machine.convert(out, "int32_t")
 
 
-def _copy_state(machine: Machine, h: Pointer, copy: Pointer, count: Value) -> None:
+def _copy_state(machine: IntervalMachine, h: Pointer, copy: Pointer, count: Value) -> None:
     n = number(count, 0, TYPES["uint32_t"][1], "the length")
     copy.hold(n)
     half, most = 1 << 14, TYPES["int32_t"][1]
@@ -192,7 +194,7 @@ def _copy_state(machine: Machine, h: Pointer, copy: Pointer, count: Value) -> No
     copy.fill([machine.convert(v, "int16_t") for v in cells])
 
 
-def _crc(machine: Machine, crc: Value, values: Pointer, count: Value) -> Value:
+def _crc(machine: IntervalMachine, crc: Value, values: Pointer, count: Value) -> Value:
     """Over each number as a word of 32 bits, where all are known."""
     found = values.values(number(count, 0, TYPES["uint32_t"][1], "the length"))
     if crc.exact is None or any(v.exact is None for v in found):
@@ -202,14 +204,14 @@ def _crc(machine: Machine, crc: Value, values: Pointer, count: Value) -> Value:
     return Value(after, after, "uint32_t")
 
 
-def _crc_word(machine: Machine, crc: Value, word: Value) -> Value:
+def _crc_word(machine: IntervalMachine, crc: Value, word: Value) -> Value:
     if crc.exact is None or word.exact is None:
         return anything("uint32_t")
     after = zlib.crc32(word.low.to_bytes(4, "little"), crc.exact)
     return Value(after, after, "uint32_t")
 
 
-def _bytes_of(machine: Machine, state: Any, written: bool) -> Struct:
+def _bytes_of(machine: IntervalMachine, state: Any, written: bool) -> Struct:
     own = f"{machine.prefix}_state_t"
     if not isinstance(state, Address) or not state.bytes or state.struct.type != own:
         raise FaultError("what is saved or restored is not the bytes of the state")
@@ -218,7 +220,9 @@ def _bytes_of(machine: Machine, state: Any, written: bool) -> Struct:
     return state.struct
 
 
-def _hold_saved(machine: Machine, saved: Any, struct: Struct, size: Any, identity: Any) -> None:
+def _hold_saved(
+    machine: IntervalMachine, saved: Any, struct: Struct, size: Any, identity: Any
+) -> None:
     own = machine.size_of(struct.type)
     wide = check(machine, "uint32_t", size)
     if wide.exact != own:
@@ -228,14 +232,14 @@ def _hold_saved(machine: Machine, saved: Any, struct: Struct, size: Any, identit
         raise FaultError("a state is saved or restored as another model's")
 
 
-def _save(machine: Machine, saved: Any, state: Any, size: Any, identity: Any) -> None:
+def _save(machine: IntervalMachine, saved: Any, state: Any, size: Any, identity: Any) -> None:
     struct = _bytes_of(machine, state, written=False)
     _hold_saved(machine, saved, struct, size, identity)
     target = check(machine, "uint8_t *", saved)
     target.fill([anything("uint8_t")] * (machine.size_of(struct.type) + SAVED_EXTRA))
 
 
-def _restore(machine: Machine, state: Any, saved: Any, size: Any, identity: Any) -> Value:
+def _restore(machine: IntervalMachine, state: Any, saved: Any, size: Any, identity: Any) -> Value:
     """0: the state holds any bits, those of the copy; otherwise it is as it was."""
     struct = _bytes_of(machine, state, written=True)
     _hold_saved(machine, saved, struct, size, identity)
@@ -247,7 +251,7 @@ def _restore(machine: Machine, state: Any, saved: Any, size: Any, identity: Any)
     return Value(0, 0, "uint32_t")
 
 
-def _observe(machine: Machine, values: Any, count: Value) -> None:
+def _observe(machine: IntervalMachine, values: Any, count: Value) -> None:
     """What the test harness reads; nothing on a chip."""
     n = number(count, 0, TYPES["uint32_t"][1], "the length")
     if not isinstance(values, Pointer):
@@ -258,7 +262,7 @@ def _observe(machine: Machine, values: Any, count: Value) -> None:
 def _size(of: Callable[..., int]) -> Action:
     """A macro that is the size of an array, in unsigned numbers."""
 
-    def rule(machine: Machine, *given: Value) -> Value:
+    def rule(machine: IntervalMachine, *given: Value) -> Value:
         n = of(machine, *(number(v, 0, 1 << 16, "a size") for v in given))
         return Value(n, n, machine.common(machine.unsigned, given[0].type))
 

@@ -11,11 +11,11 @@ from typing import Any
 from zerodrift.verify.c_assembly import NAMES, run_assembly
 from zerodrift.verify.c_checksum import is_summed
 from zerodrift.verify.c_guard import read_guard
-from zerodrift.verify.c_intervals import Machine
+from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_kernels import RULES, STRUCTS
-from zerodrift.verify.c_nodes import Node, Variable
+from zerodrift.verify.c_nodes import CNode, Variable
 from zerodrift.verify.c_parser import parse
-from zerodrift.verify.c_reader import WAYS, Tokens, Way, read_ways
+from zerodrift.verify.c_reader import WAYS, PreprocessorWay, Tokens, read_ways
 from zerodrift.verify.c_values import (
     TYPES,
     Address,
@@ -79,12 +79,12 @@ def read_models(texts: Mapping[str, str], prefix: str) -> "list[Model]":
     return models
 
 
-class Model(Machine):
+class Model(IntervalMachine):
     """One way of compiling a model."""
 
     def __init__(
         self,
-        way: Way,
+        way: PreprocessorWay,
         tokens: Tokens,
         prefix: str,
         runtime: Runtime,
@@ -161,11 +161,11 @@ class Model(Machine):
         texts = [(self.defined, self.program.assembly), *self.others]
         run_assembly(self, name, arguments, texts)
 
-    def _expand(self, macro: str) -> Node:
+    def _expand(self, macro: str) -> CNode:
         words = self.program.tokens.macros.get(f"{self.prefix.upper()}_{macro}")
         if words is None or len(words) != 1:
             raise NotUnderstoodError(f"{self.prefix}.h: no {macro}")
-        return Node("integer", 0, (words[0], int(words[0]), False, 0))
+        return CNode("integer", 0, (words[0], int(words[0]), False, 0))
 
     # --- constants
 
@@ -184,7 +184,7 @@ class Model(Machine):
         block.cells = list(self._read_numbers(variable.first, kind, sizes, name))
         self.constants[name] = block
 
-    def _read_numbers(self, node: Node, kind: str, sizes: list[int], name: str) -> list[int]:
+    def _read_numbers(self, node: CNode, kind: str, sizes: list[int], name: str) -> list[int]:
         if not sizes:
             if node.kind == "list":
                 raise self.not_understood(f"{name}: a list where a number is expected")
@@ -204,18 +204,18 @@ class Model(Machine):
         numbers = [n for p in node.parts for n in self._read_numbers(p, kind, sizes[1:], name)]
         return numbers + [0] * (inner * sizes[0] - len(numbers))
 
-    def _read_number(self, node: Node, kind: str, name: str) -> int:
+    def _read_number(self, node: CNode, kind: str, name: str) -> int:
         number = self.constant(node)
         self._require_fit(number, kind, name, node)
         return number
 
-    def _require_fit(self, number: int, kind: str, name: str, node: Node) -> None:
+    def _require_fit(self, number: int, kind: str, name: str, node: CNode) -> None:
         low, high = TYPES[kind]
         if not low <= number <= high:
             self._at = node.at
             raise FaultError(f"{name}: {number} does not fit {kind}")
 
-    def _read_struct(self, name: str, kind: str, items: tuple[Node, ...]) -> Struct:
+    def _read_struct(self, name: str, kind: str, items: tuple[CNode, ...]) -> Struct:
         struct = Struct(name, kind)
         if len(items) != len(STRUCTS[kind]):
             raise FaultError(f"{name}: {len(items)} values for {len(STRUCTS[kind])} fields")

@@ -10,7 +10,7 @@ from zerodrift.verify.c_reader import Tokens
 
 
 @dataclass(frozen=True)
-class Node:
+class CNode:
     """An expression or statement: its kind, where it stands, and its parts."""
 
     kind: str
@@ -34,9 +34,9 @@ class Variable:
 
     type: TypeName
     name: str
-    sizes: tuple[Node, ...]
+    sizes: tuple[CNode, ...]
     at: int
-    first: Node | None = None
+    first: CNode | None = None
     """Its initialiser."""
 
 
@@ -47,7 +47,7 @@ class Function:
     name: str
     result: str
     parameters: tuple[Variable, ...]
-    body: Node
+    body: CNode
 
 
 @dataclass
@@ -58,7 +58,7 @@ class Program:
     structs: dict[str, tuple[Variable, ...]] = field(default_factory=dict)
     constants: list[Variable] = field(default_factory=list)
     functions: dict[str, Function] = field(default_factory=dict)
-    claims: list[Node] = field(default_factory=list)
+    claims: list[CNode] = field(default_factory=list)
     assembly: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """Function -> its lines of assembly."""
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from zerodrift.verify.c_nodes import Function, Node, Program, TypeName, Variable
+from zerodrift.verify.c_nodes import CNode, Function, Program, TypeName, Variable
 from zerodrift.verify.c_reader import FUNCTIONS, Tokens, parse_integer
 from zerodrift.verify.c_values import TYPES, NotUnderstoodError
 
@@ -204,25 +204,25 @@ class Parser:
             self.take_if("const")
         return TypeName("uint32_t" if name == "unsigned" else name, constant, pointer, volatile)
 
-    def _read_sizes(self) -> tuple[Node, ...]:
+    def _read_sizes(self) -> tuple[CNode, ...]:
         sizes = []
         while self.take_if("["):
             sizes.append(self.expression())
             self.take("]")
         return tuple(sizes)
 
-    def _initialiser(self) -> Node:
+    def _initialiser(self) -> CNode:
         start = self.at
         if not self.take_if("{"):
             return self.expression()
         if (numbers := self._plain_numbers()) is not None:
-            return Node("numbers", start, (numbers,))
+            return CNode("numbers", start, (numbers,))
         items = []
         while not self.take_if("}"):
             items.append(self._initialiser())
             if self.look() != "}":
                 self.take(",")
-        return Node("list", start, tuple(items))
+        return CNode("list", start, tuple(items))
 
     def _plain_numbers(self) -> list[int] | None:
         """Read a list of decimal numbers and its brace at once; stay where it is none."""
@@ -248,16 +248,16 @@ class Parser:
 
     # --- statements
 
-    def block(self) -> Node:
+    def block(self) -> CNode:
         """Read statements in braces."""
         start = self.at
         self.take("{")
         statements = []
         while not self.take_if("}"):
             statements.append(self.statement())
-        return Node("block", start, tuple(statements))
+        return CNode("block", start, tuple(statements))
 
-    def statement(self) -> Node:
+    def statement(self) -> CNode:
         """Read one statement."""
         start, word = self.at, self.look()
         if word == "{":
@@ -269,37 +269,39 @@ class Parser:
         if self.take_if("return"):
             value = None if self.look() == ";" else self.expression()
             self.take(";")
-            return Node("return", start, (value,))
+            return CNode("return", start, (value,))
         if word in ("const", "volatile") or (word in self._types and word != "void"):
             kind, name = self._read_type(), self.take_name()
             sizes = self._read_sizes()
             first = self._initialiser() if self.take_if("=") else None
             self.take(";")
-            return Node("declare", start, (Variable(kind, name, sizes, start, first),))
+            return CNode("declare", start, (Variable(kind, name, sizes, start, first),))
         if word == "(" and self.look(1) == "void":
             self.take_all("(", "void", ")")
             value = self.expression()
             self.take(";")
-            return Node("discard", start, (value,))
+            return CNode("discard", start, (value,))
         return self._expression_statement()
 
-    def _expression_statement(self) -> Node:
+    def _expression_statement(self) -> CNode:
         start = self.at
         target = self._unary()
         if self.look() in ASSIGNMENTS:
             operator = self.take()
             value = self.expression()
             self.take(";")
-            return Node("assign", start, (operator, target, value))
+            return CNode("assign", start, (operator, target, value))
         if self.take_if("++"):
             self.take(";")
-            return Node("assign", start, ("+=", target, Node("integer", start, ("1", 1, False, 0))))
+            return CNode(
+                "assign", start, ("+=", target, CNode("integer", start, ("1", 1, False, 0)))
+            )
         self.take(";")
         if target.kind != "call":
             raise self.error("a statement without effect")
-        return Node("call_alone", start, (target,))
+        return CNode("call_alone", start, (target,))
 
-    def _branch(self) -> Node:
+    def _branch(self) -> CNode:
         start = self.at
         self.take("if")
         self.take("(")
@@ -308,9 +310,9 @@ class Parser:
         then, other = self.block(), None
         if self.take_if("else"):
             other = self._branch() if self.look() == "if" else self.block()
-        return Node("if", start, (condition, then, other))
+        return CNode("if", start, (condition, then, other))
 
-    def _loop(self) -> Node:
+    def _loop(self) -> CNode:
         """for (TYPE i = a; i < b; i++) { ... }, and nothing else."""
         start = self.at
         self.take("for")
@@ -325,16 +327,16 @@ class Parser:
         self.take("++")
         self.take(")")
         body = self.block()
-        own = condition.kind == "binary" and condition.parts[1] == Node(
+        own = condition.kind == "binary" and condition.parts[1] == CNode(
             "name", condition.parts[1].at, (name,)
         )
         if not own or condition.parts[0] not in ("<", "<=") or kind.name != "uint32_t":
             raise self.error("a loop that does not count up to a limit")
-        return Node("for", start, (kind.name, name, first, *condition.parts[::2], body))
+        return CNode("for", start, (kind.name, name, first, *condition.parts[::2], body))
 
     # --- expressions
 
-    def expression(self) -> Node:
+    def expression(self) -> CNode:
         """Read an expression without assignments and commas."""
         start = self.at
         condition = self._binary(0)
@@ -342,20 +344,20 @@ class Parser:
             return condition
         first = self.expression()
         self.take(":")
-        return Node("choose", start, (condition, first, self.expression()))
+        return CNode("choose", start, (condition, first, self.expression()))
 
-    def _binary(self, floor: int) -> Node:
+    def _binary(self, floor: int) -> CNode:
         start, left = self.at, self._unary()
         while BINARY.get(self.look(), 0) > floor:
             operator = self.take()
-            left = Node("binary", start, (operator, left, self._binary(BINARY[operator])))
+            left = CNode("binary", start, (operator, left, self._binary(BINARY[operator])))
         return left
 
-    def _unary(self) -> Node:
+    def _unary(self) -> CNode:
         start, word = self.at, self.look()
         if word in ("-", "+", "~", "!", "&", "*"):
             self.take()
-            return Node("unary", start, (word, self._unary()))
+            return CNode("unary", start, (word, self._unary()))
         if word == "sizeof":
             self.take()
             self.take("(")
@@ -364,37 +366,37 @@ class Parser:
             else:
                 of = self._unary()
             self.take(")")
-            return Node("sizeof", start, (of,))
+            return CNode("sizeof", start, (of,))
         if word == "(" and (self.look(1) in self._types or self.look(1) == "const"):
             self.take()
             kind = self._read_type()
             self.take(")")
-            return Node("cast", start, (kind, self._unary()))
+            return CNode("cast", start, (kind, self._unary()))
         return self._postfix()
 
-    def _postfix(self) -> Node:
+    def _postfix(self) -> CNode:
         start = self.at
         if self.take_if("("):
             node = self.expression()
             self.take(")")
         elif self.look()[:1].isdigit() or self.look()[:1] == ".":
             token = self.take()
-            node = Node("integer", start, (token, *parse_integer(token)))
+            node = CNode("integer", start, (token, *parse_integer(token)))
         else:
             name = self.take() if self.look() in FUNCTIONS else self.take_name()
-            node = Node("name", start, (name,))
+            node = CNode("name", start, (name,))
             if self.take_if("("):
                 arguments = []
                 while not self.take_if(")"):
                     arguments.append(self.expression())
                     if self.look() != ")":
                         self.take(",")
-                node = Node("call", start, (name, tuple(arguments)))
+                node = CNode("call", start, (name, tuple(arguments)))
         while self.look() in ("[", "->", "."):
             operator = self.take()
             if operator == "[":
-                node = Node("index", start, (node, self.expression()))
+                node = CNode("index", start, (node, self.expression()))
                 self.take("]")
             else:
-                node = Node("field", start, (node, operator, self.take_name()))
+                node = CNode("field", start, (node, operator, self.take_name()))
         return node

@@ -58,7 +58,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Way:
+class PreprocessorWay:
     """One way through all conditions of the preprocessor."""
 
     defined: Mapping[str, int]
@@ -117,7 +117,7 @@ def split_lines(text: str, name: str) -> list[Line]:
 
 def read_ways(
     texts: Mapping[str, str], prefix: str, known: Mapping[str, int]
-) -> list[tuple[Way, Tokens]]:
+) -> list[tuple[PreprocessorWay, Tokens]]:
     """Return every different text that the preprocessor can make of header and source.
 
     Args:
@@ -140,13 +140,13 @@ def read_ways(
         for token in line.tokens
     }
     free = [name for name in WAYS if name in used]
-    found: dict[tuple[Line, ...], Way] = {}
+    found: dict[tuple[Line, ...], PreprocessorWay] = {}
     for values in itertools.product(*(WAYS[name] for name in free)):
         defined = {n: v for n, v in zip(free, values, strict=True) if v is not None}
         if "ZD_GRU_ASSEMBLY" in defined and defined.get("ZD_KERNEL") not in (None, 1):
             continue  # ZD_KERNEL=... overrides; the assembly is the pairs kernel's alone
         taken = tuple(_follow(lines, defined, known, prefix))
-        found.setdefault(taken, Way(defined, taken))
+        found.setdefault(taken, PreprocessorWay(defined, taken))
     return [(way, _replace_macros(way, prefix, known)) for way in found.values()]
 
 
@@ -263,7 +263,7 @@ def _holds(
     return bool(result)
 
 
-def _replace_macros(way: Way, prefix: str, known: Mapping[str, int]) -> Tokens:
+def _replace_macros(way: PreprocessorWay, prefix: str, known: Mapping[str, int]) -> Tokens:
     """Return what is left to compile: no directive, and no macro of the model."""
     found, included = Tokens(), set[str]()
     for line in way.lines:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from zerodrift.verify.c_expressions import Expressions
-from zerodrift.verify.c_nodes import Node, Program, Variable
+from zerodrift.verify.c_nodes import CNode, Program, Variable
 from zerodrift.verify.c_values import (
     TYPES,
     Address,
@@ -70,7 +70,7 @@ class Statements(Expressions):
             self._inputs.append(struct)  # an id is no other's while the block lives
         return struct
 
-    def _run_block(self, block: Node) -> bool:
+    def _run_block(self, block: CNode) -> bool:
         """Run a block in braces; tell whether it returns. Its own variables end with it."""
         outer, live = self.variables, len(self._live)
         self.variables = dict(outer)
@@ -83,7 +83,7 @@ class Statements(Expressions):
         del self._live[live:]
         return returned
 
-    def _run(self, node: Node) -> bool:
+    def _run(self, node: CNode) -> bool:
         """Run a statement; tell whether it returns."""
         self.stand_at(node.at)
         if node.kind == "block":
@@ -104,7 +104,7 @@ class Statements(Expressions):
             self.evaluate(node.parts[0])
         return False
 
-    def _run_branch(self, condition: Node, then: Node, other: Node | None) -> bool:
+    def _run_branch(self, condition: CNode, then: CNode, other: CNode | None) -> bool:
         test = self._as_truth(self.number(condition))
         if test.exact is not None:
             branch = then if test.exact else other
@@ -148,7 +148,13 @@ class Statements(Expressions):
         return changed
 
     def _run_loop(
-        self, kind: str, name: str, first: Node, operator: str, end: Node, body: Node
+        self,
+        kind: str,
+        name: str,
+        first: CNode,
+        operator: str,
+        end: CNode,
+        body: CNode,
     ) -> None:
         """Run a counting loop step by step; where its ends are not known, for any index at once."""
         start, stop = self.convert(self.number(first), kind), self.number(end)
@@ -176,7 +182,7 @@ class Statements(Expressions):
                 return
         raise self.not_understood("a loop that goes on growing")
 
-    def _run_round(self, kind: str, name: str, index: Value, body: Node) -> bool:
+    def _run_round(self, kind: str, name: str, index: Value, body: CNode) -> bool:
         self.variables[name] = Block(name, kind, (), [index], constant=True)
         returned = self._run_block(body)
         del self.variables[name]
@@ -226,13 +232,13 @@ class Statements(Expressions):
         self.variables[name] = block
         self._live.append(block)
 
-    def _size(self, node: Node) -> int:
+    def _size(self, node: CNode) -> int:
         size = self.constant(node)
         if not 0 < size <= MOST_ROUNDS:
             raise FaultError(f"an array of {size}")
         return size
 
-    def _fill_list(self, block: Block, items: Node) -> None:
+    def _fill_list(self, block: Block, items: CNode) -> None:
         if items.kind == "numbers":
             found = [Value(n, n, "int64_t") for n in items.parts[0]]
         else:
@@ -259,7 +265,7 @@ class Statements(Expressions):
             self.note_shift(f"{name}.shift", self.shift)
         self.pending, self.shift = {}, None
 
-    def _assign(self, operator: str, target: Node, source: Node) -> None:
+    def _assign(self, operator: str, target: CNode, source: CNode) -> None:
         """x = e; x op= e; where x is a variable, a field, an element, or a whole struct."""
         place = self.locate(target)
         if isinstance(place, Address):
@@ -295,7 +301,7 @@ class Statements(Expressions):
         self.pending.clear()
         self._note_pending(where)
 
-    def _counts_up(self, operator: str, place: Pointer, source: Node) -> bool:
+    def _counts_up(self, operator: str, place: Pointer, source: CNode) -> bool:
         """s->x += (copy < limit) ? 1 : 0; where `copy` is what the field holds."""
         if operator != "+=" or source.kind != "choose" or "->" not in place.block.name:
             return False
@@ -324,7 +330,7 @@ class Statements(Expressions):
         stem, _, last = block.name.rpartition("->")[2].rpartition("_")
         return f"{stem}.{last}"
 
-    def _assign_struct(self, operator: str, place: Address, source: Node) -> None:
+    def _assign_struct(self, operator: str, place: Address, source: CNode) -> None:
         found = self.locate(source)
         same = isinstance(found, Struct) and found.type == place.struct.type
         if operator != "=" or not same or place.constant or place.bytes:
@@ -337,7 +343,7 @@ class Statements(Expressions):
 
 def holds_return(node: Any) -> bool:
     """Return whether a statement returns anywhere inside."""
-    return isinstance(node, Node) and (node.kind == "return" or any(map(holds_return, node.parts)))
+    return isinstance(node, CNode) and (node.kind == "return" or any(map(holds_return, node.parts)))
 
 
 def mentions(node: Any, name: str) -> bool:
@@ -346,14 +352,14 @@ def mentions(node: Any, name: str) -> bool:
         return any(mentions(part, name) for part in (node.first, *node.sizes))
     if isinstance(node, tuple):
         return any(mentions(part, name) for part in node)
-    if not isinstance(node, Node):
+    if not isinstance(node, CNode):
         return False
-    return node == Node("name", node.at, (name,)) or mentions(node.parts, name)
+    return node == CNode("name", node.at, (name,)) or mentions(node.parts, name)
 
 
 def assigns(node: Any, name: str) -> bool:
     """Return whether a statement changes a variable."""
-    if not isinstance(node, Node):
+    if not isinstance(node, CNode):
         return False
     if node.kind == "assign" and node.parts[1].kind == "name" and node.parts[1].parts[0] == name:
         return True

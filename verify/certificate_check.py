@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from zerodrift.verify.c_checksum import FIELD as SUM
-from zerodrift.verify.c_intervals import Machine
+from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_model import Model, read_models
 from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError
 from zerodrift.verify.known_runtime import is_known
@@ -28,7 +28,7 @@ MALFORMED = (*NOT_THERE, ValueError, KeyError, TypeError, AttributeError, IndexE
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CertificateOutcome:
     """What the check found: how many claims hold, and every one that does not."""
 
     holds: int
@@ -37,7 +37,7 @@ class Outcome:
     """False: the C holds something without a rule, so that nothing is shown either way."""
 
 
-def check_certificate(folder: Path) -> Outcome:
+def check_certificate(folder: Path) -> CertificateOutcome:
     """Return what becomes of the certificate in a firmware folder, whatever is in its files.
 
     Raises:
@@ -48,12 +48,12 @@ def check_certificate(folder: Path) -> Outcome:
         texts = {name: (folder / name).read_bytes() for name in claims["files"]}
         return compare(claims, {name: text.decode() for name, text in texts.items()})
     except MALFORMED as error:
-        return Outcome(
+        return CertificateOutcome(
             0, (f"{folder}: not a certificate and its C ({type(error).__name__}: {error})",)
         )
 
 
-def compare(claims: dict[str, Any], texts: dict[str, str]) -> Outcome:
+def compare(claims: dict[str, Any], texts: dict[str, str]) -> CertificateOutcome:
     """Hold a certificate's claims against the files they are about.
 
     Args:
@@ -63,10 +63,10 @@ def compare(claims: dict[str, Any], texts: dict[str, str]) -> Outcome:
     outcomes = list(judge_each(claims, texts))
     understood = all(outcome.understood for outcome in outcomes)
     failures = tuple(text for outcome in outcomes for text in outcome.failures)
-    return Outcome(outcomes[-1].holds if understood else 0, failures, understood)
+    return CertificateOutcome(outcomes[-1].holds if understood else 0, failures, understood)
 
 
-def judge_each(claims: dict[str, Any], texts: dict[str, str]) -> Iterator[Outcome]:
+def judge_each(claims: dict[str, Any], texts: dict[str, str]) -> Iterator[CertificateOutcome]:
     """Yield what becomes of the claims on the files, then of all others for each way to compile.
 
     It ends with the first way that is not understood. Arguments as for `compare`.
@@ -87,12 +87,12 @@ def judge_each(claims: dict[str, Any], texts: dict[str, str]) -> Iterator[Outcom
     try:
         models = read_models(texts, prefix)
     except FaultError as error:
-        yield Outcome(0, (*failures, str(error)))
+        yield CertificateOutcome(0, (*failures, str(error)))
         return
     except (NotUnderstoodError, *MALFORMED) as error:
         yield _refuse(failures, str(error))
         return
-    yield Outcome(0, tuple(failures))
+    yield CertificateOutcome(0, tuple(failures))
     for model in models:  # each kernel has the weights in an order of its own
         outcome = judge_way(claims, model)
         yield outcome
@@ -100,7 +100,7 @@ def judge_each(claims: dict[str, Any], texts: dict[str, str]) -> Iterator[Outcom
             return
 
 
-def judge_way(claims: dict[str, Any], model: Model) -> Outcome:
+def judge_way(claims: dict[str, Any], model: Model) -> CertificateOutcome:
     """Run one way of compiling a model, and hold the claims against it."""
     try:
         model.run()
@@ -109,15 +109,15 @@ def judge_way(claims: dict[str, Any], model: Model) -> Outcome:
         return _refuse(failures, f"{model.name}: {error}")
     holds, contradictions = judge(claims, model)
     failures = [f"{model.name}: {text}" for text in (*model.failures, *contradictions)]
-    return Outcome(holds, tuple(failures))
+    return CertificateOutcome(holds, tuple(failures))
 
 
-def _refuse(failures: list[str], what: str) -> Outcome:
+def _refuse(failures: list[str], what: str) -> CertificateOutcome:
     text = f"{what}: there is no rule for this, so nothing is shown"
-    return Outcome(0, (*failures, text), understood=False)
+    return CertificateOutcome(0, (*failures, text), understood=False)
 
 
-def judge(claims: dict[str, Any], machine: Machine) -> tuple[int, list[str]]:
+def judge(claims: dict[str, Any], machine: IntervalMachine) -> tuple[int, list[str]]:
     """Return how many claims hold for what was derived, and what is wrong with the others."""
     holds, failures = 0, []
     claimed = {c["where"]: (c["low"], c["high"], c["bits"]) for c in claims["bounds"]}
@@ -159,7 +159,7 @@ def judge(claims: dict[str, Any], machine: Machine) -> tuple[int, list[str]]:
     return holds, [*failures, *_judge_state(claims, machine)]
 
 
-def _judge_state(claims: dict[str, Any], machine: Machine) -> list[str]:
+def _judge_state(claims: dict[str, Any], machine: IntervalMachine) -> list[str]:
     """Return what is wrong with the claims on the inputs' codes and the state's checksum."""
     failures = []
     fields = machine.program.structs[f"{machine.prefix}_input_t"]

@@ -79,7 +79,7 @@ RATE = "rate"
 
 
 @dataclass(frozen=True)
-class Replay:
+class ChipReplay:
     """Integer and float model over the same runs."""
 
     model: IntegerModel
@@ -136,7 +136,7 @@ class Replay:
         return np.asarray(np.abs(replayed.difference) > BEYOND_ROUNDING * self.budget)
 
 
-def replay_runs(floating: FloatModel, host: HostModel, runs: Sequence[Run]) -> Replay:
+def replay_runs(floating: FloatModel, host: HostModel, runs: Sequence[Run]) -> ChipReplay:
     """Run the integer and the float model over the same rows.
 
     Args:
@@ -169,7 +169,7 @@ def replay_runs(floating: FloatModel, host: HostModel, runs: Sequence[Run]) -> R
             )
         )
     replays = _find_after_effects(floating, model, replays, budget)
-    return Replay(model, tuple(replays), budget)
+    return ChipReplay(model, tuple(replays), budget)
 
 
 def _run_chip(host: HostModel, run: Run) -> Array:

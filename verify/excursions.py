@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.dataset.chip_codes import MEASURED
 from zerodrift.dataset.runs import Run
 from zerodrift.export.integer_model import Channel, IntegerModel
-from zerodrift.verify.chip_error import RATE, Replay
+from zerodrift.verify.chip_error import RATE, ChipReplay
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class Excursion:
         )
 
 
-def list_excursions(replay: Replay, train: Sequence[Run]) -> tuple[Excursion, ...]:
+def list_excursions(replay: ChipReplay, train: Sequence[Run]) -> tuple[Excursion, ...]:
     """Return where the replayed runs leave the ranges of the training runs.
 
     Args:

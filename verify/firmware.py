@@ -31,9 +31,9 @@ from zerodrift.export.integer_onnx import build_integer_onnx
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify
-from zerodrift.verify.certificate_check import Outcome, check_certificate
+from zerodrift.verify.certificate_check import CertificateOutcome, check_certificate
 from zerodrift.verify.chip_check import ChipCheck, check_chip
-from zerodrift.verify.chip_error import Replay
+from zerodrift.verify.chip_error import ChipReplay
 from zerodrift.verify.error_budget import ErrorBudget, measure_budget
 from zerodrift.verify.errors_told import OutputError, tell_errors
 from zerodrift.verify.firmware_check import FirmwareCheck, check_firmware
@@ -72,7 +72,7 @@ class Firmware:
     footprint: Footprint
     chip: ChipCheck | None
     """On the emulated core; None where unicorn is not installed."""
-    certificate: Outcome
+    certificate: CertificateOutcome
     """What the independent check of the certificate says."""
     gate: GateVerdict
     """Whether the firmware is any good on held-out runs."""
@@ -165,7 +165,7 @@ def build_firmware(
 
 
 def find_plain(
-    replay: Replay, dataset: Dataset
+    replay: ChipReplay, dataset: Dataset
 ) -> tuple[tuple[Run, ...], tuple[NDArray[np.bool_], ...] | None]:
     """Return the runs, and rows of them, on which nothing but rounding costs anything."""
     plain = replay.list_plain_rows()
@@ -188,7 +188,7 @@ def _compose(
     return model, compose_integer_model(described, config, dataset)
 
 
-def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> Outcome:
+def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> CertificateOutcome:
     """Return what the independent check says of a certificate and the C it is about.
 
     Raises:

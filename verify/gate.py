@@ -17,7 +17,7 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.held_out import TEST_LOGS
 from zerodrift.diagnosis.run_errors import FindUsable
 from zerodrift.export.float_model import FloatModel
-from zerodrift.verify.chip_error import Replay, replay_runs
+from zerodrift.verify.chip_error import ChipReplay, replay_runs
 from zerodrift.verify.excursions import Excursion, list_excursions
 from zerodrift.verify.left_out import LeftOut
 from zerodrift.verify.summary import ChipError, Statement
@@ -97,7 +97,7 @@ class _Pool:
 
 def judge_firmware(
     model: FloatModel, host: HostModel, dataset: Dataset, left_out: LeftOut | None
-) -> tuple[GateVerdict, Replay]:
+) -> tuple[GateVerdict, ChipReplay]:
     """Return whether the firmware may be written, and the rows that say so.
 
     Args:
@@ -141,7 +141,7 @@ def judge_firmware(
 
 
 def judge(
-    replay: Replay,
+    replay: ChipReplay,
     excursions: Sequence[Excursion],
     answers: Answers,
     names: Sequence[tuple[str, str]],
@@ -203,7 +203,7 @@ def judge(
     )
 
 
-def leave_unjudged(replay: Replay, why: str) -> GateVerdict:
+def leave_unjudged(replay: ChipReplay, why: str) -> GateVerdict:
     """Return the verdict where no run was held out: chip against float, and a warning."""
     statement = Statement(kind="not_judged", text=f"not judged on held-out runs: {why}")
     return GateVerdict(NOT_JUDGED, (), (statement,), replay.split(), (), 0)
@@ -240,7 +240,7 @@ def _collect(
 
 
 def _judge_inside(
-    pool: _Pool, name: str, unit: str, budget: float, split: ChipError, replay: Replay
+    pool: _Pool, name: str, unit: str, budget: float, split: ChipError, replay: ChipReplay
 ) -> tuple[list[Statement], list[Statement]]:
     """Return refusals and warnings for the rows inside the calibrated ranges."""
     refused, warnings = [], []
@@ -313,7 +313,7 @@ def _judge_all(
     ]
 
 
-def _name_cause(split: ChipError, name: str, unit: str, replay: Replay) -> str:
+def _name_cause(split: ChipError, name: str, unit: str, replay: ChipReplay) -> str:
     """Return what the largest part of the difference is, and what to do about it."""
     parts = asdict(split)
     parts.pop("out_of_range")

@@ -138,7 +138,7 @@ class FirmwareSummary:
 
 
 @dataclass(frozen=True)
-class Bound:
+class CertifiedBound:
     """The range of one integer, and what its type leaves above it."""
 
     where: str
@@ -155,7 +155,7 @@ class CertificateSummary:
     model_hash: str
     bounds: int
     """How many are claimed."""
-    tightest: tuple[Bound, ...]
+    tightest: tuple[CertifiedBound, ...]
     """Those that come closest to their limits, the closest first."""
 
 

@@ -11,7 +11,7 @@ from zerodrift.report.figures_runs import Window, choose_clock, draw_run, find_r
 from zerodrift.report.findings import Findings, Trace
 from zerodrift.report.thin import pick_spread
 from zerodrift.workbench import panels
-from zerodrift.workbench.state import Chart, Drawn, Part, View
+from zerodrift.workbench.state import Chart, Drawn, RunPart, View
 from zerodrift.workbench.views import Shown, choose_first
 from zerodrift.workbench.workplace import Workplace
 
@@ -83,7 +83,7 @@ def draw_main(
     )
 
 
-def choose_window(trace: Trace, part: Part | None, wanted: Drawn, drawn: Drawn | None) -> Window:
+def choose_window(trace: Trace, part: RunPart | None, wanted: Drawn, drawn: Drawn | None) -> Window:
     """Return the part of a run to be shown: what was shown of it, and moved as was asked since.
 
     Args:

@@ -22,7 +22,7 @@ from zerodrift.report.results import (
 )
 from zerodrift.report.tables import Table
 from zerodrift.verify.summary import FirmwareSummary, VerifySummary
-from zerodrift.workbench.state import Part
+from zerodrift.workbench.state import RunPart
 
 GRAPH = {
     "displaylogo": False,
@@ -101,7 +101,7 @@ def show_segments(findings: Findings, run: str, output: str) -> list[Component]:
     ]
 
 
-def find_part(findings: Findings, segment: WorstSegment) -> Part:
+def find_part(findings: Findings, segment: WorstSegment) -> RunPart:
     """Return the part of a run to be shown of a worst segment: it, and as much on either side.
 
     Args:
@@ -110,7 +110,7 @@ def find_part(findings: Findings, segment: WorstSegment) -> Part:
     """
     beside = segment.to_s - segment.from_s
     time_s = findings.find_trace(segment.run).time_s
-    return Part(
+    return RunPart(
         output=segment.output,
         run=segment.run,
         from_s=max(segment.from_s - beside, float(time_s[0])),

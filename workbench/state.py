@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
-class Part:
+class RunPart:
     """A part of a run that was asked for: a worst segment with as much on either side."""
 
     output: str
@@ -25,7 +25,7 @@ class View:
     run: str | None
     ghost: str | None = None
     """The effect to draw over what is left."""
-    part: Part | None = None
+    part: RunPart | None = None
     """The worst segment that was asked for last."""
 
 
@@ -64,7 +64,7 @@ class JobState:
 
 
 @dataclass(frozen=True)
-class Standing:
+class PageState:
     """Where things stand."""
 
     version: int

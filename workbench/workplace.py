@@ -43,7 +43,7 @@ from zerodrift.workbench.hold import hold_directory
 from zerodrift.workbench.jobs import Job
 from zerodrift.workbench.marks import Marks, mark_files
 from zerodrift.workbench.messages import Message, explain_guess
-from zerodrift.workbench.state import JobState, Standing
+from zerodrift.workbench.state import JobState, PageState
 from zerodrift.workbench.undo import Snapshot, Undo, take_back, take_snapshot
 
 Array = NDArray[np.float64]
@@ -352,13 +352,13 @@ class Workplace:
             self.message = None
             self._touch()
 
-    def describe(self) -> Standing:
+    def describe(self) -> PageState:
         """Return where things stand, for the page's polling."""
         with self._lock:
             job = self.job if self.busy else None
             if job is None:
-                return Standing(self.version, None)
-            return Standing(self.version, JobState(job.title, job.progress, int(job.seconds)))
+                return PageState(self.version, None)
+            return PageState(self.version, JobState(job.title, job.progress, int(job.seconds)))
 
     def close(self) -> None:
         """End what runs, and let others open the directory."""

@@ -11,7 +11,7 @@ from benchmarks.hidden.cases import Case, make_recipe, read_simulation
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset
-from zerodrift.diagnosis.course import Course, diagnose_until_done, extend_model
+from zerodrift.diagnosis.course import RepeatedDiagnosis, diagnose_until_done, extend_model
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.lab.twin.simulate import simulate
 from zerodrift.physics.catalogue import load_catalogue
@@ -85,7 +85,7 @@ def run_case(case: Case, change: Callable[[Dataset], Dataset] = lambda dataset: 
     dataset = change(read_simulation(simulation))
     effects: Sequence[EffectConfig] = [EffectConfig(choice.name) for choice in recipe.told]
     catalogue = load_catalogue()
-    course: Course | None = None
+    course: RepeatedDiagnosis | None = None
     begin = time.process_time()
     if case.purpose == "pair":
         course = diagnose_until_done(effects, dataset, catalogue)

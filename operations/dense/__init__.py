@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray, matmul_exact, round_shift, saturate
-from zerodrift.operations.c_text import RuntimePart, Table, make_table
+from zerodrift.operations.c_text import CTable, RuntimePart, make_table
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 from zerodrift.operations.tables import NODE_MAX, STEP_BITS, TANH, tanh_q30, write_tanh
@@ -155,7 +155,7 @@ class IntegerDense(IntegerNode):
             return {}, write_tanh(w, scaled)
         return {}, w.shift_left(w.saturate(scaled, self.low, self.high), COPY_BITS)
 
-    def list_tables(self) -> tuple[Table, ...]:
+    def list_tables(self) -> tuple[CTable, ...]:
         """Return the constant tables in C."""
         limits = {"low": self.low, "high": self.high} if self.activation == "clip" else {}
         return (

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray, saturate
-from zerodrift.operations.c_text import Table, make_table
+from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.intervals import Bound, Interval, Shift, bound_row, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 
@@ -66,7 +66,7 @@ class IntegerFeatures(IntegerNode):
         total = w.add(total, w.constant(self.bias))
         return {}, w.saturate(w.floor_shift(total, self.shift), INT16_MIN, INT16_MAX)
 
-    def list_tables(self) -> tuple[Table, ...]:
+    def list_tables(self) -> tuple[CTable, ...]:
         """Return the constant tables in C."""
         return (
             make_table(f"{self.name}_matrix", "i32", self.matrix, rows=self.width),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import IntArray, matmul_exact, round_shift
-from zerodrift.operations.c_text import Table, make_table
+from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.intervals import Bound, Interval, bound_row
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
 
@@ -51,7 +51,7 @@ class IntegerHead(IntegerNode):
         h_q15 = w.round_shift(values[self.inputs[0]], 15)
         return {}, w.op("MatMul", h_q15, w.constant(self.weights.T))
 
-    def list_tables(self) -> tuple[Table, ...]:
+    def list_tables(self) -> tuple[CTable, ...]:
         """Return the constant tables in C."""
         return (make_table(f"{self.name}_weights", "i16", self.weights),)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray, saturate
-from zerodrift.operations.c_text import Table, make_table
+from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.clip import limit
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
@@ -123,7 +123,7 @@ class IntegerPower(IntegerNode):
         power = w.round_shift(product, self.shift)
         return {}, w.op("Where", w.op("Greater", x, w.constant(0)), power, w.constant(0))
 
-    def list_tables(self) -> tuple[Table, ...]:
+    def list_tables(self) -> tuple[CTable, ...]:
         """Return the constant tables in C."""
         return (
             make_table(f"{self.name}_octave", "i32", self.octave),

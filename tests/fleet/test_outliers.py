@@ -24,9 +24,9 @@ from zerodrift.fleet.report import (
     summarise_report,
 )
 from zerodrift.fleet.result import (
-    Outcome,
     OutputResult,
     ParameterResult,
+    SensorOutcome,
     SensorResult,
     load_result,
     save_result,
@@ -109,11 +109,11 @@ def design(tmp_path):
 
 def test_verdicts_hold_results_against_the_limits(design):
     outcomes = [
-        Outcome("S000", make_result(0)),
-        Outcome("S001", make_result(1, rmse=1.6)),
-        Outcome("S002", make_result(2, rmse=5.0)),
-        Outcome("S003", None, "log|1.csv:3: bad\nrow"),
-        Outcome("S004", make_result(4, rmse=math.nan)),
+        SensorOutcome("S000", make_result(0)),
+        SensorOutcome("S001", make_result(1, rmse=1.6)),
+        SensorOutcome("S002", make_result(2, rmse=5.0)),
+        SensorOutcome("S003", None, "log|1.csv:3: bad\nrow"),
+        SensorOutcome("S004", make_result(4, rmse=math.nan)),
     ]
     report = judge_fleet(design, outcomes)
     assert [v.status for v in report.verdicts] == [PASS, FAIL, FAIL, ERROR, FAIL]
@@ -133,7 +133,7 @@ def test_verdicts_hold_results_against_the_limits(design):
 def test_firmwares_error_is_judged_where_there_is_one(design):
     result = make_result(0)
     worse = {"Fz": replace(result.outputs["Fz"], rmse_integer=1.7)}
-    report = judge_fleet(design, [Outcome("S000", replace(result, outputs=worse))])
+    report = judge_fleet(design, [SensorOutcome("S000", replace(result, outputs=worse))])
     assert report.verdicts[0].reasons == ("Fz: RMSE 1.7 N > 1.5 N",)
 
 

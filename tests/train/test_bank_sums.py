@@ -10,7 +10,7 @@ from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.lag_bank.data import DEGREE, BankData, raise_all
 from zerodrift.train.lag_bank.projection import solve_ridge
-from zerodrift.train.lag_bank.search import LeftOut, Rows, choose_bank
+from zerodrift.train.lag_bank.search import LeftOutJudge, Rows, choose_bank
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def test_rows_are_centred_and_weighted_run_by_run(tared: bool) -> None:
 @pytest.mark.parametrize("tared", [False, True])
 def test_sums_of_many_sets_are_those_of_each(tared: bool) -> None:
     rows = make_rows(tared)
-    judge, base = LeftOut(rows), rows.columns([(0, 12.0)])
+    judge, base = LeftOutJudge(rows), rows.columns([(0, 12.0)])
     more = [rows.data.lag((0, tau_s)) for tau_s in (5.0, 40.0, 50.0)]
     together = judge.sum_each(base, more)
     errors = judge.measure(together, np.array(1e-6))
@@ -78,7 +78,7 @@ def test_sums_of_many_sets_are_those_of_each(tared: bool) -> None:
 def test_error_left_out_is_that_of_fits_to_the_others() -> None:
     rows = make_rows(True)
     columns = rows.columns([(0, 12.0)])
-    judge = LeftOut(rows)
+    judge = LeftOutJudge(rows)
     squares = weight = 0.0
     for g in range(rows.data.groups):
         learnt, judged = rows.data.group != g, (rows.data.group == g) & rows.data.covered

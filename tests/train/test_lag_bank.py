@@ -13,7 +13,7 @@ from zerodrift.physics.fit import fit
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.front_end import TEMPERATURE
 from zerodrift.train.lag_bank.fit import FittedBank, choose_sources, fit_lag_bank
-from zerodrift.train.lag_bank.projection import Columns, Problem, _evaluate
+from zerodrift.train.lag_bank.projection import Columns, ProjectionProblem, _evaluate
 
 Array = NDArray[np.float64]
 
@@ -174,7 +174,7 @@ def test_slopes_of_the_projection_are_those_of_the_cost() -> None:
         slopes = ((1.0 - hidden**2)[:, :, None] * x[:, None, :]).reshape(200, 4)
         return Columns(hidden, slopes, np.arange(4), np.arange(4) // 2)
 
-    problem = Problem(build, y, np.full(2, 0.1), np.full(4, 0.01), np.zeros(4))
+    problem = ProjectionProblem(build, y, np.full(2, 0.1), np.full(4, 0.01), np.zeros(4))
     theta = rng.normal(size=4)
     gradient = _evaluate(problem, theta).gradient
     for p in range(4):

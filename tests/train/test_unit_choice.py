@@ -12,7 +12,7 @@ from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.front_end import TEMPERATURE
 from zerodrift.train.lag_bank.data import DEGREE, BankData
 from zerodrift.train.lag_bank.model import LagBank
-from zerodrift.train.lag_bank.search import Bank, LeftOut, Rows
+from zerodrift.train.lag_bank.search import Bank, LeftOutJudge, Rows
 from zerodrift.train.lag_bank.unit_choice import (
     FEW_UNITS,
     SPREAD_LAGS,
@@ -86,7 +86,7 @@ def test_many_units_are_taken_where_the_drift_bends_and_pay() -> None:
 def test_units_that_help_no_run_left_out_are_not_there() -> None:
     runs = [make_run(i, slow=0.0, length=1200) for i in range(4)]
     rows = make_rows(runs)
-    bank = LeftOut(rows).choose_ridge(ONE)
+    bank = LeftOutJudge(rows).choose_ridge(ONE)
     choice = choose_units(rows, runs, bank, 16, seed=0)
     assert choice.ratio is not None
     assert choice.ratio > 0.95

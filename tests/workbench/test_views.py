@@ -15,7 +15,7 @@ from zerodrift.diagnosis.comparison_summary import WorstSegment
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.description import describe_effect
 from zerodrift.physics.summary import EffectSummary, ModelSummary
-from zerodrift.workbench.state import JobState, Standing
+from zerodrift.workbench.state import JobState, PageState
 from zerodrift.workbench.views import list_choices, poll, show_frame
 
 
@@ -63,7 +63,7 @@ def test_project_of_which_nothing_is_known_yet_is_no_empty_page(tmp_path, busy, 
 
 def test_progress_is_told_while_something_runs():
     job = JobState("Adding creep", "fitting", 3)
-    place = SimpleNamespace(poll=lambda: None, describe=lambda: Standing(7, job))
+    place = SimpleNamespace(poll=lambda: None, describe=lambda: PageState(7, job))
     assert poll(place, 7) == (no_update, "Adding creep: fitting (3 s)", False)
-    place.describe = lambda: Standing(8, None)
+    place.describe = lambda: PageState(8, None)
     assert poll(place, 7) == (8, "", True)

@@ -14,7 +14,7 @@ from zerodrift.train.front_end import TEMPERATURE, FrontEnd, read_source
 from zerodrift.train.lag_bank.data import DEGREE, BankData, Lag
 from zerodrift.train.lag_bank.loads import LOAD_SHARE, LoadPart, fit_loads
 from zerodrift.train.lag_bank.model import LagBank
-from zerodrift.train.lag_bank.search import Bank, LeftOut, Rows, choose_bank, pick
+from zerodrift.train.lag_bank.search import Bank, LeftOutJudge, Rows, choose_bank, pick
 from zerodrift.train.lag_bank.unit_choice import Choice, choose_units
 from zerodrift.train.lag_bank.units import fit_linear
 
@@ -63,7 +63,7 @@ class FittedBank:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedBank:
     """Rows of the fit with and without what loads add."""
 
     raw: Rows
@@ -102,7 +102,7 @@ def fit_lag_bank(
     bank = pick(banks)
     if prepared.loads.terms:
         prepared = _take_off(prepared.raw, prepared.kept, physics, runs, bank.lags)
-        bank = LeftOut(prepared.rows).choose_ridge(bank.lags)
+        bank = LeftOutJudge(prepared.rows).choose_ridge(bank.lags)
     report(0.3, f"{len(bank.lags)} lags")
 
     def tell(done: float, text: str) -> None:
@@ -123,7 +123,7 @@ def prepare(
     runs: Sequence[Run],
     sources: Sequence[str],
     logged: Sequence[NDArray[np.bool_]] = (),
-) -> Prepared:
+) -> PreparedBank:
     """Return the rows of the fit, weighted by their noise, without what loads add.
 
     Args:
@@ -162,13 +162,13 @@ def _take_off(
     physics: PhysicalModel,
     runs: Sequence[Run],
     lags: Sequence[Lag],
-) -> Prepared:
+) -> PreparedBank:
     """Return the rows without what loads add, which is solved beside a bank of these lags."""
     loads = fit_loads(physics, runs, raw, lags)
     if not loads.terms:
-        return Prepared(raw, raw, loads, kept)
+        return PreparedBank(raw, raw, loads, kept)
     parts = loads.predict(runs, physics, raw.data.scales[0])
-    return Prepared(raw, replace(raw, data=raw.data.less(parts)), loads, kept)
+    return PreparedBank(raw, replace(raw, data=raw.data.less(parts)), loads, kept)
 
 
 def _list_trial_lags(rows: Rows) -> list[Lag]:
@@ -217,13 +217,13 @@ def _weigh(rows: Rows) -> Array:
 
 
 def _hold(rows: Rows, lags_s: Sequence[float]) -> Bank:
-    return LeftOut(rows).choose_ridge([(0, float(tau_s)) for tau_s in lags_s])
+    return LeftOutJudge(rows).choose_ridge([(0, float(tau_s)) for tau_s in lags_s])
 
 
 def assemble_fit(
     physics: PhysicalModel,
     runs: Sequence[Run],
-    prepared: Prepared,
+    prepared: PreparedBank,
     choice: Choice,
     errors: tuple[float, ...],
     notes: tuple[str, ...],

@@ -34,7 +34,7 @@ class Columns:
 
 
 @dataclass(frozen=True)
-class Problem:
+class ProjectionProblem:
     """y = phi(theta) C + noise, with a ridge on C and a Gaussian prior on theta."""
 
     build: Callable[[Array], Columns]
@@ -49,7 +49,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class _State:
+class _ProjectionState:
     cost: float
     gradient: Array
     curvature: Array
@@ -72,7 +72,7 @@ def solve_ridge(normal: Array, right: Array, ridge: Array) -> Array:
     return np.asarray(scale[..., None] * np.linalg.solve(scaled, scale[..., None] * right))
 
 
-def minimise(problem: Problem, theta: Array, most_steps: int) -> Array:
+def minimise(problem: ProjectionProblem, theta: Array, most_steps: int) -> Array:
     """Return the theta of least cost that is reached from a start [P]."""
     damping = DAMPING
     state = _evaluate(problem, theta)
@@ -95,7 +95,7 @@ def minimise(problem: Problem, theta: Array, most_steps: int) -> Array:
     return theta
 
 
-def _evaluate(problem: Problem, theta: Array) -> _State:
+def _evaluate(problem: ProjectionProblem, theta: Array) -> _ProjectionState:
     columns = problem.build(theta)
     phi, slopes, y = columns.phi, columns.slopes, problem.targets
     outputs = y.shape[1]
@@ -111,7 +111,7 @@ def _evaluate(problem: Problem, theta: Array) -> _State:
     curved *= (c @ c.T)[np.ix_(columns.of_column, columns.of_column)]
     collect = np.zeros((theta.size, columns.of_theta.size))
     collect[columns.of_theta, np.arange(columns.of_theta.size)] = 1.0
-    return _State(
+    return _ProjectionState(
         cost,
         collect @ pull - problem.prior * offset,
         collect @ curved @ collect.T + np.diag(problem.prior),

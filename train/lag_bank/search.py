@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.train.lag_bank.data import DEGREE, BankData, Lag
-from zerodrift.train.lag_bank.projection import Columns, Problem, minimise, solve_ridge
+from zerodrift.train.lag_bank.projection import Columns, ProjectionProblem, minimise, solve_ridge
 
 Array = NDArray[np.float64]
 
@@ -66,9 +66,9 @@ class Rows:
         own = [self.data.lag(lag)[:, :degree] for lag in lags]
         return np.concatenate([self.fixed, *own], axis=1)
 
-    def take(self, some: NDArray[np.bool_]) -> "Part":
+    def take(self, some: NDArray[np.bool_]) -> "RowsPart":
         """Return the part of a fit that some rows [m] are."""
-        return Part(self, some)
+        return RowsPart(self, some)
 
     def prepare(self, columns: Array, some: NDArray[np.bool_]) -> Array:
         """Return some rows of columns [m, J], centred where runs are tared, weighted."""
@@ -76,7 +76,7 @@ class Rows:
         return part.prepare(part.cut(columns))
 
 
-class Part:
+class RowsPart:
     """Some rows of a fit, and what centres and weights them.
 
     Args:
@@ -133,7 +133,7 @@ class Products:
     """[..., G, J + K, J + K] of those that judge."""
 
 
-class LeftOut:
+class LeftOutJudge:
     """Judges linear parts on groups left out, by sums of products."""
 
     def __init__(self, rows: Rows) -> None:
@@ -206,7 +206,7 @@ class LeftOut:
 
 def choose_bank(rows: Rows, most: int = MOST_LAGS) -> list[Bank]:
     """Return the best bank found of each size: no lag, and as many as help, up to `most`."""
-    data, judge = rows.data, LeftOut(rows)
+    data, judge = rows.data, LeftOutJudge(rows)
     grid = np.geomspace(*span_of(data), GRID)
     tries = [(s, float(tau_s)) for s in range(len(data.sources)) for tau_s in grid]
     columns = [data.lag(lag) for lag in tries]
@@ -266,6 +266,6 @@ def refine(rows: Rows, lags: Sequence[Lag], ridge: float) -> tuple[Lag, ...]:
     strength = ridge * np.sum(phi**2, axis=0)
     residual = targets - phi @ solve_ridge(phi.T @ phi, phi.T @ targets, strength)
     hold = np.full(len(lags), NEAR_START * float(np.sum(residual**2)))
-    problem = Problem(build, targets, strength, hold, start)
+    problem = ProjectionProblem(build, targets, strength, hold, start)
     theta = minimise(problem, start, REFINE_STEPS)
     return tuple((s, float(f"{tau_s:.{DIGITS}g}")) for s, tau_s in decode(theta))

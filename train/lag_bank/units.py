@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.train.lag_bank.projection import Columns, Problem, minimise, solve_ridge
+from zerodrift.train.lag_bank.projection import Columns, ProjectionProblem, minimise, solve_ridge
 from zerodrift.train.lag_bank.search import Rows
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ def fit_member(
         return Columns(both[:, :count], both[:, count:], places, places // inputs)
 
     start = np.random.default_rng(seed).normal(size=(count, inputs)) * SPREAD
-    problem = Problem(
+    problem = ProjectionProblem(
         build,
         left / scale,
         np.full(count, HEAD_RIDGE * part.weight),

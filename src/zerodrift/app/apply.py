@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -41,6 +41,7 @@ from zerodrift.export.integer_model import (
 )
 from zerodrift.export.reference import ModelState, Reference
 from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.report.results import AppliedLog, OutputApplied
 from zerodrift.verify.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
@@ -63,33 +64,7 @@ BLOCK = 65_536
 
 
 @dataclass(frozen=True)
-class OutputApplied:
-    """One output over a log, in its unit."""
-
-    unit: str
-    rms_drift: float
-    largest_drift: float
-    uncertainty: float | None
-    """Median expanded uncertainty (k = 2); None where none is known."""
-
-
-@dataclass(frozen=True)
-class AppliedLog:
-    """What a model gave for one log."""
-
-    log: str
-    file: str
-    rows: int
-    steps: int
-    """Steps of the firmware."""
-    outputs: Mapping[str, OutputApplied]
-    flags: Mapping[str, int]
-    """Flag, in words -> steps that carry it."""
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Answers:
+class StepAnswers:
     """What the model gives for each step of a log."""
 
     drift: NDArray[np.float32] | NDArray[np.int32]
@@ -185,7 +160,7 @@ def apply_model(
     return applied
 
 
-def answer(chip: Chip, config: Config, steps: LogSteps, *, with_range: bool = True) -> Answers:
+def answer(chip: Chip, config: Config, steps: LogSteps, *, with_range: bool = True) -> StepAnswers:
     """Return what the chip gives for each step of a log, each run begun at rest.
 
     Args:
@@ -233,7 +208,7 @@ def answer(chip: Chip, config: Config, steps: LogSteps, *, with_range: bool = Tr
         for name, count in held.items()
         if count
     ]
-    return Answers(drift, flags, beyond, tuple(notes))
+    return StepAnswers(drift, flags, beyond, tuple(notes))
 
 
 def _read_channels(config: Config, model: IntegerModel, steps: LogSteps, one: StepStretch) -> Array:
@@ -349,7 +324,7 @@ class _Frames:
         config: Config,
         model: IntegerModel,
         steps: LogSteps,
-        answers: Answers,
+        answers: StepAnswers,
         uncertainty: Uncertainty | None,
     ) -> None:
         self.model, self.steps, self.answers = model, steps, answers

@@ -1,6 +1,5 @@
 """`zerodrift apply`: the finished model over any log, as the chip would."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,32 +8,22 @@ import click
 from zerodrift.app.commands.common import (
     directory_option,
     json_option,
-    print_json,
     print_notes,
+    print_result,
     skip_invalid_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, show_progress
 from zerodrift.base.errors import InputError
-from zerodrift.base.records import from_json, to_dict
+from zerodrift.base.records import from_json
 
 if TYPE_CHECKING:
-    from zerodrift.app.apply import AppliedLog, PredictFloat
+    from zerodrift.app.apply import PredictFloat
     from zerodrift.base.config import Config
     from zerodrift.export.integer_model import IntegerModel
+    from zerodrift.report.results import ApplyResult
     from zerodrift.verify.uncertainty import Uncertainty
 
 KINDS = INTEGER, FLOAT = ("integer", "float")
-
-
-@dataclass(frozen=True)
-class Applied:
-    """What the command prints."""
-
-    model: str
-    """integer | float."""
-    model_hash: str
-    logs: tuple["AppliedLog", ...]
-    notes: tuple[str, ...]
 
 
 @click.command()
@@ -74,8 +63,8 @@ def command(
     """
     from zerodrift.app.apply import apply_model, choose_file
     from zerodrift.base.config import load_config
-    from zerodrift.base.records import to_json
     from zerodrift.export.model_files import load_model
+    from zerodrift.report.results import ApplyResult
 
     config = load_config(directory)
     model = load_model(config.build_directory / "model.json")
@@ -95,9 +84,9 @@ def command(
             skip_invalid=skip_invalid,
             say=say,
         )
-    told = Applied(kind, model.hash, tuple(applied), tuple(notes))
+    told = ApplyResult(kind, model.hash, tuple(applied), tuple(notes))
     if as_json:
-        print_json(to_json(to_dict(told)))
+        print_result(told)
         return
     print_notes((*told.notes, *(note for log in applied for note in log.notes)))
     _print(told)
@@ -183,7 +172,7 @@ def _open_float(config: "Config") -> "PredictFloat":
     return describe_compensator(compensator, config, dataset.train).predict_on_chip
 
 
-def _print(told: Applied) -> None:
+def _print(told: "ApplyResult") -> None:
     console = open_console()
     for log in told.logs:
         table = open_table(

@@ -9,7 +9,7 @@ from typing import Any
 from zerodrift.base.config import Config
 from zerodrift.base.records import from_json
 from zerodrift.base.sealed import read_sealed
-from zerodrift.verify.summary import Bound, CertificateSummary, FirmwareSummary
+from zerodrift.verify.summary import CertificateSummary, CertifiedBound, FirmwareSummary
 
 FIRMWARE, CERTIFICATE = "firmware.json", "certificate.json"
 TIGHTEST = 8
@@ -92,6 +92,6 @@ def summarise_certificate(certificate: Mapping[str, Any]) -> CertificateSummary:
     for bound in certificate["bounds"]:
         low, high, bits = (int(bound[key]) for key in ("low", "high", "bits"))
         headroom = float(bits - 1 - math.log2(max(-low, high + 1, 1)))
-        bounds.append(Bound(str(bound["where"]), low, high, bits, headroom))
+        bounds.append(CertifiedBound(str(bound["where"]), low, high, bits, headroom))
     bounds.sort(key=lambda bound: (bound.headroom_bits, bound.where))
     return CertificateSummary(certificate["model"], len(bounds), tuple(bounds[:TIGHTEST]))

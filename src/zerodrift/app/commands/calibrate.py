@@ -15,7 +15,7 @@ from zerodrift.app.commands.common import (
 )
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import settle_project, write_all
-from zerodrift.calibration.matrix import Calibration
+from zerodrift.calibration.matrix import CalibrationMatrix
 
 SUFFIXES = (".toml", ".json", ".h")
 LOG_SUFFIXES = (".csv", ".parquet", ".pq")
@@ -49,7 +49,7 @@ def _label(path: Path, directory: Path) -> str:
     return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
 
 
-def print_calibration(fitted: Calibration) -> None:
+def print_calibration(fitted: CalibrationMatrix) -> None:
     """Print matrix, residuals and condition number as tables."""
     from zerodrift.app.commands.console import open_console, open_table
     from zerodrift.calibration.files import split_output
@@ -92,7 +92,7 @@ def read_full_scale(directory: Path) -> dict[str, float]:
     return {output.measured: output.full_scale for output in load_config(directory).outputs}
 
 
-def render_as(fitted: Calibration, path: Path, name: str, directory: Path) -> str:
+def render_as(fitted: CalibrationMatrix, path: Path, name: str, directory: Path) -> str:
     """Return the text of a file by its suffix."""
     from zerodrift.calibration.files import render_header, render_json, render_toml
 
@@ -107,7 +107,7 @@ def render_as(fitted: Calibration, path: Path, name: str, directory: Path) -> st
 
 
 def render_applied(
-    fitted: Calibration, paths: Sequence[Path], directory: Path
+    fitted: CalibrationMatrix, paths: Sequence[Path], directory: Path
 ) -> tuple[dict[str, str], list[str]]:
     """Return logs with loads in place of codes, by file name, and notes on codes at a rail."""
     import numpy as np

@@ -19,7 +19,7 @@ from zerodrift.app.commands.common import (
 
 if TYPE_CHECKING:
     from zerodrift.fleet.report import FleetReport
-    from zerodrift.fleet.run import Progress
+    from zerodrift.fleet.run import FleetProgress
 
 SHOWN = 10
 """Sensors of each kind that the terminal shows; the report has all."""
@@ -103,7 +103,7 @@ def command(
         executor = OverRay(ray_address, jobs)
     else:
         executor = Processes(jobs) if jobs > 1 else Serial()
-    state = _State()
+    state = _RunState()
     try:
         with _show_progress(state) as tell:
             outcomes = run_fleet(design, executor, jobs=jobs, batch=batch, fresh=fresh, report=tell)
@@ -141,11 +141,11 @@ def choose_device(device: str, needed: bool) -> str:
     return "cuda" if there else "cpu"
 
 
-class _State:
+class _RunState:
     """How far the run is, for what is said when it ends early."""
 
     def __init__(self) -> None:
-        self.progress: Progress | None = None
+        self.progress: FleetProgress | None = None
 
     def explain_stop(self) -> str:
         """Return what is kept and how to go on."""
@@ -159,7 +159,7 @@ class _State:
 
 
 @contextmanager
-def _show_progress(state: _State) -> "Iterator[Callable[[Progress], None]]":
+def _show_progress(state: _RunState) -> "Iterator[Callable[[FleetProgress], None]]":
     """Show a bar on stderr, or lines for another program."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
@@ -167,13 +167,13 @@ def _show_progress(state: _State) -> "Iterator[Callable[[Progress], None]]":
 
     from zerodrift.base.progress import PROGRESS_LINES, print_progress
 
-    def describe(p: "Progress") -> str:
+    def describe(p: "FleetProgress") -> str:
         parts = [f"{p.kept} kept"] * bool(p.kept) + [f"{p.failed} failed"] * bool(p.failed)
         return ", ".join(parts)
 
     if os.environ.get(PROGRESS_LINES):
 
-        def tell_line(p: "Progress") -> None:
+        def tell_line(p: "FleetProgress") -> None:
             state.progress = p
             print_progress(f"{p.done} of {p.total} sensors {describe(p)}".strip())
 
@@ -187,7 +187,7 @@ def _show_progress(state: _State) -> "Iterator[Callable[[Progress], None]]":
     with Bar(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=None, text="")
 
-        def tell(p: "Progress") -> None:
+        def tell(p: "FleetProgress") -> None:
             state.progress = p
             bar.update(task, completed=p.done, total=p.total, text=describe(p))
 

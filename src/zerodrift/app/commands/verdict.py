@@ -8,7 +8,7 @@ from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.bad_runs import describe_bad_run
 from zerodrift.diagnosis.changes import AddCommand, propose_command
-from zerodrift.diagnosis.course import Course, diagnose_until_done, extend_model
+from zerodrift.diagnosis.course import RepeatedDiagnosis, diagnose_until_done, extend_model
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.explained import Sentence
@@ -32,7 +32,7 @@ class Verdict:
     """The last one; its notes tell of bad runs and of test logs far from the floor."""
     others: tuple[OtherThermometer, ...]
     """Further thermometers that the drift follows, where the catalogue has no name for it."""
-    course: Course | None
+    course: RepeatedDiagnosis | None
     """The steps that led here, where effects were added until nothing was missing."""
 
     @property
