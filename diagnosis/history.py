@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json, to_dict
 from zerodrift.base.sealed import read_sealed, render_sealed
@@ -26,6 +27,7 @@ SAME = 1e-3
 """Relative difference of errors below which a step continues where the last one ended."""
 
 SIGNS = {"add": "+", "change": "~", "remove": "-"}
+RESTORE = "restore"
 
 Errors = Mapping[str, float]
 """Output -> held-out RMSE in its unit."""
@@ -40,11 +42,25 @@ class Stored:
 
 
 @dataclass(frozen=True)
+class EffectSettings:
+    """One `[[effect]]` of zerodrift.toml, to be written again."""
+
+    kind: str
+    held: Mapping[str, float] = field(default_factory=dict)
+    options: Mapping[str, str] = field(default_factory=dict)
+
+
+def list_settings(effects: Sequence[EffectConfig]) -> tuple[EffectSettings, ...]:
+    """Return what zerodrift.toml says of the effects."""
+    return tuple(EffectSettings(e.kind, dict(e.held), dict(e.options)) for e in effects)
+
+
+@dataclass(frozen=True)
 class Entry:
     """One change of the model."""
 
     action: str
-    """add | change | remove."""
+    """add | change | remove | restore."""
     effect: str
     """With its thermometer where it is not the chip's: `thermal_lag[body_temperature]`."""
     effects_before: tuple[str, ...]
@@ -63,6 +79,9 @@ class Entry:
     reason: str
     parameters: Mapping[str, FittedParameter] = field(default_factory=dict)
     """Of the effect that was added, as in `add --json`."""
+    settings_before: tuple[EffectSettings, ...] = ()
+    settings: tuple[EffectSettings, ...] = ()
+    """What zerodrift.toml says of each effect after the change; older entries have neither."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +97,8 @@ class Step:
     reason: str
     held_out: str = LEAVE_ONE_RUN_OUT
     """How the errors were measured: test logs | leave one run out | blocks of one run."""
+    settings: tuple[EffectSettings, ...] = ()
+    """What zerodrift.toml said of each effect; empty where it was not kept."""
 
     def ratio(self) -> float | None:
         """Return the error over the floor, root mean square over the outputs; None without one."""
@@ -103,8 +124,13 @@ class Step:
         )
 
 
-def record(revision: Revision) -> Entry:
-    """Return the entry of a change."""
+def record(revision: Revision, before: Sequence[EffectConfig]) -> Entry:
+    """Return the entry of a change.
+
+    Args:
+        revision: the change, computed.
+        before: the effects of zerodrift.toml before it.
+    """
     told = summarise_revision(revision)
     return Entry(
         action=revision.change.action,
@@ -121,6 +147,36 @@ def record(revision: Revision) -> Entry:
         helps=told.helps,
         reason=told.reason,
         parameters=told.parameters,
+        settings_before=list_settings(before),
+        settings=list_settings(revision.change.effects),
+    )
+
+
+def record_restored(steps: Sequence[Step], number: int, effects: Sequence[EffectConfig]) -> Entry:
+    """Return the entry of a return to an earlier step; errors are those measured then.
+
+    Args:
+        steps: the staircase so far.
+        number: the step that is restored.
+        effects: those of zerodrift.toml before it.
+    """
+    last, step = steps[-1], steps[number]
+    return Entry(
+        action=RESTORE,
+        effect=f"as step {number}",
+        effects_before=last.effects,
+        effects=step.effects,
+        before=Stored(last.errors),
+        after=Stored(step.errors),
+        noise_floor=step.noise_floor,
+        noise_floor_source="",
+        units=step.units,
+        held_out=step.held_out,
+        tared=False,
+        helps=True,
+        reason=f"the effects of step {number} were restored; its errors are those measured then",
+        settings_before=list_settings(effects),
+        settings=step.settings,
     )
 
 
@@ -200,19 +256,22 @@ def list_steps(entries: Sequence[Entry]) -> tuple[Step, ...]:
                     entry.effects_before,
                     reason,
                     entry.held_out,
+                    entry.settings_before,
                 )
             )
         tared = entry.tared
         sign = SIGNS.get(entry.action, "?")
+        label = entry.effect if entry.action == RESTORE else f"{sign} {entry.effect}"
         steps.append(
             Step(
-                f"{sign} {entry.effect}",
+                label,
                 entry.after.rmse_heldout,
                 entry.noise_floor,
                 entry.units,
                 entry.effects,
                 entry.reason,
                 entry.held_out,
+                entry.settings,
             )
         )
     return tuple(steps)

@@ -276,6 +276,49 @@ class CalibrateResult(CalibrationSummary):
     files: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class ModelChange:
+    """Something that two models state differently."""
+
+    what: str
+    """sample period | channel NAME | output NAME | calibrated range of NAME | effect NAME | ..."""
+    old: str
+    """"" where the old model has nothing of the kind."""
+    new: str
+    """"" where the new model has nothing of the kind."""
+
+
+@dataclass(frozen=True)
+class OutputDifference:
+    """By how much two models' drifts differ on one output, in its unit."""
+
+    unit: str
+    largest: float
+    rms: float
+    largest_pct_fs: float
+    """The largest, in % of the new model's full scale."""
+
+
+@dataclass(frozen=True)
+class DiffResult:
+    """What changed between two models, and what that does."""
+
+    SCHEMA: ClassVar = "diff/1"
+
+    old: str
+    new: str
+    same: bool
+    """Whether both are the same model, bit for bit."""
+    changes: tuple[ModelChange, ...]
+    over: str
+    """What the difference was taken over: logs, or the calibrated range."""
+    outputs: Mapping[str, OutputDifference]
+    limit_pct_fs: float | None
+    exceeds: bool
+    """Whether a difference is larger than the limit."""
+    notes: tuple[str, ...]
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReportResult:
     """All that is known about a sensor and its model."""
@@ -305,7 +348,7 @@ class ReportResult:
 
 RESULTS: tuple[type, ...] = (
     *(AddResult, ApplyResult, CalibrateResult, CertificateResult, CompareResult, DiagnoseResult),
-    *(DoctorResult,),
+    *(DiffResult, DoctorResult),
     *(EffectResult, EffectsResult, ExportResult, FirmwareSummary, FleetSummary, HistoryResult),
     *(InitResult, PackageResult, RemoveResult, ReportResult, TrainResult, VerifySummary),
 )

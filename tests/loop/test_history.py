@@ -3,9 +3,19 @@
 import json
 
 import pytest
+from click.testing import CliRunner
 
+from zerodrift.app.cli import cli
 from zerodrift.app.commands.history import draw_bar
-from zerodrift.diagnosis.history import Entry, Stored, list_steps, load_history, render_history
+from zerodrift.base.config import load_config
+from zerodrift.diagnosis.history import (
+    EffectSettings,
+    Entry,
+    Stored,
+    list_steps,
+    load_history,
+    render_history,
+)
 
 
 def make_entry(action, effect, before, after, effects_before, effects, **more):
@@ -108,3 +118,59 @@ def test_page_stands_alone_and_is_the_same_every_time(project, zerodrift, tmp_pa
     assert pages[0] == pages[1]
     assert 'src="http' not in pages[0]
     assert "thermal_lag" in pages[0]
+
+
+def settings(*kinds):
+    return tuple(EffectSettings(kind, {"tau_s": 60.0} if kind == "b" else {}) for kind in kinds)
+
+
+@pytest.fixture
+def staircase(tmp_path):
+    """A project whose effects went a -> a, b -> a, b, c, with the history of it."""
+    (tmp_path / "zerodrift.toml").write_text(
+        '[sensor]\nname = "s"\ntime = "t"\ntemperature = "T"\nsample_period_s = 1.0  # as logged\n'
+        "\n"
+        '[outputs.y]\nmeasured = "y"\nunit = "N"\nfull_scale = 1.0\n\n'
+        '[logs]\ntrain = ["a.csv"]\n\n[[effect]]\nkind = "a"\n\n'
+        '[[effect]]\nkind = "b"\ntau_s = 60.0\n\n[[effect]]\nkind = "c"\n'
+    )
+    entries = [
+        make_entry(
+            "add", "b", 8.0, 4.0, ["a"], ["a", "b"],
+            settings_before=settings("a"), settings=settings("a", "b"),
+        ),
+        make_entry(
+            "add", "c", 4.0, 2.0, ["a", "b"], ["a", "b", "c"],
+            settings_before=settings("a", "b"), settings=settings("a", "b", "c"),
+        ),
+    ]  # fmt: skip
+    (tmp_path / "build").mkdir()
+    (tmp_path / "build/history.json").write_bytes(render_history(entries))
+    return tmp_path
+
+
+def restore(project, number):
+    return CliRunner().invoke(cli, ["history", "-C", str(project), "--restore", str(number)])
+
+
+def test_a_step_is_restored_with_its_values_and_can_be_left_again(staircase):
+    whole = load_config(staircase).effects
+    assert restore(staircase, 1).exit_code == 0
+    (a, b) = load_config(staircase).effects
+    assert (a.kind, b.kind, b.held) == ("a", "b", {"tau_s": 60.0})
+    assert "# as logged" in (staircase / "zerodrift.toml").read_text()
+    steps = list_steps(load_history(staircase / "build/history.json"))
+    assert [step.label for step in steps] == ["start", "+ b", "+ c", "as step 1"]
+    assert steps[-1].errors == {"Fz": 4.0}
+    assert restore(staircase, 2).exit_code == 0
+    again = load_config(staircase).effects
+    assert [(e.kind, e.held) for e in again] == [(e.kind, e.held) for e in whole]
+
+
+def test_a_step_that_is_not_there_or_kept_nothing_is_refused(staircase):
+    text = (staircase / "zerodrift.toml").read_text()
+    assert "steps 0 to 2" in str(restore(staircase, 7).exception)
+    old = make_entry("add", "b", 8.0, 4.0, ["a"], ["a", "b"])
+    (staircase / "build/history.json").write_bytes(render_history([old]))
+    assert "kept no settings" in str(restore(staircase, 1).exception)
+    assert (staircase / "zerodrift.toml").read_text() == text

@@ -182,12 +182,12 @@ def answer(chip: Chip, config: Config, steps: LogSteps, *, with_range: bool = Tr
         if one.part == 0 or before is None:
             elapsed = _count_elapsed(config, model, one)
         elif one.bridge:
-            _, codes = _encode(model, lay_bridge(before, values, one.bridge))
+            _, codes = encode_values(model, lay_bridge(before, values, one.bridge))
             for start in range(0, one.bridge, BLOCK):
                 chip.run(codes[start : start + BLOCK], None)
         for start in range(0, one.stretch.steps, BLOCK):
             part = values[start : start + BLOCK]
-            counts, codes = _encode(model, part)
+            counts, codes = encode_values(model, part)
             for channel, (out, lacking) in zip(model.channels, counts, strict=True):
                 clipped[channel.name] += out
                 held[channel.name] += lacking if channel.no_reading is None else 0
@@ -226,7 +226,7 @@ def _read_channels(config: Config, model: IntegerModel, steps: LogSteps, one: St
     return values
 
 
-def _encode(model: IntegerModel, values: Array) -> tuple[list[tuple[int, int]], CodeArray]:
+def encode_values(model: IntegerModel, values: Array) -> tuple[list[tuple[int, int]], CodeArray]:
     """Return per channel the values beyond its codes and those that lack, and codes [n, C]."""
     counts, columns = [], []
     for channel, column in zip(model.channels, values.T, strict=True):

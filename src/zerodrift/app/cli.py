@@ -30,6 +30,7 @@ COMMANDS: dict[str, str] = {
     "firmware": "Everything up to C sources, built and checked bit for bit on the host.",
     "verify": "Replay the golden vectors on every back end there is.",
     "apply": "The finished model over any log: drift, compensated value, uncertainty, flags.",
+    "diff": "What changed between two models, and by how much their drifts differ.",
     "package": "Write the model as a CMake, Zephyr, Arduino or PlatformIO package.",
     "report": "One self-contained file: verdict, errors, effects, firmware, provenance.",
     "workbench": "The same loop in a browser, on 127.0.0.1.",

@@ -8,6 +8,9 @@ import click
 
 from zerodrift.app.commands.common import directory_option, json_option, print_result
 from zerodrift.app.commands.console import open_console, open_table
+from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError
+from zerodrift.base.journal import hold_project
 from zerodrift.diagnosis.history import Step
 
 BAR_WIDTH = 48
@@ -30,8 +33,15 @@ def draw_bar(ratio: float, largest: float, width: int = BAR_WIDTH) -> str:
     default=None,
     help="Write the picture, output by output, as a self-contained page.",
 )
+@click.option(
+    "--restore",
+    type=click.IntRange(0),
+    default=None,
+    metavar="N",
+    help="Write the effects of step N into zerodrift.toml again; all else there stays.",
+)
 @json_option
-def command(directory: Path, html: Path | None, as_json: bool) -> None:
+def command(directory: Path, html: Path | None, restore: int | None, as_json: bool) -> None:
     """Show every effect that was added or removed, with the held-out errors it brought.
 
     The table gives the errors in their units; the bars give them as multiples of the noise floor,
@@ -42,6 +52,9 @@ def command(directory: Path, html: Path | None, as_json: bool) -> None:
     from zerodrift.diagnosis.history import list_steps
 
     config = load_config(directory)
+    if restore is not None:
+        with hold_project(directory):
+            restore_step(config, restore)
     path, entries = open_history(config)
     steps = list_steps(entries)
     if html is not None:
@@ -62,6 +75,59 @@ def command(directory: Path, html: Path | None, as_json: bool) -> None:
     print_steps(steps)
     if html is not None:
         click.echo(f"Wrote {html}")
+
+
+def restore_step(config: Config, number: int) -> None:
+    """Write the effects of a step into zerodrift.toml and append that to the history.
+
+    Raises:
+        InputError: there is no such step, it kept no settings, or the file is not to be edited.
+    """
+    from zerodrift.app.commands.revise import open_history, read_text
+    from zerodrift.base.config import parse_config
+    from zerodrift.base.journal import write_all
+    from zerodrift.base.toml_edit import add_effect, remove_effect
+    from zerodrift.diagnosis.history import (
+        list_settings,
+        list_steps,
+        record_restored,
+        render_history,
+    )
+
+    path, entries = open_history(config)
+    steps = list_steps(entries)
+    if number >= len(steps):
+        known = f"steps 0 to {len(steps) - 1}" if steps else "none yet"
+        raise InputError(
+            f"--restore {number}: there is no such step in {path} ({known}); expected one that "
+            "`zerodrift history` lists."
+        )
+    step = steps[number]
+    if step.effects and not step.settings:
+        raise InputError(
+            f"--restore {number}: step '{step.label}' was made by hand or by an older version, "
+            f"which kept no settings; expected a step that has them. Its effects were "
+            f"{', '.join(step.effects)}: write them into {config.path} by hand."
+        )
+    text = read_text(config.path)
+    for _ in config.effects:
+        text = remove_effect(text, 0, path=config.path)
+    for effect in step.settings:
+        text = add_effect(text, effect.kind, effect.held, effect.options, path=config.path)
+    if list_settings(parse_config(text, config.path).effects) != step.settings:
+        raise InputError(
+            f"{config.path}: its layout is not understood well enough to edit it; expected "
+            "[[effect]] tables with one key to a line. Edit the effects by hand."
+        )
+    entry = record_restored(steps, number, config.effects)
+    write_all(
+        config.directory, {path: render_history([*entries, entry]), config.path: text.encode()}
+    )
+    click.echo(
+        f"restored the effects of step {number} ({step.label}); `zerodrift firmware` trains with"
+        " them",
+        err=True,
+    )
 
 
 def print_steps(steps: Sequence[Step]) -> None:

@@ -66,7 +66,7 @@ def write_revision(config: Config, before: str, text: str, revision: Revision) -
             " read. Nothing was written; run the command again."
         )
     path, entries = open_history(config)
-    history = render_history([*entries, record(revision)])
+    history = render_history([*entries, record(revision, config.effects)])
     write_all(config.directory, {path: history, config.path: text.encode()})
 
 

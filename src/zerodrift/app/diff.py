@@ -1,0 +1,348 @@
+"""What changed from one model to another, and what that does to the drift."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.app.apply import Chip, answer, encode_values
+from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError
+from zerodrift.dataset.chip_codes import MEASURED
+from zerodrift.dataset.log_steps import LogSteps, name_columns, read_log_steps
+from zerodrift.export.integer_model import Channel, IntegerModel
+from zerodrift.export.model_files import load_model
+from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.summary import describe_parameters
+from zerodrift.report.results import DiffResult, ModelChange, OutputDifference
+from zerodrift.train.compensator import DESCRIPTION, Compensator
+from zerodrift.verify.manifest import FILE_NAME as MANIFEST
+from zerodrift.verify.manifest import load_manifest
+
+Array = NDArray[np.float64]
+
+MOST_STEPS = 200_000
+"""Of the sweep, per model."""
+SPEED = 0.5
+"""Of the sweep, as a share of the slower model's calibrated rate."""
+HOLDS = (0.0, 1.0, 0.0, -1.0, 0.0)
+"""Places in the calibrated range at which the sweep rests: middle, top, middle, bottom, middle."""
+
+
+@dataclass(frozen=True)
+class OpenedModel:
+    """A model, and what lies beside it."""
+
+    label: str
+    model: IntegerModel
+    compensator: Compensator | None
+    """What it was made from; None where that is not there, or of another model."""
+    directory: Path | None
+    """Of its project."""
+
+
+def open_model(path: Path, plugins: Sequence[Path] = ()) -> OpenedModel:
+    """Return the model of a project, of a firmware folder, or of a model.json.
+
+    Args:
+        path: any of the three.
+        plugins: files of users' effects.
+
+    Raises:
+        InputError: there is no such model, or the folder's firmware is of another one.
+    """
+    file, build = _find_model(path)
+    model = load_model(file)
+    folder = path if path.is_dir() and (path / MANIFEST).is_file() else None
+    if folder is not None and (stated := load_manifest(folder / MANIFEST).model_hash) != model.hash:
+        raise InputError(
+            f"{folder}: its firmware is of the model {stated[:12]}, {file} is {model.hash[:12]}; "
+            "expected the same. Name the model.json that the firmware was built from."
+        )
+    compensator = None
+    if (build / DESCRIPTION).is_file():
+        try:
+            compensator = Compensator.load(build, load_catalogue(tuple(plugins)))
+        except InputError:
+            compensator = None
+    project = build.parent if (build.parent / "zerodrift.toml").is_file() else None
+    return OpenedModel(str(path), model, compensator, project)
+
+
+def _find_model(path: Path) -> tuple[Path, Path]:
+    """Return the model.json that a path stands for, and the build directory it lies in."""
+    if path.is_file():
+        return path, path.parent
+    for file in (
+        path / "build" / "model.json",
+        path / "model.json",
+        path.parent / "build/model.json",
+    ):
+        if file.is_file():
+            return file, file.parent
+    raise InputError(
+        f"{path}: no model.json here or in build/; expected a project whose firmware was built, "
+        "its firmware folder, or a model.json. Run `zerodrift firmware`."
+    )
+
+
+def list_changes(old: OpenedModel, new: OpenedModel) -> tuple[ModelChange, ...]:
+    """Return what the two state differently, the weightier first."""
+    before, after = _state(old), _state(new)
+    names = list(dict.fromkeys([*before, *after]))
+    return tuple(
+        ModelChange(name, before.get(name, ""), after.get(name, ""))
+        for name in names
+        if before.get(name, "") != after.get(name, "")
+    )
+
+
+def _state(opened: OpenedModel) -> dict[str, str]:
+    """Return what a model states, name by name, in words."""
+    model = opened.model
+    told = {"sample period": f"{model.sample_period_s:g} s"}
+    if opened.compensator is not None:
+        told |= _state_effects(opened.compensator)
+    guards = model.guards
+    thermometer = model.channels[guards.temperature_channel]
+    limits = ((guards.temperature_channel, guards.temperature_low, guards.temperature_high),)
+    for index, low, high in (*limits, *guards.ranges):
+        channel = model.channels[index]
+        told[f"calibrated range of {channel.name}"] = _show_range(channel, low, high)
+    rate = guards.rate_max * thermometer.lsb / model.sample_period_s
+    told["calibrated rate"] = f"{rate:.4g} {thermometer.unit}/s"
+    told["warm-up"] = f"{guards.warm_up_steps * model.sample_period_s:g} s"
+    for channel in model.channels:
+        none = "none" if channel.no_reading is None else str(channel.no_reading)
+        told[f"channel {channel.name}"] = (
+            f"int{channel.bits}, {channel.lsb:g} {channel.unit} per code, no reading: {none}"
+        )
+    for k, output in enumerate(model.outputs):
+        told[f"output {output.name}"] = (
+            f"{output.lsb_per_unit} codes per {output.unit}, full scale {output.full_scale:g}"
+        )
+        ends = [int(x[k]) / output.lsb_per_unit for x in (model.drift.low, model.drift.high)]
+        told[f"limits of the correction of {output.name}"] = (
+            f"{ends[0]:.4g} to {ends[1]:.4g} {output.unit}"
+        )
+    kinds = [node.kind for node in model.nodes]
+    told["operations"] = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+    return told
+
+
+def _state_effects(compensator: Compensator) -> dict[str, str]:
+    """Return effects with their parameters, and what learns the rest."""
+    told = {}
+    for fitted in compensator.physics.terms:
+        parameters = describe_parameters(fitted).items()
+        values = ", ".join(f"{name} = {p.value:.4g} {p.unit}".strip() for name, p in parameters)
+        told[f"effect {fitted.term.name}"] = values or "present"
+    learnt = "lag bank" if compensator.bank is not None else "none"
+    told["learnt beside"] = "network" if compensator.network is not None else learnt
+    return told
+
+
+def _show_range(channel: Channel, low: int, high: int) -> str:
+    ends = (code * channel.lsb + channel.offset for code in (low, high))
+    return " to ".join(f"{end:.4g}" for end in ends) + f" {channel.unit}"
+
+
+def measure_over_logs(
+    old: IntegerModel,
+    new: IntegerModel,
+    config: Config,
+    logs: Sequence[Path],
+    *,
+    skip_invalid: bool,
+) -> tuple[dict[str, OutputDifference], tuple[str, ...]]:
+    """Return how far the drifts of two models lie apart on the rows of logs, output by output.
+
+    Raises:
+        InputError: a log cannot be read or lacks a channel.
+    """
+    apart: list[Array] = []
+    notes: list[str] = []
+    chips = (Chip(old), Chip(new))
+    for log in logs:
+        drifts = []
+        for chip in chips:
+            model = chip.model
+            sources = [c.source or c.name for c in model.channels]
+            sources += [f"{MEASURED}{output.name}" for output in model.outputs]
+            steps = _read(config, model, log, name_columns(config, sources), skip_invalid)
+            told = answer(chip, config, steps, with_range=False)
+            notes += [*steps.notes, *told.notes]
+            at = steps.step_of_row
+            drifts.append((told.drift[np.maximum(at, 0)] / _scale(model), at >= 0))
+        (before, known), (after, known_too) = drifts
+        rows = min(len(before), len(after))
+        both = known[:rows] & known_too[:rows]
+        pairs = _pair_outputs(old, new)
+        columns = [after[:rows, j] - before[:rows, i] for i, j in pairs]
+        apart.append(np.stack(columns, axis=1)[both])
+    return _summarise(old, new, np.concatenate(apart)), tuple(dict.fromkeys(notes))
+
+
+def _read(
+    config: Config, model: IntegerModel, log: Path, columns: Mapping[str, str], skip_invalid: bool
+) -> LogSteps:
+    own = replace(config, sample_period_s=model.sample_period_s)
+    return read_log_steps(own, log, columns, skip_invalid)
+
+
+def measure_over_range(old: IntegerModel, new: IntegerModel) -> dict[str, OutputDifference]:
+    """Return how far two models lie apart on a sweep of the calibrated range, unloaded.
+
+    The temperature goes from the middle to the top, back, to the bottom and back, at half of the
+    calibrated rate, and rests at each place; then each further input does so in turn.
+    """
+    times, profiles = _plan_sweep(old, new)
+    answers = []
+    for model in (old, new):
+        step = model.sample_period_s
+        count = min(int(times[-1] / step) + 1, MOST_STEPS)
+        grid = step * np.arange(count)
+        values = np.stack(
+            [np.interp(grid, times, profiles[_key(channel)]) for channel in model.channels], axis=1
+        )
+        _, codes = encode_values(model, values)
+        drift, _ = Chip(model).run(codes, 0)
+        answers.append((grid, drift / _scale(model)))
+    (grid, before), (own, after) = answers
+    at = np.minimum(np.searchsorted(own, grid + 1e-9, side="right") - 1, len(own) - 1)
+    columns = [after[at, j] - before[:, i] for i, j in _pair_outputs(old, new)]
+    return _summarise(old, new, np.stack(columns, axis=1))
+
+
+def _plan_sweep(old: IntegerModel, new: IntegerModel) -> tuple[Array, dict[str, Array]]:
+    """Return the sweep's corner times in seconds, and each channel's values [corners]."""
+    ranges: dict[str, list[tuple[float, float]]] = {}
+    for model in (old, new):
+        guards = model.guards
+        limits = {guards.temperature_channel: (guards.temperature_low, guards.temperature_high)}
+        limits |= {index: (low, high) for index, low, high in guards.ranges}
+        for index, channel in enumerate(model.channels):
+            codes = limits.get(index, (0, 0))
+            first, last = (code * channel.lsb + channel.offset for code in codes)
+            ranges.setdefault(_key(channel), []).append((first, last))
+    common = {
+        key: (max(low for low, _ in ends), min(high for _, high in ends))
+        for key, ends in ranges.items()
+    }
+    rate = min(
+        m.guards.rate_max * m.channels[m.guards.temperature_channel].lsb / m.sample_period_s
+        for m in (old, new)
+    )
+    thermometer = _key(new.channels[new.guards.temperature_channel])
+    low, high = common[thermometer]
+    if high <= low:
+        raise InputError(
+            f"the calibrated ranges do not meet ({ranges[thermometer]}); expected a common one. "
+            "Name logs to compare over."
+        )
+    ramp_s = (high - low) / 2.0 / max(SPEED * rate, 1e-12)
+    longest_s = MOST_STEPS * max(old.sample_period_s, new.sample_period_s)
+    moved = [thermometer, *(k for k in common if k != thermometer and not k.startswith(MEASURED))]
+    ramp_s = min(ramp_s, longest_s / (2 * len(HOLDS) * len(moved)))
+    count = len(HOLDS) * len(moved)
+    times = np.cumsum(
+        np.tile([0.0, ramp_s], count) + np.repeat(np.arange(count) > 0, 2) * ramp_s / 2
+    )
+    profiles = {}
+    for key, (first, last) in common.items():
+        middle, half = (first + last) / 2.0, max(last - first, 0.0) / 2.0
+        places = np.zeros(count)
+        if key in moved:
+            at = moved.index(key) * len(HOLDS)
+            places[at : at + len(HOLDS)] = HOLDS
+        profiles[key] = np.repeat(middle + half * places, 2)
+    return times, profiles
+
+
+def _key(channel: Channel) -> str:
+    return channel.source or channel.name
+
+
+def _pair_outputs(old: IntegerModel, new: IntegerModel) -> list[tuple[int, int]]:
+    """Return the places in the old and in the new model of the outputs that both have."""
+    places = {output.name: i for i, output in enumerate(old.outputs)}
+    pairs = [(places[o.name], j) for j, o in enumerate(new.outputs) if o.name in places]
+    if not pairs:
+        names = ", ".join(places), ", ".join(o.name for o in new.outputs)
+        raise InputError(
+            f"the models have no output in common ({names[0]}; {names[1]}); expected two models of "
+            "one design."
+        )
+    return pairs
+
+
+def _scale(model: IntegerModel) -> Array:
+    return np.array([output.lsb_per_unit for output in model.outputs], dtype=np.float64)
+
+
+def _summarise(old: IntegerModel, new: IntegerModel, apart: Array) -> dict[str, OutputDifference]:
+    differences = {}
+    for column, (_, j) in enumerate(_pair_outputs(old, new)):
+        output = new.outputs[j]
+        largest = float(np.abs(apart[:, column]).max(initial=0.0))
+        rms = float(np.sqrt(np.mean(apart[:, column] ** 2))) if len(apart) else 0.0
+        share = 100.0 * largest / output.full_scale
+        differences[output.name] = OutputDifference(output.unit, largest, rms, share)
+    return differences
+
+
+def diff_models(
+    old: OpenedModel,
+    new: OpenedModel,
+    *,
+    config: Config | None,
+    logs: Sequence[Path] = (),
+    limit_pct_fs: float | None = None,
+    skip_invalid: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+) -> DiffResult:
+    """Return what changed from the old to the new model, and by how much the drift does.
+
+    Args:
+        old: the one model.
+        new: the other.
+        config: says how the logs are read; needed where there are some.
+        logs: to compare over; none: the calibrated range.
+        limit_pct_fs: the largest difference allowed, in % of full scale.
+        skip_invalid: drop rows whose time is no number or does not rise.
+        say: is told what is being done.
+
+    Raises:
+        InputError: a log cannot be read, or the models have nothing in common.
+    """
+    notes: tuple[str, ...] = ()
+    if logs:
+        if config is None:
+            raise InputError(
+                "logs are read as zerodrift.toml says, and neither model lies in a project; "
+                "expected one. Name it by -C."
+            )
+        say("comparing over logs")
+        outputs, notes = measure_over_logs(
+            old.model, new.model, config, logs, skip_invalid=skip_invalid
+        )
+        over = ", ".join(str(log) for log in logs)
+    else:
+        say("comparing over the calibrated range")
+        outputs, over = measure_over_range(old.model, new.model), "the calibrated range, unloaded"
+    exceeds = limit_pct_fs is not None and any(
+        o.largest_pct_fs > limit_pct_fs for o in outputs.values()
+    )
+    return DiffResult(
+        old=old.label,
+        new=new.label,
+        same=old.model.hash == new.model.hash,
+        changes=list_changes(old, new),
+        over=over,
+        outputs=outputs,
+        limit_pct_fs=limit_pct_fs,
+        exceeds=exceeds,
+        notes=notes,
+    )
