@@ -1,5 +1,6 @@
 """The effects that a model may lack: which can be tested with these logs, and how well they fit."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -34,6 +35,10 @@ AT_AN_END, OF_WHAT_IS_LEFT = 0.02, 0.01
 effect's gain and of the squared error that is left, ..."""
 AT_AN_END_UNITS = 10.0
 """... or less than this in noise units."""
+SAME = 1.1
+"""Time constants whose ratio is below this are the same one twice."""
+NO_SHARE = 0.01
+"""A share of a response below this is none."""
 LEAST_EXCITATION = 0.05
 """Share of an effect that the model cannot imitate, below which it cannot be tested."""
 
@@ -86,6 +91,11 @@ class Candidate:
         return {**chosen, **values}
 
     @property
+    def term(self) -> Term:
+        """The effect as fitted."""
+        return self.found.terms[self.proposal.place]
+
+    @property
     def is_plausible(self) -> bool:
         """Whether every fitted value is distinct, near its typical range and off its bounds."""
         term = self.found.terms[self.proposal.place]
@@ -94,18 +104,42 @@ class Candidate:
         )
 
 
+def are_sound(term: Term, shortest_s: float, longest_s: float) -> bool:
+    """Return whether an effect's fitted values are off their bounds and such as logs can show.
+
+    A pair of equal time constants, and a second one without any share, are one in disguise.
+
+    Args:
+        term: the effect as fitted.
+        shortest_s: the logs' sample period.
+        longest_s: length of the longest run.
+    """
+    values = [(p, term.values[p.name]) for p in term.free if not p.is_setting]
+    times_s = [v for p, v in values if p.unit == "s" and p.scale == "log"]
+    inside = all(_is_off_bounds(p, v) for p, v in values)
+    shown = all(shortest_s <= t <= longest_s for t in times_s)
+    apart = all(late > SAME * early for early, late in itertools.pairwise(sorted(times_s)))
+    shared = all(abs(v) >= NO_SHARE for p, v in values if p.name.endswith("_share"))
+    return inside and shown and apart and shared
+
+
 def _is_near_typical(parameter: Parameter, value: float) -> bool:
     """Return whether a value is within three times the typical range, and not at a bound."""
     low, high = parameter.typical
     if parameter.scale == "log":
         near = low / NEAR <= value <= high * NEAR
-        inside = parameter.lower * 1.01 < value < parameter.upper / 1.01
     else:
         spread = (NEAR - 1.0) * (high - low)
-        margin = 0.01 * (parameter.upper - parameter.lower)
         near = low - spread <= value <= high + spread
-        inside = parameter.lower + margin < value < parameter.upper - margin
-    return near and inside
+    return near and _is_off_bounds(parameter, value)
+
+
+def _is_off_bounds(parameter: Parameter, value: float) -> bool:
+    """Return whether a value lies inside of its range."""
+    if parameter.scale == "log":
+        return parameter.lower * 1.01 < value < parameter.upper / 1.01
+    margin = 0.01 * (parameter.upper - parameter.lower)
+    return parameter.lower + margin < value < parameter.upper - margin
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,12 @@ class Case:
     plan: SignalPlan
     terms: tuple[Term, ...]
     campaign: Campaign
+    effects: tuple[EffectConfig, ...]
+    """The model's `[[effect]]` tables."""
     advance: Advance = lambda kind: None
     """Called with each effect's name when it has been tried."""
     notes: tuple[str, ...] = ()
-    """What was left out of the data."""
+    """What was left out of the data, and what `add` would refuse."""
 
 
 def open_case(
@@ -54,4 +56,4 @@ def open_case(
     terms = tuple(start_term(catalogue, config) for config in effects)
     check_terms(terms, effects, plan)
     campaign = lay_out_runs(dataset.train, plan, catalogue, terms)
-    return Case(dataset, catalogue, plan, terms, campaign, advance, notes)
+    return Case(dataset, catalogue, plan, terms, campaign, tuple(effects), advance, notes)

@@ -180,3 +180,31 @@ def propose_removal(config: Config, kind: str, signal: str = CHIP) -> Change:
     place = places[0]
     left = (*config.effects[:place], *config.effects[place + 1 :])
     return Change(REMOVE, config.effects[place], left, place)
+
+
+def extend_model(
+    effects: Sequence[EffectConfig],
+    catalogue: Catalogue,
+    kind: str,
+    parameters: Mapping[str, float],
+) -> tuple[EffectConfig, ...]:
+    """Return the tables with an effect added, or its richer form put in place.
+
+    Args:
+        effects: the `[[effect]]` tables.
+        catalogue: the known effects.
+        kind: the effect's name.
+        parameters: its values as found; choices among them are held, fitted values are not.
+    """
+    choices = {
+        p.name: parameters[p.name]
+        for p in catalogue[kind].parameters
+        if p.choices and p.name in parameters
+    }
+    changed = [
+        replace(config, held={**config.held, **choices}) if config.kind == kind else config
+        for config in effects
+    ]
+    if any(config.kind == kind for config in effects):
+        return tuple(changed)
+    return (*changed, EffectConfig(kind, choices))

@@ -1,11 +1,12 @@
 """Diagnosis repeated: add what is missing until nothing is, or until it has no name."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.case import Advance, open_case
+from zerodrift.diagnosis.changes import extend_model
 from zerodrift.diagnosis.diagnose import diagnose, list_idle
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
@@ -46,26 +47,6 @@ def diagnose_until_done(
         steps.append(diagnose(effects, dataset, catalogue, advance))
         if steps[-1].effect is None:
             break
-        effects = extend_model(effects, catalogue, steps[-1])
+        effects = extend_model(effects, catalogue, steps[-1].effect, steps[-1].parameters)
     drop = list_idle(open_case(dataset, catalogue, effects, advance))
     return RepeatedDiagnosis(tuple(steps), tuple(effects), drop)
-
-
-def extend_model(
-    effects: Sequence[EffectConfig], catalogue: Catalogue, diagnosis: Diagnosis
-) -> tuple[EffectConfig, ...]:
-    """Return the tables with the missing effect added, or its richer form put in place."""
-    assert diagnosis.effect is not None
-    effect = catalogue[diagnosis.effect]
-    choices = {
-        p.name: diagnosis.parameters[p.name]
-        for p in effect.parameters
-        if p.choices and p.name in diagnosis.parameters
-    }
-    changed = [
-        replace(config, held={**config.held, **choices}) if config.kind == effect.kind else config
-        for config in effects
-    ]
-    if any(config.kind == effect.kind for config in effects):
-        return tuple(changed)
-    return (*changed, EffectConfig(effect.kind, choices))

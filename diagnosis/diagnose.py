@@ -6,6 +6,7 @@ from dataclasses import replace
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset, count_outliers
 from zerodrift.diagnosis.case import Advance, Case, open_case
+from zerodrift.diagnosis.changes import extend_model
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.diagnosis_report import report
 from zerodrift.diagnosis.examination import (
@@ -16,12 +17,13 @@ from zerodrift.diagnosis.examination import (
     share_explained,
 )
 from zerodrift.diagnosis.rail_gain import count_rails, look_at_rails, place_rails
+from zerodrift.diagnosis.revision import try_extension
 from zerodrift.diagnosis.rules import (
     EXPLAINED,
     LEFT_WITHOUT_DWELL,
     Finding,
-    has_arrived,
     helps,
+    is_at_floor,
     lead,
     wanders,
 )
@@ -104,24 +106,43 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
     findings, last = find_missing(case, first)
     terms = findings[-1].judged.found.terms if findings else case.terms
     rails = look_at_rails(case, first)
-    if rails is not None and helps(rails):
+    if rails is not None and helps(rails, first):
         first = count_rails(first, rails)
         findings = place_rails(first, rails, findings)
     if not findings:
-        complete = has_arrived(case, first, first.fitted_ratio) and not wanders(case, first)
+        complete = is_at_floor(first, first.fitted_ratio) and not wanders(case, first)
         verdict = "complete" if complete else "unknown"
         return report(case, verdict, first, None, ()), terms
     left = findings[-1].judged.fitted_ratio if last is None else last.fitted_ratio
     if len(findings) > 1:
         findings = confirm(case, findings)
     share = share_explained(first.fitted_ratio**2, left**2)
-    explained = has_arrived(case, first, left) or share >= EXPLAINED
+    explained = is_at_floor(first, left) or share >= EXPLAINED
     if not case.dataset.dwell:
         # A floor that is a lower bound cannot refuse; a large held-out gain must do.
         explained = explained or findings[0].judged.rmse_ratio ** 2 <= LEFT_WITHOUT_DWELL
     if not explained:
         return report(case, "unknown", first, findings[0], ()), terms
+    refusal = foresee_refusal(case, findings[0])
+    if refusal:
+        # What `add` refuses is not offered: here, or at any later look at these logs.
+        case = replace(case, notes=(*case.notes, refusal))
+        verdict = "complete" if is_at_floor(first, first.fitted_ratio) else "unknown"
+        return report(case, verdict, first, findings[0], ()), terms
     return report(case, "missing", first, findings[0], tuple(findings[1:])), terms
+
+
+def foresee_refusal(case: Case, finding: Finding) -> str:
+    """Return why `add` would refuse a finding on these logs, in a sentence; empty if it keeps it.
+
+    Both speak of runs left out, but `add` by plain errors and the diagnosis by octaves of them.
+    """
+    kind = finding.judged.kind
+    if case.catalogue[kind].sets_aside:
+        return ""
+    extended = extend_model(case.effects, case.catalogue, kind, finding.judged.parameters)
+    kept, reason = try_extension(case.effects, extended, case.dataset, case.catalogue)
+    return "" if kept else f"{kind} would gain a little, but not enough for `add`: {reason}"
 
 
 def look(case: Case, terms: Sequence[Term], kinds: frozenset[str] | None = None) -> Examination:
@@ -148,7 +169,7 @@ def find_missing(case: Case, first: Examination) -> tuple[list[Finding], Examina
         if leading is None:
             return findings, examination if findings else None
         findings.append(Finding(examination, leading))
-        if has_arrived(case, examination, leading.fitted_ratio):
+        if is_at_floor(examination, leading.fitted_ratio):
             return findings, None
         examination = look(case, leading.found.terms)
     return findings, examination

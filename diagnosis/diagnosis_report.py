@@ -12,7 +12,7 @@ from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis, OutputErro
 from zerodrift.diagnosis.examination import Examination, Judged, predict
 from zerodrift.diagnosis.experiments import choose_experiment
 from zerodrift.diagnosis.remainder import RemainderPattern, describe_remainder, single_out_runs
-from zerodrift.diagnosis.rules import Finding, list_lookalikes, wanders
+from zerodrift.diagnosis.rules import ENOUGH_RUNS, Finding, list_lookalikes, wanders
 from zerodrift.physics.campaign import FEWEST_RUNS
 from zerodrift.physics.fit import flat_weights
 from zerodrift.physics.search import search
@@ -21,8 +21,6 @@ from zerodrift.physics.terms import tidy_terms
 
 Array = NDArray[np.float64]
 
-ENOUGH_RUNS = 6
-"""Fewer runs than this are thin evidence, and said to be."""
 WANTED_RUNS = 8
 
 

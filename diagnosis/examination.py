@@ -10,6 +10,7 @@ from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.candidates import (
     Candidate,
     Untested,
+    are_sound,
     judge_again,
     propose,
     try_candidates,
@@ -48,6 +49,8 @@ class Judged:
     found: Found
     """The whole model with the effect, fitted to all runs."""
     excitation: float
+    sound: bool
+    """Whether its values lie off their bounds and within what the logs can show."""
     plausible: bool
     """Whether every fitted value lies near its typical range and off its bounds."""
     gains: Array
@@ -96,6 +99,7 @@ class Examination:
     """[K] mean squares that its fit leaves."""
     judged: tuple[Judged, ...]
     untested: tuple[Untested, ...]
+    runs: int
 
     @property
     def floor_ratio(self) -> float:
@@ -162,6 +166,7 @@ def examine(
         base_in.mean_squares(campaign.means),
         tuple(judged),
         tuple(untested),
+        len(campaign.groups),
     )
 
 
@@ -283,6 +288,7 @@ def _judge(
     unjudged = campaign.means & (not campaign.uses_means)
     before = base_out.mean_squares(unjudged)
     base_left = float(np.mean(base_in.mean_squares(campaign.means) / floor**2))
+    shortest_s, longest_s = measure_span(campaign)
     judged = []
     for candidate, p_value in zip(chosen, p_values.tolist(), strict=True):
         ratios = judged_by[id(candidate)].mean_squares(unjudged) / before
@@ -295,6 +301,7 @@ def _judge(
                 candidate.parameters,
                 candidate.found,
                 candidate.excitation,
+                are_sound(candidate.term, shortest_s, longest_s),
                 candidate.is_plausible,
                 gains[id(candidate)],
                 p_value,
@@ -317,6 +324,15 @@ def share_explained(before: float, after: float) -> float:
 def _per_unit(scores: Array, units: NDArray[np.int64]) -> Array:
     """Return scores summed over the pieces of each unit of evidence."""
     return np.asarray(np.bincount(units, weights=scores))
+
+
+def measure_span(campaign: Campaign) -> tuple[float, float]:
+    """Return the sample period and the length of the longest run, seconds."""
+    lengths = dict.fromkeys(campaign.groups, 0)
+    for run in campaign.runs:
+        lengths[run.group] += len(run)
+    period_s = campaign.runs[0].sample_period_s
+    return period_s, max(lengths.values()) * period_s
 
 
 def _group_by_kind(candidates: Sequence[Candidate]) -> list[list[Candidate]]:

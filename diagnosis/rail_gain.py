@@ -47,6 +47,7 @@ def look_at_rails(case: Case, first: Examination) -> Judged | None:
         parameters={},
         found=replace(first.base, terms=(*first.base.terms, term)),
         excitation=1.0,
+        sound=True,
         plausible=True,
         gains=scores[0] - scores[1],
         # Seen, not inferred: noise does not repeat an extreme to the last digit.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.config import Config
+from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.changes import REMOVE, Change, name_effect
 from zerodrift.diagnosis.floor import NoiseFloor, measure_floor
@@ -14,7 +14,7 @@ from zerodrift.diagnosis.held_out import BLOCKS, BLOCKS_OF_ONE_RUN, HeldOut, hol
 from zerodrift.diagnosis.run_errors import RunError, collect_errors, pool_rmse, pool_steady_rmse
 from zerodrift.diagnosis.summary import HeldOutErrors, RevisionSummary, sort_errors
 from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.fit import fit_config
+from zerodrift.physics.fit import fit, fit_config
 from zerodrift.physics.model import FittedTerm, PhysicalModel
 from zerodrift.physics.summary import describe_coefficients, describe_parameters
 
@@ -144,6 +144,36 @@ def revise_best(
     judged = judge_removal if change.action == REMOVE else judge
     helps, reason = judged(before, after, dataset.units)
     return Revision(change, before, after, floor, helps, reason, tared)
+
+
+def try_extension(
+    effects: Sequence[EffectConfig],
+    extended: Sequence[EffectConfig],
+    dataset: Dataset,
+    catalogue: Catalogue,
+) -> tuple[bool, str]:
+    """Return whether `add` would keep an extension of the model, and why.
+
+    Args:
+        effects: the `[[effect]]` tables as they are.
+        extended: the tables with one effect more, or in a richer form.
+        dataset: the runs.
+        catalogue: the known effects.
+    """
+    models = [
+        fit(
+            wanted,
+            dataset.train,
+            outputs=dataset.outputs,
+            units=dataset.units,
+            full_scale=dataset.full_scale,
+            catalogue=catalogue,
+        )
+        for wanted in (effects, extended)
+    ]
+    tared = any(model.tared for model in models)
+    before, after = (_hold_out(model, dataset, tared) for model in models)
+    return judge(before, after, dataset.units)
 
 
 def _hold_out(model: PhysicalModel, dataset: Dataset, tared: bool) -> Fitted:

@@ -7,6 +7,7 @@ import numpy as np
 from zerodrift.diagnosis.case import Case
 from zerodrift.diagnosis.evidence import compare_runs
 from zerodrift.diagnosis.examination import Examination, Judged
+from zerodrift.diagnosis.floor import DWELL
 
 SIGNIFICANT = 0.05
 """Largest p-value of an effect that is named, over all candidates together."""
@@ -22,6 +23,13 @@ EXPLAINED = 0.95
 """Share of the excess over the floor that an effect of nearly the right form explains."""
 LEFT_WITHOUT_DWELL = 0.5
 """Share of the held-out squared error that an effect may leave where no dwell tells the floor."""
+ENOUGH_RUNS = 6
+"""Fewer runs than this are thin evidence, and said to be: there an effect that is named ..."""
+SURE_UNITS = 300.0
+"""... must gain this in noise units, where a complete model's best effect gains some 100 by chance,
+..."""
+SURE_SHARE = 0.9
+"""... and lose next to nothing in any run or piece of one."""
 CONCENTRATED = 0.8
 """An effect seen in too few runs for a small p-value must explain this share of the excess, ..."""
 ALL_GAIN = 0.95
@@ -53,7 +61,7 @@ class Finding:
 
 def lead(examination: Examination) -> Judged | None:
     """Return the effect to name: the one with most gain, unless its values are implausible."""
-    helpful = [judged for judged in examination.judged if helps(judged)]
+    helpful = [j for j in examination.judged if j.sound and helps(j, examination)]
     if not helpful:
         return None
     best = helpful[0]
@@ -63,13 +71,20 @@ def lead(examination: Examination) -> Judged | None:
     return rivals[0] if rivals else best
 
 
-def helps(judged: Judged) -> bool:
-    """Return whether an effect's held-out gain is real and worth having."""
+def helps(judged: Judged, examination: Examination) -> bool:
+    """Return whether an effect's held-out gain is real and worth having.
+
+    With few runs chance alone gains in all of them, now and then: there the gain must be large in
+    noise units too. At the floor there is no excess that an effect could explain.
+    """
     worthwhile = judged.rmse_ratio <= WORTHWHILE or judged.best_output_ratio <= WORTHWHILE_ON_ONE
     reachable = 2.0 ** -float(judged.gains.size)
     sure = judged.p_value <= max(SIGNIFICANT, reachable)
+    if examination.runs < ENOUGH_RUNS:
+        sure = sure and judged.gain >= SURE_UNITS and judged.positive_share >= SURE_SHARE
     # Seen in a few runs only, sign flips cannot be sure; reaching the floor by one effect can.
     clear = judged.share >= CONCENTRATED and judged.positive_share >= ALL_GAIN
+    clear = clear and not is_at_floor(examination, examination.fitted_ratio)
     return worthwhile and judged.gain > 0.0 and (sure or clear)
 
 
@@ -78,7 +93,9 @@ def list_lookalikes(finding: Finding) -> list[Judged]:
     leading = finding.judged
     alike = []
     for judged in finding.examination.judged:
-        if judged.kind == leading.kind or not helps(judged):
+        if judged.kind == leading.kind or not helps(judged, finding.examination):
+            continue
+        if not judged.sound:
             continue
         # A play as wide as the range, a time constant without end: another effect in disguise.
         if leading.plausible and not judged.plausible:
@@ -91,9 +108,9 @@ def list_lookalikes(finding: Finding) -> list[Judged]:
     return alike
 
 
-def has_arrived(case: Case, examination: Examination, ratio: float) -> bool:
+def is_at_floor(examination: Examination, ratio: float) -> bool:
     """Return whether an RMSE of so many floors is at the floor, as well as that is known."""
-    if not case.dataset.dwell:
+    if examination.noise.source != DWELL:
         return ratio <= AT_ESTIMATED_FLOOR
     return ratio <= AT_FLOOR + 2.0 * examination.noise.uncertainty
 

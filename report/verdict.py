@@ -69,7 +69,7 @@ def write_headline(diagnosis: Diagnosis | None, titles: Mapping[str, str]) -> He
         untested = len(diagnosis.not_testable)
         limit = f" that these logs can test ({untested} cannot be tested)" if untested else ""
         return Headline("complete", f"Nothing is missing{limit}; {at_floor}.")
-    nearest = f" Nearest, and not it: {diagnosis.nearest}." if diagnosis.nearest else ""
+    nearest = f" Nearest, and not all of it: {diagnosis.nearest}." if diagnosis.nearest else ""
     return Headline(
         "unknown",
         f"Something is missing that no effect of the catalogue explains; {at_floor}.{nearest}",

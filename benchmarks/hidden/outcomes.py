@@ -11,7 +11,8 @@ from benchmarks.hidden.cases import Case, make_recipe, read_simulation
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset
-from zerodrift.diagnosis.course import RepeatedDiagnosis, diagnose_until_done, extend_model
+from zerodrift.diagnosis.changes import extend_model
+from zerodrift.diagnosis.course import RepeatedDiagnosis, diagnose_until_done
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.lab.twin.simulate import simulate
 from zerodrift.physics.catalogue import load_catalogue
@@ -102,7 +103,7 @@ def run_case(case: Case, change: Callable[[Dataset], Dataset] = lambda dataset: 
         outcome.after = course.steps[-1].floor_ratio_before
     if case.purpose == "one" and outcome.first:
         model = fit(
-            extend_model(effects, catalogue, diagnosis),
+            extend_model(effects, catalogue, case.hidden[0], diagnosis.parameters),
             dataset.train,
             outputs=dataset.outputs,
             units=dataset.units,

@@ -7,8 +7,13 @@ from tests.physics.conftest import SLOPE, follow, linear, make_dataset
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.records import to_dict
+from zerodrift.diagnosis.candidates import are_sound
+from zerodrift.diagnosis.case import open_case
 from zerodrift.diagnosis.course import diagnose_until_done
-from zerodrift.diagnosis.diagnose import diagnose
+from zerodrift.diagnosis.diagnose import diagnose, look
+from zerodrift.diagnosis.rules import lead
+from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.terms import start_term
 
 
 def lagging(bench):
@@ -177,3 +182,38 @@ def test_crosstalk_beside_a_span_shift_of_each_output_is_testable():
     diagnosis = diagnose(model, make_dataset(disturb, length=600))
     assert (diagnosis.verdict, diagnosis.effect) == ("missing", "crosstalk")
     assert diagnosis.floor_ratio_after < 1.15
+
+
+@pytest.mark.parametrize("runs", [2, 4])
+def test_complete_model_with_few_runs_is_given_no_name(tempco, runs):
+    for seed in range(2):
+        dataset = make_dataset(linear, runs=runs, length=400, seed=seed)
+        assert diagnose(tempco, dataset).effect is None
+
+
+def test_degenerate_values_are_no_finding(tempco):
+    case = open_case(make_dataset(lagging, runs=4, length=300), load_catalogue(), tempco)
+    first = look(case, case.terms)
+    lag = next(judged for judged in first.judged if judged.kind == "thermal_lag")
+    assert lag.sound and lead(first) is lag
+    unsound = replace(first, judged=tuple(replace(j, sound=False) for j in first.judged))
+    assert lead(unsound) is None
+
+
+@pytest.mark.parametrize(
+    ("values", "is_sound"),
+    [
+        ({"time_constants": 1, "tau_s": 60.0}, True),
+        ({"time_constants": 1, "tau_s": 7200.0}, False),
+        ({"time_constants": 1, "tau_s": 1.5}, False),
+        ({"time_constants": 1, "tau_s": 3000.0}, False),
+        ({"time_constants": 2, "tau_s": 54.36, "slow_tau_s": 54.36, "slow_share": 0.3}, False),
+        ({"time_constants": 2, "tau_s": 30.0, "slow_tau_s": 300.0, "slow_share": -1e-5}, False),
+        ({"time_constants": 2, "tau_s": 30.0, "slow_tau_s": 300.0, "slow_share": 0.3}, True),
+    ],
+)
+def test_values_that_logs_of_1200_s_cannot_show_are_unsound(values, is_sound):
+    catalogue = load_catalogue()
+    free = start_term(catalogue, EffectConfig("thermal_lag"))
+    term = replace(free, values={**free.values, **values})
+    assert are_sound(term, shortest_s=2.0, longest_s=1200.0) is is_sound

@@ -53,7 +53,7 @@ def told(verdict, effect=None, **changes):
             "2 cannot be tested",
         ),
         (told("complete", candidates=()), "not testable", "can test no further effect"),
-        (told("unknown", nearest="creep"), "unknown", "Nearest, and not it: creep"),
+        (told("unknown", nearest="creep"), "unknown", "Nearest, and not all of it: creep"),
         (told("complete", noise_floor_source="estimated"), "complete", "which is estimated"),
         (None, "none", "Not diagnosed"),
     ],

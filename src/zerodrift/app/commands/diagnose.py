@@ -196,7 +196,9 @@ def explain_verdict(
         )
         sentences.append(Sentence(f"Held-out error: {floor}.", HEADLINE))
         if diagnosis.nearest is not None:
-            sentences.append(Sentence(f"Nearest, and not it: {diagnosis.nearest}.", HEADLINE))
+            sentences.append(
+                Sentence(f"Nearest, and not all of it: {diagnosis.nearest}.", HEADLINE)
+            )
         sentences += [
             Sentence(
                 f"What is left follows {pattern.follows} ({100.0 * pattern.share:.0f} % of it)."

@@ -7,8 +7,8 @@ from pathlib import Path
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.bad_runs import describe_bad_run
-from zerodrift.diagnosis.changes import AddCommand, propose_command
-from zerodrift.diagnosis.course import RepeatedDiagnosis, diagnose_until_done, extend_model
+from zerodrift.diagnosis.changes import AddCommand, extend_model, propose_command
+from zerodrift.diagnosis.course import RepeatedDiagnosis, diagnose_until_done
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.explained import Sentence
@@ -160,5 +160,5 @@ def list_commands(
             commands.append(None)
             continue
         commands.append(propose_command(effects, catalogue[step.effect], step.parameters))
-        effects = extend_model(effects, catalogue, step)
+        effects = extend_model(effects, catalogue, step.effect, step.parameters)
     return commands
