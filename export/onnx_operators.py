@@ -156,6 +156,8 @@ def normalize(_: onnx.NodeProto, attributes: Attributes, values: list[Value]) ->
 def activate(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
     """Relu, LeakyRelu, PRelu, Tanh, Sigmoid, HardSigmoid, Clip, Min, Max."""
     if node.op_type in ("Min", "Max") and len(values) == 2 and is_data(values[1]):
+        if is_data(values[0]):
+            return [_compare(node, *values)]
         values = values[::-1]
     signal = values[0]
     if not isinstance(signal, OnnxSignal) or signal.source.below is None:
@@ -187,6 +189,24 @@ def activate(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) 
     if low > high:
         raise Unsupported(f"its limits {low} .. {high} are empty")
     return [_add_dense(signal, FloatDense(m, b, "clip", low, high), one, none, node)]
+
+
+def _compare(node: onnx.NodeProto, a: Value, b: Value) -> OnnxSignal:
+    """Return the larger or smaller of two signals from the same layer.
+
+    max(a, b) = b + relu(a - b) and min(a, b) = b - relu(b - a), with b = relu(b) - relu(-b).
+    """
+    if not (isinstance(a, OnnxSignal) and isinstance(b, OnnxSignal)) or a.source.below is None:
+        raise Unsupported("it compares signals before the GRU")
+    same = a.source is b.source and a.axes[:-1] == b.axes[:-1] and a.last == b.last
+    if not same or a.matrix.shape != b.matrix.shape or a.axes[-1].role != b.axes[-1].role:
+        raise Unsupported("it compares two branches of the graph")
+    sign = 1.0 if node.op_type == "Max" else -1.0
+    rows = np.concatenate([sign * (a.matrix - b.matrix), b.matrix, -b.matrix])
+    biases = np.concatenate([sign * (a.bias - b.bias), b.bias, -b.bias])
+    one = np.eye(len(a.matrix))
+    layer = FloatDense(rows, biases, "clip", 0.0)
+    return _add_dense(a, layer, np.hstack([sign * one, one, -one]), np.zeros(len(one)), node)
 
 
 def _read_limits(

@@ -271,6 +271,9 @@ class Expressions(Arithmetic):
         return self._truth(not value.low <= 0 <= value.high, value.exact == 0)
 
     def _on_choose(self, condition: CNode, first: CNode, second: CNode) -> Value:
+        extremum = self._find_extremum(condition, first, second)
+        if extremum is not None:
+            return extremum
         test = self._as_truth(self.number(condition))
         results = []
         for truth, branch in ((True, first), (False, second)):
@@ -284,6 +287,20 @@ class Expressions(Arithmetic):
         if len(results) == 1:
             return self.convert(results[0], kind)
         return self.convert(results[0], kind).join(self.convert(results[1], kind))
+
+    def _find_extremum(self, condition: CNode, first: CNode, second: CNode) -> Value | None:
+        """a > b ? a : b and its like: each end of it is the larger, or smaller, of two ends."""
+        if condition.kind != "binary" or condition.parts[0] not in ("<", "<=", ">", ">="):
+            return None
+        operator, *compared = condition.parts
+        names = [node.parts[0] for node in (*compared, first, second) if node.kind == "name"]
+        if len(names) < 4 or names[0] == names[1] or {*names[:2]} != {*names[2:]}:
+            return None
+        a, b = map(self.number, compared)
+        if a.type != b.type or b.type != "int32_t":
+            return None
+        choose = max if operator.startswith(">") == (names[0] == names[2]) else min
+        return Value(choose(a.low, b.low), choose(a.high, b.high), a.type)
 
     # --- what a condition says of variables
 

@@ -3,13 +3,11 @@
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
 from zerodrift.operations.arithmetic import IntArray, choose_exponent
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
-from zerodrift.operations.sum import IntegerSum
+from zerodrift.operations.sum import rescale
 
 if TYPE_CHECKING:
     from zerodrift.operations.onnx_writer import OnnxWriter
@@ -46,21 +44,11 @@ def remove_offset(nodes: FormattedNodes, x: Signal) -> Signal:
     if offset == 0:
         return replace(x, offset=0.0)
     if abs(offset) + nodes.reach(x) >= 2**EXACT_BITS:
-        return _absorb_offset(nodes, x)
+        # the offset is beyond the signal's own format
+        reach = abs(x.offset) + nodes.reach(x) * abs(x.scale)
+        return rescale(nodes, x, 2.0 ** -choose_exponent(reach, 2**SIGNAL_BITS), 0.0)
     node = IntegerOffset(name=nodes.new_name("offset"), inputs=(x.node,), offset=offset)
     return Signal(nodes.append(node), x.scale)
-
-
-def _absorb_offset(nodes: FormattedNodes, x: Signal) -> Signal:
-    """Return the signal with offset 0 where the offset is beyond the signal's own format."""
-    reach = abs(x.offset) + nodes.reach(x) * abs(x.scale)
-    scale = 2.0 ** -choose_exponent(reach, 2**SIGNAL_BITS)
-    name = nodes.new_name("sum")
-    coefficients, bias, shift = nodes.format_row(
-        [x], np.array([x.scale / scale]), x.offset / scale, name
-    )
-    node = IntegerSum(name, (x.node,), tuple(coefficients), bias, shift)
-    return Signal(nodes.append(node), scale)
 
 
 NODES = (IntegerOffset,)

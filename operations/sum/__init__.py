@@ -15,6 +15,7 @@ from zerodrift.operations.arithmetic import (
     saturate,
 )
 from zerodrift.operations.c_text import format_factor, format_int32, format_int64
+from zerodrift.operations.clip import limit
 from zerodrift.operations.formats import (
     EXACT_BITS,
     MOST_EXTRA_BITS,
@@ -22,6 +23,7 @@ from zerodrift.operations.formats import (
     FormattedNodes,
     Signal,
 )
+from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import (
     Bound,
     Interval,
@@ -142,6 +144,32 @@ def add(
     node = IntegerSum(
         name, tuple(t.node for t in terms), tuple(coefficients), bias, shift, **limits
     )
+    return Signal(nodes.append(node), scale, offset)
+
+
+def align(nodes: FormattedNodes, node: Node, signals: Sequence[Signal]) -> list[Signal]:
+    """Return signals in one format, held where the float node that they become is limited."""
+    held = [limit(nodes, x, *nodes.find_limits(node, 0.0)) for x in signals]
+    moving = [x for x in held if x.node]
+    if len({(x.scale, x.offset) for x in moving}) < 2 and all(x.scale > 0.0 for x in moving):
+        return held
+    ends = [
+        end * x.scale + x.offset
+        for x in moving
+        for end in (nodes.intervals[x.node][0].low, nodes.intervals[x.node][0].high)
+    ]
+    middle = 0.5 * (min(ends) + max(ends))
+    finest = max(abs(x.scale) for x in moving) * 2.0**-MOST_EXTRA_BITS
+    scale = max(2.0 ** -choose_exponent(max(ends) - middle, 2**SIGNAL_BITS), finest)
+    return [rescale(nodes, x, scale, middle) if x.node else x for x in held]
+
+
+def rescale(nodes: FormattedNodes, x: Signal, scale: float, offset: float) -> Signal:
+    """Return a signal in another format."""
+    name = nodes.new_name("sum")
+    row = np.array([x.scale / scale])
+    coefficients, bias, shift = nodes.format_row([x], row, (x.offset - offset) / scale, name)
+    node = IntegerSum(name, (x.node,), tuple(coefficients), bias, shift)
     return Signal(nodes.append(node), scale, offset)
 
 

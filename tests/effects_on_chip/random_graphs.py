@@ -10,6 +10,7 @@ from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations, evaluate
 from zerodrift.operations.graph import Node, list_nodes
+from zerodrift.operations.registry import OPERATIONS as REGISTERED
 
 Array = NDArray[np.float64]
 Draw = tuple[str, int, int, float, float]
@@ -18,10 +19,17 @@ Draw = tuple[str, int, int, float, float]
 STEPS, PERIOD_S = 400, 0.5
 LSBS = (2.0**-7, 2.0**-10)
 LSB_PER_UNIT = 10**6
-OPERATIONS = (
-    *("affine", "total", "difference", "product", "square", "cube", "root", "exp2", "lowpass"),
-    *("delay", "play", "clip", "time"),
+OWN_ARGUMENTS = (
+    *("affine", "total", "product", "square", "cube", "root", "exp2", "lowpass", "delay"),
+    *("play", "clip", "time"),
 )
+PLAIN = {
+    name: len(operation.signals)
+    for name, operation in REGISTERED.items()
+    if name not in OWN_ARGUMENTS and not operation.constants
+}
+"""Operations that make sense of any signals, and how many they take."""
+OPERATIONS = (*OWN_ARGUMENTS, *PLAIN)
 
 
 def draw_codes(seed: int) -> NDArray[np.int16]:
@@ -58,8 +66,8 @@ def build(plan: list[Draw], inputs: dict[str, Array]) -> tuple[list[Node], dict[
                 made = ops.affine(x, 2.0 * p - 1.0, 2.0 * q - 1.0)
             case "total":
                 made = ops.total(x, ops.affine(y, 2.0 * p - 1.0, q))
-            case "difference":
-                made = ops.difference(x, y)
+            case name if name in PLAIN:
+                made = getattr(ops, name)(*(x, y)[: PLAIN[name]])
             case "product":
                 made = ops.product(x, ops.affine(y, 1.0, q))
             case "square" | "cube":

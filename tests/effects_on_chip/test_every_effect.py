@@ -25,7 +25,7 @@ from zerodrift.export.compose import (
     encode_inputs,
     predict_integer,
 )
-from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.vectors import draw_sequences
 
@@ -59,9 +59,34 @@ def test_effect_on_another_thermometer_is_the_same_on_the_chip(tmp_path: Path) -
     check([EffectConfig("zero_tempco"), lagged, seen], tmp_path)
 
 
-def check(effects: list[EffectConfig], folder: Path) -> None:
+EXTREMA = """
+from zerodrift.physics.catalogue import register
+from zerodrift.physics.effect import Effect, Feature
+
+
+def build(ops, signals, p):
+    rate = ops.difference(
+        signals.temperature_degC, ops.lowpass(signals.temperature_degC, 200.0)
+    )
+    heating, cooling = ops.maximum(rate, ops.constant(0.0)), ops.minimum(rate, ops.constant(0.0))
+    slower = ops.minimum(heating, ops.lowpass(heating, 50.0))
+    return [Feature("heating", ops.maximum(slower, cooling), "K")]
+
+
+register(Effect(kind="heating_alone", title="heating", build=build, parameters=(),
+                needs=("temperature",), equation="drift = k max(rate, 0)"))
+"""
+
+
+def test_effect_of_a_user_with_extrema_is_the_same_on_the_chip(tmp_path: Path) -> None:
+    (tmp_path / "my_effects.py").write_text(EXTREMA, encoding="utf-8")
+    catalogue = load_catalogue([tmp_path / "my_effects.py"])
+    check([EffectConfig("heating_alone")], tmp_path, catalogue)
+
+
+def check(effects: list[EffectConfig], folder: Path, catalogue: Catalogue | None = None) -> None:
     """Build a compensator of these effects; compare float, reference and host C."""
-    compensator, runs = make_compensator(make_physics(effects, draw_runs()), draw_runs())
+    compensator, runs = make_compensator(make_physics(effects, draw_runs(), catalogue), draw_runs())
     described = describe_compensator(compensator, make_config(), runs)
     model = compose_integer_model(described, make_config(), make_dataset(runs))
     for run in runs:

@@ -141,7 +141,18 @@ def test_channels_first_with_batch_normalisation_is_read() -> None:
     assert imported.window == 12
 
 
-AFTER = ("Relu", "Tanh", "Sigmoid", "LeakyRelu", "Clip", "HardSigmoid", "Max", "PRelu")
+AFTER = (
+    "Relu",
+    "Tanh",
+    "Sigmoid",
+    "LeakyRelu",
+    "Clip",
+    "HardSigmoid",
+    "Max",
+    "PRelu",
+    "Max2",
+    "Min2",
+)
 ELEMENTWISE = ("Add", "Sub", "Mul", "Div", "Neg", "from", "MatMul", "Gemm2")
 
 
@@ -196,6 +207,9 @@ def test_random_graph_is_read(
             value = g.op("Clip", value, g.constant(-0.3), g.constant(0.5))
         elif op == "Max":
             value = g.op("Max", g.constant(0.1), value)
+        elif op in ("Max2", "Min2"):
+            other = g.op("MatMul", value, g.constant(rng.normal(size=(width, width))))
+            value = g.op(op[:3], value, other)
         elif op == "PRelu":
             value = g.op("PRelu", value, g.constant(rng.normal(size=width)))
         elif op in AFTER:

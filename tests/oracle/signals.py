@@ -154,6 +154,20 @@ class Delay(Signal):
         return fit(older + round_shift(rise * self.node["newer_q31"], 31), 32)
 
 
+class Maximum(Signal):
+    """3.4."""
+
+    def step(self, x: Sequence[int]) -> int:
+        return fit(x[0] if x[0] > x[1] else x[1], 32)
+
+
+class Minimum(Signal):
+    """3.4."""
+
+    def step(self, x: Sequence[int]) -> int:
+        return fit(x[1] if x[0] > x[1] else x[0], 32)
+
+
 class Clip(Signal):
     """3.12."""
 
@@ -189,6 +203,8 @@ SIGNALS: dict[str, type[Signal]] = {
     "lowpass": Lowpass,
     "delay": Delay,
     "clip": Clip,
+    "maximum": Maximum,
+    "minimum": Minimum,
     "play": Play,
 }
 

@@ -1,0 +1,69 @@
+"""The larger of two signals: a rectified rate, the hotter of two bodies."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.operations.arithmetic import IntArray
+from zerodrift.operations.clip import limit
+from zerodrift.operations.formats import FormattedNodes, Signal
+from zerodrift.operations.graph import Node
+from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.operation import Operation
+from zerodrift.operations.sum import align
+
+if TYPE_CHECKING:
+    from zerodrift.operations.onnx_writer import OnnxWriter
+
+Array = NDArray[np.float64]
+
+
+def maximum(a: Array, b: Array) -> Array:
+    """Return the larger of a and b, both in the same unit."""
+    return np.maximum(a, b)
+
+
+@dataclass(frozen=True)
+class IntegerMaximum(IntegerNode):
+    """The larger of a and b, both in one format."""
+
+    kind: ClassVar[str] = "maximum"
+
+    def step(self, state: State, values: Values) -> tuple[State, IntArray]:
+        """Return the larger one."""
+        return {}, np.maximum(*(values[name] for name in self.inputs))
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound the result: each of its ends is the larger of two ends."""
+        a, b = inputs[0][0], inputs[1][0]
+        out = Interval(max(a.low, b.low), max(a.high, b.high))
+        return [out], [Bound(self.name, out, 32).check()]
+
+    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+        """Write the larger one."""
+        return {}, w.maximum(*(values[name] for name in self.inputs))
+
+    def express(self) -> str:
+        """Return the larger one in C."""
+        a, b = self.inputs
+        return f"({a} > {b}) ? {a} : {b}"
+
+
+def lower(nodes: FormattedNodes, node: Node, a: Signal, b: Signal) -> Signal:
+    """Return the larger of a and b; one that is constant is a limit of the other."""
+    a, b = align(nodes, node, (a, b))
+    if a == b:
+        return a
+    if not (a.node and b.node):
+        moving, constant = (a, b) if a.node else (b, a)
+        return limit(nodes, moving, constant.offset, math.inf)
+    larger = IntegerMaximum(nodes.new_name("maximum"), (a.node, b.node))
+    return replace(a, node=nodes.append(larger))
+
+
+OPERATION = Operation("maximum", maximum, lower, ("a", "b"))
+NODES = (IntegerMaximum,)

@@ -1,0 +1,72 @@
+"""One operation on its own, held against itself wherever it is computed."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from tests.effects_on_chip.random_graphs import (
+    LSB_PER_UNIT,
+    LSBS,
+    describe_graph,
+    draw_codes,
+)
+
+from zerodrift.c_runtime.compilers import RUNTIME_FILES
+from zerodrift.c_runtime.host import HostModel
+from zerodrift.codegen.generate import GeneratedCode, generate
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.quantize import quantize
+from zerodrift.export.reference import Reference
+from zerodrift.operations.backend import evaluate
+from zerodrift.operations.graph import Node
+from zerodrift.verify.certificate import certify
+from zerodrift.verify.certificate_check import CertificateOutcome, compare
+from zerodrift.verify.chip_check import check_chip
+from zerodrift.verify.host_check import check_host
+from zerodrift.verify.onnx_check import check_onnx
+from zerodrift.verify.onnx_model import OnnxModel
+from zerodrift.verify.vectors import draw_sequences
+
+PERIOD_S, SEED = 0.5, 5
+
+
+def quantize_nodes(nodes: Sequence[Node]) -> IntegerModel:
+    """Return the integer model of at most four nodes over the inputs x0 and x1."""
+    return quantize(*describe_graph(list(nodes), draw_codes(SEED)))
+
+
+def derive_again(model: IntegerModel, code: GeneratedCode) -> CertificateOutcome:
+    """Return what becomes of the claims of a model's certificate about some C of it."""
+    texts = {code.header_name: code.header, code.source_name: code.source}
+    texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    return compare(json.loads(certify(model, code)), texts)
+
+
+def check_everywhere(
+    nodes: Sequence[Node], folder: Path, largest_error: float, cores: Sequence[str] = ()
+) -> IntegerModel:
+    """Return the integer model of at most four nodes over the inputs x0 and x1.
+
+    Float and integers agree within `largest_error` beside the rounding of the outputs; reference,
+    C, integer ONNX and emulated cores to the bit; and the certificate is derived again from the C.
+    """
+    codes, model = draw_codes(SEED), quantize_nodes(nodes)
+    inputs = {f"x{i}": codes[:, i] * lsb for i, lsb in enumerate(LSBS)}
+    drift = Reference(model).run(codes[None]).drift[0] / LSB_PER_UNIT
+    wanted = np.stack(evaluate(nodes, inputs, PERIOD_S), axis=1)
+    assert np.abs(drift - wanted).max() <= 0.5 / LSB_PER_UNIT + largest_error
+    code = generate(model)
+    host, onnx = HostModel(model, code, folder / "host", flags=("-O1",)), OnnxModel(model)
+    sequences = draw_sequences(model, 400)
+    for settled, (name, more) in enumerate(sequences.items()):
+        for check in (
+            check_host(host, more, settled=settled % 2 == 0),
+            check_onnx(onnx, host, more, settled=settled % 2 == 0),
+        ):
+            assert check.mismatch is None, f"{name}: {check.mismatch}"
+    outcome = derive_again(model, code)
+    assert outcome.understood and not outcome.failures, outcome.failures
+    for core in cores:
+        check_chip(core, code, host, {"noise": sequences["noise"]}, folder / core)
+    return model
