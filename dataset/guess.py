@@ -1,4 +1,4 @@
-"""Guesses a project from its logs' headers: what each column is, by its name and its unit."""
+"""Guesses a project from its logs: which files are runs, what each column is, and how sure."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -6,40 +6,56 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 
-from zerodrift.base.clock_config import TIME_UNITS
+from zerodrift.base.clock_config import TIME_UNITS, TimeConfig
 from zerodrift.base.config import MAX_OUTPUTS
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.tables import RUN_COLUMN, Source, open_source
-from zerodrift.dataset.time_units import guess_time_unit, read_time_unit
-from zerodrift.dataset.units import TEMPERATURE_UNITS, read_unit, strip_unit
+from zerodrift.dataset.guess_runs import LogFiles, SurveyedFile, choose_runs, find_runs
+from zerodrift.dataset.join import UNIX_S, propose_zone
+from zerodrift.dataset.roles import (
+    INPUT,
+    OUTPUT,
+    REFERENCE,
+    REFERENCE_WORDS,
+    STEADY,
+    TEMPERATURE,
+    UNUSED,
+    Role,
+    guess_unit,
+)
+from zerodrift.dataset.sampling import look_at_sampling
+from zerodrift.dataset.survey import Times, words
+from zerodrift.dataset.time_units import FASTEST_S, SLOWEST_S, read_time_unit
+from zerodrift.dataset.units import read_unit, strip_unit
 
-TIME_NAMES = ("time_s", "t_s", "elapsed_s", "time", "t", "elapsed", "seconds", "timestamp_s")
-CLOCK_WORDS = ("clock", "unix", "epoch", "utc")
-UNIT_WORDS = {"t", "millis", "micros", "nanos", "minutes", "hours"}
-"""With a unit of time these are the time; alone `t` may be a temperature."""
-REFERENCE_WORDS = ("ref", "reference", "true", "truth", "nominal", "ideal", "target")
-IGNORED_WORDS = ("index", "id", "row", "sample", "count", "number", "")
-#: Channel name that effects use -> pattern of columns that carry it.
-INPUT_PATTERNS = {
-    "supply": r"^(supply|vdd|vcc|vbat|v_?supply)(_m?v)?$",
-    "humidity": r"^(relative_)?(humidity|rh)(_|$)",
-    "ambient_light": r"(^|_)(light|lux)(_|$)",
-    **{f"acceleration_{axis}": rf"^(a{axis}|acc(eleration)?_?{axis})(_|$)" for axis in "xyz"},
-}
 FULL_SCALE_STEPS = (1.0, 2.0, 5.0, 10.0)
+GENERIC_STEMS = ("log", "data", "out", "output", "measurement", "values")
 
 
 @dataclass(frozen=True)
 class GuessedOutput:
-    """One output as the headers suggest it."""
+    """One output as the logs suggest it."""
 
     name: str
     measured: str
-    reference: str | None
+    reference: str | float | None
     unit: str
     full_scale: float
+    unit_from: str = ""
+    """What the unit was taken from; empty: nothing tells it."""
+
+
+@dataclass(frozen=True)
+class SeenColumn:
+    """One column and what it was taken for."""
+
+    file: str
+    column: str
+    role: str
+    unit: str
+    low: float | None
+    high: float | None
+    why: str
 
 
 @dataclass(frozen=True)
@@ -47,7 +63,7 @@ class Guess:
     """A project as its logs suggest it, and what its user has to check."""
 
     sensor_name: str
-    time: str
+    time: TimeConfig
     temperature: str
     sample_period_s: float
     outputs: tuple[GuessedOutput, ...]
@@ -58,198 +74,342 @@ class Guess:
     """Text columns with several values -> these, candidates for `[logs] where`."""
     checks: tuple[str, ...] = ()
     """What was uncertain."""
-    time_unit: str = ""
-    """Unit of the time column, guessed from its values; empty where its name states one."""
+    alternatives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Key of zerodrift.toml (time, temperature, sample_period_s, `outputs.NAME.unit`, ...) -> what
+    else it may be."""
+    seen: tuple[SeenColumn, ...] = ()
+    """Every column of the first run."""
+    logs: tuple[LogFiles, ...] = ()
+    """The runs that have these columns."""
+    period_by_hand_s: float | None = None
+    """Interval between rows that have no times."""
+    times_by_file: Mapping[str, TimeConfig] = field(default_factory=dict)
+    """File -> its times, where they are not as `time` says."""
 
 
-def guess_project(logs: Sequence[Path]) -> Guess:
-    """Guess the columns, units and sample period of a project.
+def guess_project(
+    logs: Sequence[Path | LogFiles], period_s: float | None = None, directory: Path | None = None
+) -> Guess:
+    """Guess runs, columns, units and sample period of a project.
 
     Args:
-        logs: its logs, which should have the same columns; the first one's values are looked at.
+        logs: files, folders of runs, or runs whose files are known already.
+        period_s: the interval between rows, for logs without times.
+        directory: of the project; runs are sorted by their place relative to it.
 
     Raises:
-        InputError: a log cannot be read, or has no time, no temperature or nothing that drifts.
+        InputError: a log cannot be read, or it lacks times, a thermometer or what drifts.
     """
-    sources = [open_source(path, str(path), {}) for path in logs]
-    first = sources[0]
-    shared = set.intersection(*(set(source.names) for source in sources))
-    common = [name for name in first.names if name in shared]
-    checks = []
-    if left := [name for source in sources for name in source.names if name not in shared]:
-        names = ", ".join(dict.fromkeys(left))
+    found, refused = find_runs(logs, period_s, directory or Path())
+    first, runs, left = choose_runs(found, period_s)
+    files = first.files
+    checks = [*refused, *first.left_out, *left]
+    shared = set.intersection(*(run.names() for run in runs))
+    if unlike := [
+        name
+        for run in runs
+        for file in run.files
+        for name in file.survey.source.names
+        if name not in shared and not name.startswith("\0")
+    ]:
+        names = ", ".join(dict.fromkeys(unlike))
         checks.append(f"not every log has these columns, which were left out: {names}")
-    sample = first.scan().select(common).select(pl.all().cast(pl.String)).head(1000).collect()
-    if sample.height == 0:
-        raise InputError(f"{first.label}: there is a header but no row; expected one per sample.")
-    numeric = _list_numeric(sample)
-    known = {*numeric, RUN_COLUMN}
-    texts = [name for name in common if name not in known]
-    time, clock = _guess_time(first, numeric)
-    temperatures = _guess_temperatures(first, [name for name in numeric if name != time])
-    inputs = {"clock": clock} if clock else {}
-    inputs |= {re.sub(r"_(degC|degF|K|C)$", "", name): name for name in temperatures[1:]}
-    free = [name for name in numeric if name not in {time, *temperatures, *inputs.values()}]
-    for channel, pattern in INPUT_PATTERNS.items():
-        if found := [name for name in free if re.search(pattern, name, re.IGNORECASE)]:
-            inputs[channel] = found[0]
-            free.remove(found[0])
-    outputs, ignored = _guess_outputs(first, free)
-    if ignored:
-        checks.append(f"not used: {', '.join(ignored)}")
-    if (unit := read_unit(temperatures[0])) in ("degF", "K"):
-        checks.append(f"'{temperatures[0]}' seems to be in {unit}; zerodrift wants degC")
-    first_time, period = _measure_period(first, time)
-    time_unit = "" if read_time_unit(time) else guess_time_unit(first_time, period)
-    period_s = float(f"{period * TIME_UNITS[time_unit or read_time_unit(time) or 's']:.3g}")
-    if time_unit:
-        checks.append(
-            f"'{time}' is taken as {time_unit}, a row every {period_s:g} s; if it is another "
-            f"unit, of {', '.join(TIME_UNITS)}, change it and sample_period_s"
-        )
-    if len(temperatures) > 1:
-        checks.append(f"'{temperatures[0]}' was taken as the chip's own thermometer")
-    groups = {name: values for name in texts if 1 < len(values := _list_values(first, name)) <= 32}
+    alternatives: dict[str, tuple[str, ...]] = {}
+    time, by_file = _choose_time(files, period_s, alternatives, checks)
+    thermometers = [
+        (file, role)
+        for file in files
+        for role in file.list(TEMPERATURE)
+        if role.column.name in shared
+    ]
+    outputs = _choose_outputs(files, shared, alternatives, checks)
+    temperature = _write_column(files, *thermometers[0])
+    others = [_write_column(files, *each) for each in thermometers[1:]]
+    inputs = _choose_inputs(files, shared)
+    for name in others:
+        bare = name.rpartition(":")[2]
+        inputs.setdefault(_name_channel(bare), name)
+    if others:
+        alternatives["temperature"] = tuple(others)
+        checks.append(f"'{temperature}' was taken as the chip's own thermometer")
+    unit = thermometers[0][1].column.unit
+    if unit in ("degF", "K"):
+        checks.append(f"'{temperature}' seems to be in {unit}; zerodrift wants degC")
+    used = {temperature, *inputs.values(), *(output.measured for output in outputs)}
+    used |= {output.reference for output in outputs if isinstance(output.reference, str)}
+    period = _choose_period(files, used, period_s, alternatives, checks)
+    seen = tuple(_describe(files, used, period_s))
+    if unused := [
+        f"{column.column} ({column.why})" if column.why else column.column
+        for column in seen
+        if column.role == UNUSED
+    ]:
+        checks.append(f"not used: {', '.join(unused)}")
+    groups = _find_groups(files, shared)
     for name, values in groups.items():
         named = ", ".join(values[:3]) + (", ..." if len(values) > 3 else "")
         checks.append(
             f"'{name}' has {len(values)} values ({named}), all taken as one sensor; "
             "[logs] where picks one"
         )
+    checks += [f"full_scale of {output.name} is a guess from the data" for output in outputs]
     return Guess(
-        sensor_name=re.sub(r"[^A-Za-z0-9_]+", "_", logs[0].stem).strip("_").lower() or "sensor",
+        sensor_name=_name_sensor([run.log for run in runs]),
         time=time,
-        temperature=temperatures[0],
-        sample_period_s=period_s,
-        time_unit=time_unit,
-        outputs=outputs,
+        temperature=temperature,
+        sample_period_s=period,
+        outputs=tuple(outputs),
         inputs=inputs,
-        runs=_list_values(first, RUN_COLUMN) if RUN_COLUMN in common else (),
+        runs=files[0].survey.runs if len(files) == 1 and "run" in shared else (),
         groups=groups,
-        checks=(
-            *checks,
-            *(f"full_scale of {output.name} is a guess from the data" for output in outputs),
-        ),
+        checks=tuple(dict.fromkeys(checks)),
+        alternatives=alternatives,
+        seen=seen,
+        logs=tuple(run.log for run in runs),
+        period_by_hand_s=period_s if any(f.survey.times is None for f in files) else None,
+        times_by_file=by_file,
     )
 
 
-def _list_numeric(sample: pl.DataFrame) -> list[str]:
-    """Return the columns of text of which nine in ten values, and at least one, are numbers."""
-    bare = sample.select(pl.all().str.strip_chars().cast(pl.Float64, strict=False))
-    counts = zip(sample.null_count().row(0), bare.null_count().row(0), strict=True)
-    rows = sample.height
-    return [
-        name
-        for name, (empty, unread) in zip(sample.columns, counts, strict=True)
-        if empty < rows and rows - unread >= 0.9 * (rows - empty)
-    ]
+def _name_sensor(logs: Sequence[LogFiles]) -> str:
+    """Return a name by the first run's file, or by the folder where that says nothing."""
+    path = logs[0].path
+    stem = path.name if len(logs[0].files) > 1 else path.stem
+    if stem.lower() in GENERIC_STEMS or (
+        len(logs) > 1 and len({log.path.stem for log in logs}) == 1
+    ):
+        folders = [log.path.parent for log in logs]
+        stem = (folders[0] if len(set(folders)) == 1 else folders[0].parent).name or stem
+    name = re.sub(r"[^A-Za-z0-9_]+", "_", stem).strip("_").lower()
+    # A name in C begins with a letter.
+    return re.sub(r"^[0-9_]+", "", name) or (f"sensor_{name}" if name else "sensor")
 
 
-def _guess_time(source: Source, numeric: Sequence[str]) -> tuple[str, str | None]:
-    """Return the column of the run's time, and that of the absolute time if it is another one."""
-    lower = {name.lower(): name for name in reversed(numeric)}
-    named = [lower[name] for name in TIME_NAMES if name in lower]
-    clocks = [name for name in numeric if _words(name) & set(CLOCK_WORDS)]
-    loose = [name for name in numeric if _words(name) & {"time", "timestamp", "elapsed"}]
-    loose += [name for name in numeric if read_time_unit(name) and _words(name) & UNIT_WORDS]
-    candidates = list(dict.fromkeys(named + [name for name in loose if name not in clocks]))
-    if not candidates and not clocks:
-        raise InputError(
-            f"{source.label}:1: no column of numbers looks like the time (found: "
-            f"{', '.join(numeric)}); expected one such as time_s, in seconds. Rename it."
+def _name_channel(column: str) -> str:
+    bare = re.sub(r"_(degC|degF|K|C)$", "", column)
+    return re.sub(r"[^A-Za-z0-9_]+", "_", strip_unit(bare)).strip("_").lower() or "thermometer"
+
+
+def _choose_time(
+    files: Sequence[SurveyedFile],
+    period_s: float | None,
+    alternatives: dict[str, tuple[str, ...]],
+    checks: list[str],
+) -> tuple[TimeConfig, dict[str, TimeConfig]]:
+    """Return `[sensor] time`, and the times of files that are written in another way."""
+    timed = [(file, file.survey.times) for file in files if file.survey.times is not None]
+    if not timed:
+        checks.append(f"rows without times are taken as {period_s:g} s apart")
+        return TimeConfig(()), {}
+    main = timed[0][1]
+    config = main.config
+    if main.is_unit_guessed:
+        others = " | ".join(unit for unit in TIME_UNITS if unit != config.unit)
+        alternatives["time"] = (f"{others}, and then another sample_period_s",)
+        checks.append(
+            f"'{config.name}' is taken as {config.unit}, a row every {main.period_s:.3g} s; if it "
+            f"is another unit, of {', '.join(TIME_UNITS)}, change it and sample_period_s"
         )
-    time = (candidates or clocks)[0]
-    return time, next((name for name in clocks if name != time), None)
+    if main.alternatives:
+        alternatives["time"] = tuple(
+            f'format = "{each.written}" ({each.words})' for each in main.alternatives
+        )
+        checks.append(
+            f"'{config.name}' is read by {config.format}; the log itself leaves day and month open"
+        )
+    by_file = {}
+    for file, times in timed[1:]:
+        if times.config.columns != config.columns or times.config.unit != config.unit:
+            by_file[file.name] = times.config
+    zone = _choose_zone(timed)
+    if zone:
+        checks.append(f"a clock without a zone is taken as {zone}, by which the files overlap best")
+        alternatives["time"] = ("the zone by name, such as Europe/Berlin",)
+        config = TimeConfig(config.columns, config.unit, config.format, zone)
+    return config, by_file
 
 
-def _guess_temperatures(source: Source, numeric: Sequence[str]) -> list[str]:
-    """Return the thermometers' columns, the one most likely on the chip first."""
+def _choose_zone(timed: Sequence[tuple[SurveyedFile, Times]]) -> str:
+    """Return the zone of files by a local clock, if others count from 1970 in UTC."""
+    local = [times for _, times in timed if times.clock.kind == "local"]
+    utc = [
+        times
+        for _, times in timed
+        if times.clock.kind == "zoned"
+        or (times.clock.kind == "number" and UNIX_S[0] < times.seconds[0] < UNIX_S[1])
+    ]
+    return propose_zone(local[0].seconds, utc[0].seconds) if local and utc else ""
+
+
+def _write_column(files: Sequence[SurveyedFile], file: SurveyedFile, role: Role) -> str:
+    """Return a column's name as zerodrift.toml has it: with its file where several have it."""
+    name = role.column.name
+    holders = [each for each in files if name in each.survey.source.names]
+    return name if len(holders) == 1 else f"{file.name}:{name}"
+
+
+def _choose_outputs(
+    files: Sequence[SurveyedFile],
+    shared: set[str],
+    alternatives: dict[str, tuple[str, ...]],
+    checks: list[str],
+) -> list[GuessedOutput]:
     found = [
-        name
-        for name in numeric
-        if read_unit(name) in TEMPERATURE_UNITS or re.search("temp", name, re.IGNORECASE)
+        (file, role) for file in files for role in file.list(OUTPUT) if role.column.name in shared
+    ][:MAX_OUTPUTS]
+    references = [
+        (file, role)
+        for file in files
+        for role in file.list(REFERENCE)
+        if role.column.name in shared
     ]
-    if not found:
-        raise InputError(
-            f"{source.label}:1: no column looks like the temperature (found: {', '.join(numeric)}"
-            "); expected one such as temperature_degC. Rename it."
-        )
-
-    def rank(name: str) -> int:
-        if _words(strip_unit(name)) & {"chip", "tmp117", "board", "sensor"}:
-            return 0
-        if strip_unit(name).lower() in ("temperature", "temp", "t"):
-            return 1
-        return 3 if _words(name) & {"ambient", "room", "air"} else 2
-
-    return sorted(found, key=rank)
-
-
-def _guess_outputs(
-    source: Source, free: Sequence[str]
-) -> tuple[tuple[GuessedOutput, ...], list[str]]:
-    """Return the outputs among the columns that nothing else claimed, and what is left over."""
-    references = [name for name in free if _words(name) & set(REFERENCE_WORDS)]
-    measured = [name for name in free if name not in references and read_unit(name)]
-    measured = measured or [
-        name for name in free if name not in references and name.lower() not in IGNORED_WORDS
-    ]
-    if not measured:
-        raise InputError(
-            f"{source.label}:1: no column looks like a quantity that drifts (found: "
-            f"{', '.join(free)}); expected names with units, such as Fz_N. Rename them."
-        )
-    spans = _measure_spans(source, measured[:MAX_OUTPUTS])
     outputs: list[GuessedOutput] = []
-    for name in measured[:MAX_OUTPUTS]:
-        match = _match_reference(name, references, len(measured))
-        short = re.sub(r"[^A-Za-z0-9_]+", "_", strip_unit(name)).strip("_")
+    for file, role in found:
+        column = role.column
+        measured = _write_column(files, file, role)
+        reference: str | float | None = None
+        for other, candidate in references:
+            if _is_reference(column.name, candidate.column.name, len(found), references):
+                reference = _write_column(files, other, candidate)
+                break
+        unit, source = guess_unit(column, file.survey)
+        short = re.sub(r"[^A-Za-z0-9_]+", "_", strip_unit(column.name)).strip("_")
+        if short[:1].isdigit():
+            short = f"column_{short}"
         if not short or short in [output.name for output in outputs]:
-            short = name
-        unit = read_unit(name) or "LSB"
-        outputs.append(GuessedOutput(short, name, match, unit, spans[name]))
-    used = {output.measured for output in outputs} | {output.reference for output in outputs}
-    return tuple(outputs), [name for name in free if name not in used]
+            short = re.sub(r"[^A-Za-z0-9_]+", "_", measured).strip("_")
+        peak = max(abs(column.low), abs(column.high))
+        if reference is None and column.high - column.low < STEADY * peak:
+            reference = _round_nominal(column.median)
+            alternatives[f"outputs.{short}.reference"] = (
+                "the true value, as a number or a column",
+            )
+            checks.append(
+                f"{short} moves by less than {100 * STEADY:g} % of itself, so its true value is "
+                f"taken as {reference:g}"
+            )
+        if not source:
+            alternatives[f"outputs.{short}.unit"] = ("V", "mV", "ohm", "N", "g", "ppm")
+            checks.append(f"the unit of {short} is not told by the log; taken as LSB")
+        elif not column.unit:
+            checks.append(f"the unit of {short}, {unit}, is taken from {source}")
+        outputs.append(GuessedOutput(short, measured, reference, unit, _round_up(peak), source))
+    return outputs
 
 
-def _match_reference(measured: str, references: Sequence[str], outputs: int) -> str | None:
-    wanted = _words(measured)
-    for name in references:
-        if _words(name) - set(REFERENCE_WORDS) == wanted:
-            return name
-    alike = [name for name in references if read_unit(name) == read_unit(measured)]
-    return alike[0] if outputs == 1 and len(alike) == 1 else None
+def _is_reference(
+    measured: str,
+    reference: str,
+    outputs: int,
+    references: Sequence[tuple[SurveyedFile, Role]],
+) -> bool:
+    if words(reference) - REFERENCE_WORDS == words(measured):
+        return True
+    alike = [r for _, r in references if read_unit(r.column.name) == read_unit(measured)]
+    return outputs == 1 and len(alike) == 1 and alike[0].column.name == reference
 
 
-def _words(name: str) -> set[str]:
-    return {word.lower() for word in re.split(r"[^A-Za-z0-9]+", name) if word}
+def _round_up(peak: float) -> float:
+    """Return a round full scale that holds a peak."""
+    largest = peak if peak > 0 and np.isfinite(peak) else 1.0
+    decade = 10.0 ** np.floor(np.log10(largest))
+    scale = next(s * decade for s in FULL_SCALE_STEPS if s * decade >= largest)
+    return float(f"{scale:.3g}")
 
 
-def _measure_spans(source: Source, columns: Sequence[str]) -> dict[str, float]:
-    """Return for each column a round full scale that holds all of its values."""
-    frame = source.scan(columns).select(pl.col(columns).cast(pl.Float64, strict=False))
-    peaks = frame.select(pl.all().abs().max()).collect().row(0, named=True)
-    spans = {}
-    for name, peak in peaks.items():
-        largest = peak if peak and np.isfinite(peak) else 1.0
-        decade = 10.0 ** np.floor(np.log10(largest))
-        spans[name] = next(s * decade for s in FULL_SCALE_STEPS if s * decade >= largest)
-    return {name: float(f"{span:.3g}") for name, span in spans.items()}
+def _round_nominal(value: float) -> float:
+    """Return a value that hardly moves, to three digits: what it is likely meant to be."""
+    return float(f"{value:.3g}")
 
 
-def _measure_period(source: Source, time: str) -> tuple[float, float]:
-    """Return the first time and the median interval between rows, in the column's unit."""
-    column = pl.col(time).cast(pl.Float64, strict=False)
-    frame = source.scan([time]).select(column.alias("time"), column.diff().alias("step"))
-    rising = pl.col("step").filter(pl.col("step") > 0).median()
-    first, median = frame.select(pl.col("time").drop_nulls().first(), rising).collect().row(0)
-    if median is None:
-        raise InputError(
-            f"{source.label}: '{time}' never rises; expected times that rise from row to row."
-        )
-    return float(first), float(median)
+def _choose_inputs(files: Sequence[SurveyedFile], shared: set[str]) -> dict[str, str]:
+    inputs: dict[str, str] = {}
+    for file in files:
+        for role in file.list(INPUT):
+            if role.column.name in shared:
+                inputs.setdefault(role.channel, _write_column(files, file, role))
+    clock = inputs.pop("clock", None)
+    return ({"clock": clock} if clock else {}) | inputs
 
 
-def _list_values(source: Source, column: str) -> tuple[str, ...]:
-    values = source.scan().select(pl.col(column).cast(pl.String).unique(maintain_order=True))
-    return tuple(values.collect().to_series().drop_nulls())
+def _choose_period(
+    files: Sequence[SurveyedFile],
+    used: set[str],
+    period_s: float | None,
+    alternatives: dict[str, tuple[str, ...]],
+    checks: list[str],
+) -> float:
+    """Return the interval of the slowest file that is used, to three digits."""
+    slowest = period_s or 0.0
+    for file in files:
+        times = file.survey.times
+        names = {_write_column(files, file, role) for role in file.roles}
+        if times is None or not names & used:
+            continue
+        rising = np.unique(times.seconds)
+        if rising.size < 2 or times.period_s == 0:
+            raise InputError(
+                f"{file.survey.source.label}: '{times.config.name}' never rises; expected times "
+                "that rise from row to row."
+            )
+        usual_s = times.period_s
+        if not file.survey.runs and np.all(np.diff(times.seconds) > 0):
+            sampling = look_at_sampling(times.seconds, np.inf)
+            usual_s = max(sampling.usual_s, sampling.slowest_s)
+        slowest = max(slowest, usual_s)
+    period = float(f"{slowest:.3g}")
+    if period >= SLOWEST_S or period <= FASTEST_S:
+        unit = ""
+        first = next((f.survey.times for f in files if f.survey.times is not None), None)
+        if first is not None and not read_time_unit(first.config.name):
+            unit = ": are the times in another unit?"
+        alternatives["sample_period_s"] = ("another, if the unit of the times is another",)
+        checks.append(f"a row every {period:g} s is unusual{unit}")
+    return period
+
+
+def _describe(
+    files: Sequence[SurveyedFile], used: set[str], period_s: float | None
+) -> list[SeenColumn]:
+    """Return what was seen, column by column."""
+    seen = []
+    for file in files:
+        times = file.survey.times
+        if times is not None:
+            kind = {
+                "number": f"counts {times.config.unit or read_time_unit(times.config.name) or 's'}",
+                "zoned": "dates with a zone",
+                "local": "dates by a local clock",
+                "day": "times of day",
+            }[times.clock.kind]
+            why = f"{kind}, a row every {times.period_s:.4g} s"
+            low, high = float(times.seconds.min()), float(times.seconds.max())
+            seen.append(SeenColumn(file.name, times.config.name, "time", "s", low, high, why))
+        for role in file.roles:
+            column = role.column
+            name = _write_column(files, file, role)
+            shown, why = role.role, role.why
+            if role.role == INPUT:
+                shown = f"input {role.channel}"
+            elif (role.role == TEMPERATURE and name not in used) or (
+                role.role == OUTPUT and name not in used
+            ):
+                shown = UNUSED
+            elif role.role == REFERENCE and name not in used:
+                shown, why = UNUSED, "a reference of nothing that drifts"
+            if shown == UNUSED and role.role != UNUSED:
+                why = "not every log has it" if role.role != REFERENCE else why
+            seen.append(
+                SeenColumn(file.name, name, shown, column.unit, column.low, column.high, why)
+            )
+    return seen
+
+
+def _find_groups(files: Sequence[SurveyedFile], shared: set[str]) -> dict[str, tuple[str, ...]]:
+    """Return the columns of text that may tell units or parts of a log apart."""
+    return {
+        name: values
+        for file in files
+        for name, values in file.survey.texts.items()
+        if name in shared and 1 < len(values) <= 32 and file.survey.times is not None
+    }

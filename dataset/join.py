@@ -63,7 +63,8 @@ def join_tables(
         for table, median in zip(tables, median_s, strict=True)
     )
     left = int(kept.size - kept.sum())
-    more = f"; {left} rows of {base.source.path.name} without the others left out" if left else ""
+    alone = "one row" if left == 1 else f"{left} rows"
+    more = f"; {alone} of {base.source.path.name} without the others left out" if left else ""
     notes.append(f"{label}: {rows} joined on time{more}")
     at_s = base.columns[time][kept]
     base.take(kept)

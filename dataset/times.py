@@ -144,7 +144,7 @@ def find_clock(
         is_zoned = isinstance(first.dtype, pl.Datetime) and first.dtype.time_zone is not None
         of_day = first.dtype in (pl.Time, pl.Duration)
         return replace(usual, kind="zoned" if is_zoned else "day" if of_day else "local")
-    texts = _join([series.cast(pl.String) for series in values])
+    texts = join_texts([series.cast(pl.String) for series in values])
     if time.format:
         written = _translate(time.format)
         has_date = any(code in written for code in ("%d", "%j", "%F", "%x", "%c", "%D"))
@@ -155,7 +155,7 @@ def find_clock(
         return replace(usual, unit_s=TIME_UNITS[unit])
     formats = agree_on_formats(texts)
     if len(formats) > 1 and find_all is not None:
-        formats = agree_on_formats(_join([series.cast(pl.String) for series in find_all()]))
+        formats = agree_on_formats(join_texts([series.cast(pl.String) for series in find_all()]))
     table = f'[sensor] time = {{ column = "{time.columns[0]}", format = "%d.%m.%Y %H:%M:%S" }}'
     if not formats:
         raise InputError(
@@ -369,7 +369,7 @@ def _are_numbers(texts: Sequence[str]) -> bool:
     return read.cast(pl.Float64, strict=False).null_count() <= len(texts) / 2
 
 
-def _join(columns: Sequence[pl.Series]) -> list[str]:
+def join_texts(columns: Sequence[pl.Series]) -> list[str]:
     """Return the texts of one column, or of a date and a time of day, that are not empty."""
     rows = zip(*(series.to_list() for series in columns), strict=True)
     return [

@@ -18,7 +18,22 @@ UNITS = {unit.lower(): unit for unit in PLAIN_UNITS} | {
     "radps": "rad/s",
     "pct": "%",
     "percent": "%",
+    "%": "%",
+    "°c": "degC",
+    "°f": "degF",
+    "ω": "ohm",
+    "kω": "kohm",
+    "ohms": "ohm",
+    "µv": "uV",
+    "μv": "uV",
+    "µa": "uA",
+    "μa": "uA",
+    "m/s²": "m/s2",
 }
+
+
+_WRITTEN = r"[A-Za-z0-9%°µμΩ/²]"
+"""What units are written with."""
 
 
 def are_alike(one: str, other: str) -> bool:
@@ -29,11 +44,16 @@ def are_alike(one: str, other: str) -> bool:
 
 def read_unit(name: str) -> str:
     """Return the unit that a column's name ends in (`Fz_N`, `Fz [N]`), or an empty string."""
-    match = re.search(r"(?:_|[\[(])([A-Za-z0-9%]+)[\])]?$", name.strip())
+    match = re.search(rf"(?:_|[\[(])({_WRITTEN}+)[\])]?$", name.strip())
     return UNITS.get(match.group(1).lower(), "") if match else ""
+
+
+def normalise_unit(text: str) -> str:
+    """Return a unit by the name that zerodrift has for it, or as it is written."""
+    return UNITS.get(text.strip().lower(), text.strip())
 
 
 def strip_unit(name: str) -> str:
     """Return a column's name without its unit; the whole name where nothing would be left."""
-    bare = re.sub(r"[\s_]*[\[(_][A-Za-z0-9%]+[\])]?$", "", name) if read_unit(name) else name
+    bare = re.sub(rf"[\s_]*[\[(_]{_WRITTEN}+[\])]?$", "", name) if read_unit(name) else name
     return bare.strip() or name

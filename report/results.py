@@ -243,10 +243,23 @@ class GuessedColumns:
     """An output as `init` guessed it."""
 
     measured: str
-    reference: str | None
-    """A column; null where there is none."""
+    reference: str | float | None
+    """A column or a number; null where there is none."""
     unit: str
     full_scale: float
+
+
+@dataclass(frozen=True)
+class InitColumn:
+    """A column of the logs as `init` saw it."""
+
+    file: str
+    column: str
+    role: str
+    unit: str
+    low: float | None
+    high: float | None
+    why: str
 
 
 @dataclass(frozen=True)
@@ -265,6 +278,8 @@ class InitResult:
     """train | test | dwell -> selectors."""
     check: tuple[str, ...]
     """What to look at, in sentences."""
+    columns: tuple[InitColumn, ...]
+    """What was seen of each column of the first run."""
 
 
 @dataclass(frozen=True, kw_only=True)

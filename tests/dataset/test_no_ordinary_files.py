@@ -47,7 +47,8 @@ def test_directory_or_device_as_a_log_is_refused(tmp_path: Path, kind: str) -> N
         log.mkdir()
     else:
         log.symlink_to("/dev/zero")
-    with pytest.raises(InputError, match=f"log.csv: is a {kind}; expected a log"):
+    found = "holds no log" if kind == "directory" else "is a device; expected a log"
+    with pytest.raises(InputError, match=f"log.csv: {found}"):
         guess_project([log])
 
 

@@ -18,7 +18,7 @@ from zerodrift.base.threads import use_one_thread
 #: Command name -> one-line help. The command itself is `zerodrift.app.commands.<name>:command`;
 #: further commands come from installed packages, by the entry point GROUP.
 COMMANDS: dict[str, str] = {
-    "init": "Write a commented zerodrift.toml guessed from the logs' headers.",
+    "init": "Write a commented zerodrift.toml guessed from the logs.",
     "effects": "The catalogue of physical effects; with a name, everything about one.",
     "compare": "Model against measurements, run by run; where it fails.",
     "diagnose": "Name the physical effect that the model lacks.",

@@ -1,20 +1,20 @@
-"""`zerodrift init LOG...`: a commented zerodrift.toml guessed from the logs' headers."""
+"""`zerodrift init LOG...`: a commented zerodrift.toml guessed from the logs."""
 
-import json
-import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from zerodrift.app.commands.common import directory_option, json_option, print_result
-from zerodrift.base.clock_config import TIME_UNITS
+from zerodrift.app.commands.init_toml import render_seen, write_config, write_selectors
 from zerodrift.base.config import FILE_NAME, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_text
-from zerodrift.dataset.guess import Guess, GuessedOutput, guess_project
-from zerodrift.dataset.selectors import CSV_SUFFIXES, PARQUET_SUFFIXES, order_path
+from zerodrift.dataset.guess import Guess, guess_project
+from zerodrift.dataset.guess_runs import LogFiles
+from zerodrift.dataset.selectors import list_files, order_path
 
 if TYPE_CHECKING:
     from zerodrift.report.results import InitResult
@@ -27,22 +27,41 @@ USE_WORDS = {"dwell": ("dwell", "isothermal", "noise"), "test": ("test", "walk",
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG...")
 @directory_option
 @click.option("--force", is_flag=True, help=f"Overwrite an existing {FILE_NAME}.")
+@click.option(
+    "--period-s",
+    type=click.FloatRange(min=0, min_open=True),
+    default=None,
+    metavar="SECONDS",
+    help="Interval between rows, for logs without times.",
+)
+@click.option("--interactive", is_flag=True, help="Ask wherever there is a choice.")
 @json_option
-def command(logs: tuple[Path, ...], directory: Path, force: bool, as_json: bool) -> None:
-    """Write a commented zerodrift.toml guessed from the headers of LOG...
+def command(
+    logs: tuple[Path, ...],
+    directory: Path,
+    force: bool,
+    period_s: float | None,
+    interactive: bool,
+    as_json: bool,
+) -> None:
+    """Write a commented zerodrift.toml guessed from LOG...
 
-    A LOG is a CSV or Parquet file, or a directory of them; names are looked up in the current
-    directory, then in DIR. Columns are recognised by name and unit: time_s, temperature_degC,
-    Fz_N, ref_Fz_N, supply_V. What was guessed is printed, with what to check.
+    A LOG is a file, or a folder: of runs, of folders of runs, or of the files that are one run
+    together, say a meter's and a climate logger's; names are looked up in the current directory,
+    then in DIR. Columns are told by name, unit and values: time_s, temperature_degC, Fz_N,
+    ref_Fz_N, supply_V. What was seen is printed, and what to check; in the file, `# check:` names
+    what else a value may be.
     """
     target = directory / FILE_NAME
     if target.exists() and not force:
         raise InputError(f"{target}: exists already; --force overwrites it.")
-    paths = find_logs(logs, directory)
-    uses = _sort_by_use(paths)
-    guess = guess_project(uses["train"])
-    selectors = {use: _write_selectors(files, directory) for use, files in uses.items()}
-    if len(paths) == 1 and len(guess.runs) < 2:
+    places = [log if log.exists() else directory / log for log in logs]
+    guess = guess_project(places, period_s, directory)
+    if interactive:
+        guess = ask(guess)
+    uses = _sort_by_use(guess.logs)
+    selectors = {use: write_selectors(runs, directory) for use, runs in uses.items()}
+    if len(guess.logs) == 1 and len(guess.runs) < 2:
         only = selectors["train"][0]
         selectors = {"train": [f"{only}@0%:60%"], "test": [f"{only}@60%:100%"], "dwell": []}
     text = write_config(guess, selectors)
@@ -54,85 +73,47 @@ def command(logs: tuple[Path, ...], directory: Path, force: bool, as_json: bool)
     click.echo(_describe_guess(target, guess, selectors))
 
 
-def write_config(guess: Guess, selectors: dict[str, list[str]]) -> str:
-    """Return the text of a zerodrift.toml; every value that was guessed can be edited in place."""
-    lines = [
-        "# The sensor, its logs and its model. Guessed from the logs' headers: check every line.",
-        "",
-        "[sensor]",
-        f"name = {_quote(guess.sensor_name)}  # prefix of the C names",
-        _write_time(guess),
-        f"temperature = {_quote(guess.temperature)}  # column, degC: the chip's own thermometer",
-        "# The firmware's step: finer logs are averaged to it, coarser ones refused.",
-        f"sample_period_s = {guess.sample_period_s!r}",
-    ]
+def ask(guess: Guess) -> Guess:
+    """Return the guess with what the user chose wherever there is a choice."""
+    click.echo("\n".join(render_seen(guess.seen)))
+    others = guess.alternatives.get("temperature", ())
+    alternatives = dict(guess.alternatives)
+    if others:
+        names = (guess.temperature, *others)
+        chosen = click.prompt("thermometer on the chip", default=names[0], type=click.Choice(names))
+        inputs = {name: column for name, column in guess.inputs.items() if column != chosen}
+        if chosen != guess.temperature:
+            inputs["thermometer"] = guess.temperature
+        guess = replace(guess, temperature=chosen, inputs=inputs)
+        alternatives.pop("temperature")
+    outputs = []
     for output in guess.outputs:
-        lines += ["", *_write_output(output)]
-    lines += ["", "[inputs]  # optional channels, by the name that effects use"]
-    lines += [f"{_write_key(name)} = {_quote(column)}" for name, column in guess.inputs.items()]
-    if not guess.inputs:
-        lines.append('# supply = "supply_V"')
-    lines += ["", "[logs]  # globs; one file is one run, or a `run` column splits a file"]
-    lines.append(f"train = {json.dumps(selectors['train'], ensure_ascii=False)}")
-    if selectors["test"]:
-        lines.append(f"test = {json.dumps(selectors['test'], ensure_ascii=False)}")
-    else:
-        lines.append('# test = ["logs/walk_*.csv"]  # left out: one run is left out at a time')
-    if selectors["dwell"]:
-        lines.append(f"dwell = {json.dumps(selectors['dwell'], ensure_ascii=False)}")
-    else:
-        lines.append('# dwell = ["logs/dwell.csv"]  # isothermal, unloaded: sets the noise floor')
-    for column, values in guess.groups.items():
-        example = f"{{ {_write_key(column)} = {_quote(values[0])} }}"
-        lines.append(f"# where = {example}  # one of: {', '.join(values[:8])}")
-    lines += [
-        "",
-        "[[effect]]  # the physical model; `zerodrift effects` lists what there is",
-        'kind = "zero_tempco"',
-        "",
-        "[network]  # learns what physics leaves: lag_bank | gru | mlp | mlp_seq | tcn | none",
-        'kind = "lag_bank"',
-        "",
-        "[quantization]",
-        'weights = "int16"  # int16 | int8',
-        "",
-        "[firmware]",
-        'out = "firmware"',
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _write_time(guess: Guess) -> str:
-    if not guess.time_unit:
-        return f"time = {_quote(guess.time)}  # column, seconds, or the unit that its name states"
-    others = " | ".join(unit for unit in TIME_UNITS if unit != guess.time_unit)
-    table = f"{{ column = {_quote(guess.time)}, unit = {_quote(guess.time_unit)} }}"
-    return f"time = {table}  # check: or {others}, and then another sample_period_s"
-
-
-def _write_output(output: GuessedOutput) -> list[str]:
-    reference = "# reference = 0  # a column, or a number; left out = 0"
-    if output.reference:
-        reference = (
-            f"reference = {_quote(output.reference)}  # the true value: a column or a number"
-        )
-    return [
-        f"[outputs.{_write_key(output.name)}]",
-        f"measured = {_quote(output.measured)}  # column before compensation",
-        reference,
-        f"unit = {_quote(output.unit)}",
-        f"full_scale = {output.full_scale:g}  # a guess from the largest value in the log",
-    ]
-
-
-def _quote(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)
-
-
-def _write_key(key: str) -> str:
-    is_bare = key.isascii() and key.replace("_", "").replace("-", "").isalnum()
-    return key if is_bare else _quote(key)
+        if len(guess.outputs) > 1 and not click.confirm(
+            f"{output.measured}: does it drift, and is it to be compensated?", default=True
+        ):
+            continue
+        if f"outputs.{output.name}.unit" in guess.alternatives:
+            unit = click.prompt(f"unit of {output.measured}", default=output.unit)
+            output = replace(output, unit=unit, unit_from="you")  # noqa: PLW2901
+            alternatives.pop(f"outputs.{output.name}.unit")
+        if f"outputs.{output.name}.reference" in guess.alternatives:
+            true = click.prompt(
+                f"true value of {output.measured}", default=output.reference, type=float
+            )
+            output = replace(output, reference=true)  # noqa: PLW2901
+            alternatives.pop(f"outputs.{output.name}.reference")
+        outputs.append(output)
+    period_s = click.prompt(
+        "sample period in seconds",
+        default=guess.sample_period_s,
+        type=click.FloatRange(min=0, min_open=True),
+    )
+    alternatives.pop("sample_period_s", None)
+    if not outputs:
+        raise InputError("init --interactive: no output is left; expected one at least.")
+    return replace(
+        guess, outputs=tuple(outputs), sample_period_s=period_s, alternatives=alternatives
+    )
 
 
 def find_logs(logs: Sequence[Path], directory: Path) -> list[Path]:
@@ -140,42 +121,31 @@ def find_logs(logs: Sequence[Path], directory: Path) -> list[Path]:
     paths: list[Path] = []
     for log in logs:
         place = log if log.exists() else directory / log
-        if place.is_dir():
-            found = [
-                path
-                for path in place.iterdir()
-                if path.suffix.lower() in CSV_SUFFIXES + PARQUET_SUFFIXES
-            ]
-            if not found:
-                raise InputError(f"{place}: holds no log; expected CSV or Parquet files.")
-            paths += found
-        else:
-            paths.append(place)
+        found = list_files(place)
+        if not found:
+            raise InputError(f"{place}: holds no log; expected CSV or Parquet files.")
+        paths += found
     return sorted(set(paths), key=lambda path: order_path(path, directory))
 
 
-def _sort_by_use(paths: Sequence[Path]) -> dict[str, list[Path]]:
+def _sort_by_use(logs: Sequence[LogFiles]) -> dict[str, list[LogFiles]]:
     """Sort logs into train, test and dwell by words in their names; never leave train empty."""
-    uses: dict[str, list[Path]] = {"train": [], "test": [], "dwell": []}
-    for path in paths:
-        name = path.stem.lower()
+    uses: dict[str, list[LogFiles]] = {"train": [], "test": [], "dwell": []}
+    for log in logs:
+        name = log.path.stem.lower()
         found = [use for use, words in USE_WORDS.items() if any(word in name for word in words)]
-        uses[found[0] if found else "train"].append(path)
+        uses[found[0] if found else "train"].append(log)
     if not uses["train"]:
-        return {"train": list(paths), "test": [], "dwell": []}
+        return {"train": list(logs), "test": [], "dwell": []}
     return uses
 
 
-def _write_selectors(paths: Sequence[Path], directory: Path) -> list[str]:
-    return [Path(os.path.relpath(path, directory)).as_posix() for path in paths]
-
-
 def _summarise(target: Path, guess: Guess, selectors: dict[str, list[str]]) -> "InitResult":
-    from zerodrift.report.results import GuessedColumns, InitResult
+    from zerodrift.report.results import GuessedColumns, InitColumn, InitResult
 
     return InitResult(
         file=str(target),
-        time=guess.time,
+        time=guess.time.name,
         temperature=guess.temperature,
         sample_period_s=guess.sample_period_s,
         outputs={
@@ -185,13 +155,18 @@ def _summarise(target: Path, guess: Guess, selectors: dict[str, list[str]]) -> "
         inputs=guess.inputs,
         logs={use: tuple(files) for use, files in selectors.items()},
         check=tuple(guess.checks),
+        columns=tuple(
+            InitColumn(c.file, c.column, c.role, c.unit, c.low, c.high, c.why) for c in guess.seen
+        ),
     )
 
 
 def _describe_guess(target: Path, guess: Guess, selectors: dict[str, list[str]]) -> str:
+    time = guess.time.name or "none"
     lines = [
+        *render_seen(guess.seen),
         f"wrote {target}",
-        f"  time         {guess.time}, a row every {guess.sample_period_s:g} s",
+        f"  time         {time}, a row every {guess.sample_period_s:g} s",
         f"  temperature  {guess.temperature}",
     ]
     lines += [

@@ -107,7 +107,7 @@ def open_import(
 ) -> tuple["Config", "Dataset", "FloatModel", list[str]]:
     """Return the project, its logs, the network as their float model, and what is to be noted.
 
-    Without a zerodrift.toml the project is guessed from the logs' headers, as `init` does.
+    Without a zerodrift.toml the project is guessed from the logs, as `init` does.
 
     Raises:
         InputError: the network, the project or a log cannot be read, or they do not fit together.
@@ -134,7 +134,8 @@ def open_import(
 
 
 def _open_config(calibrate: Sequence[Path], directory: Path) -> tuple["Config", list[str]]:
-    from zerodrift.app.commands.init import find_logs, write_config
+    from zerodrift.app.commands.init import find_logs
+    from zerodrift.app.commands.init_toml import write_config
     from zerodrift.base.config import FILE_NAME, load_config, parse_config
     from zerodrift.dataset.guess import guess_project
     from zerodrift.dataset.selectors import expand_selectors

@@ -1,0 +1,248 @@
+"""Which files are the runs of a project, by what they hold; and what a run lacks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from zerodrift.base.errors import InputError
+from zerodrift.dataset.roles import OUTPUT, STEADY, TEMPERATURE, Role, assign_roles
+from zerodrift.dataset.selectors import LOG_SUFFIXES, list_files, order_path
+from zerodrift.dataset.survey import Survey, survey_source
+from zerodrift.dataset.tables import open_source
+
+
+@dataclass(frozen=True)
+class LogFiles:
+    """One run as `[logs]` is to select it."""
+
+    path: Path
+    files: tuple[Path, ...]
+    """Several: joined on time."""
+
+
+@dataclass(frozen=True)
+class SurveyedFile:
+    """A file and what its columns are for."""
+
+    survey: Survey
+    roles: tuple[Role, ...]
+
+    @property
+    def name(self) -> str:
+        """Return the file's name."""
+        return self.survey.source.path.name
+
+    def list(self, role: str) -> list[Role]:
+        """Return the columns of a role, thermometers by their rank."""
+        return sorted((each for each in self.roles if each.role == role), key=lambda r: r.rank)
+
+
+@dataclass(frozen=True)
+class FoundRun:
+    """A run and what its files hold."""
+
+    log: LogFiles
+    files: tuple[SurveyedFile, ...]
+    left_out: tuple[str, ...] = ()
+    """What is said of files that lie beside them."""
+
+    def names(self) -> set[str]:
+        """Return all columns of its files."""
+        return {name for file in self.files for name in file.survey.source.names}
+
+
+def find_runs(
+    logs: Sequence[Path | LogFiles], period_s: float | None, directory: Path
+) -> tuple[list[FoundRun], list[str]]:
+    """Return the runs that the logs are, and what is said of what is none."""
+    runs: list[FoundRun] = []
+    refused: list[str] = []
+    files = []
+    for log in logs:
+        if isinstance(log, LogFiles):
+            runs.append(FoundRun(log, tuple(_open(path) for path in log.files)))
+        elif log.is_dir():
+            found = _find_in_folder(log, period_s, refused)
+            if not found:
+                told = f" ({'; '.join(refused)})" if refused else ""
+                raise InputError(
+                    f"{log}: holds no log{told}; expected files of rows that end in "
+                    f"{', '.join(LOG_SUFFIXES)}, or folders of them. Name another folder."
+                )
+            runs += found
+        else:
+            files.append(log)
+    opened = [_open(path) for path in files]
+    if len(opened) > 1 and not any(_is_whole(file, period_s) for file in opened):
+        several = LogFiles(files[0], tuple(files))
+        runs.append(FoundRun(several, tuple(opened)))
+    else:
+        runs += [
+            FoundRun(LogFiles(path, (path,)), (file,))
+            for path, file in zip(files, opened, strict=True)
+        ]
+    runs.sort(key=lambda run: order_path(run.log.path, directory))
+    return runs, refused
+
+
+def _open(path: Path) -> SurveyedFile:
+    survey = survey_source(open_source(path, str(path), {}))
+    return SurveyedFile(survey, tuple(assign_roles(survey)))
+
+
+def _is_whole(file: SurveyedFile, period_s: float | None) -> bool:
+    has_time = file.survey.times is not None or period_s is not None
+    return has_time and bool(file.list(TEMPERATURE)) and bool(file.list(OUTPUT))
+
+
+def _find_in_folder(folder: Path, period_s: float | None, refused: list[str]) -> list[FoundRun]:
+    """Return the runs of a folder and of those in it.
+
+    Files that each have times, thermometer and value are a run each; if none has, all are one.
+    """
+    opened: list[SurveyedFile] = []
+    for path in list_files(folder):
+        try:
+            file = _open(path)
+        except InputError as error:
+            if path.suffix.lower() != ".txt":  # which is as often a remark
+                refused.append(f"not read: {error}")
+            continue
+        if file.survey.columns:
+            opened.append(file)
+    runs = []
+    whole = [file for file in opened if _is_whole(file, period_s)]
+    if whole:
+        left = tuple(
+            f"{file.survey.source.path.name} beside it is left out: {_tell_lack(file)}"
+            for file in opened
+            if file not in whole
+        )
+        for file in whole:
+            path = file.survey.source.path
+            runs.append(FoundRun(LogFiles(path, (path,)), (file,), left))
+    elif len(opened) == 1:
+        path = opened[0].survey.source.path
+        runs.append(FoundRun(LogFiles(path, (path,)), (opened[0],)))
+    elif opened:
+        runs.append(FoundRun(LogFiles(folder, tuple(list_files(folder))), tuple(opened)))
+    for inner in sorted(path for path in folder.iterdir() if path.is_dir()):
+        runs += _find_in_folder(inner, period_s, refused)
+    return runs
+
+
+def _tell_lack(file: SurveyedFile) -> str:
+    lacks = []
+    if file.survey.times is None:
+        lacks.append("no times")
+    if not file.list(TEMPERATURE):
+        lacks.append("no thermometer")
+    if not file.list(OUTPUT):
+        lacks.append("nothing that drifts")
+    return ", ".join(lacks)
+
+
+def choose_runs(
+    runs: Sequence[FoundRun], period_s: float | None
+) -> tuple[FoundRun, list[FoundRun], list[str]]:
+    """Return the run to go by, those that have its columns, and what is said of the others."""
+    good = [run for run in runs if not _list_lacks(run, period_s)]
+    if not good:
+        raise InputError(_explain_lacks(runs[0], period_s))
+    wanted = {run.log: _list_key_columns(run) for run in good}
+    # The columns that the most runs share, in the order of the runs.
+    counts = [sum(wanted[run.log] <= other.names() for other in good) for run in good]
+    first = good[int(np.argmax(counts))]
+    alike = [run for run in good if wanted[first.log] <= run.names()]
+    told = []
+    scaled = _find_other_scale(alike)
+    if scaled:
+        alike = [run for run in alike if run not in scaled]
+        first = alike[0]
+        names = ", ".join(run.log.path.name for run in scaled)
+        where = ", ".join(run.log.path.parent.name for run in scaled)
+        told.append(
+            f"{names} (in {where}) left out: a value that hardly moves is another there by powers "
+            "of ten, as in another unit"
+        )
+    if others := [run for run in good if run not in alike]:
+        names = ", ".join(
+            f"{run.log.path.name} ({', '.join(sorted(wanted[run.log] - first.names()))})"
+            for run in others
+        )
+        told.append(f"other runs have other columns, and are left out: {names}")
+    if bad := [run for run in runs if run not in good]:
+        names = "; ".join(
+            f"{run.log.path.name} ({', '.join(_list_lacks(run, period_s))})" for run in bad
+        )
+        told.append(f"runs that lack something are left out: {names}")
+    return first, alike, told
+
+
+def _find_other_scale(runs: Sequence[FoundRun]) -> list[FoundRun]:
+    """Return the runs whose steady values are of another size than in those with the most rows."""
+    sizes: dict[int, list[FoundRun]] = {}
+    for run in runs:
+        columns = [role.column for file in run.files for role in file.list(OUTPUT)]
+        steady = [c for c in columns if c.high - c.low < STEADY * max(abs(c.low), abs(c.high))]
+        if not steady:
+            return []
+        sizes.setdefault(round(float(np.log10(abs(steady[0].median)))), []).append(run)
+    most = max(sizes.values(), key=lambda same: sum(f.survey.rows for r in same for f in r.files))
+    return [run for run in runs if run not in most]
+
+
+def _list_key_columns(run: FoundRun) -> set[str]:
+    """Return the columns without which a run is of no use: times, thermometer, outputs."""
+    names: set[str] = set()
+    for file in run.files:
+        if file.survey.times is not None:
+            names |= set(file.survey.times.config.columns)
+        names |= {role.column.name for role in file.list(OUTPUT)}
+    thermometers = [role.column.name for file in run.files for role in file.list(TEMPERATURE)]
+    return names | set(thermometers[:1])
+
+
+def _list_lacks(run: FoundRun, period_s: float | None) -> list[str]:
+    lacks = []
+    timed = [file for file in run.files if file.survey.times is not None]
+    if not timed and period_s is None:
+        lacks.append("times")
+    if not any(file.list(TEMPERATURE) for file in run.files):
+        lacks.append("a thermometer")
+    if not any(file.list(OUTPUT) for file in run.files):
+        lacks.append("a quantity that drifts")
+    return lacks
+
+
+def _explain_lacks(run: FoundRun, period_s: float | None) -> str:
+    """Return exactly what a log lacks, with what was seen of it."""
+    lacks = _list_lacks(run, period_s)
+    who = run.files[0].survey.source.label if len(run.files) == 1 else str(run.log.path)
+    text = run.files[0].survey.source.text
+    line = f":{text.header_line}" if len(run.files) == 1 and text and text.header_line else ""
+    told = {
+        "times": "no column of numbers looks like the time, and none of text",
+        "a thermometer": "no column looks like the temperature",
+        "a quantity that drifts": "no column looks like a quantity that drifts",
+    }
+    remedies = {
+        "times": "name a column time_s, or give the interval between rows: init --period-s SECONDS",
+        "a thermometer": "name one such as temperature_degC, or add the file that has it",
+        "a quantity that drifts": "name one with its unit, such as Fz_N, or add the file with it",
+    }
+    seen = "; ".join(_tell_column(file, role) for file in run.files for role in file.roles)
+    found = "; ".join(told[lack] for lack in lacks)
+    todo = "; ".join(remedies[lack] for lack in lacks)
+    return (
+        f"{who}{line}: {found} (found: {seen or 'no numbers'}); expected {' and '.join(lacks)}. "
+        f"To go on: {todo}."
+    )
+
+
+def _tell_column(file: SurveyedFile, role: Role) -> str:
+    column = role.column
+    unit = f" {column.unit}" if column.unit else ""
+    return f"{column.name} {column.low:g} to {column.high:g}{unit} ({role.role}: {role.why})"
