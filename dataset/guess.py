@@ -138,7 +138,7 @@ def guess_project(
     used = {temperature, *inputs.values(), *(output.measured for output in outputs)}
     used |= {output.reference for output in outputs if isinstance(output.reference, str)}
     period = _choose_period(files, used, period_s, alternatives, checks)
-    seen = tuple(_describe(files, used, period_s))
+    seen = tuple(_describe(files, used))
     if unused := [
         f"{column.column} ({column.why})" if column.why else column.column
         for column in seen
@@ -368,9 +368,7 @@ def _choose_period(
     return period
 
 
-def _describe(
-    files: Sequence[SurveyedFile], used: set[str], period_s: float | None
-) -> list[SeenColumn]:
+def _describe(files: Sequence[SurveyedFile], used: set[str]) -> list[SeenColumn]:
     """Return what was seen, column by column."""
     seen = []
     for file in files:
