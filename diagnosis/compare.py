@@ -1,7 +1,7 @@
 """A model held against the measurements: run by run, output by output, and where it fails."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,6 +163,16 @@ def _summarise_run(run: RunErrors, k: int) -> RunSummary:
     )
 
 
+@dataclass(frozen=True)
+class Labels:
+    """What a comparison is told with, and does not depend on."""
+
+    effects: tuple[str, ...] = ()
+    """Names of the model's effects."""
+    channel_units: Mapping[str, str] = field(default_factory=dict)
+    """Units of the input channels."""
+
+
 def compare(
     dataset: Dataset,
     predict: Predict,
@@ -171,8 +181,7 @@ def compare(
     floor: NoiseFloor | None = None,
     tared: bool = False,
     find_usable: FindUsable | None = None,
-    effects: Sequence[str] = (),
-    channel_units: Mapping[str, str] | None = None,
+    labels: Labels | None = None,
     most: int = MOST_SEGMENTS,
 ) -> Comparison:
     """Hold any model against the runs.
@@ -186,10 +195,10 @@ def compare(
         tared: each log is zeroed on its own, so that a run's mean error says nothing about the
             model and is taken off.
         find_usable: run -> [n, K] which samples count; by default all.
-        effects: names of the model's effects, for the report.
-        channel_units: units of the input channels, for the words.
+        labels: names and units, for the report.
         most: how many of the worst segments to list.
     """
+    labels = labels or Labels()
     if held_out is None:
         predictions = {run.name: predict(run) for run in dataset.test}
         held_out = HeldOut(TEST_LOGS if dataset.test else NONE, predictions)
@@ -208,7 +217,7 @@ def compare(
         outputs=dataset.outputs,
         units=dataset.units,
         full_scale=dataset.full_scale,
-        channel_units=channel_units,
+        channel_units=labels.channel_units,
         most=most,
     )
     tested = {run.group for run in dataset.test}
@@ -216,7 +225,7 @@ def compare(
         outputs=dataset.outputs,
         units=dataset.units,
         full_scale=dataset.full_scale,
-        effects=tuple(effects),
+        effects=labels.effects,
         in_sample=_summarise(list(inside.values())),
         held_out=_summarise(list(outside.values())) if outside else None,
         runs=tuple(

@@ -6,6 +6,7 @@ needs the standard library only.
 
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from zerodrift.verify.c_intervals import IntervalMachine
@@ -27,6 +28,17 @@ Rows = tuple[list[int], list[int], list[int]]
 """w_x [H][3][I], w_h [H][3][H] and bias [H][4] of a layer."""
 
 
+@dataclass(frozen=True)
+class Weights:
+    """The numbers of a layer."""
+
+    rows: Rows
+    multiplier: list[int]
+    """[H][3] of 8-bit recurrent weights; else empty."""
+    after: bool
+    """Whether the reset gate acts after the recurrent product."""
+
+
 def run_portable(machine: IntervalMachine, after: bool, layer: Struct, *given: Any) -> None:
     """Step a layer whose weights lie unit by unit; `after` tells where the reset gate acts."""
     _check_sizes(given[0], given[1], given[-1])
@@ -37,7 +49,8 @@ def run_portable(machine: IntervalMachine, after: bool, layer: Struct, *given: A
     for scratch in given[4:-1]:
         scratch.hold(given[1].low)
     _require_apart(given[4:-1], given[3])
-    _gru(machine, after, layer, (w_x, w_16 or w_8, bias), multiplier, *given)
+    weights = Weights((w_x, w_16 or w_8, bias), multiplier, after)
+    _gru(machine, layer, weights, *given)
     for scratch in given[4:-1]:
         _leave_unknown(scratch, given[1].low)
 
@@ -58,7 +71,7 @@ def run_packed(machine: IntervalMachine, packing: "Packing", layer: Struct, *giv
         rows = unpack(*tables, inputs, hidden)
     except (StopIteration, IndexError, ValueError) as error:
         raise FaultError(f"{layer.name}: its table is short or not filled up: {error}") from None
-    _gru(machine, True, layer, rows, [], *given)
+    _gru(machine, layer, Weights(rows, [], after=True), *given)
 
 
 def _check_sizes(inputs: Value, hidden: Value, u_keep: Value) -> None:
@@ -154,10 +167,8 @@ def _trim(row: list[int], count: int) -> list[int]:
 
 def _gru(
     machine: IntervalMachine,
-    after: bool,
     layer: Struct,
-    rows: Rows,
-    multiplier: list[int],
+    weights: Weights,
     inputs: Value,
     hidden: Value,
     features: Pointer,
@@ -165,7 +176,7 @@ def _gru(
     *_: Any,
 ) -> None:
     """Every accumulator by the sum of its terms' sizes, hence in whatever order they are added."""
-    (w_x, w_h, bias), limit = rows, machine.h_limit
+    (w_x, w_h, bias), multiplier, limit = weights.rows, weights.multiplier, machine.h_limit
     n_x, n_h, h_q15 = inputs.low, hidden.low, (limit + (1 << 14)) >> 15
     x = features.values(n_x)
     name = re.sub(r"_(\d+)$", r".\1", layer.name)  # a layer of a stack
@@ -201,7 +212,7 @@ def _gru(
             total = scaled + (1 << shift >> 1)
             machine.note(f"{where}.scaled", -total, total, 64)
             from_h = (scaled >> shift) + 1
-        if g == 2 and after:
+        if g == 2 and weights.after:
             inside = abs(bias[4 * j + 3]) + from_h
             machine.note(f"{where}.inside", -inside, inside, 32)
             from_h = (inside * machine.r_max >> 32) + 1

@@ -20,8 +20,10 @@ from zerodrift.base.progress import PROGRESS_LINES, PROGRESS_MARK
 EVENT_MARK = "event: "
 GRACE_S = 4.0
 """After which a child that was asked to stop is asked less kindly."""
-KINDNESS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
-"""An interrupt first: on it a command takes its scratch files away."""
+WAYS_TO_END = 3
+"""Of `_end_group`, tried in turn."""
+NEW_GROUP = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
+"""On Windows a child leads a group by this flag, elsewhere by a session of its own."""
 
 
 @dataclass
@@ -86,6 +88,7 @@ class Job:
                     encoding="utf-8",
                     errors="replace",
                     start_new_session=True,
+                    creationflags=NEW_GROUP,
                 ),
             )
             for command in commands
@@ -121,10 +124,10 @@ class Job:
     def cancel(self) -> None:
         """Stop all processes, and what they started themselves."""
         self.cancelled = True
-        for number in KINDNESS:
+        for way in range(WAYS_TO_END):
             for child in self.children:
                 if child.process.poll() is None:
-                    _signal_group(child.process, number)
+                    _end_group(child.process, way)
             deadline = time.monotonic() + GRACE_S
             while time.monotonic() < deadline:
                 if all(child.process.poll() is not None for child in self.children):
@@ -158,7 +161,20 @@ class Job:
         self._on_end(self)
 
 
-def _signal_group(process: subprocess.Popen[str], number: int) -> None:
-    """Signal a process that leads a session, and all in it."""
+def _end_group(process: subprocess.Popen[str], way: int) -> None:
+    """End a process that leads a group, and all in it.
+
+    Args:
+        process: leads its group.
+        way: 0 interrupts, on which a command takes its scratch files away; 1 asks; 2 kills. On
+            Windows the last two end the process alone.
+    """
     with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, number)
+        if sys.platform == "win32":
+            (
+                lambda: process.send_signal(signal.CTRL_BREAK_EVENT),
+                process.terminate,
+                process.kill,
+            )[way]()
+        else:
+            os.killpg(process.pid, (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)[way])

@@ -1,6 +1,7 @@
 """What `zerodrift twin --six-axis` records, and how it says so."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -68,29 +69,36 @@ def list_runs(
     return named
 
 
-def record_campaign(
-    *,
-    specimen: int,
-    protocols: Sequence[str],
-    runs: int | None,
-    test: Sequence[str],
-    dwell: bool,
-    hidden: Sequence[EffectChoice],
-    seed: int,
-    period_s: float,
-    noise: float,
-    tare: str,
-    level: str,
-) -> Campaign:
+@dataclass(frozen=True)
+class CampaignRequest:
+    """Which recordings of which specimen are wanted."""
+
+    specimen: int
+    protocols: tuple[str, ...]
+    runs: int | None
+    """Training runs; None: one of each protocol, or the default."""
+    test: tuple[str, ...]
+    """Protocols of the test runs."""
+    dwell: bool
+    hidden: tuple[EffectChoice, ...]
+    seed: int
+    period_s: float
+    noise: float
+    """Factor on the noise."""
+    tare: str
+    level: str
+
+
+def record_campaign(request: CampaignRequest) -> Campaign:
     """Return the recordings of one specimen.
 
     Raises:
         InputError: an unknown protocol or effect, or a value out of range.
     """
-    named = list_runs(protocols, runs, test, dwell, level)
+    named = list_runs(request.protocols, request.runs, request.test, request.dwell, request.level)
     loaded: dict[str, Protocol] = {source: load_protocol(source) for source, _, _ in named}
-    sensor: Sensor = draw_sensor(specimen, hidden, noise=noise)
-    pauses = sensor.stream("pauses", str(seed))
+    sensor: Sensor = draw_sensor(request.specimen, request.hidden, noise=request.noise)
+    pauses = sensor.stream("pauses", str(request.seed))
     clock_s = 0.0
     by_use: dict[str, list[Recording]] = {"train": [], "test": [], "dwell": [], "weights": []}
     with show_progress("recording ...") as tell:
@@ -100,9 +108,9 @@ def record_campaign(
                 sensor,
                 loaded[source],
                 name,
-                seed,
-                period_s,
-                tare=tare,
+                request.seed,
+                request.period_s,
+                tare=request.tare,
                 clock_start_s=round(clock_s, 1),
             )
             by_use[use].append(run)

@@ -1,12 +1,14 @@
 """`zerodrift twin`: writes simulated logs of the six-axis sensor, hidden effects on request."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from zerodrift.app.commands.common import json_option, print_json
+from zerodrift.app.commands.common import json_option, packed, print_json
 from zerodrift.base.errors import InputError
 from zerodrift.lab.commands.six_axis import (
+    CampaignRequest,
     describe_campaign,
     record_campaign,
     refuse_foreign_options,
@@ -80,6 +82,23 @@ def describe_written(simulation: Simulation, directory: Path, files: list[str]) 
     return "\n".join(lines)
 
 
+def summarise_written(
+    simulation: Simulation, directory: Path, files: list[str]
+) -> dict[str, object]:
+    """Return the same as JSON values."""
+    recipe = simulation.recipe
+    return {
+        "simulated": True,
+        "directory": str(directory),
+        "seed": recipe.seed,
+        "files": files,
+        "runs": {run.name: run.use for run in simulation.runs},
+        "told": [choice.name for choice in recipe.told],
+        "noise_rms": dict(zip(OUTPUTS, simulation.noise_rms.tolist(), strict=True)),
+        "units": dict(zip(OUTPUTS, UNITS, strict=True)),
+    }
+
+
 def write_example(directory: Path, *, as_json: bool) -> None:
     """Write the simulated logs of a bundled example and say whether they were there.
 
@@ -96,6 +115,36 @@ def write_example(directory: Path, *, as_json: bool) -> None:
         print_json({"simulated": True, "directory": str(directory), "written": written})
     elif written:
         click.echo(f"wrote the example's simulated logs into {directory / 'logs'}")
+
+
+@dataclass(frozen=True)
+class TwinOptions:
+    """What the command line says; the options' help explains each."""
+
+    runs: int
+    kinds: str
+    test: str
+    dwell: bool
+    told: tuple[str, ...]
+    hidden: tuple[str, ...]
+    mystery: int
+    size: float | None
+    seed: int
+    period: float
+    duration: float
+    noise: float
+    tare: str
+    missing: str
+    body_thermometer: bool
+    still: str
+    network: str
+    force: bool
+    example: bool
+    list_only: bool
+    six_axis: bool
+    protocols: tuple[str, ...]
+    level: str
+    specimen: int
 
 
 @click.command(
@@ -199,117 +248,97 @@ def write_example(directory: Path, *, as_json: bool) -> None:
 )
 @json_option
 @click.pass_context
-def command(
-    context: click.Context,
-    directory: Path,
-    runs: int,
-    kinds: str,
-    test: str,
-    dwell: bool,
-    told: tuple[str, ...],
-    hidden: tuple[str, ...],
-    mystery: int,
-    size: float | None,
-    seed: int,
-    period: float,
-    duration: float,
-    noise: float,
-    tare: str,
-    missing: str,
-    body_thermometer: bool,
-    still: str,
-    network: str,
-    force: bool,
-    example: bool,
-    list_only: bool,
-    six_axis: bool,
-    protocols: tuple[str, ...],
-    level: str,
-    specimen: int,
-    as_json: bool,
-) -> None:
+@packed(TwinOptions)
+def command(context: click.Context, directory: Path, as_json: bool, options: TwinOptions) -> None:
     """Write simulated logs of the six-axis sensor, and a zerodrift.toml that knows only a part.
 
     The truth lies beside them in truth.json, which no command reads.
     """
     given = {name for name in context.params if _is_given(context, name)}
-    if list_only:
+    if options.list_only:
         click.echo(list_effects())
         click.echo("Protocols of --six-axis: " + ", ".join(list_protocols()))
         return
-    if example:
+    if options.example:
         refuse_foreign_options(given - {"example"})
         write_example(directory, as_json=as_json)
         return
-    if six_axis:
+    if options.six_axis:
         refuse_foreign_options(given)
-        campaign = record_campaign(
-            specimen=specimen,
-            protocols=protocols,
-            runs=runs if "runs" in given else None,
-            test=split_list(test),
-            dwell=dwell,
-            hidden=parse_choices(hidden),
-            seed=seed,
-            period_s=period,
-            noise=noise,
-            tare=tare if "tare" in given else "none",
-            level=level,
-        )
-        left_out = expand_channels(split_list(missing))
-        logged = CHANNELS if body_thermometer else CHANNELS[:-1]
-        channels = tuple(name for name in logged if name not in left_out)
-        made = write_project(render_files(campaign, level, channels), directory, overwrite=force)
+        campaign = record_campaign(ask_campaign(options, given))
+        files = render_files(campaign, options.level, list_channels(options))
+        made = write_project(files, directory, overwrite=options.force)
         names = [path.relative_to(directory).as_posix() for path in made]
         if as_json:
             print_json(summarise_campaign(campaign, directory, names))
         else:
-            click.echo(describe_campaign(campaign, directory, names, level))
+            click.echo(describe_campaign(campaign, directory, names, options.level))
         return
     if own := given & {"protocols", "level", "specimen"}:
         option = {"protocols": "--protocol", "level": "--level", "specimen": "--sensor"}[min(own)]
         raise InputError(f"twin: {option} belongs to the six-axis twin; add --six-axis.")
-    cycle = split_list(kinds)
+    simulation = simulate(ask_recipe(options))
+    written = write_logs(simulation, directory, overwrite=options.force)
+    names = [path.relative_to(directory).as_posix() for path in written]
+    if as_json:
+        print_json(summarise_written(simulation, directory, names))
+    else:
+        click.echo(describe_written(simulation, directory, names))
+
+
+def list_channels(options: TwinOptions) -> tuple[str, ...]:
+    """Return the channels that are logged."""
+    left_out = expand_channels(split_list(options.missing))
+    logged = CHANNELS if options.body_thermometer else CHANNELS[:-1]
+    return tuple(name for name in logged if name not in left_out)
+
+
+def ask_campaign(options: TwinOptions, given: set[str]) -> CampaignRequest:
+    """Return what is to be recorded of a six-axis specimen; `given` names the options given."""
+    return CampaignRequest(
+        specimen=options.specimen,
+        protocols=options.protocols,
+        runs=options.runs if "runs" in given else None,
+        test=split_list(options.test),
+        dwell=options.dwell,
+        hidden=parse_choices(options.hidden),
+        seed=options.seed,
+        period_s=options.period,
+        noise=options.noise,
+        tare=options.tare if "tare" in given else "none",
+        level=options.level,
+    )
+
+
+def ask_recipe(options: TwinOptions) -> Recipe:
+    """Return what is to be simulated.
+
+    Raises:
+        InputError: an option names what there is not.
+    """
+    cycle = split_list(options.kinds)
     if not cycle:
         raise InputError(f"twin: --kinds names no kind of run. Known: {', '.join(KINDS)}.")
-    told_choices = parse_choices(told) if told else Recipe().told
-    hidden_choices = parse_choices(hidden)
-    left_out = expand_channels(split_list(missing))
-    logged = CHANNELS if body_thermometer else CHANNELS[:-1]
-    unmoved = split_list(still)
+    told = parse_choices(options.told) if options.told else Recipe().told
+    hidden = parse_choices(options.hidden)
+    channels = list_channels(options)
+    unmoved = split_list(options.still)
     for name in unmoved:
         if name not in EXERCISES:
             raise InputError(f"twin: --still {name}: known are {', '.join(EXERCISES)}.")
-    recipe = Recipe(
-        seed=seed,
-        train=tuple(cycle[number % len(cycle)] for number in range(runs)),
-        test=split_list(test),
-        dwell=dwell,
-        told=told_choices,
-        hidden=hidden_choices + draw_mystery(seed, mystery, (*told_choices, *hidden_choices)),
-        size=size,
-        sample_period_s=period,
-        duration_s=duration,
-        noise=noise,
-        tare=tare,
-        channels=tuple(name for name in logged if name not in left_out),
+    return Recipe(
+        seed=options.seed,
+        train=tuple(cycle[number % len(cycle)] for number in range(options.runs)),
+        test=split_list(options.test),
+        dwell=options.dwell,
+        told=told,
+        hidden=hidden + draw_mystery(options.seed, options.mystery, (*told, *hidden)),
+        size=options.size,
+        sample_period_s=options.period,
+        duration_s=options.duration,
+        noise=options.noise,
+        tare=options.tare,
+        channels=channels,
         exercise=tuple(name for name in EXERCISES if name not in unmoved),
-        network=network,
+        network=options.network,
     )
-    simulation = simulate(recipe)
-    written = write_logs(simulation, directory, overwrite=force)
-    files = [path.relative_to(directory).as_posix() for path in written]
-    if not as_json:
-        click.echo(describe_written(simulation, directory, files))
-        return
-    summary = {
-        "simulated": True,
-        "directory": str(directory),
-        "seed": seed,
-        "files": files,
-        "runs": {run.name: run.use for run in simulation.runs},
-        "told": [choice.name for choice in recipe.told],
-        "noise_rms": dict(zip(OUTPUTS, simulation.noise_rms.tolist(), strict=True)),
-        "units": dict(zip(OUTPUTS, UNITS, strict=True)),
-    }
-    print_json(summary)

@@ -7,7 +7,7 @@ import pytest
 
 from zerodrift.base.records import to_dict
 from zerodrift.dataset.runs import Dataset
-from zerodrift.diagnosis.compare import compare
+from zerodrift.diagnosis.compare import Labels, compare
 from zerodrift.diagnosis.held_out import LEAVE_ONE_RUN_OUT, NONE, HeldOut
 
 NAMES = (("Fz", "Mx"), ("N", "Nm"), (2000.0, 20.0))
@@ -52,7 +52,9 @@ def test_offsets_of_tared_runs_are_taken_off_and_told(make_run):
 def test_json_has_every_promised_key_and_no_infinity(make_run):
     train = tuple(make_run(i, lambda r: 3.0 * linear(r)) for i in range(4))
     told = to_dict(
-        compare(Dataset(train, train[:1], (), *NAMES), linear, effects=("zero_tempco",)).summarise()
+        compare(
+            Dataset(train, train[:1], (), *NAMES), linear, labels=Labels(("zero_tempco",))
+        ).summarise()
     )
     json.dumps(told, allow_nan=False)
     assert told["effects"] == ["zero_tempco"]

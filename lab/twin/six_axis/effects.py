@@ -84,7 +84,6 @@ def add_effects(
     key: str,
     fine_nodes: Array,
     felt: Array,
-    step_s: float,
     every: int,
     period_s: float,
     clock_start_s: float,
@@ -94,7 +93,7 @@ def add_effects(
     if all(hidden.coefficients is None for hidden in sensor.effects):
         return total
     run, elements = describe_run(
-        sensor, timeline, key, fine_nodes, felt, step_s, every, period_s, clock_start_s
+        sensor, timeline, key, fine_nodes, felt, every, period_s, clock_start_s
     )
     for hidden in sensor.effects:
         total += contribute(hidden, run, elements)
@@ -116,12 +115,12 @@ def describe_run(
     key: str,
     fine_nodes: Array,
     felt: Array,
-    step_s: float,
     every: int,
     period_s: float,
     clock_start_s: float,
 ) -> tuple[Conditions, Elements]:
     """Return a run as the catalogue's disturbances want it; the couplers' mean is the element."""
+    step_s = period_s / every
     chip, body = fine_nodes[:, NODE["board"]], fine_nodes[:, NODE["beams"]]
     heat = HeatHistory(
         body=body,

@@ -149,7 +149,7 @@ def record(
     felt = feel(sensor.effects, fine_nodes, step_s, every)
     clean = sensor.sense(load, felt)
     clean = clean + add_effects(
-        sensor, timeline, key, fine_nodes, felt, step_s, every, period_s, clock_start_s
+        sensor, timeline, key, fine_nodes, felt, every, period_s, clock_start_s
     )
     noisy = clean + make_noise(sensor.noise, sensor.stream("noise", key), count, period_s)
     adc = round_codes(clip_codes(sensor.effects, noisy))

@@ -59,7 +59,7 @@ def _scale(sensor: Sensor, additive: Sequence[Hidden]) -> list[Hidden]:
     fine_nodes = warm(sensor.network, timeline.surround(step_s, (count - 1) * every + 1))
     felt = feel(sensor.effects, fine_nodes, step_s, every)
     run, elements = describe_run(
-        sensor, timeline, key, fine_nodes, felt, step_s, every, step_s * every, 0.0
+        sensor, timeline, key, fine_nodes, felt, every, step_s * every, 0.0
     )
     scaled = []
     for hidden in additive:

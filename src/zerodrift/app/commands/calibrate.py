@@ -1,7 +1,7 @@
 """`zerodrift calibrate`: the calibration matrix from converter codes and test weights."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
@@ -9,6 +9,7 @@ import click
 from zerodrift.app.commands.common import (
     directory_option,
     json_option,
+    packed,
     print_notes,
     print_result,
     skip_invalid_option,
@@ -151,6 +152,22 @@ def render_applied(
     return texts, notes
 
 
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """What is read, fitted and written, as the command line says."""
+
+    logs: tuple[str, ...]
+    channels: tuple[str, ...]
+    references: tuple[str, ...]
+    squares: bool
+    offset_per_log: bool
+    files: tuple[Path, ...]
+    name: str
+    targets: tuple[str, ...]
+    out: Path | None
+    force: bool
+
+
 @click.command()
 @click.argument("logs", nargs=-1, required=True)
 @directory_option
@@ -194,21 +211,8 @@ def render_applied(
 @click.option("--force", is_flag=True, help="Overwrite logs in the directory of --out.")
 @skip_invalid_option
 @json_option
-def command(
-    logs: tuple[str, ...],
-    directory: Path,
-    channels: tuple[str, ...],
-    references: tuple[str, ...],
-    squares: bool,
-    offset_per_log: bool,
-    files: tuple[Path, ...],
-    name: str,
-    targets: tuple[str, ...],
-    out: Path | None,
-    force: bool,
-    skip_invalid: bool,
-    as_json: bool,
-) -> None:
+@packed(CalibrateOptions)
+def command(directory: Path, skip_invalid: bool, as_json: bool, options: CalibrateOptions) -> None:
     """Find the matrix that turns converter codes into loads, by least squares.
 
     LOGS hold converter codes (adc_1 to adc_6) and the loads of test weights (ref_Fx_N and so on).
@@ -225,15 +229,16 @@ def command(
     from zerodrift.dataset.tables import open_source
     from zerodrift.report.results import CalibrateResult
 
-    if bool(targets) != (out is not None):
+    if bool(options.targets) != (options.out is not None):
         raise InputError("calibrate: --apply and --out belong together; give both or neither.")
-    for file in files:
+    for file in options.files:
         if file.suffix.lower() not in SUFFIXES:
             raise InputError(f"{file}: expected a name that ends in {', '.join(SUFFIXES)}.")
+    channels = options.channels or CODE_COLUMNS
     settle_project(directory)
-    paths = find_logs(logs, directory)
+    paths = find_logs(options.logs, directory)
     first = open_source(paths[0], _label(paths[0], directory), {})
-    chosen = references or list_references(first)
+    chosen = options.references or list_references(first)
     if not chosen:
         raise InputError(
             f"{first.label}:1: no column begins with ref_; expected the loads of the test weights "
@@ -244,33 +249,36 @@ def command(
         for path in paths:
             tell(f"reading {path.name} ...")
             label = _label(path, directory)
-            read.append(
-                read_calibration_log(path, label, channels or CODE_COLUMNS, chosen, skip_invalid)
-            )
+            read.append(read_calibration_log(path, label, channels, chosen, skip_invalid))
         tell("fitting ...")
         fitted = fit_calibration(
             [log.codes for log in read],
             [log.loads for log in read],
-            channels or CODE_COLUMNS,
+            channels,
             [column.removeprefix("ref_") for column in chosen],
-            squares=squares,
-            offset_per_log=offset_per_log,
+            squares=options.squares,
+            offset_per_log=options.offset_per_log,
             temperatures=[log.temperature_degC for log in read],
         )
         tell("writing ...")
-        texts = {directory / file: render_as(fitted, file, name, directory) for file in files}
+        texts = {
+            directory / file: render_as(fitted, file, options.name, directory)
+            for file in options.files
+        }
         notes = [f"{log.label}: dropped {log.dropped} row(s)" for log in read if log.dropped]
         notes += fitted.notes
-        if out is not None:
-            applied, clipped = render_applied(fitted, find_logs(targets, directory), directory)
+        if options.out is not None:
+            applied, clipped = render_applied(
+                fitted, find_logs(options.targets, directory), directory
+            )
             notes += clipped
-            there = [file for file in applied if (directory / out / file).exists()]
-            if there and not force:
+            there = [file for file in applied if (directory / options.out / file).exists()]
+            if there and not options.force:
                 raise InputError(
-                    f"{directory / out / there[0]}: exists already; name another directory by "
-                    "--out, or overwrite with --force."
+                    f"{directory / options.out / there[0]}: exists already; name another directory"
+                    " by --out, or overwrite with --force."
                 )
-            texts |= {directory / out / file: text for file, text in applied.items()}
+            texts |= {directory / options.out / file: text for file, text in applied.items()}
         write_all(directory, {target: text.encode() for target, text in texts.items()})
     print_notes(tuple(notes))
     written = [_label(target, directory) for target in texts]
@@ -281,5 +289,5 @@ def command(
     print_calibration(fitted)
     for label in written:
         click.echo(f"wrote {label}")
-    if not files:
+    if not options.files:
         click.echo("Keep it with --write calibration.toml (or .json, .h).")

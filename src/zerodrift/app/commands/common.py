@@ -4,13 +4,17 @@ import functools
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
 from zerodrift.base.journal import hold_project, settle_project
 from zerodrift.base.records import to_dict
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 Command = TypeVar("Command", bound=Callable[..., object])
 Result = TypeVar("Result")
@@ -47,6 +51,27 @@ def changes_project(function: Callable[..., Result]) -> Callable[..., Result]:
             return function(*arguments, directory=directory, **options)
 
     return hold
+
+
+def packed(
+    kind: "type[DataclassInstance]",
+) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Pass the options that are fields of a dataclass on as one object, `options`.
+
+    Args:
+        kind: the dataclass; a field has the name of its option.
+    """
+    names = [field.name for field in fields(kind)]
+
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        @functools.wraps(function)
+        def pack(*arguments: object, **given: object) -> Result:
+            options = kind(**{name: given.pop(name) for name in names})
+            return function(*arguments, options=options, **given)
+
+        return pack
+
+    return decorate
 
 
 def json_option(function: Command) -> Command:

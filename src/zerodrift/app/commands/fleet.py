@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from zerodrift.app.commands.common import (
     changes_project,
     directory_option,
     json_option,
+    packed,
     print_result,
     skip_invalid_option,
 )
@@ -24,6 +26,19 @@ if TYPE_CHECKING:
 SHOWN = 10
 """Sensors of each kind that the terminal shows; the report has all."""
 DEVICES = ("auto", "cpu", "cuda")
+
+
+@dataclass(frozen=True)
+class FleetOptions:
+    """How a fleet is worked on, as the command line says."""
+
+    jobs: int | None
+    batch: int | None
+    with_firmware: bool
+    fresh: bool
+    device: str
+    over_ray: bool
+    ray_address: str | None
 
 
 @click.command("fleet")
@@ -64,18 +79,8 @@ DEVICES = ("auto", "cpu", "cuda")
     help="Of a running cluster, such as auto or 10.0.0.5:6379; implies --ray.",
 )
 @changes_project
-def command(
-    directory: Path,
-    as_json: bool,
-    skip_invalid: bool,
-    jobs: int | None,
-    batch: int | None,
-    with_firmware: bool,
-    fresh: bool,
-    device: str,
-    over_ray: bool,
-    ray_address: str | None,
-) -> None:
+@packed(FleetOptions)
+def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOptions) -> None:
     """Calibrate all sensors of one design: fit, train, generate, check, and report the yield.
 
     The design is zerodrift.toml; {sensor} in [fleet] folder or in the selectors of [logs] stands
@@ -94,19 +99,26 @@ def command(
     from zerodrift.fleet.run import run_fleet
 
     config = load_config(directory)
-    place = choose_device(device, config.network.kind != "none")
-    jobs = jobs or (1 if place != "cpu" else os.cpu_count() or 1)
-    design = Design(config, with_firmware, skip_invalid, place)
+    place = choose_device(options.device, config.network.kind != "none")
+    jobs = options.jobs or (1 if place != "cpu" else os.cpu_count() or 1)
+    design = Design(config, options.with_firmware, skip_invalid, place)
     executor: Executor
-    if over_ray or ray_address:
+    if options.over_ray or options.ray_address:
         import_ray()
-        executor = OverRay(ray_address, jobs)
+        executor = OverRay(options.ray_address, jobs)
     else:
         executor = Processes(jobs) if jobs > 1 else Serial()
     state = _RunState()
     try:
         with _show_progress(state) as tell:
-            outcomes = run_fleet(design, executor, jobs=jobs, batch=batch, fresh=fresh, report=tell)
+            outcomes = run_fleet(
+                design,
+                executor,
+                jobs=jobs,
+                batch=options.batch,
+                fresh=options.fresh,
+                report=tell,
+            )
     except (KeyboardInterrupt, CheckError):
         click.echo(state.explain_stop(), err=True)
         raise

@@ -13,7 +13,7 @@ from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.dataset.units import read_unit
-from zerodrift.diagnosis.compare import Comparison, compare
+from zerodrift.diagnosis.compare import Comparison, Labels, compare
 from zerodrift.diagnosis.held_out import HeldOut, hold_out
 from zerodrift.diagnosis.run_errors import FindUsable
 from zerodrift.diagnosis.segments import MOST_SEGMENTS
@@ -86,14 +86,14 @@ def compare_predictor(
         dataset: its runs.
         most: how many of the worst segments to keep.
     """
+    units = {name: read_unit(column) for name, column in config.inputs.items()}
     return compare(
         dataset,
         predictor.predict,
         held_out=predictor.held_out,
         tared=predictor.tared,
         find_usable=predictor.find_usable,
-        effects=predictor.effects,
-        channel_units={name: read_unit(column) for name, column in config.inputs.items()},
+        labels=Labels(tuple(predictor.effects), units),
         most=most,
     )
 
