@@ -17,12 +17,18 @@ FOLDERS: dict[str, str] = {}
 FILTERS: dict[str, Callable[..., object]] = {}
 """What the operations' C templates call, by name."""
 
-for _found in iter_modules(operations.__path__):
-    if _found.ispkg:
-        _module = import_module(f"{operations.__name__}.{_found.name}")
-        if hasattr(_module, "OPERATION"):
-            OPERATIONS[_module.OPERATION.name] = _module.OPERATION
-        for _node in getattr(_module, "NODES", ()):
-            NODE_CLASSES[_node.kind] = _node
-            FOLDERS[_node.kind] = _found.name
-        FILTERS |= getattr(_module, "FILTERS", {})
+
+def find_operations() -> None:
+    """Enter every folder of operations."""
+    for found in iter_modules(operations.__path__):
+        if found.ispkg:
+            module = import_module(f"{operations.__name__}.{found.name}")
+            if hasattr(module, "OPERATION"):
+                OPERATIONS[module.OPERATION.name] = module.OPERATION
+            for node in getattr(module, "NODES", ()):
+                NODE_CLASSES[node.kind] = node
+                FOLDERS[node.kind] = found.name
+            FILTERS.update(getattr(module, "FILTERS", {}))
+
+
+find_operations()
