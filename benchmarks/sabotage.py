@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.mutants.judge import replace_file
-from benchmarks.mutants.subjects import PROJECTS, make_project
+from benchmarks.mutants.subjects import PROJECTS, train_project
 
 ROOT = Path(__file__).parents[1] / "build" / "sabotage"
 FOLDERS = ("firmware", "build")
@@ -135,10 +135,9 @@ def run_deed(project: Path, deed: Deed) -> Told:
 
 def main(quick: bool = False, project_name: str = "gru", jobs: int = 2) -> int:
     """Print what was reported; return 1 if something was not."""
-    project = make_project(project_name, ROOT / project_name).project
+    project = train_project(project_name, ROOT / project_name)
     other_name = next(name for name in PROJECTS if name != project_name)
-    other = make_project(other_name, ROOT / other_name).project
-    assert project and other
+    other = train_project(other_name, ROOT / other_name)
     unspoilt = run_deed(project, Deed("nothing", lambda _: None))
     if unspoilt.code != 0:
         raise SystemExit(f"verify fails on the unspoilt project:\n{unspoilt.text}")

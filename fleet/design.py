@@ -29,6 +29,8 @@ class Design:
     skip_invalid: bool = False
     device: str = "cpu"
     """What trains the networks."""
+    force: bool = False
+    """Whether a unit's firmware is written although the gate refuses it."""
 
     @property
     def directory(self) -> Path:

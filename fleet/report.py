@@ -16,11 +16,12 @@ from zerodrift.fleet.design import Design
 from zerodrift.fleet.outliers import Outlier, find_outliers
 from zerodrift.fleet.result import SensorOutcome, SensorResult
 from zerodrift.fleet.summary import FleetSummary, OutlierSummary, SensorSummary, SpreadSummary
+from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 
 FORMAT = 1
 NAME = "report"
 """Of the files below build/fleet/."""
-PASS, FAIL, ERROR = "pass", "fail", "error"
+PASS, FORCED, FAIL, ERROR = "pass", "forced", "fail", "error"
 RANGE = "out_of_range"
 CAUSES = ("rounding", RANGE, "clamped", "saturated")
 """Of the difference of integer and float model."""
@@ -33,7 +34,8 @@ class SensorVerdict:
 
     sensor: str
     status: str
-    """pass | fail (refused by the gate, or a limit is exceeded) | error (there is no result)."""
+    """pass | forced (refused by the gate and written all the same) | fail (refused, or a limit is
+    exceeded) | error (there is no result)."""
     reasons: tuple[str, ...]
     """What the gate refuses, limits that are exceeded, or the error."""
     outliers: tuple[Outlier, ...]
@@ -99,9 +101,11 @@ def judge_fleet(design: Design, outcomes: Sequence[SensorOutcome]) -> FleetRepor
         if outcome.result is None:
             status, reasons = ERROR, (outcome.error,)
         else:
-            reasons = list_exceeded(outcome.result, dict(fleet.limits), fleet.ratio_limit)
-            reasons = (*outcome.result.refused, *explain_range(outcome.result, reasons))
-            status = FAIL if reasons else PASS
+            exceeded = list_exceeded(outcome.result, dict(fleet.limits), fleet.ratio_limit)
+            exceeded = explain_range(outcome.result, exceeded)
+            reasons = (*outcome.result.refused, *exceeded, *tell_of_older(design, outcome.result))
+            is_forced = outcome.result.forced and not exceeded
+            status = FORCED if is_forced else FAIL if reasons else PASS
         verdicts.append(
             SensorVerdict(
                 outcome.sensor,
@@ -119,6 +123,15 @@ def judge_fleet(design: Design, outcomes: Sequence[SensorOutcome]) -> FleetRepor
         fleet.ratio_limit,
         fleet.outlier_z,
     )
+
+
+def tell_of_older(design: Design, result: SensorResult) -> tuple[str, ...]:
+    """Return a sentence where a refused sensor's folder holds the firmware of an earlier run."""
+    folder = design.firmware_folder(result.sensor)
+    if not result.refused or result.forced or not (folder / MANIFEST).is_file():
+        return ()
+    place = folder.relative_to(design.directory) if folder.is_relative_to(design.directory) else ""
+    return (f"what lies in {place or folder}/ is the firmware of an earlier run",)
 
 
 def explain_range(result: SensorResult, exceeded: tuple[str, ...]) -> tuple[str, ...]:
@@ -178,6 +191,7 @@ def summarise_report(report: FleetReport) -> FleetSummary:
         design=report.design,
         sensors=len(report.verdicts),
         passed=report.count(PASS),
+        forced=report.count(FORCED),
         failed=report.count(FAIL),
         errors=report.count(ERROR),
         outliers=len(report.outliers),
@@ -215,6 +229,7 @@ def _summarise_sensor(verdict: SensorVerdict) -> SensorSummary:
         temperature_degC=result.temperature_degC,
         notes=result.notes,
         refused=result.refused,
+        forced=result.forced,
         warnings=result.warnings,
     )
 
@@ -265,7 +280,8 @@ def render_markdown(report: FleetReport) -> str:
     lines = [
         f"# Fleet of {report.design}",
         "",
-        f"{passed} of {total} sensors pass ({_percent(passed, total)}), {report.count(FAIL)} fail,"
+        f"{passed} of {total} sensors pass ({_percent(passed, total)}),{tell_forced(report)}"
+        f" {report.count(FAIL)} fail,"
         f" {report.count(ERROR)} could not be worked on, {len(report.outliers)} are outliers.",
         "",
         _explain_limits(report),
@@ -292,6 +308,7 @@ def render_markdown(report: FleetReport) -> str:
     for title, chosen in (
         ("Could not be worked on", [v for v in report.verdicts if v.status == ERROR]),
         ("Fail", [v for v in report.verdicts if v.status == FAIL]),
+        ("Forced", [v for v in report.verdicts if v.status == FORCED]),
     ):
         if chosen:
             lines += [f"## {title}", ""]
@@ -306,6 +323,12 @@ def render_markdown(report: FleetReport) -> str:
             lines.append(f"- **{_escape(v.sensor)}** ({v.status}): {_escape(shown)}{tail}")
         lines.append("")
     return "\n".join(lines)
+
+
+def tell_forced(report: FleetReport) -> str:
+    """Return how many sensors are forced, before the number of those that fail; "" for none."""
+    forced = report.count(FORCED)
+    return f" {forced} forced," if forced else ""
 
 
 def _explain_limits(report: FleetReport) -> str:

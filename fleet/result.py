@@ -12,7 +12,7 @@ from zerodrift.base.journal import write_all
 from zerodrift.base.records import MEASURED, from_json, to_dict
 from zerodrift.base.sealed import read_sealed, render_sealed
 
-FORMAT = 2
+FORMAT = 3
 """Of result.json; another one is computed anew."""
 RESULT = "result.json"
 
@@ -79,7 +79,9 @@ class SensorResult:
     """Steps at which the C was equal to the reference; 0 without firmware."""
     model_hash: str = ""
     refused: tuple[str, ...] = ()
-    """Why the gate did not let the firmware be written."""
+    """Why the gate did not let the firmware be written, or would not have."""
+    forced: bool = False
+    """Whether it was written all the same."""
     warnings: tuple[str, ...] = ()
     """What else the gate says: runs beyond the calibrated ranges, what was not judged."""
     files: Mapping[str, str] = field(default_factory=dict)

@@ -112,7 +112,11 @@ def find_kept(design: Design, sensor: str) -> SensorResult | None:
     try:
         config = configure_sensor(design.config, sensor)
         kept = load_result(folder, design.directory, design.mark_sensor(config))
-        if kept is None or kept.refused or not design.firmware:
+        if kept is None or not design.firmware:
+            return kept
+        if kept.refused and kept.forced != design.force:
+            return None
+        if kept.refused and not kept.forced:
             return kept
         place = design.firmware_folder(sensor)  # logs and design are in the mark
         check = check_manifest(config, folder=place, build=folder, wants_inputs=False)

@@ -45,7 +45,8 @@ class SensorSummary:
 
     sensor: str
     status: str
-    """pass | fail (refused by the gate, or a limit is exceeded) | error (there is no result)."""
+    """pass | forced (refused by the gate and written all the same) | fail (refused, or a limit is
+    exceeded) | error (there is no result)."""
     reasons: tuple[str, ...]
     outliers: tuple[OutlierSummary, ...]
     kept: bool
@@ -63,6 +64,8 @@ class SensorSummary:
     temperature_degC: tuple[float, float] | None = field(default=None, metadata=OPTIONAL)
     notes: tuple[str, ...] | None = field(default=None, metadata=OPTIONAL)
     refused: tuple[str, ...] | None = field(default=None, metadata=OPTIONAL)
+    forced: bool | None = field(default=None, metadata=OPTIONAL)
+    """Whether what the gate refuses was written all the same."""
     warnings: tuple[str, ...] | None = field(default=None, metadata=OPTIONAL)
     floor: str | None = field(default=None, metadata=OPTIONAL)
     """Older name of `noise_floor_source`."""
@@ -78,6 +81,7 @@ class FleetSummary:
     design: str
     sensors: int
     passed: int
+    forced: int
     failed: int
     errors: int
     outliers: int

@@ -24,7 +24,7 @@ from zerodrift.dataset.runs import Dataset
 from zerodrift.export.compose import compose_integer_model, describe_compensator
 from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.float_model import FloatModel
-from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.fleet.assess import assess, describe_parameters
 from zerodrift.fleet.design import RUNTIME, Design
 from zerodrift.fleet.result import SensorOutcome, SensorResult, save_result
@@ -233,6 +233,8 @@ def _finish(
         _recheck(job.code, certificate, scratch)
         left_out = leave_out(job.config, job.dataset, compensator)
         verdict, replay = judge_firmware(job.described, host, job.dataset, left_out)
+        if verdict.refused and design.force:
+            certificate = _mark_forced(job, [s.text for s in verdict.refused], scratch)
     figures = assess(job.trained, job.dataset, replay)
     result = SensorResult(
         sensor=job.sensor,
@@ -247,12 +249,23 @@ def _finish(
         vectors=vectors,
         model_hash=job.model.hash if job.model is not None else "",
         refused=tuple(s.text for s in verdict.refused) if verdict is not None else (),
+        forced=verdict is not None and not verdict.passes and design.force,
         warnings=tuple(s.text for s in verdict.warnings) if verdict is not None else (),
     )
     files = _render(design, job, result, certificate)
     batch.outcomes[job.sensor] = SensorOutcome(
         job.sensor, save_result(design.build_folder(job.sensor), design.directory, result, files)
     )
+
+
+def _mark_forced(job: _Job, reasons: Sequence[str], scratch: Path) -> str:
+    """Write into a sensor's model and C what the gate found against it; return the certificate."""
+    assert job.model is not None
+    job.model = replace(job.model, notes={**job.model.notes, FORCED: "\n".join(reasons)})
+    job.code = generate(job.model)
+    certificate = certify(job.model, job.code)
+    _recheck(job.code, certificate, scratch)
+    return certificate
 
 
 def _recheck(code: GeneratedCode, certificate: str, scratch: Path) -> None:
@@ -280,7 +293,7 @@ def _render(
 ) -> dict[Path, bytes | None]:
     """Return a sensor's files; None for those that are removed.
 
-    Of a sensor that the gate refused, those below build/ alone.
+    Of a sensor that the gate refused, those below build/ alone, unless it is forced.
 
     Raises:
         InputError: a file that zerodrift did not write stands in the place of one.
@@ -292,7 +305,8 @@ def _render(
     described = describe_sensor(design, result, compensator.physics)
     text = json.dumps(to_dict(described), indent=1) + "\n"
     files[build / PARAMETERS] = text.encode()
-    if job.code is not None and job.model is not None and not result.refused:
+    is_written = result.forced or not result.refused
+    if job.code is not None and job.model is not None and is_written:
         out = design.firmware_folder(job.sensor)
         files[build / "model.json"] = job.model.to_text().encode()
         firmware = {
@@ -306,7 +320,12 @@ def _render(
         shared = {f"../{RUNTIME}/{path.name}": path.read_bytes() for path in RUNTIME_FILES}
         own = {name: content for name in ("model.json",) if (content := files[build / name])}
         files[out / MANIFEST] = write_manifest(
-            job.config, job.model.hash, firmware | shared, own, _describe_compiler()
+            job.config,
+            job.model.hash,
+            firmware | shared,
+            own,
+            _describe_compiler(),
+            forced=result.refused,
         ).encode()
     return files
 

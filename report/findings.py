@@ -106,7 +106,7 @@ class Findings:
     """Of the last `firmware`, where it is current."""
     certificate: CertificateSummary | None
     firmware_note: str
-    """Why firmware or certificate are not shown."""
+    """Why firmware or certificate are not shown, or why the firmware is an older one."""
     catalogue: Mapping[str, EffectDescription]
     """Effect -> what is declared about it."""
     provenance: Provenance

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, stdtrit
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Dataset, Run
@@ -28,7 +29,8 @@ Mask = NDArray[np.bool_]
 WORSE = 0.05
 """Share by which the squared error may exceed that of no compensation, or of physics alone."""
 STANDARD_ERRORS = 2.0
-"""And the difference must be beyond this many of its standard errors."""
+"""And the difference must be beyond this many of its standard errors; of few runs or blocks, beyond
+as many as leave the same chance by Student's distribution: 4.5 of three, 2.9 of five."""
 WORSE_THAN_FLOAT = 0.10
 """Share by which it may exceed the float model's and the budgeted rounding's together."""
 FEWEST_RUNS = 3
@@ -353,7 +355,7 @@ class Contrast:
     worse: bool
     """Whether our squared error is larger by more than WORSE."""
     beyond_chance: bool | None
-    """Whether it is larger by more than two standard errors; None: too few parts to tell."""
+    """Whether it is larger by `STANDARD_ERRORS`; None: too few parts to tell."""
 
     @property
     def counts(self) -> bool:
@@ -388,7 +390,12 @@ def contrast_errors(ours: Sequence[Array], theirs: Sequence[Array]) -> Contrast:
     left = sums - mean * sizes
     count = len(parts)
     error = math.sqrt(count / (count - 1.0) * float(left @ left)) / sizes.sum()
-    return Contrast(worse, bool(mean > STANDARD_ERRORS * error))
+    return Contrast(worse, bool(mean > find_quantile(count) * error))
+
+
+def find_quantile(count: int) -> float:
+    """Return how many standard errors, taken over so many parts, a difference must be beyond."""
+    return float(stdtrit(count - 1, ndtr(STANDARD_ERRORS)))
 
 
 def measure_correlation(residual: Array) -> int:

@@ -137,6 +137,19 @@ class FirmwareSummary:
     files: tuple[str, ...]
 
 
+REFUSED = "refused.json"
+"""In build/: the `Refusal` of the last firmware, where it was one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refusal:
+    """What the gate said against the last firmware, which was not written."""
+
+    model_hash: str
+    """Of the refused model."""
+    refused: tuple[Statement, ...]
+
+
 @dataclass(frozen=True)
 class CertifiedBound:
     """The range of one integer, and what its type leaves above it."""

@@ -7,7 +7,7 @@ from zerodrift.diagnosis.history import FILE_NAME as HISTORY
 from zerodrift.report.findings import Findings
 from zerodrift.workbench.uploads import LOGS
 
-BUILT = (HISTORY, "firmware.json", "compensator.json")
+BUILT = (HISTORY, "firmware.json", "refused.json", "compensator.json")
 """Files of build/ that other commands write and the page shows."""
 
 Marks = dict[str, tuple[int, int]]

@@ -194,14 +194,18 @@ def show_firmware(findings: Findings) -> list[Component]:
     if firmware is None:
         return [html.P(findings.firmware_note, className="note")]
     compared = findings.comparison
+    note = [html.P(findings.firmware_note, className="note")] if findings.firmware_note else []
     return [
+        *note,
         show_figure(draw_budget(firmware, compared), "Error budget in percent of full scale."),
         show_table(tables.tabulate_budget(firmware, compared), folded=True),
         show_table(tables.tabulate_chip_error(firmware)),
         show_table(tables.tabulate_firmware(firmware)),
-        show_table(tables.tabulate_certificate(certificate), folded=True)
-        if certificate
-        else html.P(findings.firmware_note, className="note"),
+        *(
+            [show_table(tables.tabulate_certificate(certificate), folded=True)]
+            if certificate
+            else []
+        ),
     ]
 
 

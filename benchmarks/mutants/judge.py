@@ -153,22 +153,21 @@ class Record:
 
 
 def judge_mutant(
-    subject: Subject, oracle: Oracle, seed: int, number: int, *, bit_suffices: bool
+    subject: Subject,
+    oracle: Oracle,
+    seed: int,
+    number: int,
+    *,
+    bit_suffices: bool,
+    quick: bool = False,
 ) -> Record:
     """Ask the oracle of one mutant."""
     mutant = draw_mutant(subject, seed, number)
-    finding = oracle.judge(mutant.file, mutant.text, mutant.lines, bit_suffices=bit_suffices)
+    finding = oracle.judge(
+        mutant.file, mutant.text, mutant.lines, bit_suffices=bit_suffices, quick=quick
+    )
     diff = mutant.diff(subject.files[mutant.file])
     return Record(subject.name, number, mutant.kind, mutant.file, mutant.line, finding, diff)
-
-
-def name_mutant(subject: Subject, seed: int, number: int) -> Record:
-    """Return the record of a mutant of which the oracle is not asked."""
-    mutant = draw_mutant(subject, seed, number)
-    diff = mutant.diff(subject.files[mutant.file])
-    return Record(
-        subject.name, number, mutant.kind, mutant.file, mutant.line, Finding("not asked"), diff
-    )
 
 
 class JudgeHangsError(Exception):

@@ -1,4 +1,4 @@
-"""What is mutated: models of the golden kinds with their certificate, and small projects."""
+"""What is mutated: models of the golden kinds, as firmware folders and as whole projects."""
 
 import json
 import shutil
@@ -11,9 +11,14 @@ from typing import Any
 from tests.golden.model_factory import Shape, draw_model
 from tests.golden.models import CASES
 from tests.projects import render_toml
+from tests.verify.conftest import write_firmware
 
 from benchmarks.mutants.driver import render_driver
 from benchmarks.mutants.oracle import Oracle
+from zerodrift.c_runtime.host import write_sources
+from zerodrift.codegen.generate import generate
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.verify.certificate import certify
 
 MODELS = (
     "front_end",
@@ -74,20 +79,28 @@ def read_subject(name: str, folder: Path, project: Path | None = None) -> Subjec
     return Subject(name, certificate["prefix"], files, certificate, folder, project)
 
 
-def make_model(name: str, folder: Path) -> Subject:
-    """Write the firmware folder of a golden model, as `zerodrift firmware` does."""
-    from zerodrift.c_runtime.host import write_sources
-    from zerodrift.codegen.generate import generate
-    from zerodrift.verify.certificate import certify
-
+def draw_subject(name: str) -> IntegerModel:
+    """Return the integer model of one of `MODELS`."""
     shape = _EXTRA[name] if name in _EXTRA else CASES[name].shape
-    model = replace(draw_model(shape, sum(name.encode())), guarded=name == "guarded")
+    return replace(draw_model(shape, sum(name.encode())), guarded=name == "guarded")
+
+
+def make_folder(name: str, folder: Path) -> Subject:
+    """Write the firmware folder of a golden model, as `zerodrift firmware` does."""
+    model = draw_subject(name)
     code = generate(model)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     write_sources(code, folder)
     (folder / "certificate.json").write_text(certify(model, code), encoding="utf-8")
     return read_subject(name, folder)
+
+
+def make_project(name: str, folder: Path) -> Subject:
+    """Write a project whose firmware is a golden model's, as `zerodrift firmware` leaves it."""
+    shutil.rmtree(folder, ignore_errors=True)
+    write_firmware(folder, draw_subject(name))
+    return read_subject(name, folder / "firmware", folder)
 
 
 PROJECTS = {
@@ -129,7 +142,7 @@ def write_logs_of_project(folder: Path, rows: int = 900) -> None:
     shutil.rmtree(raw)
 
 
-def make_project(name: str, folder: Path) -> Subject:
+def train_project(name: str, folder: Path) -> Path:
     """Write a project and run `zerodrift firmware` in it, unless that was done before."""
     if not (folder / "firmware" / "certificate.json").is_file():
         shutil.rmtree(folder, ignore_errors=True)
@@ -142,4 +155,4 @@ def make_project(name: str, folder: Path) -> Subject:
         )  # fmt: skip
         if done.returncode != 0:
             raise SystemExit(f"{folder}: {done.stderr}")
-    return read_subject(name, folder / "firmware", folder)
+    return folder

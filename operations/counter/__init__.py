@@ -26,6 +26,11 @@ class IntegerCounter(IntegerNode):
     kind: ClassVar[str] = "counter"
     limit: int
 
+    @property
+    def ends(self) -> tuple[int, int]:
+        """No count is as low as -1, and the one that it stops at."""
+        return -1, self.limit
+
     def rest(self, values: Values) -> State:
         """Return a count of 0, with as many entries as the batch has."""
         return {"count": np.zeros(values[CODES].shape[0], dtype=np.int64)}

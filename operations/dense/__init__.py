@@ -8,7 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import IntArray, matmul_exact, round_shift, saturate
+from zerodrift.operations.arithmetic import (
+    INT16_MAX,
+    INT16_MIN,
+    IntArray,
+    matmul_exact,
+    round_shift,
+    saturate,
+)
 from zerodrift.operations.c_text import CTable, RuntimePart, make_table
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
@@ -86,6 +93,13 @@ class IntegerDense(IntegerNode):
     def width(self) -> int:
         """Number of rows M."""
         return int(self.weights.shape[0])
+
+    @property
+    def ends(self) -> tuple[int, int] | None:
+        """The ends of int16; a rectifier's own are the float layer's too."""
+        if self.activation == "tanh":
+            return None
+        return INT16_MIN << COPY_BITS, INT16_MAX << COPY_BITS
 
     @cached_property
     def _weights_t(self) -> NDArray[np.float64]:

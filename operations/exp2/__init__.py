@@ -73,6 +73,14 @@ class IntegerExp2(IntegerNode):
     top: int
     """high >> 24: the octave in which results are largest."""
 
+    @property
+    def ends(self) -> tuple[int, int]:
+        """No result is as low as -1, and that at the exponent's upper limit.
+
+        At the lower one the float model is limited as well.
+        """
+        return -1, int(self._raise(np.array([self.high]))[0])
+
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
         """Return the power of two."""
         total = values[self.inputs[0]] * self.coefficient + self.bias

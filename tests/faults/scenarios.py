@@ -144,7 +144,7 @@ SCENARIOS = (
 
 FLEET_REPORT = "the fleet's report"
 _FIRMWARE = re.compile(
-    r"firmware/[^/]+|build/(model\.json|integer\.onnx|golden\.npz|certificate\.json|firmware\.json)"
+    r"firmware/[^/]+|build/((model|certificate|firmware|refused)\.json|integer\.onnx|golden\.npz)"
 )
 
 

@@ -44,3 +44,21 @@ def test_refused_unit_fails_with_its_reason_and_the_others_pass(fleet: Path) -> 
     again = CliRunner().invoke(cli, ["fleet", "-C", str(fleet), "--jobs", "1"])
     assert again.exit_code == 1 and "3 kept" in again.stdout  # kept, and still refused
     assert "without compensation it is" in again.stdout
+
+    forced = CliRunner().invoke(cli, ["fleet", "-C", str(fleet), "--jobs", "1", "--force"])
+    assert forced.exit_code == 0 and "2 of 3 sensors pass (66.7 %), 1 forced, 0 fail" in " ".join(
+        forced.stdout.split()
+    )
+    folder = fleet / "firmware" / SENSORS[1]
+    assert "#define FT40_FORCED 1" in (folder / "ft40.h").read_text()
+    assert json.loads((folder / "manifest.json").read_text())["forced"] == refused["refused"]
+    told = json.loads((fleet / "build/fleet/report.json").read_text())
+    assert told["forced"] == 1 and told["results"][1]["status"] == "forced"
+    assert [r["kept"] for r in told["results"]] == [True, False, True]
+    kept = CliRunner().invoke(cli, ["fleet", "-C", str(fleet), "--jobs", "1", "--force"])
+    assert kept.exit_code == 0 and "3 kept" in kept.stdout
+
+    later = CliRunner().invoke(cli, ["fleet", "-C", str(fleet), "--jobs", "1", "--json"])
+    assert later.exit_code == 1  # and says what lies there
+    reasons = json.loads(later.stdout)["results"][1]["reasons"]
+    assert reasons[-1] == f"what lies in firmware/{SENSORS[1]}/ is the firmware of an earlier run"

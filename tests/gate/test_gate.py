@@ -9,14 +9,19 @@ import pytest
 from tests.gate.sensors import TESTS, TRAIN, ask_gate, heat, list_kinds, write_sensor
 from tests.main_job.conftest import invoke
 
+from zerodrift.app.commands.built import read_firmware
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json
 from zerodrift.dataset.load import load_dataset
+from zerodrift.operations.arithmetic import INT16_MAX
+from zerodrift.operations.counter import IntegerCounter
+from zerodrift.operations.dense import IntegerDense
+from zerodrift.operations.exp2 import IntegerExp2
 from zerodrift.report.tables import tabulate_chip_error
 from zerodrift.train.training import train
 from zerodrift.verify import chip_error, left_out
-from zerodrift.verify.gate import contrast_errors, measure_correlation
+from zerodrift.verify.gate import contrast_errors, find_quantile, measure_correlation
 from zerodrift.verify.summary import FirmwareSummary
 
 
@@ -129,6 +134,8 @@ def test_firmware_refuses_keeps_what_was_there_and_writes_when_forced(tmp_path: 
     assert [r["kind"] for r in body["refused"]] == ["worse_than_float"]
     assert body["chip_error"]["p"]["rounding"] > 0.1
     assert not out.exists() and not (project / "build" / "model.json").exists()
+    firmware, _, note = read_firmware(load_config(project))
+    assert firmware is None and note.startswith("The last `zerodrift firmware` was refused")
 
     forced = invoke("firmware", "-C", str(project), "--json", "--force")
     assert forced.exit_code == 0, forced.output
@@ -144,8 +151,16 @@ def test_firmware_refuses_keeps_what_was_there_and_writes_when_forced(tmp_path: 
     assert "FORCED: p: on rows inside" in " ".join(
         invoke("compare", "-C", str(project)).stdout.split()
     )
+    firmware, _, note = read_firmware(load_config(project))
+    assert firmware is not None and firmware.forced and not note
     assert invoke("verify", "-C", str(project)).exit_code == 0
     assert invoke("verify", "-C", str(project), "--certificate").exit_code == 0
+    assert invoke("firmware", "-C", str(project)).exit_code == 1
+    firmware, _, note = read_firmware(load_config(project))
+    assert firmware is not None
+    assert note.endswith("What is shown here is the firmware before that one.")
+    page = " ".join(invoke("compare", "-C", str(project)).stdout.split())
+    assert "What is shown here is the firmware before that one." in page
 
 
 def test_difference_is_split_by_cause_and_the_squares_add_up(
@@ -180,6 +195,21 @@ def draw(
     return [rng.normal(0.0, scale, rows) for _ in range(runs)]
 
 
+@pytest.mark.parametrize(
+    ("runs", "beyond"),
+    [(3, 4.53), (5, 2.87), (12, 2.25), (1000, 2.0)],  # Student's 97.72 % point
+)
+def test_few_runs_have_to_differ_by_more_standard_errors(runs: int, beyond: float) -> None:
+    assert find_quantile(runs) == pytest.approx(beyond, abs=0.01)
+    theirs = [np.full(400, 2.0**0.5) for _ in range(runs)]
+    spread = np.where(np.arange(runs) % 2, 0.5, -0.5)
+    spread -= spread.mean()
+    error = np.std(spread, ddof=1) / runs**0.5  # of the mean squared error's excess over runs
+    for times, is_beyond in ((1.02, True), (0.98, False)):
+        ours = [np.full(400, (2.0 + times * beyond * error + x) ** 0.5) for x in spread]
+        assert contrast_errors(ours, theirs).beyond_chance is is_beyond
+
+
 def test_larger_error_in_every_run_counts_and_in_one_of_them_is_chance() -> None:
     rng = np.random.default_rng(0)
     theirs = draw(rng, 1.0)
@@ -212,3 +242,19 @@ def test_correlation_is_that_of_a_first_order_process() -> None:
     # 2 (1 + 2 sum of 0.9**k, up to where it falls below 0.05)
     assert measure_correlation(x) == pytest.approx(2.0 * (1.0 + 2.0 * 0.95 * 9.0), rel=0.1)
     assert measure_correlation(noise) <= 3
+
+
+def test_limits_that_the_float_model_lacks_are_saturation_and_no_rounding() -> None:
+    power = IntegerExp2("exp2", ("x",), 1 << 24, 0, 0, -60 << 24, (10 << 24) + 5, 10)
+    low, high = power.ends
+    at_end = power.step({}, {"x": np.array([11, 9, -100])})[1]
+    assert list((at_end <= low) | (at_end >= high)) == [True, False, False]
+    counter = IntegerCounter("count", (), 7)
+    assert counter.ends == (-1, 7)
+    rows = {"low": (0, 0), "high": (INT16_MAX, 200), "shift": (0, 0), "activation": "clip"}
+    dense = IntegerDense(
+        "dense", ("h",), np.eye(2, dtype=np.int16), np.array([40000, 40000], dtype=np.int32), **rows
+    )
+    low, high = dense.ends
+    value = dense.step({}, {"h": np.zeros((1, 2), dtype=np.int64)})[1][0]
+    assert list((value <= low) | (value >= high)) == [True, False]  # 200 is the rectifier's own

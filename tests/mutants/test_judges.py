@@ -9,7 +9,7 @@ import pytest
 from benchmarks.mutants import __main__ as driver
 from benchmarks.mutants.judge import Mutant, ask_certificate, write_mutant
 from benchmarks.mutants.oracle import Finding
-from benchmarks.mutants.subjects import Subject, make_model
+from benchmarks.mutants.subjects import Subject, make_folder
 
 ROOT = Path(__file__).parents[2]
 CASES = {
@@ -77,7 +77,7 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
-    return make_model("front_end", tmp_path_factory.mktemp("judged") / "front_end")
+    return make_folder("front_end", tmp_path_factory.mktemp("judged") / "front_end")
 
 
 def change(subject: Subject, name: str, old: str, new: str) -> Mutant:
@@ -103,21 +103,26 @@ def test_certificate_refuses_a_trap_of_each_class(
     assert told == "refused", why
 
 
-def test_oracle_is_asked_of_what_the_judge_accepts_alone(
+def test_of_every_tenth_that_the_quick_oracle_finds_nothing_in_the_judge_is_asked(
     subject: Subject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    asked: list[bool] = []
+
     class Silent:
-        def judge(self, *_: object, bit_suffices: bool) -> Finding:
-            return Finding("equivalent")
+        def judge(self, *_: object, bit_suffices: bool, quick: bool) -> Finding:
+            asked.append(quick)
+            return Finding("equivalent" if quick else "traps")
 
     monkeypatch.setattr(driver, "load_subject", lambda way, name: subject)
     monkeypatch.setattr(driver, "load_oracle", lambda way, name: Silent())
-    found = set()
-    for number in range(12):
-        task = ("certificate", "front_end", 1, number, driver.JUDGE_FIRST)
-        line = json.loads(driver.work(task))
-        found.add((line["told"][0], line["finding"]["kind"]))
-    assert found == {("refused", "not asked"), ("accepted", "equivalent")}
+    monkeypatch.setattr(driver, "try_mutant", lambda *_, **__: ("accepted", ""))
+    lines = [
+        json.loads(driver.work(driver.Task("certificate", "front_end", 1, number, quick=True)))
+        for number in range(12)
+    ]
+    assert [line["number"] for line in lines if line["told"]] == [0, 10]
+    assert [line["finding"]["kind"] for line in lines if line["told"]] == ["traps", "traps"]
+    assert asked.count(False) == 2 and driver.tell(lines, "certificate") == 1
 
 
 @pytest.mark.slow

@@ -10,14 +10,14 @@ import pytest
 from benchmarks.mutants.judge import draw_mutant, replace_file
 from benchmarks.mutants.operators import OPERATORS
 from benchmarks.mutants.oracle import Finding, Oracle
-from benchmarks.mutants.subjects import Subject, make_model
+from benchmarks.mutants.subjects import Subject, make_folder
 
 CLAMPED = "in_1 = zd_clamp32(in->supply, -12000, 12000) * 4096;\n    ZD_OBSERVE"
 
 
 @pytest.fixture(scope="module")
 def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
-    return make_model("front_end", tmp_path_factory.mktemp("mutants") / "front_end")
+    return make_folder("front_end", tmp_path_factory.mktemp("mutants") / "front_end")
 
 
 @pytest.fixture(scope="module")
@@ -25,13 +25,13 @@ def oracle(subject: Subject) -> Oracle:
     return subject.make_oracle(chips=False)
 
 
-def judge(oracle: Oracle, name: str, old: str, new: str) -> Finding:
+def judge(oracle: Oracle, name: str, old: str, new: str, *, quick: bool = False) -> Finding:
     """Judge one replacement of the first place where a text stands."""
     text = oracle.files[name]
     at = text.index(old)
     first = text.count("\n", 0, at) + 1
     lines = range(first, first + old.count("\n") + 1)
-    return oracle.judge(name, text.replace(old, new, 1), lines)
+    return oracle.judge(name, text.replace(old, new, 1), lines, quick=quick)
 
 
 @pytest.mark.parametrize(
@@ -53,6 +53,13 @@ def test_oracle_says_what_a_change_does(
 ) -> None:
     finding = judge(oracle, name, old, new)
     assert finding.kind == kind, finding
+
+
+def test_quick_oracle_finds_what_one_build_shows(oracle: Oracle) -> None:
+    old = "int16_t features[3];\n    {\n"
+    assert judge(oracle, "front_end.c", old, old.replace("3", "2"), quick=True).kind == "traps"
+    found = judge(oracle, "front_end.c", "s->steps < 5u", "s->steps < 4u", quick=True)
+    assert (found.kind, found.build) == ("changes a bit", "columns")
 
 
 def test_endless_loop_is_a_trap(oracle: Oracle, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ from tests.projects import render_toml
 from zerodrift.base.config import load_config
 from zerodrift.codegen.generate import generate
 from zerodrift.export.golden import compute_golden
+from zerodrift.export.integer_model import IntegerModel
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.firmware import write_artefacts
 from zerodrift.verify.vectors import draw_golden, draw_sequences
@@ -18,8 +19,10 @@ MODEL = "front_end"
 """Two inputs, a lag, a delay and a GRU whose kernels exist in every layout."""
 
 
-def write_firmware(directory: Path, name: str = MODEL, forced: tuple[str, ...] = ()) -> Path:
-    """Write a project whose firmware is a golden model's; return its directory."""
+def write_firmware(
+    directory: Path, model: IntegerModel | None = None, forced: tuple[str, ...] = ()
+) -> Path:
+    """Write a project whose firmware is a model's, by default `MODEL`; return its directory."""
     directory.mkdir(parents=True, exist_ok=True)
     logs = '[logs]\ntrain = ["logs/train_*.csv"]\ntest = ["logs/test.csv"]\n'
     (directory / "zerodrift.toml").write_text(
@@ -28,7 +31,7 @@ def write_firmware(directory: Path, name: str = MODEL, forced: tuple[str, ...] =
     (directory / "logs").mkdir()
     for log in ("train_1", "train_2", "test"):
         (directory / "logs" / f"{log}.csv").write_text(f"time_s\n{len(log)}\n")
-    model = load(name).model
+    model = model or load(MODEL).model
     code = generate(model)
     golden = compute_golden(model, draw_golden(model, draw_sequences(model, 500)["walk"]))
     certificate = certify(model, code)

@@ -9,7 +9,13 @@ from typing import Any
 from zerodrift.base.config import Config
 from zerodrift.base.records import from_json
 from zerodrift.base.sealed import read_sealed
-from zerodrift.verify.summary import CertificateSummary, CertifiedBound, FirmwareSummary
+from zerodrift.verify.summary import (
+    REFUSED,
+    CertificateSummary,
+    CertifiedBound,
+    FirmwareSummary,
+    Refusal,
+)
 
 FIRMWARE, CERTIFICATE = "firmware.json", "certificate.json"
 TIGHTEST = 8
@@ -39,8 +45,31 @@ def read_firmware(
     """Return the last `firmware --json`, the certificate's summary, and what is to be said of them.
 
     Firmware that is not as its manifest says, files, logs and configuration alike, is not shown,
-    and no certificate but its own.
+    and no certificate but its own. Where a later one was refused, that is said.
     """
+    firmware, certificate, note = _read_written(config)
+    refused = _tell_refusal(config, shown=firmware is not None)
+    return firmware, certificate, " ".join(text for text in (refused, note) if text)
+
+
+def _tell_refusal(config: Config, *, shown: bool) -> str:
+    """Return what the gate said against the last firmware; "" where that was written."""
+    kept = read_kept(config.build_directory / REFUSED)
+    if kept is None:
+        return ""
+    try:
+        refusal = from_json(Refusal, kept)
+    except ValueError:
+        return ""
+    reasons = " ".join(statement.text for statement in refusal.refused)
+    older = " What is shown here is the firmware before that one." if shown else ""
+    return f"The last `zerodrift firmware` was refused and wrote nothing: {reasons}{older}"
+
+
+def _read_written(
+    config: Config,
+) -> tuple[FirmwareSummary | None, CertificateSummary | None, str]:
+    """Return what `read_firmware` does, of firmware that was written."""
     kept = read_kept(config.build_directory / FIRMWARE)
     if kept is None:
         return None, None, "No firmware was built yet: `zerodrift firmware` builds and checks it."

@@ -84,7 +84,7 @@ def command(
         comparison = compare_predictor(predictor, config, dataset, worst)
         say("looking at what the logs can teach")
         advice = advise(config, dataset)
-        firmware, _, _ = read_firmware(config)
+        firmware, _, firmware_note = read_firmware(config)
     print_notes((*dataset.notes, *predictor.notes))
     if html is not None:
         from zerodrift.base.journal import write_text
@@ -112,6 +112,8 @@ def command(
     print_comparison(comparison, console)
     if firmware is not None:
         console.print()
+        if firmware_note:
+            console.print(firmware_note)
         print_chip_error(firmware, console)
     print_advice(advice, console)
     if html is not None:

@@ -23,10 +23,12 @@ from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
 from zerodrift.dataset.chip_codes import RANGE_MARGIN
 from zerodrift.verify.summary import (
+    REFUSED,
     BudgetSummary,
     Claims,
     FirmwareSummary,
     NodeShare,
+    Refusal,
     StackSummary,
     StageErrors,
     TimeShare,
@@ -39,7 +41,7 @@ if TYPE_CHECKING:
     from zerodrift.verify.left_out import LeftOut
 
 FILE_NAME = "firmware.json"
-"""In build/: what the last firmware achieved."""
+"""In build/: what the last firmware that was written achieved."""
 
 BUDGET_ROWS = 5
 """Nodes of the error budget that are printed; --json has them all."""
@@ -101,8 +103,8 @@ def command(
             )
         result = summarise(firmware, config.directory)
         written = bool(firmware.files)
+        keep(result, config)
         if written:
-            keep(result, config)
             keep_uncertainty(firmware, config, dataset, described, trained_out)
     if as_json:
         print_result(result)
@@ -197,10 +199,18 @@ def summarise_budget(firmware: Any) -> BudgetSummary:
 
 
 def keep(result: FirmwareSummary, config: Config) -> None:
-    """Write the command's JSON to build/firmware.json, for the report."""
-    write_all(
-        config.directory, {config.build_directory / FILE_NAME: render_sealed(to_dict(result))}
-    )
+    """Write what is found to build/, for the report.
+
+    Of firmware that was written, the command's JSON goes to firmware.json. Of firmware that was
+    refused, what the gate said goes to refused.json, beside the JSON of what lies there still.
+    """
+    build = config.build_directory
+    if result.written:
+        files = {build / FILE_NAME: render_sealed(to_dict(result)), build / REFUSED: None}
+    else:
+        refusal = Refusal(model_hash=result.model_hash, refused=result.refused)
+        files = {build / REFUSED: render_sealed(to_dict(refusal))}
+    write_all(config.directory, files)
 
 
 def keep_uncertainty(

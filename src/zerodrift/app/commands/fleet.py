@@ -35,6 +35,7 @@ class FleetOptions:
     jobs: int | None
     batch: int | None
     with_firmware: bool
+    force: bool
     fresh: bool
     device: str
     over_ray: bool
@@ -63,6 +64,11 @@ class FleetOptions:
     default=True,
     help="Generate and check each sensor's C (default), or only fit, train and report.",
 )
+@click.option(
+    "--force",
+    is_flag=True,
+    help="Write what the gate refuses; header, manifest and report say so.",
+)
 @click.option("--fresh", is_flag=True, help="Compute every sensor anew, kept results too.")
 @click.option(
     "--device",
@@ -88,8 +94,8 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
     the shared firmware/runtime/, and build/fleet/report.json, .csv and .md.
 
     A rerun works only on sensors whose logs or design have changed, or that failed. A bad log
-    spoils its own sensor only. Exit code 1: a sensor has no result, is refused by the gate, or
-    exceeds a limit.
+    spoils its own sensor only. Exit code 1: a sensor has no result, is refused by the gate and not
+    forced, or exceeds a limit.
     """
     from zerodrift.base.config import load_config
     from zerodrift.base.errors import CheckError
@@ -101,7 +107,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
     config = load_config(directory)
     place = choose_device(options.device, config.network.kind != "none")
     jobs = options.jobs or (1 if place != "cpu" else os.cpu_count() or 1)
-    design = Design(config, options.with_firmware, skip_invalid, place)
+    design = Design(config, options.with_firmware, skip_invalid, place, options.force)
     executor: Executor
     if options.over_ray or options.ray_address:
         import_ray()
@@ -209,7 +215,7 @@ def _show_progress(state: _RunState) -> "Iterator[Callable[[FleetProgress], None
 def _print(report: "FleetReport", paths: list[str], directory: Path) -> None:
     """Print yield, spread, and the first sensors of each kind that need a look."""
     from zerodrift.app.commands.console import open_console, open_table
-    from zerodrift.fleet.report import ERROR, FAIL, PASS
+    from zerodrift.fleet.report import ERROR, FAIL, FORCED, PASS, tell_forced
 
     console = open_console()
     total = len(report.verdicts)
@@ -230,6 +236,7 @@ def _print(report: "FleetReport", paths: list[str], directory: Path) -> None:
     for title, lines in (
         ("could not be worked on", _explain(report, ERROR)),
         ("fail", _explain(report, FAIL)),
+        ("forced", _explain(report, FORCED)),
         ("outliers", [f"{v.sensor}: {v.outliers[0]}" for v in report.outliers]),
     ):
         if lines:
@@ -240,9 +247,9 @@ def _print(report: "FleetReport", paths: list[str], directory: Path) -> None:
                 console.print(f"  ... and {len(lines) - SHOWN} more, in the report")
     passed = report.count(PASS)
     console.print(
-        f"{passed} of {total} sensors pass ({100.0 * passed / total:.1f} %), {report.count(FAIL)}"
-        f" fail, {report.count(ERROR)} without result, {len(report.outliers)} outliers"
-        + (f"; {kept} kept from earlier runs" if kept else "")
+        f"{passed} of {total} sensors pass ({100.0 * passed / total:.1f} %),{tell_forced(report)}"
+        f" {report.count(FAIL)} fail, {report.count(ERROR)} without result,"
+        f" {len(report.outliers)} outliers" + (f"; {kept} kept from earlier runs" if kept else "")
     )
     console.print(_tell_check(report))
     console.print("wrote " + ", ".join(_relative(path, directory) for path in paths))
