@@ -1,5 +1,6 @@
 """Finds a C compiler on the host: $CC, then cc, gcc, clang, then the `ziglang` wheel."""
 
+import ctypes
 import importlib.util
 import os
 import shlex
@@ -36,6 +37,10 @@ HOST_MVE_DIRECTORY = RUNTIME_DIRECTORY / "host_mve"
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror")
 
 
+SANITIZE = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
+"""What makes undefined behaviour end a program by a signal; no compiler's library is needed."""
+
+
 @dataclass(frozen=True)
 class Compiler:
     """A host C compiler as a command."""
@@ -70,6 +75,23 @@ class Compiler:
         )
         lines = done.stdout.splitlines()
         return lines[0].strip() if lines else self.name
+
+
+def can_sanitize(compiler: Compiler, folder: Path) -> bool:
+    """Tell whether a compiler knows `SANITIZE` and what it makes of it can be loaded.
+
+    Args:
+        compiler: of the host.
+        folder: for a small program.
+    """
+    source, library = folder / "sanitized.c", folder / "sanitized.so"
+    source.write_text("int zd_sum(int a, int b);\nint zd_sum(int a, int b) { return a + b; }\n")
+    try:
+        compiler.run([*SANITIZE, "-O1", "-shared", "-fPIC", str(source), "-o", str(library)])
+        ctypes.CDLL(str(library))
+    except (CheckError, OSError):
+        return False
+    return True
 
 
 def make_environment() -> dict[str, str]:

@@ -99,7 +99,7 @@ class HostModel:
     ) -> None:
         """Load the library and find the harness in it."""
         self.model = model
-        self._prefix = f"{symbols}{prefix}"
+        self.prefix = f"{symbols}{prefix}"
         self.library = library
         self.observes = observe
         self._values = sum(max(node.width, 1) for node in model.nodes) if observe else 0
@@ -131,14 +131,14 @@ class HostModel:
     def save(self) -> bytes:
         """Return the copy of the state that the model's own save makes."""
         saved = ctypes.create_string_buffer(self.state_bytes + SAVED_EXTRA_BYTES)
-        self._lib[f"{self._prefix}_save"](self._state, saved)
+        self._lib[f"{self.prefix}_save"](self._state, saved)
         return saved.raw
 
     def restore(self, saved: bytes) -> int:
         """Take over a copy of `state_bytes` + 16 bytes; return what the C returns, 0 = accepted."""
         if len(saved) != self.state_bytes + SAVED_EXTRA_BYTES:
             raise ValueError(f"{len(saved)} bytes, not {self.state_bytes + SAVED_EXTRA_BYTES}")
-        function = self._lib[f"{self._prefix}_restore"]
+        function = self._lib[f"{self.prefix}_restore"]
         function.restype = ctypes.c_uint32
         return int(function(self._state, saved))
 

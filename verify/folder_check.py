@@ -8,7 +8,13 @@ from itertools import zip_longest
 from pathlib import Path
 
 from zerodrift.base.errors import CheckError
-from zerodrift.c_runtime.compilers import RUNTIME_FILES, Compiler, find_compilers
+from zerodrift.c_runtime.compilers import (
+    RUNTIME_FILES,
+    SANITIZE,
+    Compiler,
+    can_sanitize,
+    find_compilers,
+)
 from zerodrift.c_runtime.cores import CORES, find_cross_compilers
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, generate
@@ -27,7 +33,7 @@ from zerodrift.verify.host_check import check_host
 from zerodrift.verify.manifest import NotChecked
 from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
-from zerodrift.verify.trial import try_host
+from zerodrift.verify.trial import Stretch, Trial, find_other, try_host
 from zerodrift.verify.ways import (
     HOST,
     Way,
@@ -44,6 +50,8 @@ STANDARD = ("-std=c99",)
 COLD_STEPS = 2000
 """Of each random sequence, after init rather than settle."""
 _FORMAT = re.compile(r"_FORMAT \d+")
+SANITIZER = "sanitizer"
+"""What the other layouts on the host are built with, so that undefined behaviour ends them."""
 AT_ONCE = 2
 """Compilers that run at the same time."""
 
@@ -116,8 +124,11 @@ def _check_host(
         check.failures.append(f"host: {_tell_compiler(error, scratch)}")
         return None
     check.header += check_header(model, code.prefix, plain.library)
+    drawn = _list_stretches(sequences)
+    answers = None
     for name, host in ((HOST, observed), ("host as flashed", plain)):
-        if not _holds(check, name, host, golden):
+        answers = _hold(check, name, host, golden, drawn)
+        if answers is None:
             return None
     progress("comparing random sequences")
     for name, codes in sequences.items():
@@ -133,10 +144,16 @@ def _check_host(
     _compare_afresh(check, model, code, plain, golden[0].codes, scratch, compiler)
     check.backends.append(HOST)
     ways = [way for way in list_host_ways(model) if _can_run(check, way, observed)]
+    flags: tuple[str, ...] = ()
+    if can_sanitize(compiler, scratch):
+        flags = SANITIZE
+    else:
+        why = f"{compiler.name} does not build for it: undefined behaviour goes unseen"
+        check.not_checked.append(NotChecked(SANITIZER, why))
 
     def build(way: Way) -> HostModel | CheckError:
         try:
-            return _build(model, code, scratch / way.name, compiler, way.flags)
+            return _build(model, code, scratch / way.name, compiler, (*way.flags, *flags))
         except CheckError as error:
             return error
 
@@ -145,7 +162,7 @@ def _check_host(
         for way, built in zip(ways, pool.map(build, ways), strict=True):
             if isinstance(built, CheckError):
                 check.failures.append(f"{way.name}: {_tell_compiler(built, scratch)}")
-            elif _holds(check, way.name, built, golden):
+            elif _agrees(check, way.name, _hold(check, way.name, built, golden, drawn), answers):
                 check.backends.append(way.name)
     return plain
 
@@ -247,23 +264,53 @@ def _can_run(check: FolderCheck, way: Way, host: HostModel) -> bool:
     return True
 
 
-def _holds(check: FolderCheck, name: str, host: HostModel, golden: tuple[Expected, ...]) -> bool:
-    """Compare a host build with the reference on the golden vectors; note what differs."""
+def _list_stretches(sequences: Mapping[str, CodeArray]) -> tuple[Stretch, ...]:
+    """Return what every layout on the host runs over beside the golden vectors."""
+    settled = [Stretch(f"sequence '{name}'", codes, True) for name, codes in sequences.items()]
+    cold = [
+        Stretch(f"sequence '{name}' after init", codes[:COLD_STEPS], False)
+        for name, codes in sequences.items()
+    ]
+    return (*settled, *cold)
+
+
+def _hold(
+    check: FolderCheck,
+    name: str,
+    host: HostModel,
+    golden: tuple[Expected, ...],
+    drawn: tuple[Stretch, ...],
+) -> Trial | None:
+    """Try a host build and compare it with the reference on the golden vectors.
+
+    Returns what it answered, or None where it differs or fails, which is noted.
+    """
+    stretches = [Stretch("sequence 'golden'", e.codes, e.settled) for e in golden]
+    trial = try_host(host, [*stretches, *drawn], damages=True)
+    if trial.ended:
+        check.failures.append(f"{name}: {trial.ended}")
+        return None
     for expected in golden:
-        ended = try_host(host, expected.codes, settled=expected.settled)
-        if ended:
-            check.failures.append(f"{name}, sequence 'golden': the program {ended}")
-            return False
         trace = host.run(expected.codes, settled=expected.settled)
         nodes = trace.nodes if host.observes else None
         mismatch = expected.compare(trace.drift, trace.flags, nodes)
         if mismatch is not None:
             check.failures.append(f"{name}, sequence 'golden', {mismatch}")
-            return False
+            return None
     if host.selftest() != 0:
         check.failures.append(f"{name}: the self-test fails")
+        return None
+    return trial
+
+
+def _agrees(check: FolderCheck, name: str, trial: Trial | None, flashed: Trial | None) -> bool:
+    """Tell whether a layout answers as the C does that is flashed; note where it does not."""
+    if trial is None or flashed is None:
         return False
-    return True
+    other = find_other(trial, flashed)
+    if other:
+        check.failures.append(f"{name}: answers {other} otherwise than the C as flashed")
+    return not other
 
 
 def _check_onnx(

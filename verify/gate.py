@@ -31,6 +31,9 @@ WORSE = 0.05
 STANDARD_ERRORS = 2.0
 """And the difference must be beyond this many of its standard errors; of few runs or blocks, beyond
 as many as leave the same chance by Student's distribution: 4.5 of three, 2.9 of five."""
+GROSS = 4.0
+"""A squared error that exceeds the other's by this factor, over all runs or in most of them, counts
+whatever the standard error is: runs that are far worse by unlike amounts have a large one."""
 WORSE_THAN_FLOAT = 0.10
 """Share by which it may exceed the float model's and the budgeted rounding's together."""
 FEWEST_RUNS = 3
@@ -355,7 +358,7 @@ class Contrast:
     worse: bool
     """Whether our squared error is larger by more than WORSE."""
     beyond_chance: bool | None
-    """Whether it is larger by `STANDARD_ERRORS`; None: too few parts to tell."""
+    """Whether it is larger by `STANDARD_ERRORS`, or `GROSS`; None: too few parts to tell."""
 
     @property
     def counts(self) -> bool:
@@ -374,7 +377,13 @@ def contrast_errors(ours: Sequence[Array], theirs: Sequence[Array]) -> Contrast:
         theirs: errors [n] of the same rows.
     """
     square = sum(float(np.sum(e**2)) for e in ours)
-    worse = square > (1.0 + WORSE) * sum(float(np.sum(e**2)) for e in theirs)
+    other = sum(float(np.sum(e**2)) for e in theirs)
+    worse = square > (1.0 + WORSE) * other
+    gross = sum(
+        float(np.sum(a**2)) > GROSS * float(np.sum(b**2)) for a, b in zip(ours, theirs, strict=True)
+    )
+    if square > GROSS * other or 2 * gross > len(ours):
+        return Contrast(worse, True)
     parts = [a**2 - b**2 for a, b in zip(ours, theirs, strict=True)]
     if len(parts) < FEWEST_RUNS:
         parts = [

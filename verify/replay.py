@@ -15,12 +15,13 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.verify.expected import Expected, expect
 from zerodrift.verify.firmware_check import Failure, Progress
-from zerodrift.verify.folder_check import FolderCheck, check_folder
+from zerodrift.verify.folder_check import SANITIZER, FolderCheck, check_folder
 from zerodrift.verify.header import HeaderFinding
 from zerodrift.verify.manifest import ManifestCheck, ManifestFinding, NotChecked, check_manifest
 from zerodrift.verify.mismatch import find_mismatch
 from zerodrift.verify.summary import VerifySummary
 from zerodrift.verify.vectors import draw_sequences
+from zerodrift.verify.ways import HOST
 
 RANDOM_STEPS = 20_000
 COLD_STEPS = 200
@@ -99,8 +100,9 @@ class Replay:
         raise CheckError("\n  ".join([f"{head}:", *lines]) + f"\n{AGAIN}")
 
     def _checked(self) -> set[str]:
-        done = {*self.backends}
-        return done if any(n.what == "manifest" for n in self.not_checked) else done | {"manifest"}
+        sanitized = {SANITIZER} if HOST in self.backends else set()
+        missing = {n.what for n in self.not_checked}
+        return {*self.backends, *({"manifest", *sanitized} - missing)}
 
     def _why(self, name: str) -> str:
         found = [n.why for n in self.not_checked if n.what == name]
@@ -149,7 +151,7 @@ def refuse_unknown(required: Iterable[str]) -> None:
     """
     from zerodrift.c_runtime.cores import CORES
 
-    known = ["manifest", "host", "onnx", *CORES, *BEYOND]
+    known = ["manifest", HOST, SANITIZER, "onnx", *CORES, *BEYOND]
     for name in required:
         if name not in known:
             raise InputError(

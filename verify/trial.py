@@ -1,53 +1,100 @@
-"""Runs a host build in a process of its own first, should its C crash or never end."""
+"""Runs a host build in a process of its own first, should its C crash, trap or never end."""
 
+import json
 import subprocess
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from zerodrift.c_runtime.host import HostModel
+import numpy as np
+
+from zerodrift.c_runtime.host import SAVED_EXTRA_BYTES, HostModel
 from zerodrift.operations.arithmetic import CodeArray
 
 LONGEST_S = 120
-_PROGRAM = """
-import ctypes, sys
-library, codes, outputs, values, settled = sys.argv[1:6]
-raw = open(codes, "rb").read()
-steps = int(sys.argv[6])
-lib = ctypes.CDLL(library)
-for name in ("zd_state_size", "zd_selftest"):
-    getattr(lib, name).restype = ctypes.c_uint32
-state = ctypes.create_string_buffer(lib.zd_state_size() + 4096)
-drift = ctypes.create_string_buffer(4 * steps * int(outputs) + 4096)
-flags = ctypes.create_string_buffer(4 * steps + 4096)
-nodes = ctypes.create_string_buffer(4 * steps * int(values) + 4096)
-lib.zd_start(state, raw, ctypes.c_int(int(settled)))
-lib.zd_run(state, raw, ctypes.c_uint32(steps), drift, flags, nodes if int(values) else None)
-lib.zd_selftest()
-"""
+TRAPS = (4, 5)
+"""Signals by which what a compiler's sanitizer put there ends a program: SIGILL, SIGTRAP."""
+_PROGRAM = Path(__file__).with_name("trial_child.py")
 
 
-def try_host(host: HostModel, codes: CodeArray, *, settled: bool) -> str:
-    """Return how a host build fails on codes [T, C], by a signal or never ending; "" if it ends.
+@dataclass(frozen=True)
+class Stretch:
+    """A sequence and what it starts from."""
+
+    name: str
+    codes: CodeArray
+    """[T, C]."""
+    settled: bool
+    """From `settle` rather than `init`."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What became of a host build in a process of its own."""
+
+    ended: str
+    """How it failed and over what, by a signal or never ending; "" if it came to its end."""
+    answers: tuple[str, ...] = ()
+    """Each stretch, the self-test and the damaged states, with a checksum of drifts, flags and
+    states; the same for the same bits."""
+
+
+def try_host(host: HostModel, stretches: Sequence[Stretch], *, damages: bool = False) -> Trial:
+    """Run a host build over some stretches, and over damaged and random states.
 
     Args:
         host: the build.
-        codes: raw input codes.
-        settled: start from `settle` rather than `init`.
+        stretches: what it runs over, at least one.
+        damages: states of which a byte or a word is another, and random ones, are stepped, saved
+            and restored as well.
     """
-    path = Path(f"{host.library}.codes")
-    path.write_bytes(codes.astype(host.model.code_type).tobytes())
-    numbers = (len(host.model.outputs), host.values, int(settled), len(codes))
-    command = [sys.executable, "-I", "-c", _PROGRAM, str(host.library), str(path)]
+    path = Path(f"{host.library}.job")
+    codes = [np.ascontiguousarray(s.codes, dtype=host.model.code_type) for s in stretches]
+    path.with_suffix(".codes").write_bytes(b"".join(part.tobytes() for part in codes))
+    job = {
+        "library": str(host.library),
+        "prefix": host.prefix,
+        "outputs": len(host.model.outputs),
+        "values": host.values,
+        "saved_extra": SAVED_EXTRA_BYTES,
+        "row_bytes": codes[0].shape[1] * codes[0].itemsize,
+        "stretches": [[s.name, len(s.codes), int(s.settled)] for s in stretches],
+        "damages": damages,
+    }
+    path.write_text(json.dumps(job), encoding="utf-8")
     try:
         done = subprocess.run(
-            [*command, *map(str, numbers)], capture_output=True, check=False, timeout=LONGEST_S
+            [sys.executable, "-I", str(_PROGRAM), str(path)],
+            capture_output=True,
+            check=False,
+            timeout=LONGEST_S,
         )
-    except subprocess.TimeoutExpired:
-        return f"did not end within {LONGEST_S} s"
+    except subprocess.TimeoutExpired as error:
+        return Trial(_tell(error.stdout, f"did not end within {LONGEST_S} s"))
     if done.returncode < 0:
-        return f"was ended by signal {-done.returncode}"
+        return Trial(_tell(done.stdout, _name_signal(-done.returncode)))
     if done.returncode:
-        return (
-            f"ended with exit code {done.returncode}: {done.stderr.decode(errors='replace')[-300:]}"
-        )
+        said = done.stderr.decode(errors="replace").strip()[-300:]
+        return Trial(_tell(done.stdout, f"ended with exit code {done.returncode}: {said}"))
+    lines = done.stdout.decode().splitlines()
+    return Trial("", tuple(line[2:] for line in lines if line.startswith("= ")))
+
+
+def find_other(trial: Trial, other: Trial) -> str:
+    """Return the first thing that two builds answer differently; "" if there is none."""
+    for one, two in zip(trial.answers, other.answers, strict=True):
+        if one != two:
+            return one.rpartition(" ")[0]
     return ""
+
+
+def _name_signal(number: int) -> str:
+    traps = " (undefined behaviour)" if number in TRAPS else ""
+    return f"was ended by signal {number}{traps}"
+
+
+def _tell(printed: bytes | None, how: str) -> str:
+    lines = (printed or b"").decode(errors="replace").splitlines()
+    named = [line for line in lines if not line.startswith("= ")]
+    return f"the program {how}, over {named[-1] if named else 'its start'}"

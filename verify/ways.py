@@ -8,6 +8,7 @@ from zerodrift.c_runtime.compilers import HOST_MVE_DIRECTORY
 from zerodrift.c_runtime.cores import CORES
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.gru.layouts import has_fast_kernels
+from zerodrift.operations.tables import TANH
 
 HOST = "host"
 
@@ -51,6 +52,14 @@ _CORES_FAST = (
     Way("rv32imc: ZD_SMALL", "rv32imc", ("-DZD_SMALL",)),
 )
 
+_CORES_ANY = (
+    Way("cortex-m4: ZD_SMALL", "cortex-m4", ("-DZD_SMALL",)),
+    Way("cortex-m4: intrinsics", "cortex-m4", ("-DZD_NO_ASSEMBLY",)),
+    Way("cortex-m0plus: ZD_SMALL", "cortex-m0plus", ("-DZD_SMALL",)),
+    Way("cortex-m0plus: portable", "cortex-m0plus", ("-DZD_NO_ASSEMBLY",)),
+)
+"""Of a network that has no kernel of its own: its table of tanh, and the code beside assembly."""
+
 
 def list_host_ways(model: IntegerModel) -> tuple[Way, ...]:
     """Return the ways beside the default one that a model's C can be compiled on a host."""
@@ -62,7 +71,9 @@ def list_host_ways(model: IntegerModel) -> tuple[Way, ...]:
 def list_core_ways(model: IntegerModel) -> tuple[Way, ...]:
     """Return the ways on emulated cores: each core as it is, then its other kernels."""
     plain = tuple(Way(core, core) for core in CORES)
-    return plain + _CORES_FAST if _is_fast(model) else plain
+    if _is_fast(model):
+        return plain + _CORES_FAST
+    return plain + _CORES_ANY if any(TANH in node.parts for node in model.nodes) else plain
 
 
 def _is_fast(model: IntegerModel) -> bool:

@@ -10,8 +10,8 @@ accept are tried. Results are kept in build/mutants; a run goes on where the las
 --judge-again asks only the judge anew.
 
 --quick asks the oracle of one build alone, the first that compiles the changed lines, which finds
-mutants that must not pass many times faster. Of every tenth in which it finds nothing the judge is
-asked all the same, and of what the judge accepts the oracle of every build.
+mutants that must not pass many times faster. Of every fortieth in which it finds nothing the judge
+is asked all the same, and of what the judge accepts the oracle of every build.
 """
 
 import argparse
@@ -39,7 +39,7 @@ BAD = {
     "certificate": ("traps", "leaves a bound"),
     "verify": ("traps", "leaves a bound", "changes a bit"),
 }
-LOOKED_AT = 10
+LOOKED_AT = 40
 """Of so many mutants in which the quick oracle finds nothing, one is given to the judge."""
 MOST = 40_000
 """Mutants drawn in one run; a pool reads ahead without an end otherwise."""

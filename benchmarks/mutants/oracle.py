@@ -19,9 +19,11 @@ _GCC = (
 )
 _QUICK = (
     "-fsanitize-undefined-trap-on-error",
+    "-fno-sanitize=null,pointer-overflow,object-size,nonnull-attribute,returns-nonnull-attribute",
     *(["-fuse-ld=gold"] if shutil.which("ld.gold") else []),
 )
-"""A third less to compile; a trap then has no words."""
+"""Half as much to compile; a trap then has no words, and what the address sanitizer sees is left to
+it."""
 _SECONDS = 20
 
 

@@ -218,6 +218,8 @@ def test_larger_error_in_every_run_counts_and_in_one_of_them_is_chance() -> None
     one_bad = [2.0 * theirs[0], *(0.99 * e for e in theirs[1:])]
     contrast = contrast_errors(one_bad, theirs)
     assert contrast.worse and contrast.beyond_chance is False and not contrast.counts
+    far_worse = [theirs[0], *(8.0 * k * e for k, e in enumerate(theirs[1:], 1))]
+    assert contrast_errors(far_worse, theirs).counts  # whatever the spread of the runs
 
 
 def test_few_runs_are_judged_by_blocks_longer_than_the_correlation() -> None:

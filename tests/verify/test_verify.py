@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from benchmarks.mutants.judge import identify_files
 from click.testing import CliRunner
+from tests.golden.vectors import load
 
 from zerodrift.app.cli import cli
 from zerodrift.base.errors import ZerodriftError
@@ -277,6 +278,67 @@ def test_c_that_crashes_or_never_ends_is_a_finding(
         forge(project)
         outcome = Outcome(project)
         assert outcome.code == 1 and told in outcome.told
+
+
+@pytest.mark.parametrize(
+    ("pattern", "text", "over"),
+    [
+        (
+            r"uint32_t flags = 0;",
+            "volatile int32_t zd_top = INT32_MAX; zd_top = zd_top + 1;",
+            "sequence 'golden'",
+        ),
+        (
+            r"for \(uint32_t k = 0; k < FRONT_END_OUTPUTS; k\+\+\) \{\s+drift\[k\] = 0;",
+            "volatile int32_t zd_shift = 32; zd_shift = 1 << zd_shift;",
+            "a state whose byte 0 is",
+        ),
+    ],
+)
+def test_undefined_behaviour_that_changes_no_bit_is_a_finding(
+    pattern: str, text: str, over: str, project: Path, few_ways: Callable[..., None]
+) -> None:
+    few_ways("host: portable")
+    edit(project / SOURCE, f"({pattern})", lambda match: f"{text} {match[1]}")
+    make_another_version(project)
+    forge(project)
+    outcome = Outcome(project)
+    assert outcome.code == 1 and "host: portable: the program was ended by signal" in outcome.told
+    assert "(undefined behaviour)" in outcome.told and over in outcome.told
+
+
+def test_layout_that_answers_a_damaged_state_otherwise_is_a_finding(
+    project: Path, few_ways: Callable[..., None]
+) -> None:
+    few_ways("host: portable", "host: portable, ZD_SMALL")
+    line = "if (s->delay_6_line[2] == 0x10001) { sound = 0u; }"  # which no input gives
+    edit(
+        project / SOURCE,
+        r"(    if \(s->steps == 0u\) \{)",
+        lambda match: f"#if defined(ZD_SMALL)\n    {line}\n#endif\n{match[1]}",
+    )
+    make_another_version(project)
+    forge(project)
+    outcome = Outcome(project)
+    assert "host: portable" in outcome.json["backends"]
+    told = "host: portable, ZD_SMALL: answers damaged and random states otherwise"
+    assert outcome.code == 1 and told in outcome.told
+
+
+def test_compiler_without_sanitizers_is_told_and_required_fails(
+    project: Path, monkeypatch: pytest.MonkeyPatch, few_ways: object
+) -> None:
+    assert Outcome(project, "--require", "sanitizer").code == 0
+    monkeypatch.setattr(folder_check, "can_sanitize", lambda *_: False)
+    outcome = Outcome(project, "--require", "sanitizer")
+    assert outcome.code == 1 and "sanitizer: is required and was not checked" in outcome.told
+    assert "sanitizer" in [n["what"] for n in outcome.json["not_checked"]]
+
+
+def test_network_without_a_kernel_runs_with_small_tables_on_cores() -> None:
+    names = {way.name for way in ways.list_core_ways(load("int8").model)}
+    assert {"cortex-m4: ZD_SMALL", "cortex-m0plus: portable"} < names
+    assert "cortex-m4: aligned" not in names
 
 
 @pytest.mark.parametrize("how", ["cut", "nonsense", "other shapes", "other codes"])
