@@ -33,7 +33,7 @@ from zerodrift.verify.host_check import check_host
 from zerodrift.verify.manifest import NotChecked
 from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
-from zerodrift.verify.trial import Stretch, Trial, find_other, try_host
+from zerodrift.verify.trial import HostSequence, HostTrial, find_other, try_host
 from zerodrift.verify.ways import (
     HOST,
     Way,
@@ -264,11 +264,11 @@ def _can_run(check: FolderCheck, way: Way, host: HostModel) -> bool:
     return True
 
 
-def _list_stretches(sequences: Mapping[str, CodeArray]) -> tuple[Stretch, ...]:
+def _list_stretches(sequences: Mapping[str, CodeArray]) -> tuple[HostSequence, ...]:
     """Return what every layout on the host runs over beside the golden vectors."""
-    settled = [Stretch(f"sequence '{name}'", codes, True) for name, codes in sequences.items()]
+    settled = [HostSequence(f"sequence '{name}'", codes, True) for name, codes in sequences.items()]
     cold = [
-        Stretch(f"sequence '{name}' after init", codes[:COLD_STEPS], False)
+        HostSequence(f"sequence '{name}' after init", codes[:COLD_STEPS], False)
         for name, codes in sequences.items()
     ]
     return (*settled, *cold)
@@ -279,13 +279,13 @@ def _hold(
     name: str,
     host: HostModel,
     golden: tuple[Expected, ...],
-    drawn: tuple[Stretch, ...],
-) -> Trial | None:
+    drawn: tuple[HostSequence, ...],
+) -> HostTrial | None:
     """Try a host build and compare it with the reference on the golden vectors.
 
     Returns what it answered, or None where it differs or fails, which is noted.
     """
-    stretches = [Stretch("sequence 'golden'", e.codes, e.settled) for e in golden]
+    stretches = [HostSequence("sequence 'golden'", e.codes, e.settled) for e in golden]
     trial = try_host(host, [*stretches, *drawn], damages=True)
     if trial.ended:
         check.failures.append(f"{name}: {trial.ended}")
@@ -303,7 +303,9 @@ def _hold(
     return trial
 
 
-def _agrees(check: FolderCheck, name: str, trial: Trial | None, flashed: Trial | None) -> bool:
+def _agrees(
+    check: FolderCheck, name: str, trial: HostTrial | None, flashed: HostTrial | None
+) -> bool:
     """Tell whether a layout answers as the C does that is flashed; note where it does not."""
     if trial is None or flashed is None:
         return False

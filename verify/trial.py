@@ -19,7 +19,7 @@ _PROGRAM = Path(__file__).with_name("trial_child.py")
 
 
 @dataclass(frozen=True)
-class Stretch:
+class HostSequence:
     """A sequence and what it starts from."""
 
     name: str
@@ -30,7 +30,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Trial:
+class HostTrial:
     """What became of a host build in a process of its own."""
 
     ended: str
@@ -40,7 +40,9 @@ class Trial:
     states; the same for the same bits."""
 
 
-def try_host(host: HostModel, stretches: Sequence[Stretch], *, damages: bool = False) -> Trial:
+def try_host(
+    host: HostModel, stretches: Sequence[HostSequence], *, damages: bool = False
+) -> HostTrial:
     """Run a host build over some stretches, and over damaged and random states.
 
     Args:
@@ -71,17 +73,17 @@ def try_host(host: HostModel, stretches: Sequence[Stretch], *, damages: bool = F
             timeout=LONGEST_S,
         )
     except subprocess.TimeoutExpired as error:
-        return Trial(_tell(error.stdout, f"did not end within {LONGEST_S} s"))
+        return HostTrial(_tell(error.stdout, f"did not end within {LONGEST_S} s"))
     if done.returncode < 0:
-        return Trial(_tell(done.stdout, _name_signal(-done.returncode)))
+        return HostTrial(_tell(done.stdout, _name_signal(-done.returncode)))
     if done.returncode:
         said = done.stderr.decode(errors="replace").strip()[-300:]
-        return Trial(_tell(done.stdout, f"ended with exit code {done.returncode}: {said}"))
+        return HostTrial(_tell(done.stdout, f"ended with exit code {done.returncode}: {said}"))
     lines = done.stdout.decode().splitlines()
-    return Trial("", tuple(line[2:] for line in lines if line.startswith("= ")))
+    return HostTrial("", tuple(line[2:] for line in lines if line.startswith("= ")))
 
 
-def find_other(trial: Trial, other: Trial) -> str:
+def find_other(trial: HostTrial, other: HostTrial) -> str:
     """Return the first thing that two builds answer differently; "" if there is none."""
     for one, two in zip(trial.answers, other.answers, strict=True):
         if one != two:

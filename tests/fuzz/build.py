@@ -17,8 +17,8 @@ HERE = Path(__file__).parent
 GOLDEN = HERE.parent / "golden"
 TARGETS = {"step": 0, "state": 1, "restore": 2}
 MODELS = ("front_end", "windowed", "int8_before", "effects", "no_reading")
-"""Filters and a delay; a window; 8-bit weights; a load, a counter and an input of 32 bits; codes that
-mean no reading."""
+"""Filters and a delay; a window; 8-bit weights; a load, a counter and an input of 32 bits; codes
+that mean no reading."""
 TABLES = {"": (), "_small": ("-DZD_SMALL",)}
 """End of a job's name -> how the table of tanh is chosen, see docs/reference/kernels.md."""
 SANITIZERS = "address,undefined"
