@@ -29,8 +29,9 @@ from zerodrift.lab.twin import EffectChoice, Recipe, simulate
 from zerodrift.lab.twin.logs import render_config, render_logs
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.engine import Problem, Result, train_networks
+from zerodrift.train.network_training import pose_rehearsal
 from zerodrift.train.prepare import prepare, read_settings
-from zerodrift.train.training import Task, pose_rehearsal
+from zerodrift.train.tasks import Task
 
 TOLD = ("zero_tempco", "dark_current", "thermal_lag")
 SENSORS, QUICK_SENSORS = 1024, 24

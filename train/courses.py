@@ -16,8 +16,8 @@ from torch import Tensor
 
 from zerodrift.base.errors import InputError
 from zerodrift.train.networks import Network, Parameters
-from zerodrift.train.optimise import Settings
 from zerodrift.train.sequences import Array32, Sequence32
+from zerodrift.train.settings import Settings
 
 Places = NDArray[np.int64]
 Stored = NDArray[np.generic]

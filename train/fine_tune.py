@@ -14,8 +14,8 @@ from zerodrift.base.errors import InputError
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.engine import Problem, train_networks
 from zerodrift.train.integer_network import IntegerGruNetwork
-from zerodrift.train.optimise import Settings
 from zerodrift.train.sequences import Sequence32
+from zerodrift.train.settings import Settings
 
 
 @dataclass(frozen=True)

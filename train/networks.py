@@ -314,3 +314,12 @@ def build_network(
             network = MlpNetwork(features, config.hidden, outputs)
     network.initialise(generator)
     return network
+
+
+def check_network(network: NetworkConfig, width: int, outputs: int) -> None:
+    """Raise where a network's settings are out of range.
+
+    Raises:
+        InputError: says which.
+    """
+    build_network(network, width, outputs, torch.Generator())

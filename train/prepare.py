@@ -6,15 +6,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from zerodrift.base.config import Config, NetworkConfig
+from zerodrift.base.extras import TRAIN, require
 from zerodrift.dataset.runs import Dataset
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.compensator import Compensator, calibrate
-from zerodrift.train.networks import build_network
-from zerodrift.train.optimise import Settings
+from zerodrift.train.settings import Settings
 from zerodrift.train.split import Split, split_runs
 from zerodrift.train.stages import Stages, fit_physics, fit_stages
 
@@ -76,15 +75,18 @@ def prepare(config: Config, dataset: Dataset, settings: Settings, catalogue: Cat
     """Return what is fitted before a network is trained.
 
     Raises:
-        InputError: an effect cannot be fitted, or a setting of the network is out of range.
+        InputError: an effect cannot be fitted, a setting of the network is out of range, or PyTorch
+            is not installed.
     """
-    physics = fit_physics(config, dataset, dataset.train, catalogue)
+    require(TRAIN, f'[network] kind = "{config.network.kind}"')
+    from zerodrift.train.networks import check_network
 
+    physics = fit_physics(config, dataset, dataset.train, catalogue)
     split = split_runs(dataset.train)
     rehearsed = fit_stages(config, fit_physics(config, dataset, split.fit, catalogue), split.fit)
     stages = fit_stages(config, physics, dataset.train)
     width, outputs = stages.front_end.width, len(stages.scale)
-    build_network(config.network, width, outputs, torch.Generator())  # raises for this sensor alone
+    check_network(config.network, width, outputs)  # raises for this sensor alone
     return Prepared(stand_alone(config, dataset, physics, settings), split, rehearsed, stages)
 
 

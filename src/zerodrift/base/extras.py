@@ -1,0 +1,47 @@
+"""Parts of zerodrift that need packages which a plain install leaves out."""
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+from zerodrift.base.errors import InputError
+
+
+@dataclass(frozen=True)
+class Extra:
+    """A set of packages that is installed by name: `pip install "zerodrift[NAME]"`."""
+
+    name: str
+    package: str
+    """The module whose presence tells."""
+    title: str
+
+
+TRAIN = Extra("train", "torch", "PyTorch")
+PAGE = Extra("page", "plotly", "Plotly")
+WORKBENCH = Extra("page", "dash", "Dash")
+FLEET = Extra("fleet", "ray", "Ray")
+
+
+def is_installed(extra: Extra) -> bool:
+    """Tell whether an extra's packages are there, without loading them."""
+    try:
+        return find_spec(extra.package) is not None
+    except (ImportError, ValueError):
+        return False
+
+
+def require(extra: Extra, what: str) -> None:
+    """Refuse to go on without an extra.
+
+    Args:
+        extra: what is needed.
+        what: needs it, as the user knows it.
+
+    Raises:
+        InputError: it is not installed; says how to.
+    """
+    if not is_installed(extra):
+        raise InputError(
+            f"{what}: needs {extra.title}, which is not installed; expected the extra "
+            f"'{extra.name}'. Run: pip install \"zerodrift[{extra.name}]\""
+        )
