@@ -77,7 +77,7 @@ test-browser: $(READY) ## after setup-browser: the page in Chromium; pictures of
 	$(RUN) -m pytest -q -n 2 tests/workbench
 
 test-wheel: $(READY) ## build the wheel, install it elsewhere, and go from a log to checked C with it
-	$(RUN) -m pytest -q tests/house/test_wheel.py
+	$(RUN) -m pytest -q tests/house/test_wheel.py tests/house/test_extras.py
 
 test-all: $(READY) ## every test, the long proofs included
 	$(RUN) -m pytest -q -n 2 tests

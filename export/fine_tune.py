@@ -6,13 +6,14 @@ A network of zerodrift's own and an imported one take the same road.
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
+from zerodrift.base.extras import TRAIN, require
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import calibrate, encode_inputs
 from zerodrift.export.float_model import FloatModel
@@ -24,11 +25,14 @@ from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from zerodrift.train.fine_tune import Tuned, Tuning, fine_tune
-from zerodrift.train.integer_network import IntegerGruNetwork, TorchIntegerHead
 from zerodrift.train.onnx_export import build_onnx
 from zerodrift.train.onnx_network import OnnxNetwork
 from zerodrift.train.sequences import Sequence32
+from zerodrift.train.settings import Tuning
+
+if TYPE_CHECKING:  # PyTorch is loaded where something is tuned
+    from zerodrift.train.fine_tune import Tuned
+    from zerodrift.train.integer_network import IntegerGruNetwork
 
 FOLDER, LAYERS = "int8", "layers.npz"
 """Of the build directory, where the fine-tuned layers are kept."""
@@ -39,7 +43,7 @@ GRU_ARRAYS = ("w_x", "w_h", "bias")
 
 def tune_for_int8(
     model: FloatModel, runs: Sequence[Run], report: Report = lambda done, rms: None
-) -> tuple[FloatModel, Tuned]:
+) -> tuple[FloatModel, "Tuned"]:
     """Return the float model with layers that answer as its own do once they have 8 bits.
 
     Args:
@@ -49,7 +53,11 @@ def tune_for_int8(
 
     Raises:
         CheckError: no safe format exists.
+        InputError: PyTorch is not installed.
     """
+    require(TRAIN, '[quantization] weights = "int8"')
+    from zerodrift.train.fine_tune import fine_tune
+
     network = model.network
     assert isinstance(network, FloatNetwork)
     calibration = calibrate(model, runs)
@@ -88,7 +96,7 @@ def replace_layers(model: FloatModel, layers: Sequence[FloatGru]) -> FloatModel:
 
 def build_integer_network(
     network: FloatNetwork, exponents: IntArray, scale: Array
-) -> IntegerGruNetwork:
+) -> "IntegerGruNetwork":
     """Return a float network as one that trains in the chip's arithmetic.
 
     Args:
@@ -96,6 +104,8 @@ def build_integer_network(
         exponents: [I] f with feature = count * 2**-f.
         scale: [K] by which its answers are divided.
     """
+    from zerodrift.train.integer_network import IntegerGruNetwork, TorchIntegerHead
+
     read_out = quantize_state_read_out(network)
     return IntegerGruNetwork(
         network.layers,

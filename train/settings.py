@@ -26,3 +26,20 @@ class Settings:
     """Share of the steps in which the learning rate rises."""
     evaluations: int = 10
     """How often per start the held-out runs are looked at and the checkpoint is written."""
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """How the fine-tuning is done."""
+
+    epochs: int = 24
+    learning_rate: float = 2e-4
+    """Peak of the one cycle; a row's step at 8 bits is 1/127 of its largest weight."""
+    warm_up: float = 0.1
+    chunk: int = 32
+    """Samples over which a stream is differentiated."""
+    batch: int = 64
+    """Chunks in a step of the optimiser."""
+    evaluations: int = 12
+    """How often all runs are walked through from their start and the best weights are kept."""
+    seed: int = 0

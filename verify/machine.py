@@ -1,7 +1,6 @@
 """What this machine has to build and check with, and what a project's folder holds besides."""
 
 import importlib.metadata
-import importlib.util
 import os
 import platform
 import shutil
@@ -12,6 +11,7 @@ from pathlib import Path
 
 from zerodrift import __version__
 from zerodrift.base.errors import InputError
+from zerodrift.base.extras import FLEET, PAGE, TRAIN, WORKBENCH, is_there
 from zerodrift.base.lock import LOCK, describe_holder, find_state, try_lock
 from zerodrift.c_runtime.compilers import find_compilers
 from zerodrift.c_runtime.cores import CORES, GCC_CORES, find_cross_compilers
@@ -30,6 +30,7 @@ PACKAGES: dict[str, str] = {
     "ray": "spreads a fleet over machines",
 }
 """What zerodrift uses, and for what."""
+EXTRA_OF = {extra.package: extra.name for extra in (TRAIN, PAGE, WORKBENCH, FLEET)}
 PROGRAMS: dict[str, tuple[tuple[str, ...], str]] = {
     "Chromium": (("chromium", "chromium-browser", "google-chrome"), "report as PDF and PNG"),
     "QEMU for Arm": (("qemu-system-arm",), "boards as a second opinion on the cores"),
@@ -143,8 +144,10 @@ def _list_state(directory: Path) -> list[Item]:
 def _list_packages() -> list[Item]:
     items = []
     for name, use in PACKAGES.items():
-        if importlib.util.find_spec(name) is None:
-            remedy = f"{use}; pip install {name}"
+        if not is_there(name):
+            extra = EXTRA_OF.get(name)
+            install = f'"zerodrift[{extra}]"' if extra else name
+            remedy = f"{use}; pip install {install}"
             items.append(Item("packages", name, "missing", remedy, is_missing=True))
         else:
             items.append(Item("packages", name, importlib.metadata.version(name), use))

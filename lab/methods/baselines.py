@@ -66,7 +66,7 @@ def make_baseline(make: Make, most_rows: int = 0) -> Fit:
         except ImportError as error:
             raise InputError(
                 f"this method needs scikit-learn ({error}). Install it: pip install"
-                " 'zerodrift[paper]'."
+                " 'zerodrift[lab]'."
             ) from error
         windows = fit_windows(runs, options.thermometers, WINDOW, options.spacing_s)
 

@@ -22,10 +22,10 @@ WORKBENCH = Extra("page", "dash", "Dash")
 FLEET = Extra("fleet", "ray", "Ray")
 
 
-def is_installed(extra: Extra) -> bool:
-    """Tell whether an extra's packages are there, without loading them."""
+def is_there(package: str) -> bool:
+    """Tell whether a package is installed, without loading it."""
     try:
-        return find_spec(extra.package) is not None
+        return find_spec(package) is not None
     except (ImportError, ValueError):
         return False
 
@@ -40,7 +40,7 @@ def require(extra: Extra, what: str) -> None:
     Raises:
         InputError: it is not installed; says how to.
     """
-    if not is_installed(extra):
+    if not is_there(extra.package):
         raise InputError(
             f"{what}: needs {extra.title}, which is not installed; expected the extra "
             f"'{extra.name}'. Run: pip install \"zerodrift[{extra.name}]\""

@@ -21,6 +21,7 @@ from zerodrift.app.commands.console import (
     show_progress,
 )
 from zerodrift.app.commands.predictors import KINDS
+from zerodrift.base.extras import PAGE, require
 from zerodrift.dataset.time_units import write_time
 from zerodrift.diagnosis.segments import MOST_SEGMENTS
 
@@ -70,6 +71,8 @@ def command(
     in turn. Then it says where the model fails: under which conditions the squared error is
     concentrated, found by a scan and checked on runs left out, and the worst segments of time.
     """
+    if html is not None:
+        require(PAGE, "zerodrift compare --html")
     from zerodrift.app.commands.built import read_firmware
     from zerodrift.app.commands.predictors import compare_predictor, open_predictor
     from zerodrift.app.commands.project import open_project

@@ -10,6 +10,7 @@ from zerodrift.app.commands.common import directory_option, json_option, print_r
 from zerodrift.app.commands.console import open_console, open_table
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
+from zerodrift.base.extras import PAGE, require
 from zerodrift.base.journal import hold_project
 from zerodrift.diagnosis.history import Step
 
@@ -47,6 +48,8 @@ def command(directory: Path, html: Path | None, restore: int | None, as_json: bo
     The table gives the errors in their units; the bars give them as multiples of the noise floor,
     root mean square over the outputs, on a logarithmic scale that begins at the floor.
     """
+    if html is not None:
+        require(PAGE, "zerodrift history --html")
     from zerodrift.app.commands.revise import open_history
     from zerodrift.base.config import load_config
     from zerodrift.diagnosis.history import list_steps

@@ -15,6 +15,7 @@ from zerodrift.app.commands.common import (
 )
 from zerodrift.app.commands.console import show_progress
 from zerodrift.base.errors import InputError
+from zerodrift.base.extras import PAGE, require
 from zerodrift.base.journal import write_text
 
 if TYPE_CHECKING:
@@ -72,6 +73,7 @@ def command(
     The HTML file holds everything it needs, so it opens without a network, and prints. The same
     files give the same bytes.
     """
+    require(PAGE, "zerodrift report")
     from zerodrift.app.commands.survey import summarise_survey, survey_project
     from zerodrift.app.trust import require_trust
     from zerodrift.base.config import load_config

@@ -10,6 +10,7 @@ from zerodrift.app.commands.common import directory_option, skip_invalid_option,
 from zerodrift.app.trust import require_trust
 from zerodrift.base.config import FILE_NAME, load_config
 from zerodrift.base.errors import InputError
+from zerodrift.base.extras import PAGE, WORKBENCH, require
 
 
 @click.command()
@@ -27,12 +28,10 @@ def command(directory: Path, port: int, no_browser: bool, trust: bool, skip_inva
     127.0.0.1 to whoever has the token in its address; nothing leaves this machine. Without a
     zerodrift.toml in DIR it begins a new project from logs, or a simulated one to practise on.
     """
-    try:
-        from zerodrift.workbench.server import Workbench
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"the workbench needs the package '{error.name}'; install it with: pip install dash"
-        ) from error
+    require(PAGE, "zerodrift workbench")
+    require(WORKBENCH, "zerodrift workbench")
+    from zerodrift.workbench.server import Workbench
+
     require_trust(_list_plugins(directory), trusted=trust)
     bench = Workbench(directory, port, skip_invalid=skip_invalid)
     click.echo(f"Workbench on {bench.place.directory}: {bench.url}")
