@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: test-wheel bench-paper bench-foreign setup-browser setup-page test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: setup-formats mutated-logs test-wheel bench-paper bench-foreign setup-browser setup-page test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -37,6 +37,12 @@ setup-qemu: ## QEMU and the GNU cross-compilers, by apt (root): the second opini
 setup-fuzz: $(READY) ## what fuzzing needs: clang with libFuzzer by apt (root), and atheris
 	$(RUN) -m tests.fuzz --have-clang || .ci/apt-install clang libclang-rt-dev? libc6-dev
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-fuzz.lock
+
+setup-formats: $(READY) ## what reads Excel, HDF5, MCAP, rosbag2, ULog and ArduPilot logs
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-formats.lock
+
+mutated-logs: $(READY) ## 2,000 mutated logs of every format: each read or refused, none a traceback (MUTATED=--count=260)
+	$(RUN) -m tests.fuzz.mutated_logs $(MUTATED)
 
 setup-browser: $(READY) ## what the browser tests need: Playwright, and Chromium from the system's packages
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-browser.lock

@@ -396,7 +396,8 @@ def _describe(files: Sequence[SurveyedFile], used: set[str]) -> list[SeenColumn]
             elif role.role == REFERENCE and name not in used:
                 shown, why = UNUSED, "a reference of nothing that drifts"
             if shown == UNUSED and role.role != UNUSED:
-                why = "not every log has it" if role.role != REFERENCE else why
+                why = "another one is taken, or not every log has it"
+                why = role.why if role.role == REFERENCE else why
             seen.append(
                 SeenColumn(file.name, name, shown, column.unit, column.low, column.high, why)
             )

@@ -9,8 +9,8 @@ import numpy as np
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.roles import OUTPUT, STEADY, TEMPERATURE, Role, assign_roles
 from zerodrift.dataset.selectors import LOG_SUFFIXES, list_files, order_path
+from zerodrift.dataset.sources import open_sources
 from zerodrift.dataset.survey import Survey, survey_source
-from zerodrift.dataset.tables import open_source
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class SurveyedFile:
     @property
     def name(self) -> str:
         """Return the file's name."""
-        return self.survey.source.path.name
+        return self.survey.source.name
 
     def list(self, role: str) -> list[Role]:
         """Return the columns of a role, thermometers by their rank."""
@@ -62,7 +62,8 @@ def find_runs(
     files = []
     for log in logs:
         if isinstance(log, LogFiles):
-            runs.append(FoundRun(log, tuple(_open(path) for path in log.files)))
+            opened = [file for path in log.files for file in _open(path)]
+            runs.append(FoundRun(log, tuple(opened)))
         elif log.is_dir():
             found = _find_in_folder(log, period_s, refused)
             if not found:
@@ -74,22 +75,31 @@ def find_runs(
             runs += found
         else:
             files.append(log)
-    opened = [_open(path) for path in files]
-    if len(opened) > 1 and not any(_is_whole(file, period_s) for file in opened):
+    tables = [_open(path) for path in files]
+    is_one = len(files) > 1 and all(len(each) == 1 for each in tables)
+    if is_one and not any(_is_whole(each[0], period_s) for each in tables):
         several = LogFiles(files[0], tuple(files))
-        runs.append(FoundRun(several, tuple(opened)))
+        runs.append(FoundRun(several, tuple(each[0] for each in tables)))
     else:
         runs += [
-            FoundRun(LogFiles(path, (path,)), (file,))
-            for path, file in zip(files, opened, strict=True)
+            FoundRun(LogFiles(path, (path,)), tuple(each))
+            for path, each in zip(files, tables, strict=True)
         ]
     runs.sort(key=lambda run: order_path(run.log.path, directory))
     return runs, refused
 
 
-def _open(path: Path) -> SurveyedFile:
-    survey = survey_source(open_source(path, str(path), {}))
-    return SurveyedFile(survey, tuple(assign_roles(survey)))
+def _open(path: Path) -> list[SurveyedFile]:
+    """Return the tables of a file, in a file of several those with numbers."""
+    surveys = []
+    for source in open_sources(path, str(path), {}):
+        try:
+            surveys.append(survey_source(source))
+        except InputError:
+            if not source.part:
+                raise
+    found = [SurveyedFile(survey, tuple(assign_roles(survey))) for survey in surveys]
+    return [file for file in found if file.survey.columns] or found[:1]
 
 
 def _is_whole(file: SurveyedFile, period_s: float | None) -> bool:
@@ -103,16 +113,18 @@ def _find_in_folder(folder: Path, period_s: float | None, refused: list[str]) ->
     Files that each have times, thermometer and value are a run each; if none has, all are one.
     """
     opened: list[SurveyedFile] = []
+    runs: list[FoundRun] = []
     for path in list_files(folder):
         try:
-            file = _open(path)
+            tables = _open(path)
         except InputError as error:
             if path.suffix.lower() != ".txt":  # which is as often a remark
                 refused.append(f"not read: {error}")
             continue
-        if file.survey.columns:
-            opened.append(file)
-    runs = []
+        if len(tables) > 1:
+            runs.append(FoundRun(LogFiles(path, (path,)), tuple(tables)))
+        else:
+            opened += [file for file in tables if file.survey.columns]
     whole = [file for file in opened if _is_whole(file, period_s)]
     if whole:
         left = tuple(

@@ -59,12 +59,12 @@ def join_tables(
     if not kept.any():
         raise InputError(_explain_apart(config, tables, label))
     rows = ", ".join(
-        f"{table.source.path.name} (a row every {median:.4g} s)"
+        f"{table.source.name} (a row every {median:.4g} s)"
         for table, median in zip(tables, median_s, strict=True)
     )
     left = int(kept.size - kept.sum())
     alone = "one row" if left == 1 else f"{left} rows"
-    more = f"; {alone} of {base.source.path.name} without the others left out" if left else ""
+    more = f"; {alone} of {base.source.name} without the others left out" if left else ""
     notes.append(f"{label}: {rows} joined on time{more}")
     at_s = base.columns[time][kept]
     base.take(kept)
@@ -106,8 +106,8 @@ def _refuse_mixed_clocks(config: Config, tables: Sequence[LogTable], label: str)
     hint = f'; zone = "{zone}" would make them overlap best' if zone else ""
     begin = local.columns[config.time_column][0]
     raise InputError(
-        f"{label}: {local.source.path.name} is by a local clock (it begins at "
-        f"{write_local(begin)}), {other.source.path.name} counts from 1970 in UTC; expected times "
+        f"{label}: {local.source.name} is by a local clock (it begins at "
+        f"{write_local(begin)}), {other.source.name} counts from 1970 in UTC; expected times "
         f"of one kind. State where the clock stood: [sensor] time = {{ column = "
         f'"{config.time.columns[0]}", zone = "Europe/Berlin" }}{hint}.'
     )
@@ -158,7 +158,7 @@ def _compare_clocks(
         difference = measure_difference(
             base.columns[time], base.columns[COMMON], other.columns[time], other.columns[COMMON]
         )
-        name, first = other.source.label, base.source.path.name
+        name, first = other.source.label, base.source.name
         if difference is None or not difference.is_credible:
             why = "" if difference is None else _tell_unlike(difference)
             notes.append(
@@ -172,7 +172,7 @@ def _compare_clocks(
             "[logs] common; a lag between the two sensors cannot be told from an offset of the "
             "same size"
         )
-    if not is_told:
+    if not is_told and any(other.source.path != base.source.path for other in others):
         notes.append(ONE_CLOCK)
 
 
@@ -183,14 +183,14 @@ def _tell_unlike(difference: ClockDifference) -> str:
 
 def _explain_apart(config: Config, tables: Sequence[LogTable], label: str) -> str:
     spans = "; ".join(
-        f"{table.source.path.name} from {_write(table.columns[config.time_column][0])} to "
+        f"{table.source.name} from {_write(table.columns[config.time_column][0])} to "
         f"{_write(table.columns[config.time_column][-1])}"
         for table in tables
     )
     return (
         f"{label}: its files do not overlap in time: {spans}; expected rows of the same time. "
         f'Correct [sensor] time (unit, zone), or state [logs] offset_s = {{ "'
-        f'{tables[-1].source.path.name}" = SECONDS }}, or take one file out.'
+        f'{tables[-1].source.name}" = SECONDS }}, or take one file out.'
     )
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 from zerodrift.base.clock_config import fits
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError, nearest
-from zerodrift.dataset.tables import LogTable, Source, label_log, open_source, read_table
+from zerodrift.dataset.sources import open_sources
+from zerodrift.dataset.tables import LogTable, Source, label_log, read_table
 from zerodrift.dataset.text_format import UNNAMED
 from zerodrift.dataset.times import SAMPLE, Clock, find_clock
 
@@ -35,8 +36,10 @@ def read_log(config: Config, files: Sequence[Path], needed: Mapping[str, str]) -
         InputError: a file cannot be read, a column is in none or in several of them.
     """
     if len(files) == 1:
-        source = open_source(files[0], label_log(files[0], config.directory), config.where)
-        return [read_table(source, needed, clock=find_log_clock(config, source))]
+        opened = open_sources(files[0], label_log(files[0], config.directory), config.where)
+        if len(opened) == 1:
+            (source,) = opened
+            return [read_table(source, needed, clock=find_log_clock(config, source))]
     sources, refused = _open_all(config, files)
     wanted = {name: role for name, role in needed.items() if name != config.time_column}
     parts = _share_out(sources, wanted, files, refused, config)
@@ -48,7 +51,7 @@ def _open_all(config: Config, files: Sequence[Path]) -> tuple[list[Source], list
     sources, refused = [], []
     for path in files:
         try:
-            sources.append(open_source(path, label_log(path, config.directory), {}))
+            sources += open_sources(path, label_log(path, config.directory), {})
         except InputError as error:
             refused.append(str(error))
     for column in config.where:
@@ -74,7 +77,7 @@ def _share_out(
         if not holders:
             raise InputError(_explain_missing(files, sources, refused, column, role))
         if len(holders) > 1:
-            names = [sources[number].path.name for number, _ in holders]
+            names = [sources[number].name for number, _ in holders]
             raise InputError(
                 f"{_label(files, config)}: column '{column}' is in {' and in '.join(names)}; "
                 f'expected one. Write "{names[0]}:{column}" where {role} names it.'
@@ -105,7 +108,7 @@ def find_holders(sources: Sequence[Source], column: str) -> list[tuple[int, str]
 
 
 def _is_called(source: Source, name: str) -> bool:
-    return fits(source.path, name) or source.path.stem == name
+    return name == source.part or fits(source.path, name) or source.path.stem == name
 
 
 def _find_common(config: Config, part: Part, parts: int) -> dict[str, str]:
@@ -173,12 +176,13 @@ def _explain_missing(
 ) -> str:
     known = [name for source in sources for name in source.names if not name.startswith(UNNAMED)]
     found = "; ".join(
-        f"{source.path.name} has {', '.join(n for n in source.names[:12] if n[:1] != UNNAMED)}"
+        f"{source.name} has {', '.join(n for n in source.names[:12] if n[:1] != UNNAMED)}"
         for source in sources
     )
     more = f" Not read: {' '.join(refused)}" if refused else ""
+    who, what = (files[0].parent.name, "files") if len(files) > 1 else (files[0].name, "tables")
     return (
-        f"{files[0].parent.name}: there is no column '{column}' in any of its {len(files)} files"
+        f"{who}: there is no column '{column}' in any of its {len(sources)} {what}"
         f"{nearest(column, known) or '.'} Found: {found}; expected the name that {role} gives. "
         f"Correct the one or the other.{more}"
     )

@@ -189,6 +189,8 @@ def _looks_like_setpoint(column: Column) -> bool:
 
 def _is_thermal(column: Column) -> bool:
     """Tell whether a column is a temperature by its unit or its name."""
+    if words(column.name) & {"celsius", "fahrenheit", "kelvin"}:
+        return True
     has_name = re.search(r"temp(?!co)|(^|_)t(_|$)", column.name, re.IGNORECASE) is not None
     return column.unit in TEMPERATURE_UNITS or (has_name and not column.unit)
 
@@ -196,8 +198,8 @@ def _is_thermal(column: Column) -> bool:
 def _rank_thermometers(columns: Sequence[Column]) -> list[Column]:
     """Return the columns that are temperatures, the one most likely on the chip first."""
     found = [column for column in columns if _is_thermal(column)]
-    if any(re.search("temp", c.name, re.IGNORECASE) or c.unit for c in found):
-        found = [c for c in found if c.unit or re.search("temp", c.name, re.IGNORECASE)]
+    plain = [c for c in found if c.unit or re.search("temp|celsius", c.name, re.IGNORECASE)]
+    found = plain or found
 
     def rank(column: Column) -> tuple[bool, int]:
         named = words(column.name)

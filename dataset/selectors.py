@@ -11,6 +11,7 @@ import numpy as np
 
 from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.dataset.formats.registry import FORMAT_SUFFIXES
 from zerodrift.dataset.runs import Array
 
 CSV_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
@@ -18,7 +19,7 @@ PARQUET_SUFFIXES = (".parquet", ".pq")
 ARROW_SUFFIXES = (".feather", ".arrow", ".ipc")
 JOINT = " + "
 """Between files that are one log."""
-LOG_SUFFIXES = CSV_SUFFIXES + PARQUET_SUFFIXES + ARROW_SUFFIXES
+LOG_SUFFIXES = CSV_SUFFIXES + PARQUET_SUFFIXES + ARROW_SUFFIXES + FORMAT_SUFFIXES
 
 _CUT = re.compile(r"^(?P<rest>.+)@(?P<start>[^@#/]*):(?P<stop>[^@#/]*)$")
 _RUN = re.compile(r"^(?P<rest>.+?)#(?P<run>[^#/]+)$")
@@ -140,7 +141,10 @@ def list_files(path: Path) -> list[Path]:
     """Return a log's files, sorted by name: those of a folder that could be logs, or the one."""
     if not path.is_dir():
         return [path]
-    return sorted(each for each in path.iterdir() if each.suffix.lower() in LOG_SUFFIXES)
+    found = sorted(each for each in path.iterdir() if each.suffix.lower() in LOG_SUFFIXES)
+    # The files of a rosbag2 folder are read together, by its metadata.yaml.
+    bags = [each for each in found if each.suffix.lower() == ".db3"]
+    return [each for each in found if each not in bags[1:]]
 
 
 def _find_part(directory: Path, name: str, where: str) -> Path:

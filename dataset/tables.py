@@ -5,7 +5,7 @@ a second time, by `zerodrift.dataset.locate`, for the line and the text of the o
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +58,15 @@ class Source:
     """Rows may end in delimiters that nothing follows."""
     notes: tuple[str, ...] = ()
     """What of the file is worth telling."""
+    part: str = ""
+    """Sheet, group or topic, of a file that holds several."""
+    stated_units: Mapping[str, str] = field(default_factory=dict)
+    """Column -> unit, where the format itself keeps it."""
+
+    @property
+    def name(self) -> str:
+        """Return what `FILE:COLUMN` calls the table: its part, or the file."""
+        return self.part or self.path.name
 
     @property
     def is_csv(self) -> bool:
@@ -66,8 +75,10 @@ class Source:
 
     @property
     def units(self) -> dict[str, str]:
-        """Return column -> what the row of units says of it; empty without such a row."""
-        return {} if self.text is None else dict(zip(self.names, self.text.units, strict=False))
+        """Return column -> what a row of units, or the format, says of it."""
+        if self.text is None:
+            return dict(self.stated_units)
+        return dict(zip(self.names, self.text.units, strict=False))
 
     @property
     def parsed(self) -> tuple[Path, TextFormat]:
@@ -291,13 +302,18 @@ def _guess_rows(source: Source) -> int:
     return int(1.05 * max(counts) * max(1.0, size / _SAMPLE_BYTES)) + 1
 
 
-def _read_head(path: Path, label: str) -> bytes:
+def refuse_no_file(path: Path, label: str) -> None:
+    """Raise InputError for what is no ordinary file."""
     if path.exists() and not path.is_file():
         # A named pipe would be waited for, for ever.
         raise InputError(
             f"{label}: is {name_kind(path)}; expected a log, an ordinary file. Name the file that "
             "holds the rows."
         )
+
+
+def _read_head(path: Path, label: str) -> bytes:
+    refuse_no_file(path, label)
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
