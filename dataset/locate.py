@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import polars as pl
 
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.tables import Source, mend_source
+from zerodrift.dataset.tables import PARSER_ERRORS, Source, mend_source
 from zerodrift.dataset.text_format import list_lines
 
 
@@ -28,7 +28,7 @@ def locate_row(source: Source, position: int) -> RowPlace:
     """
     try:
         found = source.scan().slice(position, 1).select(pl.all().cast(pl.String)).collect()
-    except pl.exceptions.PolarsError as error:
+    except PARSER_ERRORS as error:
         return locate_row(mend_source(source, error), position)
     if found.is_empty():
         raise InputError(_explain_quotes(source))

@@ -10,7 +10,7 @@ import polars as pl
 from zerodrift.base.clock_config import TIME_UNITS, TimeConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Array
-from zerodrift.dataset.tables import RUN_COLUMN, Source, mend_source
+from zerodrift.dataset.tables import PARSER_ERRORS, RUN_COLUMN, Source, mend_source
 from zerodrift.dataset.text_format import UNNAMED
 from zerodrift.dataset.time_units import guess_time_unit, read_time_unit
 from zerodrift.dataset.times import (
@@ -108,6 +108,13 @@ def survey_source(source: Source) -> Survey:
     Raises:
         InputError: it is damaged or has no row.
     """
+    try:
+        return _survey(source)
+    except PARSER_ERRORS as error:
+        return survey_source(mend_source(source, error))
+
+
+def _survey(source: Source) -> Survey:
     names = [name for name in source.names if not name.startswith(UNNAMED)]
     head = source.sample(names, HEAD_ROWS)
     if not head or not len(head[0]):
@@ -164,13 +171,9 @@ def _measure(source: Source, numeric: Sequence[str]) -> tuple[list[Column], int,
             (known.diff() != 0).mean().alias(f"{i} changes"),
             (known.diff() > 0).all().alias(f"{i} rises"),
         ]
-    try:
-        found = frame.select(wanted).collect().row(0, named=True)
-        rows = int(found["rows"])
-        stride = max(1, rows // SAMPLE_ROWS)
-        some = frame.gather_every(stride).collect()
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        return _measure(mend_source(source, error), numeric)
+    found = frame.select(wanted).collect().row(0, named=True)
+    rows = int(found["rows"])
+    some = frame.gather_every(max(1, rows // SAMPLE_ROWS)).collect()
     columns = [
         Column(
             name,
@@ -284,7 +287,7 @@ def _read_times(
         expression = clock.read(frame.collect_schema())
         seconds = frame.select(expression).collect().to_series().fill_null(np.nan).to_numpy()
         seconds = clock.settle(np.array(seconds, dtype=np.float64), source.label)
-    except (InputError, pl.exceptions.PolarsError):
+    except (InputError, *PARSER_ERRORS):
         return None
     seconds = seconds[np.isfinite(seconds)]
     if seconds.size < 2:

@@ -28,6 +28,8 @@ from zerodrift.dataset.text_format import (
 )
 from zerodrift.dataset.times import Clock
 
+PARSER_ERRORS = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError)
+"""What Polars raises over a damaged file."""
 RUN_COLUMN = "run"
 BATCH_ROWS = 100_000
 _HEAD_BYTES = 1 << 18
@@ -130,7 +132,7 @@ class Source:
             frame = replace(self, where={}).scan().select(columns)
             found = frame.unique(maintain_order=True) if rows is None else frame.head(rows)
             return found.collect().get_columns()
-        except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+        except PARSER_ERRORS as error:
             mended = mend_source(self, error)
             return mended.sample(columns, rows)
 
@@ -232,7 +234,7 @@ def read_table(
     has_runs = run_column and RUN_COLUMN in source.names and RUN_COLUMN not in needed
     try:
         columns, runs = _parse(source, plain, clock, has_runs)
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+    except PARSER_ERRORS as error:
         return read_table(mend_source(source, error), needed, run_column, clock)
     if len(columns) == 0:
         raise InputError(_explain_no_rows(source))
@@ -337,7 +339,7 @@ def _read_names(path: Path, label: str) -> tuple[str, ...]:
     scan = pl.scan_ipc if is_arrow else pl.scan_parquet
     try:
         return tuple(scan(path, glob=False).collect_schema().names())
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+    except PARSER_ERRORS as error:
         raise InputError(_explain_damaged(label, error, is_arrow)) from error
 
 
