@@ -1,7 +1,6 @@
 """The C of a model's nodes, one face after the other, from the operations' own folders."""
 
 from collections.abc import Collection, Mapping
-from typing import Any
 
 import jinja2
 
@@ -26,7 +25,7 @@ class NodeText:
     ) -> None:
         self._environment, self._context = environment, context
         self._needed_at_rest = needed_at_rest
-        self._macros: dict[str, Any] = {}
+        self._macros: dict[str, object] = {}
 
     def _render(self, face: str, node: IntegerNode) -> str:
         folder = FOLDERS[node.kind]

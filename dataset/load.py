@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from zerodrift.base.column_config import CodesConfig
-from zerodrift.base.config import Config, locate_key
+from zerodrift.base.config import DWELL, TEST, TRAIN, USES, Config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.checks import (
     check_period,
@@ -35,7 +35,6 @@ from zerodrift.dataset.tables import LogTable, label_log
 from zerodrift.dataset.time_units import read_time_unit, refuse_unit, write_time
 from zerodrift.dataset.units import are_alike, read_unit
 
-USES = ("train", "test", "dwell")
 SMALL_SPAN_K = 2.0
 """Train logs that span less than this are noted: little can be learnt from them."""
 
@@ -86,7 +85,7 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
             _fill(config, table, of_log)
             pieces[use] += of_log
         pieces[use].sort(key=lambda piece: _order(piece.key, config.directory))
-    learnt_or_tested = pieces["train"] + pieces["test"]
+    learnt_or_tested = pieces[TRAIN] + pieces[TEST]
     refuse_overlaps([piece.key for piece in learnt_or_tested if piece.part == 0])
     known.sort(key=lambda run: (USES.index(run.use), _order(run.key, config.directory)))
     repeats = find_repeats(
@@ -99,12 +98,12 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
         pieces[use] = _keep_once(pieces[use], repeats)
     names = name_runs([piece.key for use in USES for piece in pieces[use]], config.directory)
     runs = {use: _link(_finish(piece, names, config) for piece in pieces[use]) for use in USES}
-    _check_training(config, runs["train"], notes)
-    notes += find_oddities(config, [*runs["train"], *runs["test"]])
+    _check_training(config, runs[TRAIN], notes)
+    notes += find_oddities(config, [*runs[TRAIN], *runs[TEST]])
     return Dataset(
-        train=runs["train"],
-        test=runs["test"],
-        dwell=runs["dwell"],
+        train=runs[TRAIN],
+        test=runs[TEST],
+        dwell=runs[DWELL],
         outputs=tuple(output.name for output in config.outputs),
         units=tuple(output.unit for output in config.outputs),
         full_scale=tuple(output.full_scale for output in config.outputs),

@@ -198,7 +198,7 @@ def load_history(path: Path) -> tuple[Entry, ...]:
     if not isinstance(content, dict) or content.get("format") not in (FORMAT, UNSEALED):
         found = content.get("format") if isinstance(content, dict) else type(content).__name__
         raise _explain_damage(str(path), f"is of format {found!r}, expected {FORMAT}")
-    if content["format"] == FORMAT:
+    if content.get("format") == FORMAT:
         try:
             read_sealed(text)
         except ValueError as error:

@@ -6,7 +6,8 @@ import signal
 from collections.abc import Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, Protocol
+from types import ModuleType
+from typing import Protocol
 
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.threads import BLAS
@@ -134,12 +135,12 @@ class OverRay:
         finally:
             ray.shutdown()
 
-    def _connect(self, ray: Any) -> None:
-        options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    def _connect(self, ray: ModuleType) -> None:
+        options: dict[str, object] = {"log_to_driver": False, "logging_level": "ERROR"}
         if self._address is None:
             options |= {"num_cpus": self._jobs, "include_dashboard": False}
         else:
-            options["address"] = self._address
+            options |= {"address": self._address}
         environment = dict.fromkeys(ONE_THREAD, "1")
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
         try:
@@ -152,7 +153,7 @@ class OverRay:
             ) from error
 
 
-def import_ray() -> Any:
+def import_ray() -> ModuleType:
     """Return the module.
 
     Raises:
@@ -166,10 +167,11 @@ def import_ray() -> Any:
             " checkout, or `pip install zerodrift[fleet]`; without it, --jobs uses this machine's"
             " cores."
         ) from error
-    return ray
+    module: ModuleType = ray
+    return module
 
 
-def _list_ray_errors(ray: Any) -> tuple[type[BaseException], ...]:
+def _list_ray_errors(ray: ModuleType) -> tuple[type[BaseException], ...]:
     return (ray.exceptions.RayError, ConnectionError, OSError)
 
 

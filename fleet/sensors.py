@@ -5,7 +5,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from zerodrift.base.config import USES, Config, locate_key
+from zerodrift.base.config import TRAIN, USES, Config, locate_key
 from zerodrift.base.errors import InputError
 from zerodrift.base.fleet_config import PLACEHOLDER
 
@@ -38,7 +38,7 @@ def find_sensors(config: Config) -> tuple[str, ...]:
     else:
         selectors = {use: list_selectors(config, use) for use in USES}
         where = locate_key(config.path, "logs", "train")
-        if not any(PLACEHOLDER in text for text in selectors["train"]):
+        if not any(PLACEHOLDER in text for text in selectors[TRAIN]):
             raise InputError(explain_no_placeholder(config, where))
         named = [text for texts in selectors.values() for text in texts if PLACEHOLDER in text]
         patterns = [_SUFFIX.sub("", text) for text in named]

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.graph import Node
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.physics.model_record import ModelRecord, TermRecord
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.signals import SignalPlan, name_signals, read_signals
 from zerodrift.physics.terms import Term, build_features
@@ -144,48 +144,48 @@ class PhysicalModel:
         features = build_features(ops, signals, [f.term for f in self.terms], self.order)
         return ModelGraph(tuple(f.signal for f in features), self.plan.sample_period_s)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the model as plain lists and numbers, ready for JSON."""
+    def to_record(self) -> ModelRecord:
+        """Return the model as plain values, ready for JSON."""
         plan = self.plan
-        return {
-            "outputs": list(plan.outputs),
-            "units": list(self.units),
-            "full_scale": list(plan.full_scale),
-            "sample_period_s": plan.sample_period_s,
-            "loaded": list(plan.loaded),
-            "saturated": list(plan.saturated),
-            "channels": list(plan.channels),
-            "reference_temperature_degC": plan.reference_temperature_degC,
-            "clock_origin_s": plan.clock_origin_s,
-            "starts_at_first_row": plan.starts_at_first_row,
-            "terms": [
-                {
-                    "kind": fitted.kind,
-                    "signal": fitted.term.signal,
-                    "values": dict(fitted.term.values),
-                    "held": sorted(fitted.term.held),
-                    "std_errors": dict(fitted.std_errors),
-                    "intervals": {k: list(v) for k, v in fitted.intervals.items()},
-                    "at_bound": list(fitted.at_bound),
-                }
+        return ModelRecord(
+            outputs=plan.outputs,
+            units=self.units,
+            full_scale=plan.full_scale,
+            sample_period_s=plan.sample_period_s,
+            loaded=plan.loaded,
+            saturated=plan.saturated,
+            channels=plan.channels,
+            reference_temperature_degC=plan.reference_temperature_degC,
+            clock_origin_s=plan.clock_origin_s,
+            starts_at_first_row=plan.starts_at_first_row,
+            terms=tuple(
+                TermRecord(
+                    kind=fitted.kind,
+                    signal=fitted.term.signal,
+                    values=fitted.term.values,
+                    held=fitted.term.held,
+                    std_errors=fitted.std_errors,
+                    intervals=fitted.intervals,
+                    at_bound=fitted.at_bound,
+                )
                 for fitted in self.terms
-            ],
-            "feature_names": list(self.feature_names),
-            "feature_units": list(self.feature_units),
-            "coefficients": self.coefficients.tolist(),
-            "std_errors": self.std_errors.tolist(),
-            "offsets": {group: offset.tolist() for group, offset in self.offsets.items()},
-            "tared": self.tared,
-            "notes": list(self.notes),
-            "order": list(self.order),
-        }
+            ),
+            feature_names=self.feature_names,
+            feature_units=self.feature_units,
+            coefficients=self.coefficients,
+            std_errors=self.std_errors,
+            offsets=self.offsets,
+            tared=self.tared,
+            notes=self.notes,
+            order=self.order,
+        )
 
     @staticmethod
-    def from_dict(data: Mapping[str, Any], catalogue: Catalogue | None = None) -> "PhysicalModel":
-        """Return the model that `to_dict` wrote.
+    def from_record(record: ModelRecord, catalogue: Catalogue | None = None) -> "PhysicalModel":
+        """Return the model that `to_record` described.
 
         Args:
-            data: what `to_dict` returned.
+            record: what `to_record` returned.
             catalogue: needed where the model has a user's own effects.
 
         Raises:
@@ -194,39 +194,34 @@ class PhysicalModel:
         catalogue = catalogue or load_catalogue()
         return PhysicalModel(
             plan=SignalPlan(
-                outputs=tuple(data["outputs"]),
-                full_scale=tuple(data["full_scale"]),
-                sample_period_s=data["sample_period_s"],
-                loaded=tuple(data["loaded"]),
-                saturated=tuple(data["saturated"]),
-                channels=tuple(data["channels"]),
-                reference_temperature_degC=data["reference_temperature_degC"],
-                clock_origin_s=data["clock_origin_s"],
-                starts_at_first_row=data.get("starts_at_first_row", False),
+                outputs=record.outputs,
+                full_scale=record.full_scale,
+                sample_period_s=record.sample_period_s,
+                loaded=record.loaded,
+                saturated=record.saturated,
+                channels=record.channels,
+                reference_temperature_degC=record.reference_temperature_degC,
+                clock_origin_s=record.clock_origin_s,
+                starts_at_first_row=record.starts_at_first_row,
             ),
-            units=tuple(data["units"]),
+            units=record.units,
             terms=tuple(
                 FittedTerm(
-                    Term(
-                        catalogue[term["kind"]],
-                        dict(term["values"]),
-                        frozenset(term["held"]),
-                        term["signal"],
-                    ),
-                    dict(term["std_errors"]),
-                    {k: (v[0], v[1]) for k, v in term["intervals"].items()},
-                    tuple(term["at_bound"]),
+                    Term(catalogue[term.kind], dict(term.values), term.held, term.signal),
+                    term.std_errors,
+                    term.intervals,
+                    term.at_bound,
                 )
-                for term in data["terms"]
+                for term in record.terms
             ),
-            feature_names=tuple(data["feature_names"]),
-            feature_units=tuple(data["feature_units"]),
-            coefficients=np.array(data["coefficients"], dtype=np.float64),
-            std_errors=np.array(data["std_errors"], dtype=np.float64),
-            offsets={k: np.array(v, dtype=np.float64) for k, v in data["offsets"].items()},
-            tared=data["tared"],
-            notes=tuple(data["notes"]),
-            order=tuple(data["order"]),
+            feature_names=record.feature_names,
+            feature_units=record.feature_units,
+            coefficients=record.coefficients,
+            std_errors=record.std_errors,
+            offsets=record.offsets,
+            tared=record.tared,
+            notes=record.notes,
+            order=record.order,
         )
 
 

@@ -37,6 +37,10 @@ TK0, TKC, CREEP = 0, 2, 3
 LAGS_S = (30.0, 120.0, 480.0)
 
 
+BEFORE, AFTER = "before", "after"
+"""Compensation."""
+
+
 @dataclass(frozen=True)
 class DatasheetRow:
     """One figure of the datasheet."""
@@ -86,9 +90,7 @@ def measure_datasheet(traces: Sequence[Trace], compared: ComparisonSummary) -> l
     held_out = [b for b, t in zip(blocks, traces, strict=True) if t.held_out] or blocks
     rows: list[DatasheetRow] = []
     for k, (name, told) in enumerate(compared.outputs.items()):
-        rows += _measure_output(
-            {"before": blocks, "after": held_out}, k, name, float(told.full_scale)
-        )
+        rows += _measure_output({BEFORE: blocks, AFTER: held_out}, k, name, float(told.full_scale))
     return rows
 
 
@@ -113,14 +115,14 @@ def _average(trace: Trace, block: int, reference_degC: float, moving: float) -> 
 def _measure_output(
     sides: Mapping[str, Sequence[_Block]], k: int, name: str, full_scale: float
 ) -> list[DatasheetRow]:
-    blocks = sides["before"]
+    blocks = sides[BEFORE]
     loaded = max(float(np.ptp(b.load[k])) for b in blocks) >= LEAST_LOAD * full_scale
     moved = max(float(np.ptp(b.rise_K)) for b in blocks) >= LEAST_SPAN_K
     tau_s = _choose_tau(blocks, k) if loaded else 0.0
     slopes = {w: _fit(b, k, w, loaded=loaded, tau_s=tau_s) for w, b in sides.items()}
     bent = {w: _fit(b, k, w, loaded=loaded, tau_s=tau_s, bends=True) for w, b in sides.items()}
     percent = 100.0 / full_scale
-    how = f"mean slope; {len(blocks)} runs before, {len(sides['after'])} after"
+    how = f"mean slope; {len(blocks)} runs before, {len(sides[AFTER])} after"
     still = f"the temperature moves by less than {LEAST_SPAN_K:g} K in a run"
     unloaded = "no load that moves in these logs"
     grown = 100.0 * (1.0 - float(np.exp(-CREEP_AT_S / tau_s))) if loaded else 0.0
@@ -138,7 +140,7 @@ def _measure_output(
             return DatasheetRow(quantity, name, unit, f"not told: {why_not}" if why_not else note)
         before, after = (
             _pair(fit.value[column] * factor, fit.error[column] * abs(factor))
-            for fit in (fits["before"], fits["after"])
+            for fit in (fits[BEFORE], fits[AFTER])
         )
         return DatasheetRow(quantity, name, unit, note, before, after)
 
@@ -169,7 +171,7 @@ def _measure_output(
         loops = {which: _measure_loop(sides[which], fit) for which, fit in slopes.items()}
         before, after = (
             None if loop is None else _pair(loop[0] * percent, loop[1] * percent)
-            for loop in (loops["before"], loops["after"])
+            for loop in (loops[BEFORE], loops[AFTER])
         )
         row = replace(row, before=before, after=after)
         if before is None:
@@ -244,9 +246,7 @@ def _choose_tau(blocks: Sequence[_Block], k: int) -> float:
     """Return the retardation time that describes the uncompensated drift best."""
     slowest = max(b.period_s for b in blocks)
     known = [tau for tau in CREEP_TAUS_S if tau > slowest] or [2.0 * slowest]
-    squares = [
-        _fit(blocks, k, "before", loaded=True, tau_s=tau, bends=True).square for tau in known
-    ]
+    squares = [_fit(blocks, k, BEFORE, loaded=True, tau_s=tau, bends=True).square for tau in known]
     return known[int(np.argmin(squares))]
 
 

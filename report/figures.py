@@ -1,7 +1,6 @@
 """The figures of the loop; used by the report, the page, `compare`, `history` and `effects`."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -91,7 +90,7 @@ def draw_staircase(steps: Sequence[Step]) -> go.Figure:
     return figure
 
 
-def _log_axis(figure: go.Figure) -> dict[str, Any]:
+def _log_axis(figure: go.Figure) -> dict[str, object]:
     """Return a logarithmic axis that reaches a little below 1 and above the largest value."""
     values = [v for trace in figure.data for v in (trace.y or ()) if v is not None and v > 0.0]
     top = max([*values, 1.5])
@@ -283,7 +282,7 @@ def draw_budget(firmware: FirmwareSummary, compared: ComparisonSummary) -> go.Fi
     return figure
 
 
-def _mark(symbol: str, size: int, colour: str) -> dict[str, Any]:
+def _mark(symbol: str, size: int, colour: str) -> dict[str, object]:
     return {"symbol": symbol, "size": size, "color": colour, "line": {"width": 2, "color": colour}}
 
 

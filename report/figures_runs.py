@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -252,7 +251,7 @@ def _draw_lines(
 
 def _mark_worst(
     compared: ComparisonSummary, run: str, output: str, offset: float, clock: TimeAxis = HOURS
-) -> tuple[list[go.Scatter], list[dict[str, Any]]]:
+) -> tuple[list[go.Scatter], list[dict[str, object]]]:
     """Return marks and shades of the worst segments of one run and output, numbered as tabled."""
     marks, shapes = [], []
     for number, segment in enumerate(compared.worst, 1):
@@ -282,7 +281,7 @@ def _mark_worst(
     return marks, shapes
 
 
-def _mark_floor(floor: float, x_axis: str = "x2", y_axis: str = "y2") -> list[dict[str, Any]]:
+def _mark_floor(floor: float, x_axis: str = "x2", y_axis: str = "y2") -> list[dict[str, object]]:
     """Return the levels of the noise floor in one subplot."""
     return [line_across(level, x_axis, y_axis) for level in (-floor, floor)]
 
@@ -307,7 +306,7 @@ def draw_residual(traces: Sequence[Trace], compared: ComparisonSummary, output: 
     figure = make_subplots(rows=2, cols=2, horizontal_spacing=0.09, vertical_spacing=0.17)
     apply_style(figure, 540)
     drawn: list[go.Scatter] = []
-    shapes: list[dict[str, Any]] = []
+    shapes: list[dict[str, object]] = []
     moving = find_threshold(shown)
     reach = 1.25 * float(np.quantile(np.abs(error), 0.998)) or 1.0
     for number, (label, x) in enumerate(panels):

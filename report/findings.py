@@ -198,16 +198,28 @@ def _join(runs: Sequence[Run], read: Callable[[Run], Array]) -> Array:
     return np.concatenate([read(run) for run in runs])
 
 
+@dataclass(frozen=True)
+class _Head:
+    """A trace without its arrays."""
+
+    run: str
+    held_out: bool
+    sample_period_s: float
+
+
+@dataclass(frozen=True)
+class _Heads:
+    traces: tuple[_Head, ...]
+
+
 def save_findings(findings: Findings, directory: Path) -> None:
     """Write findings into an empty directory: one JSON file, and one file per array."""
     for number, trace in enumerate(findings.traces):
         for name in ARRAYS:
             np.save(directory / f"{number}.{name}.npy", getattr(trace, name), allow_pickle=False)
     told = to_dict(replace(findings, traces=()))
-    told["traces"] = [
-        {"run": t.run, "held_out": t.held_out, "sample_period_s": t.sample_period_s}
-        for t in findings.traces
-    ]
+    heads = tuple(_Head(t.run, t.held_out, t.sample_period_s) for t in findings.traces)
+    told |= to_dict(_Heads(heads))
     text = json.dumps(told, ensure_ascii=False)
     (directory / FILE_NAME).write_text(text, encoding="utf-8")
 
@@ -217,12 +229,12 @@ def load_findings(directory: Path) -> Findings:
     told = json.loads((directory / FILE_NAME).read_text(encoding="utf-8"))
     traces = tuple(
         Trace(
-            **head,
+            **vars(head),
             **{
                 name: np.load(directory / f"{number}.{name}.npy", mmap_mode="r", allow_pickle=False)
                 for name in ARRAYS
             },
         )
-        for number, head in enumerate(told["traces"])
+        for number, head in enumerate(from_json(_Heads, told).traces)
     )
     return replace(from_json(Findings, {**told, "traces": []}), traces=traces)

@@ -4,7 +4,6 @@ import html
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
-from typing import Any
 
 import plotly.graph_objects as go
 from jinja2 import Environment, StrictUndefined
@@ -65,7 +64,7 @@ def render_table(table: Table, *, folded: bool = False) -> Markup:
     return Markup(f'<div class="table"><h3>{title}</h3>{inner}</div>')
 
 
-def render_template(name: str, values: Mapping[str, Any]) -> str:
+def render_template(name: str, values: Mapping[str, object]) -> str:
     """Return a page from one of the templates, with style and scripts inside it."""
     assets = {
         "style": Markup(read_asset("page.css")),

@@ -1,7 +1,7 @@
 """The report: one self-contained page that says what is known about a sensor and its model."""
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import plotly.graph_objects as go
 
@@ -36,7 +36,7 @@ def render_report(findings: Findings, datasheet: Sequence[DatasheetRow] | None =
     diagnosis = explained.diagnosis if explained is not None else None
     firmware, certificate = findings.firmware, findings.certificate
     files, versions = tables.tabulate_provenance(findings.provenance)
-    values: dict[str, Any] = {
+    values: dict[str, object] = {
         "findings": findings,
         "title": f"{findings.sensor}: drift and its compensation",
         "headline": write_headline(diagnosis, findings.titles),
@@ -68,7 +68,21 @@ def render_report(findings: Findings, datasheet: Sequence[DatasheetRow] | None =
     return render_template("report.html.j2", values)
 
 
-def list_sections(findings: Findings) -> list[dict[str, Any]]:
+@dataclass(frozen=True)
+class Section:
+    """The figures and tables of one output."""
+
+    name: str
+    unit: str
+    runs: go.Figure
+    parts: tables.Table
+    residual: go.Figure
+    means: tables.Table
+    correlation: go.Figure
+    shares: tables.Table
+
+
+def list_sections(findings: Findings) -> list[Section]:
     """Return the figures of each output."""
     lines = len(findings.traces) * len(findings.outputs) * 3
     most = min(max(POINTS_OF_ALL_LINES // max(lines, 1), FEWEST_POINTS), MOST_POINTS)
@@ -80,16 +94,16 @@ def list_sections(findings: Findings) -> list[dict[str, Any]]:
         correlation = draw_autocorrelation(findings.traces, compared, name)
         (bars,) = correlation.data
         sections.append(
-            {
-                "name": name,
-                "unit": unit,
-                "runs": draw_output(findings.traces, compared, name, most=most),
-                "parts": tables.tabulate_parts(list_parts(findings.traces, k), unit),
-                "residual": residual,
-                "means": tables.tabulate_means(list_means(residual), unit),
-                "correlation": correlation,
-                "shares": tables.tabulate_autocorrelation(bars.x, bars.y),
-            }
+            Section(
+                name=name,
+                unit=unit,
+                runs=draw_output(findings.traces, compared, name, most=most),
+                parts=tables.tabulate_parts(list_parts(findings.traces, k), unit),
+                residual=residual,
+                means=tables.tabulate_means(list_means(residual), unit),
+                correlation=correlation,
+                shares=tables.tabulate_autocorrelation(bars.x, bars.y),
+            )
         )
     return sections
 
@@ -103,8 +117,9 @@ def list_figures(findings: Findings) -> dict[str, go.Figure]:
     if explained is not None and explained.diagnosis.candidates:
         figures["candidates"] = draw_candidates(explained.diagnosis)
     for section in list_sections(findings):
-        for kind in ("runs", "residual", "correlation"):
-            figures[f"{section['name']}_{kind}"] = section[kind]
+        figures[f"{section.name}_runs"] = section.runs
+        figures[f"{section.name}_residual"] = section.residual
+        figures[f"{section.name}_correlation"] = section.correlation
     if firmware is not None:
         figures["error_budget"] = draw_budget(firmware, findings.comparison)
     return figures

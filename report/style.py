@@ -1,7 +1,5 @@
 """Colours, line kinds and type that every figure shares; all readable without colour."""
 
-from typing import Any
-
 import plotly.graph_objects as go
 
 ACCENT = "#1668b8"
@@ -25,7 +23,7 @@ MARKS = ("circle", "square", "diamond", "triangle-up", "x", "star", "cross", "he
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 
 
-def apply_style(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
+def apply_style(figure: go.Figure, height: int, **layout: object) -> go.Figure:
     """Return the figure in the common style: no box, quiet grid, legend on top."""
     figure.update_layout(
         template="none",
@@ -75,7 +73,7 @@ def colour_of(number: int) -> str:
     return SERIES[number % len(SERIES)]
 
 
-def line_across(level: float, x_axis: str, y_axis: str) -> dict[str, Any]:
+def line_across(level: float, x_axis: str, y_axis: str) -> dict[str, object]:
     """Return a dotted level across a subplot, such as axes `x2` and `y2`, as a layout's shape."""
     return {
         "type": "line",
@@ -89,7 +87,7 @@ def line_across(level: float, x_axis: str, y_axis: str) -> dict[str, Any]:
     }
 
 
-def line_up(place: float, x_axis: str, y_axis: str) -> dict[str, Any]:
+def line_up(place: float, x_axis: str, y_axis: str) -> dict[str, object]:
     """Return a thin line from the bottom to the top of a subplot, as a layout's shape."""
     return {
         "type": "line",
@@ -103,7 +101,7 @@ def line_up(place: float, x_axis: str, y_axis: str) -> dict[str, Any]:
     }
 
 
-def shade(start: float, stop: float, x_axis: str, y_axis: str) -> dict[str, Any]:
+def shade(start: float, stop: float, x_axis: str, y_axis: str) -> dict[str, object]:
     """Return a marked stretch of a subplot, as a layout's shape."""
     return {
         "type": "rect",

@@ -4,27 +4,27 @@ Nothing here needs PyTorch: the network is what its ONNX file says, run by onnxr
 """
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
-from zerodrift.base.sealed import read_sealed, render_sealed
+from zerodrift.base.records import from_json, to_dict
+from zerodrift.base.sealed import read_format, read_sealed, render_sealed
 from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import list_nodes
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
+from zerodrift.physics.model_record import ModelRecord
 from zerodrift.train.front_end import FrontEnd
-from zerodrift.train.lag_bank.model import LagBank
+from zerodrift.train.lag_bank.model import LagBank, LagBankRecord
 from zerodrift.train.onnx_export import read_onnx_layers, read_onnx_weights
 from zerodrift.train.onnx_network import OnnxNetwork
 
@@ -180,32 +180,25 @@ class Compensator:
             return self.feed_forward.run(features)
         return self._recurrence.run(features, self.window)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything but the network as JSON values."""
-        calibration = self.calibration
-        return {
-            "format": FORMAT,
-            "outputs": list(self.outputs),
-            "units": list(self.units),
-            "sample_period_s": self.sample_period_s,
-            "physics": self.physics.to_dict(),
-            "front_end": self.front_end.to_dict() if self.front_end else None,
-            "linear": self.linear.tolist(),
-            "constant": self.constant.tolist(),
-            "memory": self.memory,
-            "bank": self.bank.to_dict() if self.bank else None,
-            "tared": self.tared,
-            "network_sha256": hashlib.sha256(self.network).hexdigest() if self.network else None,
-            "calibration": {
-                "temperature_degC": list(calibration.temperature_degC),
-                "rate_K_per_s": calibration.rate_K_per_s,
-                "drift": calibration.drift.tolist(),
-                "predicted": calibration.predicted.tolist(),
-                "feature": calibration.feature.tolist(),
-            },
-            "trained_from": self.trained_from,
-            "notes": list(self.notes),
-        }
+    def to_record(self) -> "CompensatorRecord":
+        """Return everything but the network as compensator.json holds it."""
+        return CompensatorRecord(
+            format=FORMAT,
+            outputs=self.outputs,
+            units=self.units,
+            sample_period_s=self.sample_period_s,
+            physics=self.physics.to_record(),
+            front_end=self.front_end,
+            linear=self.linear,
+            constant=self.constant,
+            memory=self.memory,
+            bank=self.bank.to_record() if self.bank else None,
+            tared=self.tared,
+            network_sha256=hashlib.sha256(self.network).hexdigest() if self.network else None,
+            calibration=self.calibration,
+            trained_from=self.trained_from,
+            notes=self.notes,
+        )
 
     def render(self, directory: Path) -> dict[Path, bytes | None]:
         """Return compensator.json and network.onnx; None for the latter where there is no network.
@@ -215,7 +208,7 @@ class Compensator:
         return {directory / NETWORK: self.network, directory / DESCRIPTION: self._seal()}
 
     def _seal(self) -> bytes:
-        return render_sealed(dict(sorted(self.to_dict().items())))
+        return render_sealed(dict(sorted(to_dict(self.to_record()).items())))
 
     def save(self, project: Path, directory: Path, *, done_with: Sequence[Path] = ()) -> None:
         """Write both files, as one change.
@@ -247,53 +240,68 @@ class Compensator:
             raise InputError(f"{path}: there is no trained compensator. Run `zerodrift train`.")
         try:
             content = path.read_bytes()
-            found = json.loads(content)["format"]
+            found = read_format(content)
             if found != FORMAT:
                 raise InputError(
                     f"{path}: written in format {found}, this version reads {FORMAT}. Run"
                     " `zerodrift train` again."
                 )
-            values = read_sealed(content)
-            return cls._from_dict(values, _read_network(directory, values), catalogue)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            record = from_json(CompensatorRecord, read_sealed(content))
+            return record.restore(_read_network(directory, record.network_sha256), catalogue)
+        except (OSError, ValueError, TypeError, RecursionError) as error:
             raise InputError(
                 f"{path}: damaged ({type(error).__name__}: {error}). Run `zerodrift train` again."
             ) from error
 
-    @classmethod
-    def _from_dict(
-        cls, values: Mapping[str, Any], network: bytes | None, catalogue: Catalogue | None
-    ) -> "Compensator":
-        outputs = tuple(values["outputs"])
-        calibration = values["calibration"]
-        low, high = calibration["temperature_degC"]
-        return cls(
-            physics=PhysicalModel.from_dict(values["physics"], catalogue),
-            outputs=outputs,
-            units=tuple(values["units"]),
-            sample_period_s=values["sample_period_s"],
-            calibration=TrainedRanges(
-                temperature_degC=(low, high),
-                rate_K_per_s=calibration["rate_K_per_s"],
-                drift=np.array(calibration["drift"]),
-                predicted=np.array(calibration["predicted"]),
-                feature=np.array(calibration["feature"], dtype=np.float64),
-            ),
-            front_end=FrontEnd.from_dict(values["front_end"]) if values["front_end"] else None,
-            linear=np.array(values["linear"], dtype=np.float64).reshape(-1, len(outputs)),
-            constant=np.array(values["constant"], dtype=np.float64),
+
+@dataclass(frozen=True)
+class CompensatorRecord:
+    """A compensator as compensator.json holds it; see `Compensator`."""
+
+    format: int
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    sample_period_s: float
+    physics: ModelRecord
+    front_end: FrontEnd | None
+    linear: Array
+    constant: Array
+    memory: str | int
+    bank: LagBankRecord | None
+    tared: bool
+    network_sha256: str | None
+    calibration: TrainedRanges
+    trained_from: str
+    notes: tuple[str, ...]
+
+    def restore(self, network: bytes | None, catalogue: Catalogue | None) -> Compensator:
+        """Return the compensator that `to_record` described.
+
+        Args:
+            network: the file beside it.
+            catalogue: needed where the model has a user's own effects.
+        """
+        outputs = len(self.outputs)
+        return Compensator(
+            physics=PhysicalModel.from_record(self.physics, catalogue),
+            outputs=self.outputs,
+            units=self.units,
+            sample_period_s=self.sample_period_s,
+            calibration=self.calibration,
+            front_end=self.front_end,
+            linear=self.linear.reshape(-1, outputs),
+            constant=self.constant,
             network=network,
-            memory=values["memory"],
-            bank=LagBank.from_dict(values["bank"], len(outputs)) if values["bank"] else None,
-            tared=values["tared"],
-            trained_from=values["trained_from"],
-            notes=tuple(values["notes"]),
+            memory=self.memory,
+            bank=self.bank.restore(outputs) if self.bank else None,
+            tared=self.tared,
+            trained_from=self.trained_from,
+            notes=self.notes,
         )
 
 
-def _read_network(directory: Path, values: Mapping[str, Any]) -> bytes | None:
-    """Return the network's file if there is one, after checking that it is the right one."""
-    expected = values["network_sha256"]
+def _read_network(directory: Path, expected: str | None) -> bytes | None:
+    """Return the network's file if there is one, after checking that its hash is as expected."""
     if expected is None:
         return None
     path = directory / NETWORK

@@ -9,9 +9,9 @@ what a tap adds to those before it, at unit variance over the training logs:
 with a lower triangular `matrix`, so that each feature needs only its own tap and the earlier ones.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,34 +100,6 @@ class FrontEnd:
     def graph(self, ops: GraphOperations) -> tuple[Node, ...]:
         """Return the raw taps v as graph nodes; `mean` and `matrix` make the features of them."""
         return tuple(tap.build(ops, ops.input(tap.source)) for tap in self.taps)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the front end as JSON values."""
-        return {
-            "taps": [
-                {
-                    "kind": t.kind,
-                    "source": t.source,
-                    "tau_s": t.tau_s,
-                    "steps": t.steps,
-                    "hops": t.hops,
-                }
-                for t in self.taps
-            ],
-            "mean": self.mean.tolist(),
-            "matrix": self.matrix.tolist(),
-            "sample_period_s": self.sample_period_s,
-        }
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "FrontEnd":
-        """Return the front end that `to_dict` described."""
-        return cls(
-            taps=tuple(Tap(**tap) for tap in values["taps"]),
-            mean=np.array(values["mean"], dtype=np.float64),
-            matrix=np.array(values["matrix"], dtype=np.float64),
-            sample_period_s=float(values["sample_period_s"]),
-        )
 
 
 def read_source(run: Run, source: str) -> Array:

@@ -6,7 +6,6 @@ prover that the quantizer uses; `certificate_check` derives it again from the C 
 
 import hashlib
 import json
-from typing import Any
 
 from zerodrift import __version__
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
@@ -33,7 +32,7 @@ def certify(model: IntegerModel, code: GeneratedCode) -> str:
     texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
     layer = model.recurrent
     idle = frozenset[str]().union(*(node.idle for node in model.nodes))
-    body: dict[str, Any] = {
+    body: dict[str, object] = {
         "certificate": FORMAT,
         "about": "Nothing overflows, for any input code. Derived from the weights by intervals;"
         " `zerodrift verify --certificate` derives it again from the C alone.",
@@ -73,7 +72,7 @@ def certify(model: IntegerModel, code: GeneratedCode) -> str:
     return format_certificate(body)
 
 
-def format_certificate(body: dict[str, Any]) -> str:
+def format_certificate(body: dict[str, object]) -> str:
     """Return a certificate's JSON text, one claim to a line."""
     lines = []
     for key, value in body.items():
@@ -85,7 +84,7 @@ def format_certificate(body: dict[str, Any]) -> str:
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def _describe_invariant(name: str) -> dict[str, Any]:
+def _describe_invariant(name: str) -> dict[str, object]:
     return {
         "where": f"{name}.h_q30",
         "low": -H_LIMIT_Q30,
@@ -100,7 +99,7 @@ def _describe_invariant(name: str) -> dict[str, Any]:
     }
 
 
-def _describe_table() -> dict[str, Any]:
+def _describe_table() -> dict[str, object]:
     """Return what any int32 reads of the table of tanh: a line of it, and a result in Q0.30."""
     lines = ((T_MAX - T_MIN) >> STEP_BITS) + 1
     largest = int(tanh_nodes().max()) << STEP_BITS

@@ -11,12 +11,12 @@ import hashlib
 import json
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from zerodrift.verify.c_checksum import FIELD as SUM
+from zerodrift.verify.c_claims import CertificateClaims, read_claims
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_model import Model, read_models
 from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError
@@ -45,7 +45,7 @@ def check_certificate(folder: Path) -> CertificateOutcome:
     """
     try:
         claims = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
-        texts = {name: (folder / name).read_bytes() for name in claims["files"]}
+        texts = {name: (folder / name).read_bytes() for name in read_claims(claims).files}
         return compare(claims, {name: text.decode() for name, text in texts.items()})
     except MALFORMED as error:
         return CertificateOutcome(
@@ -53,7 +53,7 @@ def check_certificate(folder: Path) -> CertificateOutcome:
         )
 
 
-def compare(claims: dict[str, Any], texts: dict[str, str]) -> CertificateOutcome:
+def compare(claims: Mapping[str, object], texts: dict[str, str]) -> CertificateOutcome:
     """Hold a certificate's claims against the files they are about.
 
     Args:
@@ -66,23 +66,24 @@ def compare(claims: dict[str, Any], texts: dict[str, str]) -> CertificateOutcome
     return CertificateOutcome(outcomes[-1].holds if understood else 0, failures, understood)
 
 
-def judge_each(claims: dict[str, Any], texts: dict[str, str]) -> Iterator[CertificateOutcome]:
+def judge_each(claims: Mapping[str, object], texts: dict[str, str]) -> Iterator[CertificateOutcome]:
     """Yield what becomes of the claims on the files, then of all others for each way to compile.
 
     It ends with the first way that is not understood. Arguments as for `compare`.
     """
-    prefix, failures = claims["prefix"], []
-    for name, digest in claims["files"].items():
+    read = read_claims(claims)
+    prefix, failures = read.prefix, []
+    for name, digest in read.files.items():
         found = hashlib.sha256(texts[name].encode()).hexdigest()
         if found != digest:
             failures.append(f"{name}: its hash is {found[:12]}, the certificate's {digest[:12]}")
-    if f'_MODEL_HASH "{claims["model"]}"' not in texts[f"{prefix}.h"]:
-        failures.append(f"{prefix}.h: does not name the certificate's model {claims['model'][:12]}")
+    if f'_MODEL_HASH "{read.model}"' not in texts[f"{prefix}.h"]:
+        failures.append(f"{prefix}.h: does not name the certificate's model {read.model[:12]}")
     if not is_known(texts):
         what = "the runtime (zd_*.h, zd_*.c) is no text that was compared with the reference"
         yield _refuse(failures, what)
         return
-    if not {f"{prefix}.h", f"{prefix}.c"} <= {*claims["files"]}:
+    if not {f"{prefix}.h", f"{prefix}.c"} <= {*read.files}:
         failures.append(f"the certificate is not about {prefix}.h and {prefix}.c")
     try:
         models = read_models(texts, prefix)
@@ -100,7 +101,7 @@ def judge_each(claims: dict[str, Any], texts: dict[str, str]) -> Iterator[Certif
             return
 
 
-def judge_way(claims: dict[str, Any], model: Model) -> CertificateOutcome:
+def judge_way(claims: Mapping[str, object], model: Model) -> CertificateOutcome:
     """Run one way of compiling a model, and hold the claims against it."""
     try:
         model.run()
@@ -117,10 +118,11 @@ def _refuse(failures: list[str], what: str) -> CertificateOutcome:
     return CertificateOutcome(0, (*failures, text), understood=False)
 
 
-def judge(claims: dict[str, Any], machine: IntervalMachine) -> tuple[int, list[str]]:
+def judge(claims: Mapping[str, object], machine: IntervalMachine) -> tuple[int, list[str]]:
     """Return how many claims hold for what was derived, and what is wrong with the others."""
+    read = read_claims(claims)
     holds, failures = 0, []
-    claimed = {c["where"]: (c["low"], c["high"], c["bits"]) for c in claims["bounds"]}
+    claimed = {c.where: (c.low, c.high, c.bits) for c in read.bounds}
     for where, (low, high, bits) in claimed.items():
         found = machine.bounds.get(where)
         if found is None:
@@ -135,7 +137,7 @@ def judge(claims: dict[str, Any], machine: IntervalMachine) -> tuple[int, list[s
     # a variable that is no accumulator need not be claimed
     missing = [w for w in machine.bounds if w not in claimed and re.search(r"[.\[]", w)]
     failures += [f"{where}: relied on by the C, but not claimed" for where in missing]
-    shifts = {c["where"]: c["shift"] for c in claims["shifts"]}
+    shifts = read.shifts
     for where in sorted({*shifts, *machine.shifts}):
         if shifts.get(where) == machine.shifts.get(where):
             holds += 1
@@ -145,26 +147,26 @@ def judge(claims: dict[str, Any], machine: IntervalMachine) -> tuple[int, list[s
     known = {
         (f"{place}.h_q30", -machine.h_limit, machine.h_limit) for place, _ in machine.recurrent
     }
-    for claim in claims["invariants"]:
-        if (claim["where"], claim["low"], claim["high"]) in known:
+    for claim in read.invariants:
+        if (claim.where, claim.low, claim.high) in known:
             holds += 1
         else:
-            failures.append(f"{claim['where']}: the state check admits another range than claimed")
+            failures.append(f"{claim.where}: the state check admits another range than claimed")
     table = (machine.lines, -machine.tanh_max, machine.tanh_max)
-    for claim in claims["tables"]:
-        if (claim["lines"], claim["low"], claim["high"]) == table:
+    for line in read.tables:
+        if (line.lines, line.low, line.high) == table:
             holds += 1
         else:
-            failures.append(f"{claim['where']}: claimed {claim}, the C has {table}")
-    return holds, [*failures, *_judge_state(claims, machine)]
+            failures.append(f"{line.where}: claimed {line}, the C has {table}")
+    return holds, [*failures, *_judge_state(read, machine)]
 
 
-def _judge_state(claims: dict[str, Any], machine: IntervalMachine) -> list[str]:
+def _judge_state(claims: CertificateClaims, machine: IntervalMachine) -> list[str]:
     """Return what is wrong with the claims on the inputs' codes and the state's checksum."""
     failures = []
     fields = machine.program.structs[f"{machine.prefix}_input_t"]
     own = [(f.name, *TYPES[f.type.name]) for f in fields if not f.sizes]
-    claimed = [(c["channel"], c["low"], c["high"]) for c in claims["inputs"]]
+    claimed = [(c.where, c.low, c.high) for c in claims.inputs]
     names = {name for name, _, _ in own}
     if len(own) != len(fields) or len(own) != len(claimed):
         failures.append(f"{len(claimed)} inputs are claimed, the header has {len(fields)}")
@@ -174,8 +176,8 @@ def _judge_state(claims: dict[str, Any], machine: IntervalMachine) -> list[str]:
                 f"input {channel}: claimed {ends[0]} .. {ends[1]}; the header has {name} of"
                 f" {codes[0]} .. {codes[1]} there"
             )
-    if claims.get("checksum") != (SUM if machine.summed else None):
-        failures.append(f"checksum {claims.get('checksum')} is claimed; the C has {machine.summed}")
+    if claims.checksum != (SUM if machine.summed else None):
+        failures.append(f"checksum {claims.checksum} is claimed; the C has {machine.summed}")
     return failures
 
 

@@ -135,7 +135,7 @@ def add_questions(model: IntegerModel, code: GeneratedCode) -> str:
 
 def has_avx2(library: Path) -> bool:
     """Tell whether this host runs AVX2, as a build with the questions says."""
-    return bool(ctypes.CDLL(str(library))["zd_has_avx2"]())
+    return bool(ctypes.CDLL(str(library)).zd_has_avx2())
 
 
 def check_header(model: IntegerModel, prefix: str, library: Path) -> tuple[HeaderFinding, ...]:

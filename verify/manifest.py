@@ -12,12 +12,13 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from zerodrift import __version__
 from zerodrift.base.config import USES, Config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.files import NOT_THERE
+from zerodrift.base.records import from_json, to_dict
+from zerodrift.base.sealed import read_format
 from zerodrift.dataset.selectors import expand_selectors
 
 FILE_NAME = "manifest.json"
@@ -64,19 +65,36 @@ class Manifest:
 
     def to_text(self) -> str:
         """Return the file's text."""
-        body = {
-            "format": FORMAT,
-            "zerodrift": self.zerodrift,
-            "compiler": self.compiler,
-            "model": self.model_hash,
-            "forced": list(self.forced),
-            "firmware": dict(sorted(self.firmware.items())),
-            "build": dict(sorted(self.build.items())),
-            "configuration": dict(sorted(self.inputs.configuration.items())),
-            "logs": dict(sorted(self.inputs.logs.items())),
-            "network": dict(sorted(self.inputs.network.items())),
-        }
-        return json.dumps(body, indent=1, ensure_ascii=False) + "\n"
+        inputs = self.inputs
+        body = _ManifestFile(
+            format=FORMAT,
+            zerodrift=self.zerodrift,
+            compiler=self.compiler,
+            model=self.model_hash,
+            forced=self.forced,
+            firmware=dict(sorted(self.firmware.items())),
+            build=dict(sorted(self.build.items())),
+            configuration=dict(sorted(inputs.configuration.items())),
+            logs=dict(sorted(inputs.logs.items())),
+            network=dict(sorted(inputs.network.items())),
+        )
+        return json.dumps(to_dict(body), indent=1, ensure_ascii=False) + "\n"
+
+
+@dataclass(frozen=True)
+class _ManifestFile:
+    """manifest.json, key by key."""
+
+    format: int
+    zerodrift: str
+    compiler: str
+    model: str
+    forced: tuple[str, ...]
+    firmware: Mapping[str, str]
+    build: Mapping[str, str]
+    configuration: Mapping[str, str]
+    logs: Mapping[str, str]
+    network: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -179,7 +197,7 @@ def hash_inputs(config: Config, network: tuple[Path, ...] = ()) -> Inputs:
 
 def _hash_configuration(config: Config) -> dict[str, str]:
     """Return the hash of each table's values, which comments and layout do not change."""
-    tables: dict[str, Any] = {}
+    tables: dict[str, object] = {}
     try:
         tables = tomllib.loads(config.path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
@@ -227,34 +245,25 @@ def load_manifest(path: Path) -> Manifest:
         OSError: it is there and the system does not hand it out.
     """
     try:
-        body = json.loads(path.read_text(encoding="utf-8"))
-        if body["format"] != FORMAT:
-            raise ValueError(f"format {body['format']!r}; expected {FORMAT}")
+        content = path.read_bytes()
+        if read_format(content) != FORMAT:
+            raise ValueError(f"format {read_format(content)!r}; expected {FORMAT}")
+        body = from_json(_ManifestFile, json.loads(content))
         return Manifest(
-            zerodrift=str(body["zerodrift"]),
-            compiler=str(body["compiler"]),
-            model_hash=str(body["model"]),
-            forced=tuple(map(str, _expect(list, body["forced"]))),
-            inputs=Inputs(*(_hashes(body[key]) for key in ("configuration", "logs", "network"))),
-            firmware=_hashes(body["firmware"]),
-            build=_hashes(body["build"]),
+            zerodrift=body.zerodrift,
+            compiler=body.compiler,
+            model_hash=body.model,
+            forced=body.forced,
+            inputs=Inputs(body.configuration, body.logs, body.network),
+            firmware=body.firmware,
+            build=body.build,
         )
     except FileNotFoundError as error:
         raise InputError(f"{path}: there is no manifest. {_AGAIN}") from error
-    except (*NOT_THERE, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (*NOT_THERE, ValueError, RecursionError) as error:
         raise InputError(
             f"{path}: cannot be read as a manifest ({type(error).__name__}: {error}). {_AGAIN}"
         ) from error
-
-
-def _expect(kind: type[Any], value: Any) -> Any:
-    if not isinstance(value, kind):
-        raise TypeError(f"{type(value).__name__} where {kind.__name__} was expected")
-    return value
-
-
-def _hashes(value: Any) -> dict[str, str]:
-    return {str(k): str(v) for k, v in _expect(dict, value).items()}
 
 
 def check_manifest(

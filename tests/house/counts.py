@@ -22,12 +22,34 @@ NAMED = (
     ("inputs", "physics/*", "a chip's inputs by the names that effects ask for"),
     ("state", "operations/*", "arrays by the names under which an operation declares them"),
     ("state", "export/*", "arrays by the names under which an operation declares them"),
+    ("values", "src/zerodrift/base/*config.py", "keys of a table of zerodrift.toml"),
+    ("parts", "src/zerodrift/base/toml_edit.py", "groups of a regular expression"),
+    ("parts", "export/golden.py", "arrays by their names in golden.npz"),
+    ("attributes", "export/onnx_*", "attributes of an ONNX node, by ONNX's own names"),
+    ("weights", "train/onnx_export.py", "weights of an ONNX file, by their names in it"),
+    (
+        "parameters",
+        "train/networks.py",
+        "weights by the names under which a network is trained",
+    ),
+    ("trace", "verify/error_budget.py", "arrays by the names of a graph's nodes"),
+    ("known", "verify/error_budget.py", "arrays by the names of a graph's nodes"),
+    ("values", "export/fine_tune.py", "arrays by the names of a graph's nodes"),
+    ("intervals", "export/quantize_layers.py", "intervals by the names of a graph's nodes"),
+    ("nodes", "*", "arrays by the names of a graph's nodes, and of their states"),
+    ("stored", "train/*", "arrays by their names in a checkpoint"),
+    ("arrays", "train/*", "arrays by their names in a checkpoint"),
+    ("found", "dataset/survey.py", "columns of a query, by the names that it gives them"),
+    ("page", "workbench/first.py", "parts of the page by their id"),
     *((name, "verify/c_*", "names that stand in the C under test") for name in C_NAMES),
 )
 """What a key may be written out for, and where: names declared elsewhere, none of a result."""
 EDGES = {
     "c_runtime/footprint.py": "pyelftools hands out an ELF file by the format's own names",
     "c_runtime/emulator.py": "the same",
+    "train/standings.py": "the reader of checkpoints, which yields where each attempt stood",
+    "export/model_files.py": "the reader of model.json, which yields the nodes as dataclasses",
+    "verify/c_claims.py": "the checker reads certificate.json without the writer's code",
 }
 """Modules that turn what another program wrote into records."""
 
@@ -100,6 +122,8 @@ def _is_annotation(node: ast.Subscript) -> bool:
 def _name_receiver(node: ast.Subscript) -> str:
     """Return what is subscripted: `x` of `x["key"]` and of `self.x["key"]`."""
     inner = node.value
+    if isinstance(inner, ast.Subscript):
+        inner = inner.value
     if isinstance(inner, ast.Name):
         return inner.id
     return inner.attr if isinstance(inner, ast.Attribute) else ""

@@ -16,11 +16,13 @@ from tests.physics.conftest import (
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import from_json, to_dict
 from zerodrift.operations.backend import evaluate
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit, flat_weights
 from zerodrift.physics.model import PhysicalModel
+from zerodrift.physics.model_record import ModelRecord
 from zerodrift.physics.search import search
 from zerodrift.physics.signals import graph_inputs, plan_signals, read_signals
 from zerodrift.physics.terms import start_term
@@ -152,9 +154,11 @@ def test_prediction_is_features_times_coefficients_and_equals_the_graph():
 def test_model_survives_json():
     dataset = make_dataset(darkening, runs=4, length=300)
     model = fit_dataset(dataset, "zero_tempco", "dark_current", "creep")
-    again = PhysicalModel.from_dict(json.loads(json.dumps(model.to_dict())))
+    again = PhysicalModel.from_record(
+        from_json(ModelRecord, json.loads(json.dumps(to_dict(model.to_record()))))
+    )
     assert (again.predict(dataset.train[0]) == model.predict(dataset.train[0])).all()
-    assert again.to_dict() == model.to_dict()
+    assert to_dict(again.to_record()) == to_dict(model.to_record())
 
 
 def test_fit_from_an_earlier_one_arrives_at_the_same():

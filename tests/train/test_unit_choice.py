@@ -7,11 +7,12 @@ import pytest
 from numpy.typing import NDArray
 from tests.train.test_lag_bank import NOISE, fit_bank, make_run, measure
 
+from zerodrift.base.records import from_json, to_dict
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.front_end import TEMPERATURE
 from zerodrift.train.lag_bank.data import DEGREE, BankData
-from zerodrift.train.lag_bank.model import LagBank
+from zerodrift.train.lag_bank.model import LagBank, LagBankRecord
 from zerodrift.train.lag_bank.search import Bank, LeftOutJudge, Rows
 from zerodrift.train.lag_bank.unit_choice import (
     FEW_UNITS,
@@ -107,10 +108,10 @@ def test_a_lag_of_one_power_is_what_many_powers_with_zeros_are() -> None:
     assert one.parameters == four.parameters == 11
     assert len(one.names) == DEGREE + 1
     assert one.macs < four.macs
-    again = LagBank.from_dict(one.to_dict(), 2)
+    again = one.to_record().restore(2)
     assert np.array_equal(again.compute(run, ("Fz", "Mx")), one.compute(run, ("Fz", "Mx")))
-    old = {key: value for key, value in four.to_dict().items() if key != "degree"}
-    assert LagBank.from_dict(old, 2).degree == DEGREE
+    old = {key: value for key, value in to_dict(four.to_record()).items() if key != "degree"}
+    assert from_json(LagBankRecord, old).restore(2).degree == DEGREE
 
 
 def test_every_run_counts_once_however_long_it_is() -> None:

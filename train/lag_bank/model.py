@@ -1,8 +1,8 @@
 """The fitted lag bank: what it adds to the physical model, as arrays and as a graph."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,29 +110,42 @@ class LagBank:
         loads = sum(len(names) - 1 + (p > 0) for names, p in self.loads)
         return powers + loads + 2 * len(self.lags) + int(self.coefficients.size)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the bank as JSON values."""
-        return {
-            "sources": list(self.sources),
-            "scales": [[s.centre, s.half_span] for s in self.scales],
-            "lags": [[s, tau_s] for s, tau_s in self.lags],
-            "loads": [[list(names), p] for names, p in self.loads],
-            "degree": self.degree,
-            "correction": self.correction.tolist(),
-            "coefficients": self.coefficients.tolist(),
-        }
+    def to_record(self) -> "LagBankRecord":
+        """Return the bank as compensator.json holds it."""
+        return LagBankRecord(
+            sources=self.sources,
+            scales=tuple((s.centre, s.half_span) for s in self.scales),
+            lags=self.lags,
+            loads=self.loads,
+            degree=self.degree,
+            correction=self.correction,
+            coefficients=self.coefficients,
+        )
 
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any], outputs: int) -> "LagBank":
-        """Return the bank that `to_dict` described."""
-        return cls(
-            sources=tuple(values["sources"]),
-            scales=tuple(Scale(float(c), float(h)) for c, h in values["scales"]),
-            lags=tuple((int(s), float(tau_s)) for s, tau_s in values["lags"]),
-            loads=tuple((tuple(names), int(p)) for names, p in values["loads"]),
-            correction=np.array(values["correction"], dtype=np.float64).reshape(-1, outputs),
-            coefficients=np.array(values["coefficients"], dtype=np.float64).reshape(-1, outputs),
-            degree=int(values.get("degree", DEGREE)),
+
+@dataclass(frozen=True, kw_only=True)
+class LagBankRecord:
+    """A lag bank as compensator.json holds it; see `LagBank`."""
+
+    sources: tuple[str, ...]
+    scales: tuple[tuple[float, float], ...]
+    """Centre and half span."""
+    lags: tuple[tuple[int, float], ...]
+    loads: tuple[tuple[tuple[str, ...], int], ...]
+    degree: int = DEGREE
+    correction: Array
+    coefficients: Array
+
+    def restore(self, outputs: int) -> LagBank:
+        """Return the bank that `to_record` described."""
+        return LagBank(
+            sources=self.sources,
+            scales=tuple(Scale(float(centre), float(half)) for centre, half in self.scales),
+            lags=tuple((place, float(tau_s)) for place, tau_s in self.lags),
+            loads=self.loads,
+            correction=self.correction.reshape(-1, outputs),
+            coefficients=self.coefficients.reshape(-1, outputs),
+            degree=self.degree,
         )
 
 

@@ -25,7 +25,7 @@ from zerodrift.base.toml_table import LARGEST, TomlTable
 FILE_NAME = "zerodrift.toml"
 FOLDER = "firmware"
 """Where the C goes unless `[firmware] out` says otherwise."""
-USES = ("train", "test", "dwell")
+USES = TRAIN, TEST, DWELL = ("train", "test", "dwell")
 """What `[logs]` selects runs for."""
 LOG_KEYS = ("train", "test", "dwell", "where", "period_s", "offset_s", "time", "common")
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")

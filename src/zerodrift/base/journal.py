@@ -19,7 +19,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -34,6 +34,7 @@ from zerodrift.base.files import (
     write_whole,
 )
 from zerodrift.base.lock import LOCK, STATE, find_state, lock_project, tell, try_lock
+from zerodrift.base.records import from_json, to_dict
 from zerodrift.base.scratch import clean_scratch
 from zerodrift.base.sealed import read_sealed, render_sealed
 
@@ -81,9 +82,7 @@ class _Record:
             inside = name and Path(name).is_relative_to(project)
             return str(Path(name).relative_to(project)) if inside else name
 
-        body = asdict(self._rename(shorten))
-        body = {"format": FORMAT, **body}
-        return render_sealed(body)
+        return render_sealed({"format": FORMAT, **to_dict(self._rename(shorten))})
 
     @classmethod
     def from_bytes(cls, content: bytes, project: Path) -> "_Record":
@@ -93,11 +92,9 @@ class _Record:
             ValueError, KeyError, TypeError, AttributeError: it is not whole.
         """
         body = read_sealed(content)
-        if body["format"] != FORMAT:
-            raise ValueError(f"format {body['format']}")
-        steps = tuple(_Step(**step) for step in body["steps"])
-        record = cls(steps, tuple(body["made"]), bool(body["durable"]))
-        return record._rename(lambda name: str(project / name) if name else "")
+        if body.get("format") != FORMAT:
+            raise ValueError(f"format {body.get('format')}")
+        return from_json(cls, body)._rename(lambda name: str(project / name) if name else "")
 
     def _rename(self, change: Callable[[str], str]) -> "_Record":
         steps = tuple(

@@ -56,7 +56,7 @@ def _describe_record(kind: type, definitions: Definitions) -> dict[str, Json]:
             required.append(one.name)
     for alias in get_aliases(kind):
         getter = getattr(kind, alias).fget
-        hint = get_type_hints(getter)["return"]
+        hint = get_type_hints(getter).get("return")
         text = " ".join((inspect.getdoc(getter) or "").split())
         properties[alias] = _annotate(_allow_null(_describe(hint, definitions)), text)
         required.append(alias)

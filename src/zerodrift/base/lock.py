@@ -11,10 +11,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import telling_of_writes
+from zerodrift.base.records import from_json, to_dict
 
 STATE = Path("build") / ".zerodrift"
 """Below the project: the lock, changes under way, scratch folders."""
@@ -111,27 +113,30 @@ def try_lock(path: Path) -> Callable[[], None] | None:
     return lock.release
 
 
+@dataclass(frozen=True)
+class _Holder:
+    """Who holds the lock."""
+
+    process: int
+    machine: str
+    command: str
+    since: str
+
+
 def describe_holder(state: Path) -> str:
     """Return who holds the lock, as far as it says."""
     try:
-        told = json.loads((state / HOLDER).read_text(encoding="utf-8"))
-        return (
-            f"`{told['command']}` (process {told['process']} on {told['machine']}, since"
-            f" {told['since']})"
-        )
-    except (OSError, ValueError, KeyError, TypeError):
+        told = from_json(_Holder, json.loads((state / HOLDER).read_text(encoding="utf-8")))
+        return f"`{told.command}` (process {told.process} on {told.machine}, since {told.since})"
+    except (OSError, ValueError):
         return "another zerodrift command"
 
 
 def _sign(state: Path) -> None:
     """Say who holds the lock; a disk that does not take it is no reason to stop."""
     command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:LONGEST_COMMAND]
-    told = {
-        "process": os.getpid(),
-        "machine": platform.node(),
-        "command": command,
-        "since": time.strftime("%Y-%m-%d %H:%M:%S"),
-    }
+    since = time.strftime("%Y-%m-%d %H:%M:%S")
+    told = to_dict(_Holder(os.getpid(), platform.node(), command, since))
     with suppress(OSError):
         (state / HOLDER).write_text(json.dumps(told) + "\n", encoding="utf-8")
 

@@ -9,7 +9,6 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import NOT_THERE
@@ -88,7 +87,7 @@ def render_manifest(files: Mapping[str, bytes], **told: object) -> bytes:
     return (json.dumps({"format": 1, **told, LISTED: hashes}, indent=1) + "\n").encode()
 
 
-def _is_own(content: Any) -> bool:
+def _is_own(content: object) -> bool:
     return isinstance(content, dict) and any(keys <= content.keys() for keys in KEYS)
 
 

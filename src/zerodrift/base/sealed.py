@@ -3,12 +3,14 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+
+from zerodrift.base.records import Json, from_json
 
 SEAL = "sha256"
 
 
-def render_sealed(body: Mapping[str, Any]) -> bytes:
+def render_sealed(body: Mapping[str, object]) -> bytes:
     """Return the file of a JSON object, its hash last; the same object gives the same bytes.
 
     Raises:
@@ -18,7 +20,23 @@ def render_sealed(body: Mapping[str, Any]) -> bytes:
     return (json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
-def read_sealed(content: bytes) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Mark:
+    """What every file of a format says of itself."""
+
+    format: int | str | None = None
+
+
+def read_format(content: bytes) -> int | str | None:
+    """Return the format that a JSON file names; None where it names none.
+
+    Raises:
+        ValueError: it is no JSON object.
+    """
+    return from_json(_Mark, json.loads(content)).format
+
+
+def read_sealed(content: bytes) -> dict[str, Json]:
     """Return the object of a sealed file, without its hash.
 
     Raises:
@@ -35,6 +53,6 @@ def read_sealed(content: bytes) -> dict[str, Any]:
     return body
 
 
-def _hash(body: Mapping[str, Any]) -> str:
+def _hash(body: Mapping[str, object]) -> str:
     text = json.dumps(body, sort_keys=True, ensure_ascii=False)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()

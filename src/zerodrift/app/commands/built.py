@@ -2,13 +2,12 @@
 
 import json
 import math
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from zerodrift.base.config import Config
-from zerodrift.base.records import from_json
+from zerodrift.base.records import Json, from_json
 from zerodrift.base.sealed import read_sealed
+from zerodrift.verify.c_claims import CertificateClaims, read_claims
 from zerodrift.verify.summary import (
     REFUSED,
     CertificateSummary,
@@ -22,21 +21,12 @@ TIGHTEST = 8
 AGAIN = "`zerodrift firmware` builds it again."
 
 
-def read_kept(path: Path) -> dict[str, Any] | None:
+def read_kept(path: Path) -> dict[str, Json] | None:
     """Return what a file of build/ holds that carries its hash; None where it does not match."""
     try:
         return read_sealed(path.read_bytes())
     except (OSError, ValueError):
         return None
-
-
-def _read_json(path: Path) -> dict[str, Any] | None:
-    """Return what a file of build/ holds; None where it is missing or damaged."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return content if isinstance(content, dict) else None
 
 
 def read_firmware(
@@ -95,32 +85,26 @@ def _read_written(
 
 def read_certificate(path: Path, model_hash: str) -> tuple[CertificateSummary | None, str]:
     """Return the summary of a model's certificate.json, or None and why it is not shown."""
-    certificate = _read_json(path)
-    if certificate is None:
+    try:
+        claims = read_claims(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         return None, (
-            f"No bounds are shown: {path.name} is missing in build/, or damaged."
-            " `zerodrift firmware` writes it again."
+            f"No bounds are shown: {path.name} is missing in build/, or damaged"
+            f" ({type(error).__name__}: {error}). `zerodrift firmware` writes it again."
         )
-    if certificate.get("model") != model_hash:
+    if claims.model != model_hash:
         return None, (
             f"No bounds are shown: {path.name} in build/ is of another model than model.json."
             " `zerodrift firmware` writes both again."
         )
-    try:
-        return summarise_certificate(certificate), ""
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        return None, (
-            f"No bounds are shown: {path.name} in build/ is not built like a certificate"
-            f" ({type(error).__name__}: {error}). `zerodrift firmware` writes it again."
-        )
+    return summarise_certificate(claims), ""
 
 
-def summarise_certificate(certificate: Mapping[str, Any]) -> CertificateSummary:
+def summarise_certificate(claims: CertificateClaims) -> CertificateSummary:
     """Return how many bounds are claimed, and those that come closest to their limits."""
     bounds = []
-    for bound in certificate["bounds"]:
-        low, high, bits = (int(bound[key]) for key in ("low", "high", "bits"))
-        headroom = float(bits - 1 - math.log2(max(-low, high + 1, 1)))
-        bounds.append(CertifiedBound(str(bound["where"]), low, high, bits, headroom))
+    for bound in claims.bounds:
+        headroom = float(bound.bits - 1 - math.log2(max(-bound.low, bound.high + 1, 1)))
+        bounds.append(CertifiedBound(bound.where, bound.low, bound.high, bound.bits, headroom))
     bounds.sort(key=lambda bound: (bound.headroom_bits, bound.where))
-    return CertificateSummary(certificate["model"], len(bounds), tuple(bounds[:TIGHTEST]))
+    return CertificateSummary(claims.model, len(bounds), tuple(bounds[:TIGHTEST]))

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -39,6 +39,16 @@ if TYPE_CHECKING:
     from zerodrift.export.float_model import FloatModel
     from zerodrift.verify.firmware import Firmware
     from zerodrift.verify.left_out import LeftOut
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+    from rich.console import Console
+
+    from zerodrift.verify.errors_told import OutputError
+    from zerodrift.verify.firmware import Firmware
 
 FILE_NAME = "firmware.json"
 """In build/: what the last firmware that was written achieved."""
@@ -118,7 +128,7 @@ def command(
         )
 
 
-def summarise(firmware: Any, directory: Path) -> FirmwareSummary:
+def summarise(firmware: "Firmware", directory: Path) -> FirmwareSummary:
     """Return what the command prints as JSON."""
     size, chip, errors = firmware.footprint, firmware.chip, firmware.errors
     untuned = {e.name: e.integer_model for e in firmware.untuned} if firmware.untuned else None
@@ -134,7 +144,7 @@ def summarise(firmware: Any, directory: Path) -> FirmwareSummary:
         instructions_per_step={chip.core: chip.instructions_per_step} if chip else {},
         rmse=StageErrors(
             uncompensated={e.name: e.uncompensated for e in errors},
-            physics={e.name: e.physics for e in errors} if _is_learnt(firmware) else None,
+            physics={e.name: e.physics for e in errors if e.physics is not None} or None,
             float={e.name: e.float_model for e in errors},
             integer={e.name: e.integer_model for e in errors},
             integer_not_fine_tuned=untuned,
@@ -161,12 +171,12 @@ def summarise(firmware: Any, directory: Path) -> FirmwareSummary:
     )
 
 
-def _is_learnt(firmware: Any) -> bool:
+def _is_learnt(firmware: "Firmware") -> bool:
     """Return whether something was learnt beside the physical model."""
     return any(e.physics is not None for e in firmware.errors)
 
 
-def tell_hurt(errors: Any) -> str:
+def tell_hurt(errors: "Sequence[OutputError]") -> str:
     """Return a sentence on outputs that the physical model alone predicts better, or ""."""
     worse = [
         f"{e.name} {e.float_model:.4g} against {e.physics:.4g} {e.unit}"
@@ -181,10 +191,10 @@ def tell_hurt(errors: Any) -> str:
     )
 
 
-def summarise_budget(firmware: Any) -> BudgetSummary:
+def summarise_budget(firmware: "Firmware") -> BudgetSummary:
     """Return where the error comes from."""
 
-    def name(values: Any) -> dict[str, float]:
+    def name(values: "NDArray[np.float64]") -> dict[str, float]:
         return {e.name: float(v) for e, v in zip(firmware.errors, values, strict=True)}
 
     budget = firmware.budget
@@ -247,7 +257,7 @@ def show_path(path: Path, directory: Path) -> str:
     return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
 
 
-def _print(firmware: Any, told: FirmwareSummary, directory: Path) -> None:
+def _print(firmware: "Firmware", told: FirmwareSummary, directory: Path) -> None:
     console = open_console()
     kind = "held-out runs" if firmware.held_out else "TRAINING runs (no test logs are configured)"
     table = open_table(
@@ -309,7 +319,7 @@ def _print(firmware: Any, told: FirmwareSummary, directory: Path) -> None:
         console.print(f"wrote {show_path(folder, directory)}/: {names}")
 
 
-def _print_budget(firmware: Any, console: Any) -> None:
+def _print_budget(firmware: "Firmware", console: "Console") -> None:
     """Print what quantization costs, node by node, and over time."""
     from zerodrift.operations.input import IntegerInput
 

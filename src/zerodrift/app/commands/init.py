@@ -9,7 +9,7 @@ import click
 
 from zerodrift.app.commands.common import directory_option, json_option, print_result
 from zerodrift.app.commands.init_toml import render_seen, write_config, write_selectors
-from zerodrift.base.config import FILE_NAME, parse_config
+from zerodrift.base.config import FILE_NAME, TRAIN, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_text
 from zerodrift.dataset.guess import Guess, guess_project
@@ -62,7 +62,7 @@ def command(
     uses = _sort_by_use(guess.logs)
     selectors = {use: write_selectors(runs, directory) for use, runs in uses.items()}
     if len(guess.logs) == 1 and len(guess.runs) < 2:
-        only = selectors["train"][0]
+        only = selectors[TRAIN][0]
         selectors = {"train": [f"{only}@0%:60%"], "test": [f"{only}@60%:100%"], "dwell": []}
     text = write_config(guess, selectors)
     parse_config(text, target.absolute())
@@ -135,7 +135,7 @@ def _sort_by_use(logs: Sequence[LogFiles]) -> dict[str, list[LogFiles]]:
         name = log.path.stem.lower()
         found = [use for use, words in USE_WORDS.items() if any(word in name for word in words)]
         uses[found[0] if found else "train"].append(log)
-    if not uses["train"]:
+    if not uses[TRAIN]:
         return {"train": list(logs), "test": [], "dwell": []}
     return uses
 

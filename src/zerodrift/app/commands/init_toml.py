@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from zerodrift.base.clock_config import TimeConfig
+from zerodrift.base.config import DWELL, TEST, TRAIN
 from zerodrift.dataset.guess import Guess, GuessedOutput, SeenColumn
 from zerodrift.dataset.guess_runs import LogFiles
 from zerodrift.dataset.selectors import JOINT
@@ -127,13 +128,13 @@ def _write_output(output: GuessedOutput, check: Mapping[str, tuple[str, ...]]) -
 
 def _write_logs(guess: Guess, selectors: Mapping[str, Sequence[str]]) -> list[str]:
     lines = ["[logs]  # globs; one file or folder is one run, or a `run` column splits a file"]
-    lines.append(f"train = {json.dumps(list(selectors['train']), ensure_ascii=False)}")
-    if selectors["test"]:
-        lines.append(f"test = {json.dumps(list(selectors['test']), ensure_ascii=False)}")
+    lines.append(f"train = {json.dumps(list(selectors[TRAIN]), ensure_ascii=False)}")
+    if selectors[TEST]:
+        lines.append(f"test = {json.dumps(list(selectors[TEST]), ensure_ascii=False)}")
     else:
         lines.append('# test = ["logs/walk_*.csv"]  # left out: one run is left out at a time')
-    if selectors["dwell"]:
-        lines.append(f"dwell = {json.dumps(list(selectors['dwell']), ensure_ascii=False)}")
+    if selectors[DWELL]:
+        lines.append(f"dwell = {json.dumps(list(selectors[DWELL]), ensure_ascii=False)}")
     else:
         lines.append('# dwell = ["logs/dwell.csv"]  # isothermal, unloaded: sets the noise floor')
     if guess.period_by_hand_s is not None:

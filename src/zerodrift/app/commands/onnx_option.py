@@ -1,9 +1,9 @@
 """`zerodrift firmware --onnx`: a network from elsewhere as the compensator of a project."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from zerodrift.base.config import Config
     from zerodrift.dataset.runs import Dataset
     from zerodrift.export.float_model import FloatModel
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class OnnxRequest:
         return self.path is not None
 
 
-def onnx_options(function: Any) -> Any:
+def onnx_options(function: Callable[..., Result]) -> Callable[..., Result]:
     """Add `--onnx` and what belongs to it, passed on as `request: OnnxRequest`."""
     options = (
         click.argument("more_logs", nargs=-1, type=click.Path(path_type=Path), metavar="[LOG...]"),
@@ -68,8 +70,8 @@ def onnx_options(function: Any) -> Any:
         features: str | None,
         memory: str | None,
         output: str | None,
-        **others: Any,
-    ) -> Any:
+        **others: object,
+    ) -> Result:
         if more_logs and not calibrate:
             raise click.UsageError(f"unexpected '{more_logs[0]}'; logs follow --calibrate")
         given = (calibrate, features, memory, output)

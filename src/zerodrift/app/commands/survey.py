@@ -178,7 +178,7 @@ def diagnose_once(
     path = config.build_directory / DIAGNOSIS
     kept = read_kept(path)
     if kept is not None and (kept.get("format"), kept.get("mark")) == (DIAGNOSIS_FORMAT, mark):
-        return from_json(ExplainedDiagnosis, kept["diagnosed"])
+        return from_json(ExplainedDiagnosis, kept.get("diagnosed"))
     if not wanted:
         return None
     verdict = find_verdict(
