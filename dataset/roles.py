@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zerodrift.dataset.runs import Array
-from zerodrift.dataset.survey import CLOCK_WORDS, TIME_WORDS, Column, Survey, words
+from zerodrift.dataset.survey import CLOCK_WORDS, TIME_WORDS, Survey, SurveyedColumn, words
 from zerodrift.dataset.units import TEMPERATURE_UNITS, strip_unit
 
 REFERENCE_WORDS = {"ref", "reference", "true", "truth", "nominal", "ideal"}
@@ -79,7 +79,7 @@ TEMPERATURE, OUTPUT, REFERENCE, INPUT, UNUSED = (
 class Role:
     """What one column of one file is for."""
 
-    column: Column
+    column: SurveyedColumn
     role: str
     """temperature | output | reference | input | not used."""
     why: str
@@ -144,7 +144,7 @@ def assign_roles(survey: Survey) -> list[Role]:
     return [roles[column.name] for column in columns]
 
 
-def guess_unit(column: Column, survey: Survey) -> tuple[str, str]:
+def guess_unit(column: SurveyedColumn, survey: Survey) -> tuple[str, str]:
     """Return a column's unit and what it was taken from; ("LSB", "") where nothing tells."""
     if column.unit:
         return column.unit, "its name or the row of units"
@@ -157,7 +157,7 @@ def guess_unit(column: Column, survey: Survey) -> tuple[str, str]:
     return "LSB", ""
 
 
-def _set_aside(column: Column, has_names: bool) -> Role | None:
+def _set_aside(column: SurveyedColumn, has_names: bool) -> Role | None:
     """Return the role of a column that is plainly for nothing; None: it may be for something."""
     named = words(column.name)
     if column.is_constant and not named & REFERENCE_WORDS:
@@ -183,11 +183,11 @@ def _set_aside(column: Column, has_names: bool) -> Role | None:
     return None
 
 
-def _looks_like_setpoint(column: Column) -> bool:
+def _looks_like_setpoint(column: SurveyedColumn) -> bool:
     return column.distinct <= SETPOINT_VALUES and column.changes < SETPOINT_CHANGES
 
 
-def _is_thermal(column: Column) -> bool:
+def _is_thermal(column: SurveyedColumn) -> bool:
     """Tell whether a column is a temperature by its unit or its name."""
     if words(column.name) & {"celsius", "fahrenheit", "kelvin"}:
         return True
@@ -195,13 +195,13 @@ def _is_thermal(column: Column) -> bool:
     return column.unit in TEMPERATURE_UNITS or (has_name and not column.unit)
 
 
-def _rank_thermometers(columns: Sequence[Column]) -> list[Column]:
+def _rank_thermometers(columns: Sequence[SurveyedColumn]) -> list[SurveyedColumn]:
     """Return the columns that are temperatures, the one most likely on the chip first."""
     found = [column for column in columns if _is_thermal(column)]
     plain = [c for c in found if c.unit or re.search("temp|celsius", c.name, re.IGNORECASE)]
     found = plain or found
 
-    def rank(column: Column) -> tuple[bool, int]:
+    def rank(column: SurveyedColumn) -> tuple[bool, int]:
         named = words(column.name)
         place = 2
         if words(strip_unit(column.name)) & CHIP_WORDS:
@@ -215,7 +215,7 @@ def _rank_thermometers(columns: Sequence[Column]) -> list[Column]:
     return sorted(found, key=rank)
 
 
-def _explain_thermometer(column: Column) -> str:
+def _explain_thermometer(column: SurveyedColumn) -> str:
     by = f"its unit, {column.unit}" if column.unit else "its name"
     doubt = (
         "; looks like a setpoint, few values seldom changed" if _looks_like_setpoint(column) else ""

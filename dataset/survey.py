@@ -31,7 +31,7 @@ SAMPLE_ROWS = 20_000
 
 
 @dataclass(frozen=True)
-class Column:
+class SurveyedColumn:
     """A column of numbers."""
 
     name: str
@@ -80,7 +80,7 @@ class Survey:
 
     source: Source
     rows: int
-    columns: tuple[Column, ...]
+    columns: tuple[SurveyedColumn, ...]
     """Numbers, those of `times` left out."""
     texts: dict[str, tuple[str, ...]]
     """Columns of text -> their first different values."""
@@ -90,7 +90,7 @@ class Survey:
     sample: dict[str, Array]
     """Column -> values [m] at some rows."""
 
-    def column(self, name: str) -> Column:
+    def column(self, name: str) -> SurveyedColumn:
         """Return a column by its name."""
         return next(column for column in self.columns if column.name == name)
 
@@ -156,7 +156,9 @@ def _is_numeric(series: pl.Series, has_comma: bool) -> bool:
     return len(bare) > 0 and len(bare) - read.null_count() >= 0.9 * len(bare)
 
 
-def _measure(source: Source, numeric: Sequence[str]) -> tuple[list[Column], int, dict[str, Array]]:
+def _measure(
+    source: Source, numeric: Sequence[str]
+) -> tuple[list[SurveyedColumn], int, dict[str, Array]]:
     """Return what the columns of numbers hold, in one pass."""
     frame = source.scan(numeric).select(pl.col(name).cast(pl.Float64) for name in numeric)
     wanted = [pl.len().alias("rows")]
@@ -175,7 +177,7 @@ def _measure(source: Source, numeric: Sequence[str]) -> tuple[list[Column], int,
     rows = int(found["rows"])
     some = frame.gather_every(max(1, rows // SAMPLE_ROWS)).collect()
     columns = [
-        Column(
+        SurveyedColumn(
             name,
             normalise_unit(source.units.get(name, "")) or read_unit(name),
             float(found[f"{i} low"]),
@@ -199,7 +201,7 @@ def list_values(source: Source, column: str) -> tuple[str, ...]:
 
 
 def _find_times(
-    source: Source, head: Sequence[pl.Series], columns: Sequence[Column]
+    source: Source, head: Sequence[pl.Series], columns: Sequence[SurveyedColumn]
 ) -> Times | None:
     """Return the column most likely to be the times; None: none is."""
     by_name = {series.name: series for series in head}
