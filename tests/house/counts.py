@@ -49,6 +49,7 @@ EDGES = {
     "c_runtime/emulator.py": "the same",
     "train/standings.py": "the reader of checkpoints, which yields where each attempt stood",
     "export/model_files.py": "the reader of model.json, which yields the nodes as dataclasses",
+    "verify/trial_child.py": "a process of its own reads its job, with the standard library alone",
     "verify/c_claims.py": "the checker reads certificate.json without the writer's code",
 }
 """Modules that turn what another program wrote into records."""
