@@ -105,7 +105,7 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "relax_reads_inputs": any(isinstance(n, ChannelNode) for n in settle_nodes),
     }
     environment = make_environment()
-    text = NodeText(environment, context, needed_at_rest)
+    text = NodeText(environment, context, bounds, needed_at_rest)
     context |= {"c": text, "counts": any(text.elapse(n) for n in model.nodes)}
     header, source = identify(
         environment.get_template("model.h.j2").render(context),

@@ -3,7 +3,10 @@
 from collections.abc import Collection, Mapping
 
 import jinja2
+from jinja2.environment import TemplateModule
 
+from zerodrift.operations.c_text import StateField, format_int64
+from zerodrift.operations.intervals import Interval
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.registry import FOLDERS
 
@@ -11,9 +14,12 @@ from zerodrift.operations.registry import FOLDERS
 class NodeText:
     """Renders nodes: a face is the macro of that name in `operations/FOLDER/c.j2`, if it is there.
 
+    Else a state is one number, at rest what the value is there, and sound within its bound.
+
     Args:
         environment: finds the templates.
         context: what a model's templates know.
+        bounds: what is proven of each place in the model.
         needed_at_rest: names of the nodes whose values some state at rest is made from.
     """
 
@@ -21,11 +27,12 @@ class NodeText:
         self,
         environment: jinja2.Environment,
         context: Mapping[str, object],
+        bounds: Mapping[str, Interval],
         needed_at_rest: Collection[str],
     ) -> None:
         self._environment, self._context = environment, context
-        self._needed_at_rest = needed_at_rest
-        self._macros: dict[str, object] = {}
+        self._bounds, self._needed_at_rest = bounds, needed_at_rest
+        self._macros: dict[str, TemplateModule | None] = {}
 
     def _render(self, face: str, node: IntegerNode) -> str:
         folder = FOLDERS[node.kind]
@@ -53,7 +60,15 @@ class NodeText:
 
     def sound(self, node: IntegerNode) -> str:
         """Return what sets `sound` to 0 where the state is not where the proof says it can be."""
-        return self._render("sound", node)
+        return self._render("sound", node) or "".join(
+            self._ask_number(node, field) for field in node.list_state()
+        )
+
+    def _ask_number(self, node: IntegerNode, field: StateField) -> str:
+        place, name = f"s->{field.name}", field.name.removeprefix(f"{node.name}_")
+        bound, form = self._bounds[f"{node.name}.{name}"], format_int64 if field.bits > 32 else str
+        beyond = f"({place} < {form(bound.low)}) || ({place} > {form(bound.high)})"
+        return f"    if ({beyond}) {{\n        sound = 0u;\n    }}\n"
 
     def relax(self, node: IntegerNode) -> str:
         """Return how a recurrent layer comes to rest under the present input."""
@@ -76,7 +91,9 @@ class NodeText:
         if not node.stateful:
             return self.value(node)
         value = self.settled(node) if node.name in self._needed_at_rest else ""
-        return value + self._render("rest", node)
+        first, *_ = node.list_state()
+        own = self._render("rest", node)
+        return value + (own or f"    s->{first.name} = {node.express_at_rest()};\n")
 
     def step(self, node: IntegerNode) -> str:
         """Return the step: the value, and the state after it."""

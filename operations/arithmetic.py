@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 CodeArray = NDArray[np.signedinteger[Any]]
 """Raw input codes: int16, or int32 where a channel needs it."""

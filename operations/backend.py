@@ -10,13 +10,12 @@ from functools import partial
 from typing import Generic, SupportsFloat, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.operations.arithmetic import Array
 from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.registry import OPERATIONS
 
-Array = NDArray[np.float64]
 S = TypeVar("S")
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.c_text import CTable, RuntimePart, StateField
@@ -19,6 +19,8 @@ PREVIOUS_DRIFT = "previous drift"
 """The values under this name are the drifts [B, K] that the step before gave."""
 State = dict[str, IntArray]
 """What a node carries from one step to the next, by field name; arrays lead with the batch."""
+Writer: TypeAlias = "OnnxWriter"
+"""Writes ONNX; its module imports onnx, which only the exporter needs."""
 Names = Mapping[str, str]
 """The same in ONNX: node or field -> name of its value, int64 with the batch first."""
 OnnxStep = tuple[dict[str, str], str]
@@ -104,15 +106,15 @@ class IntegerNode:
         """
         return None
 
-    def write_rest(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+    def write_rest(self, w: Writer, values: Names) -> dict[str, str]:
         """Write the state at rest under the present inputs in ONNX."""
         return {}
 
-    def write_settle(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+    def write_settle(self, w: Writer, values: Names) -> dict[str, str]:
         """Write the state after the present inputs have lasted forever (mostly `rest`)."""
         return self.write_rest(w, values)
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write a step in ONNX; return the state after it and the output."""
         raise NotImplementedError
 
@@ -131,7 +133,7 @@ class IntegerNode:
         return ()
 
     def express(self) -> str:
-        """Return the C expression of a number that is a function of the inputs alone.
+        """Return the C expression of a number: of the inputs' names, and a call that moves a state.
 
         All other C is in `c.j2` beside the operation, a macro for each of `NodeText`'s faces.
         """

@@ -3,12 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zerodrift.operations.arithmetic import Array
 from zerodrift.operations.formats import Signal
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

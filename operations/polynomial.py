@@ -1,15 +1,12 @@
 """Polynomials in fixed point: the smooth part of exp2 and of powers, on one octave."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from zerodrift.operations.arithmetic import IntArray, round_shift
 from zerodrift.operations.intervals import Bound, Interval
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
+from zerodrift.operations.node import Writer
 
 FRACTION_BITS = 31
 """The argument f is Q0.31, 0 <= f < 1."""
@@ -65,7 +62,7 @@ def fit_octave(function: Callable[[float], float], degree: int, bits: int) -> tu
     return tuple(round(c * 2.0**bits) for c in powers)
 
 
-def write_polynomial(w: "OnnxWriter", f_q31: str, coefficients: Sequence[int]) -> str:
+def write_polynomial(w: Writer, f_q31: str, coefficients: Sequence[int]) -> str:
     """Write sum c_i f**i by Horner's rule, rounded once per degree."""
     total = w.constant(coefficients[-1])
     for c in reversed(coefficients[:-1]):

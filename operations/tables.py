@@ -8,16 +8,13 @@ of its bits: nodes in Q0.19 and 11 bits between them give tanh in Q0.30 and sigm
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import IntArray, saturate
 from zerodrift.operations.c_text import RuntimePart
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
+from zerodrift.operations.node import Writer
 
 Int32Array = NDArray[np.int32]
 
@@ -95,7 +92,7 @@ def sigmoid_q31(half_t_q16: NDArray[np.int32] | IntArray) -> Int32Array:
     return np.asarray((1 << 30) + tanh_q30(half_t_q16))
 
 
-def write_tanh(w: "OnnxWriter", t_q16: str) -> str:
+def write_tanh(w: Writer, t_q16: str) -> str:
     """Write tanh in Q0.30 of t in Q3.16, from the one table."""
     nodes = tanh_nodes().astype(np.int64)
     position = w.sub(w.saturate(t_q16, T_MIN, T_MAX), w.constant(T_MIN))
@@ -107,6 +104,6 @@ def write_tanh(w: "OnnxWriter", t_q16: str) -> str:
     return w.add(start, w.mul(slope, fraction))
 
 
-def write_sigmoid(w: "OnnxWriter", half_t_q16: str) -> str:
+def write_sigmoid(w: Writer, half_t_q16: str) -> str:
     """Write the sigmoid in Q0.31 of twice t in Q3.16."""
     return w.add(write_tanh(w, half_t_q16), w.constant(1 << 30))

@@ -3,13 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.operations.arithmetic import Array
 from zerodrift.operations.formats import FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.operation import Operation
-
-Array = NDArray[np.float64]
 
 
 def affine(x: Array, gain: float, offset: float) -> Array:

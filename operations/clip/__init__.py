@@ -1,23 +1,17 @@
 """Limits: a converter's rails, a calibrated range."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.arithmetic import Array, IntArray, saturate
 from zerodrift.operations.c_text import format_int32
 from zerodrift.operations.formats import FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, check_limits
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
-Array = NDArray[np.float64]
 
 
 def clip(x: Array, low: float, high: float) -> Array:
@@ -46,7 +40,7 @@ class IntegerClip(IntegerNode):
             Bound(self.name, out, 32).check(),
         ]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write saturate(x, low, high)."""
         return {}, w.saturate(values[self.inputs[0]], self.low, self.high)
 

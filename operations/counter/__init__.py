@@ -1,7 +1,7 @@
 """Elapsed time: a counter of steps that stops at its limit instead of wrapping."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -9,11 +9,7 @@ from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.node import CODES, IntegerNode, Names, OnnxStep, State, Values
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
+from zerodrift.operations.node import CODES, IntegerNode, Names, OnnxStep, State, Values, Writer
 
 COUNTER_LIMIT = 2**27
 """Steps after which elapsed time stands still: 4 years at 1 s, 15 days at 10 ms."""
@@ -51,12 +47,12 @@ class IntegerCounter(IntegerNode):
         out = Interval(0, self.limit)
         return [out], [Bound(f"{self.name}.count", Interval(0, self.limit + 1), 32).check()]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write the count, and the next one up to the limit."""
         after = w.minimum(w.add(state["count"], w.constant(1)), w.constant(self.limit))
         return {"count": after}, state["count"]
 
-    def write_rest(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+    def write_rest(self, w: Writer, values: Names) -> dict[str, str]:
         """Write a count of 0."""
         return {"count": w.mul(w.column(values[CODES], 0), w.constant(0))}
 

@@ -2,24 +2,18 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift
+from zerodrift.operations.arithmetic import INT32_MAX, Array, IntArray, round_shift
 from zerodrift.operations.c_text import StateField, list_ring
 from zerodrift.operations.formats import FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
-Array = NDArray[np.float64]
 
 
 def delay_taps(sample_period_s: float, delay_s: float) -> tuple[int, float]:
@@ -99,7 +93,7 @@ class IntegerDelay(IntegerNode):
             Bound(f"{self.name}.steps", Interval(1, self.steps), 16).check(),
         ]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write older + (newer - older) newer_q31, and the line moved on by one."""
         x = w.op("Unsqueeze", values[self.inputs[0]], w.constant([1]))
         line = w.op("Concat", state["line"], x, axis=1)
@@ -108,7 +102,7 @@ class IntegerDelay(IntegerNode):
         moved = w.split(line, (1, self.steps))[1]
         return {"line": moved}, w.add(older, rise) if self.newer_q31 else older
 
-    def write_rest(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+    def write_rest(self, w: Writer, values: Names) -> dict[str, str]:
         """Write a line filled with the present input."""
         x = w.op("Unsqueeze", values[self.inputs[0]], w.constant([1]))
         return {"line": w.op("Tile", x, w.constant([1, self.steps]))}

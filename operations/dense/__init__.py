@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import (
     INT16_MAX,
     INT16_MIN,
+    Array,
     IntArray,
     matmul_exact,
     round_shift,
@@ -18,14 +19,8 @@ from zerodrift.operations.arithmetic import (
 )
 from zerodrift.operations.c_text import CTable, RuntimePart, make_table
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.tables import NODE_MAX, STEP_BITS, TANH, tanh_q30, write_tanh
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
-Array = NDArray[np.float64]
-
 
 COPY_BITS = 15
 """Fractional bits that a layer's output has beyond its int16 copy."""
@@ -158,10 +153,10 @@ class IntegerDense(IntegerNode):
             out.append(shifted.saturate(limit.low, limit.high).scale(1 << COPY_BITS))
         return out, bounds
 
-    def _write_copy(self, w: "OnnxWriter", values: Names) -> str:
+    def _write_copy(self, w: Writer, values: Names) -> str:
         return w.round_shift(values[self.inputs[0]], COPY_BITS)
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write activation((bias + weights . x) >> shift), 15 fractional bits added."""
         total = w.op("MatMul", self._write_copy(w, values), w.constant(self.weights.T))
         scaled = w.floor_shift(w.add(total, w.constant(self.bias)), self.shift)
@@ -203,7 +198,7 @@ class IntegerFeatureDense(IntegerDense):
         """Return the features' ranges."""
         return list(below)
 
-    def _write_copy(self, w: "OnnxWriter", values: Names) -> str:
+    def _write_copy(self, w: Writer, values: Names) -> str:
         return values[self.inputs[0]]
 
 

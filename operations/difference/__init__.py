@@ -1,23 +1,17 @@
 """Difference of two signals: what a sensor's own memory is made of."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import IntArray
+from zerodrift.operations.arithmetic import Array, IntArray
 from zerodrift.operations.formats import EXACT_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.sum import add
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
-Array = NDArray[np.float64]
 
 
 def difference(a: Array, b: Array) -> Array:
@@ -40,7 +34,7 @@ class IntegerDifference(IntegerNode):
         out = inputs[0][0] - inputs[1][0]
         return [out], [Bound(self.name, out, 32).check()]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write a - b."""
         return {}, w.sub(values[self.inputs[0]], values[self.inputs[1]])
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,7 @@ from zerodrift.operations.intervals import (
     check_limits,
     check_shift,
 )
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 
 
 @dataclass(frozen=True)
@@ -97,11 +94,11 @@ class IntegerDrift(IntegerNode):
             bounds.append(bound)
         return out, bounds
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write the drift, limited."""
         return {}, w.saturate(self.write_sum(w, values), self.low, self.high)
 
-    def write_sum(self, w: "OnnxWriter", values: Names) -> str:
+    def write_sum(self, w: Writer, values: Names) -> str:
         """Write the drift [B, K] before it is limited."""
         terms = []
         if self.signals:

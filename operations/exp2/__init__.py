@@ -2,26 +2,19 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.arithmetic import Array, IntArray, saturate
 from zerodrift.operations.c_text import RuntimePart, format_factor, format_int32, format_int64
 from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.polynomial import bound_polynomial, evaluate_polynomial, write_polynomial
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
-Array = NDArray[np.float64]
-
 
 EXPONENT_LIMIT = 60.0
 """|x| beyond this is limited: 2**60 of anything is no longer a measurement."""
@@ -119,7 +112,7 @@ class IntegerExp2(IntegerNode):
             Bound(self.name, out, 32).check(),
         ]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write round_shift(octave(t mod 2**24), min(top + 2 - (t >> 24), 31))."""
         total = w.add(
             w.mul(values[self.inputs[0]], w.constant(self.coefficient)), w.constant(self.bias)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,7 @@ from numpy.typing import NDArray
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray, saturate
 from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.intervals import Bound, Interval, Shift, bound_row, check_shift
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ class IntegerFeatures(IntegerNode):
             bounds.append(bound)
         return out, bounds
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write saturate((bias + matrix . signals) >> shift) to int16."""
         signals = w.stack([values[name] for name in self.inputs])
         total = w.op("MatMul", signals, w.constant(self.matrix.T))

@@ -1,7 +1,7 @@
 """A GRU over the features, one step per sample or over a window."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,11 +18,8 @@ from zerodrift.operations.gru.cell import (
 )
 from zerodrift.operations.gru.layouts import FILTERS
 from zerodrift.operations.intervals import Bound, Interval, Shift
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.tables import TANH
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,7 @@ class IntegerGruLayer(IntegerNode):
             bounds.append(Bound(f"{self.name}.window", Interval(1, self.window), 16).check())
         return [Interval(-H_LIMIT_Q30, H_LIMIT_Q30)] * self.width, bounds
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write a step in time, or the whole window from h = 0."""
         x, gru = values[self.inputs[0]], self.gru
         if not self.window:
@@ -105,14 +102,14 @@ class IntegerGruLayer(IntegerNode):
         )[0]
         return {"window": window}, h_q30
 
-    def write_rest(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+    def write_rest(self, w: Writer, values: Names) -> dict[str, str]:
         """Write h = 0, or a window filled with the present features."""
         x = values[self.inputs[0]]
         if self.window:
             return {"window": rest_window(w, self.window, x)}
         return {"h_q30": w.zeros(x, self.gru.hidden)}
 
-    def write_settle(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+    def write_settle(self, w: Writer, values: Names) -> dict[str, str]:
         """Write the state at rest under the present features."""
         if self.window:
             return self.write_rest(w, values)
@@ -149,7 +146,7 @@ class IntegerGruLayer(IntegerNode):
             check_layer(self.name, layer)
 
 
-def move_window(w: "OnnxWriter", length: int, x: str, window: str) -> str:
+def move_window(w: Writer, length: int, x: str, window: str) -> str:
     """Write a window [B, N, I] with x [B, I] appended and the oldest left out."""
     newest = w.op("Unsqueeze", x, w.constant([1]))
     if length == 1:
@@ -158,7 +155,7 @@ def move_window(w: "OnnxWriter", length: int, x: str, window: str) -> str:
     return w.op("Concat", newer, newest, axis=1)
 
 
-def rest_window(w: "OnnxWriter", length: int, x: str) -> str:
+def rest_window(w: Writer, length: int, x: str) -> str:
     """Write a window [B, N, I] filled with x [B, I]."""
     newest = w.op("Unsqueeze", x, w.constant([1]))
     return w.op("Tile", newest, w.constant([1, length, 1]))

@@ -13,19 +13,15 @@ The integer meaning is normative and specified in `docs/reference/integer-arithm
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import IntArray, round_shift
+from zerodrift.operations.arithmetic import Array, IntArray, round_shift
 from zerodrift.operations.intervals import Bound, Interval, check_shift
+from zerodrift.operations.node import Writer
 from zerodrift.operations.tables import sigmoid_q31, tanh_q30, write_sigmoid, write_tanh
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
-Array = NDArray[np.float64]
 
 RESETS = ("after", "before")
 GATES = ("r", "u", "n")
@@ -271,9 +267,7 @@ def _symmetric(where: str, magnitude: int, bits: int) -> Bound:
     return Bound(where, Interval(-magnitude, magnitude), bits)
 
 
-def write_gru_step(
-    w: "OnnxWriter", gru: IntegerGru, x: str, h_q30: str, u_q31: str | None = None
-) -> str:
+def write_gru_step(w: Writer, gru: IntegerGru, x: str, h_q30: str, u_q31: str | None = None) -> str:
     """Write one step of a GRU.
 
     Args:
@@ -307,7 +301,7 @@ def write_gru_step(
     return w.add(h_q30, w.shift_left(move, 1))
 
 
-def _write_recurrent(w: "OnnxWriter", gru: IntegerGru, h_q15: str, gates: slice) -> str:
+def _write_recurrent(w: Writer, gru: IntegerGru, h_q15: str, gates: slice) -> str:
     """Write w_h . h of some gates, [B, gates * H], in their accumulators' formats."""
     rows = gru.w_h[gates].reshape(-1, gru.hidden)
     product = w.op("MatMul", h_q15, w.constant(rows.T))
@@ -317,7 +311,7 @@ def _write_recurrent(w: "OnnxWriter", gru: IntegerGru, h_q15: str, gates: slice)
     return w.round_shift(scaled, np.repeat(gru.multiplier_shift[gates], gru.hidden))
 
 
-def write_relaxed(w: "OnnxWriter", gru: IntegerGru, x: str) -> str:
+def write_relaxed(w: Writer, gru: IntegerGru, x: str) -> str:
     """Write the state of a GRU at rest under constant features x [B, I]."""
     half = w.constant(U_RELAX_Q31)
     return w.repeat(

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.operations.arithmetic import Array
 from zerodrift.operations.gru.cell import FloatGru
-
-Array = NDArray[np.float64]
 
 MAX_HIDDEN = 256
 MAX_FEATURES = 256

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,10 +13,7 @@ from zerodrift.operations.dense import COPY_BITS
 from zerodrift.operations.gru import IntegerGruLayer, move_window, rest_window
 from zerodrift.operations.gru.cell import H_LIMIT_Q30, IntegerGru, write_gru_step, write_relaxed
 from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.node import Names, OnnxStep, State, Values
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
+from zerodrift.operations.node import Names, OnnxStep, State, Values, Writer
 
 
 @dataclass(frozen=True)
@@ -101,7 +98,7 @@ class IntegerGruStack(IntegerGruLayer):
         limit = Interval(-H_LIMIT_Q30, H_LIMIT_Q30)
         return [limit] * self.width, bounds
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write a step in time of all layers, or the whole window from h = 0."""
         x = values[self.inputs[0]]
         if not self.window:
@@ -118,14 +115,14 @@ class IntegerGruStack(IntegerGruLayer):
         )
         return {"window": window}, states[-1]
 
-    def write_rest(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+    def write_rest(self, w: Writer, values: Names) -> dict[str, str]:
         """Write all h = 0, or a window filled with the present features."""
         x = values[self.inputs[0]]
         if self.window:
             return {"window": rest_window(w, self.window, x)}
         return _join_lower(w, [w.zeros(x, layer.hidden) for layer in self.layers])
 
-    def write_settle(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+    def write_settle(self, w: Writer, values: Names) -> dict[str, str]:
         """Write the states at rest under the present features, from the bottom up."""
         if self.window:
             return self.write_rest(w, values)
@@ -144,7 +141,7 @@ class IntegerGruStack(IntegerGruLayer):
 
 
 def write_stack_step(
-    w: "OnnxWriter", layers: Sequence[IntegerGru], x: str, states: Sequence[str]
+    w: Writer, layers: Sequence[IntegerGru], x: str, states: Sequence[str]
 ) -> list[str]:
     """Write a step of every layer, each on the state of the one below."""
     after = []
@@ -154,7 +151,7 @@ def write_stack_step(
     return after
 
 
-def _join_lower(w: "OnnxWriter", states: Sequence[str]) -> dict[str, str]:
+def _join_lower(w: Writer, states: Sequence[str]) -> dict[str, str]:
     """Write the state of a stack from its layers' states."""
     *lower, top = states
     return {"h_q30": top, "lower_q30": w.op("Concat", *lower, axis=1)}

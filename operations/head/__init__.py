@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,7 @@ from numpy.typing import NDArray
 from zerodrift.operations.arithmetic import IntArray, matmul_exact, round_shift
 from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.intervals import Bound, Interval, bound_row
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class IntegerHead(IntegerNode):
         ]
         return [total for total, _ in rows], [bound for _, bound in rows]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write weights . round_shift(h_q30, 15)."""
         h_q15 = w.round_shift(values[self.inputs[0]], 15)
         return {}, w.op("MatMul", h_q15, w.constant(self.weights.T))

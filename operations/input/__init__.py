@@ -1,16 +1,13 @@
 """A raw code becomes a signal."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from zerodrift.operations.arithmetic import IntArray, saturate
 from zerodrift.operations.intervals import Bound, Interval, check_limits, check_shift
-from zerodrift.operations.node import CODES, ChannelNode, Names, OnnxStep, State, Values
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
+from zerodrift.operations.node import CODES, ChannelNode, Names, OnnxStep, State, Values, Writer
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class IntegerInput(ChannelNode):
             Bound(self.name, out, 32).check(),
         ]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write (saturate(code, low, high) - origin) << shift."""
         code = w.saturate(w.column(values[CODES], self.channel), self.low, self.high)
         counted = w.sub(code, w.constant(self.origin)) if self.origin else code

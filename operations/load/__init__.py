@@ -1,7 +1,7 @@
 """The load as the chip knows it: the raw output less the drift found one step before."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,11 +15,8 @@ from zerodrift.operations.node import (
     OnnxStep,
     State,
     Values,
+    Writer,
 )
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
 
 START_PASSES = 4
 """Times that the state of rest is computed with the drift that the time before gave.
@@ -55,7 +52,7 @@ class IntegerLoad(ChannelNode):
             Bound(self.name, out, 32).check(),
         ]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write saturate(code - drift of the step before, low, high) << shift."""
         code = w.column(values[CODES], self.channel)
         load = w.sub(code, w.column(values[PREVIOUS_DRIFT], self.output))

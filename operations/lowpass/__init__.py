@@ -2,27 +2,20 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift
+from zerodrift.operations.arithmetic import INT32_MAX, Array, IntArray, round_shift
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.sum import fit
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
-Array = NDArray[np.float64]
-
 
 LOWPASS_FRACTION = 24
 """Extra fractional bits of the low-pass state, against stalling (see `IntegerLowpass`)."""
@@ -146,7 +139,7 @@ class IntegerLowpass(IntegerNode):
             Bound(self.name, out, 32).check(),
         ]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write y = v + c x and v' = v + a (x - y)."""
         x = values[self.inputs[0]]
         y = w.add(state["v"], w.mul(x, w.constant(self.c_q24)))
@@ -154,7 +147,7 @@ class IntegerLowpass(IntegerNode):
         v = w.add(state["v"], w.round_shift(w.mul(gap, w.constant(self.m_q31)), self.shift))
         return {"v": v}, w.round_shift(y, LOWPASS_FRACTION)
 
-    def write_rest(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+    def write_rest(self, w: Writer, values: Names) -> dict[str, str]:
         """Write the v at which y equals x."""
         share = (1 << LOWPASS_FRACTION) - self.c_q24
         return {"v": w.mul(values[self.inputs[0]], w.constant(share))}
@@ -166,6 +159,11 @@ class IntegerLowpass(IntegerNode):
     def list_shifts(self) -> list[Shift]:
         """Return every right shift in the C."""
         return [Shift(f"{self.name}.shift", self.shift, 62)]
+
+    def express(self) -> str:
+        """Return y in C, and v moved on."""
+        place, x = f"&s->{self.name}_v", self.inputs[0]
+        return f"zd_lowpass({place}, {x}, {self.c_q24}, {self.m_q31}, {self.shift}u)"
 
 
 def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:

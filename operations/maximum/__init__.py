@@ -2,24 +2,18 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import IntArray
+from zerodrift.operations.arithmetic import Array, IntArray
 from zerodrift.operations.clip import limit
 from zerodrift.operations.formats import FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.sum import align
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
-Array = NDArray[np.float64]
 
 
 def maximum(a: Array, b: Array) -> Array:
@@ -43,7 +37,7 @@ class IntegerMaximum(IntegerNode):
         out = Interval(max(a.low, b.low), max(a.high, b.high))
         return [out], [Bound(self.name, out, 32).check()]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write the larger one."""
         return {}, w.maximum(*(values[name] for name in self.inputs))
 

@@ -1,16 +1,13 @@
 """A constant taken off a signal, so that its integers stand for it without one."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from zerodrift.operations.arithmetic import IntArray, choose_exponent
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.sum import rescale
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
 
 
 @dataclass(frozen=True)
@@ -29,7 +26,7 @@ class IntegerOffset(IntegerNode):
         out = inputs[0][0] - Interval(self.offset, self.offset)
         return [out], [Bound(self.name, out, 32).check()]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write x - offset."""
         return {}, w.sub(values[self.inputs[0]], w.constant(self.offset))
 

@@ -2,25 +2,19 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.arithmetic import Array, IntArray, saturate
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.sum import fit
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
-Array = NDArray[np.float64]
 
 
 def play(x: Array, half_width: float) -> Array:
@@ -106,19 +100,23 @@ class IntegerPlay(IntegerNode):
             Bound(f"{self.name}.y", x, 32).check(),
         ]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write saturate(y, x - half_width, x + half_width)."""
         x, r = values[self.inputs[0]], w.constant(self.half_width)
         y = w.minimum(w.maximum(state["y"], w.sub(x, r)), w.add(x, r))
         return {"y": y}, y
 
-    def write_rest(self, w: "OnnxWriter", values: Names) -> dict[str, str]:
+    def write_rest(self, w: Writer, values: Names) -> dict[str, str]:
         """Write y in the middle of its slack."""
         return {"y": values[self.inputs[0]]}
 
     def list_state(self) -> tuple[StateField, ...]:
         """Return the fields of the state in C."""
         return (StateField(32, f"{self.name}_y"),)
+
+    def express(self) -> str:
+        """Return the next y in C."""
+        return f"zd_play(&s->{self.name}_y, {self.inputs[0]}, {self.half_width})"
 
 
 def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:

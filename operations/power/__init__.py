@@ -2,19 +2,18 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.arithmetic import Array, IntArray, saturate
 from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.clip import limit
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.offset import remove_offset
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.polynomial import (
@@ -25,12 +24,6 @@ from zerodrift.operations.polynomial import (
 )
 from zerodrift.operations.product import multiply
 from zerodrift.operations.sum import fit, negate
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
-Array = NDArray[np.float64]
-
 
 LARGEST_WHOLE_POWER = 16
 
@@ -107,7 +100,7 @@ class IntegerPower(IntegerNode):
             Bound(self.name, out, 32).check(),
         ]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write round_shift(saturate(octave(f), low, high) gains[n], shift), x = 2**n (1 + f)."""
         x = values[self.inputs[0]]
         positive = w.maximum(x, w.constant(1))

@@ -1,14 +1,14 @@
 """Product of two signals: span shift is temperature times load."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import (
     INT32_MAX,
     INT32_MIN,
+    Array,
     IntArray,
     choose_exponent,
     round_shift,
@@ -18,15 +18,10 @@ from zerodrift.operations.c_text import format_int32
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_limits, check_shift
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.offset import remove_offset
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.sum import fit
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
-
-Array = NDArray[np.float64]
 
 
 def product(a: Array, b: Array) -> Array:
@@ -66,7 +61,7 @@ class IntegerProduct(IntegerNode):
             Bound(self.name, out, 32).check(),
         ]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write saturate(round_shift(a * b, shift), low, high)."""
         a, b = (values[name] for name in self.inputs)
         return {}, w.saturate(w.round_shift(w.mul(a, b), self.shift), self.low, self.high)

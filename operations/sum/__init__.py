@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,10 +32,7 @@ from zerodrift.operations.intervals import (
     check_limits,
     check_shift,
 )
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values
-
-if TYPE_CHECKING:
-    from zerodrift.operations.onnx_writer import OnnxWriter
+from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 
 
 @dataclass(frozen=True)
@@ -79,7 +76,7 @@ class IntegerSum(IntegerNode):
         out = out.saturate(self.low, self.high)
         return [out], [bound, Bound(self.name, out, 32).check()]
 
-    def write_step(self, w: "OnnxWriter", values: Names, state: Names) -> OnnxStep:
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write saturate((bias + coefficients . x) >> shift, low, high)."""
         total = w.constant(self.bias)
         for name, coefficient in zip(self.inputs, self.coefficients, strict=True):

@@ -1,14 +1,12 @@
 """Sum of two signals."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.operations.arithmetic import Array
 from zerodrift.operations.difference import combine
 from zerodrift.operations.formats import FormattedNodes, Signal
 from zerodrift.operations.graph import Node
 from zerodrift.operations.operation import Operation
-
-Array = NDArray[np.float64]
 
 
 def total(a: Array, b: Array) -> Array:
