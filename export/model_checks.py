@@ -84,6 +84,8 @@ def fits_type(value: Any, hint: Any) -> bool:
 
 def _check_references(node: IntegerNode, model: "IntegerModel") -> None:
     """Raise where a node reads a channel or an output that is not there, or does not fit itself."""
+    if node.reads not in (None, len(node.inputs)):
+        raise ValueError(f"node '{node.name}' reads {len(node.inputs)} nodes, not {node.reads}")
     for name, count in (("channel", len(model.channels)), ("output", len(model.outputs))):
         index = getattr(node, name, 0)
         if not 0 <= index < count:

@@ -36,21 +36,19 @@ class Operations(ABC, Generic[S]):
         """Return a signal that is always `value`."""
 
     @abstractmethod
-    def apply(
-        self, operation: Operation, signals: tuple[S, ...], constants: tuple[float, ...]
-    ) -> S:
-        """Return what an operation makes of signals and constants."""
+    def apply(self, operation: Operation, arguments: tuple[object, ...]) -> S:
+        """Return what an operation makes of signals and, after them, constants."""
 
     def __getattr__(self, name: str) -> Callable[..., S]:
         if name not in OPERATIONS:
             raise AttributeError(f"there is no operation {name!r}; there are {sorted(OPERATIONS)}")
-        return partial(self._call, OPERATIONS[name])
+        self.__dict__[name] = found = partial(self._call, OPERATIONS[name])  # found at once again
+        return found
 
     def _call(self, operation: Operation, /, *given: object, **named: object) -> S:
-        arguments = operation.name_arguments(given, named)
-        signals = tuple(cast(S, arguments[name]) for name in operation.signals)
-        numbers = tuple(cast(SupportsFloat, arguments[name]) for name in operation.constants)
-        return self.apply(operation, signals, tuple(float(number) for number in numbers))
+        if named or len(given) != operation.arity:
+            given = operation.order_arguments(given, named)
+        return self.apply(operation, given)
 
 
 class NumpyOperations(Operations[Array]):
@@ -69,20 +67,19 @@ class NumpyOperations(Operations[Array]):
         """Return an array of `value`."""
         return np.full(self._shape, value)
 
-    def apply(
-        self, operation: Operation, signals: tuple[Array, ...], constants: tuple[float, ...]
-    ) -> Array:
+    def apply(self, operation: Operation, arguments: tuple[object, ...]) -> Array:
         """Return the operation's float meaning."""
-        named = dict(zip(operation.constants, constants, strict=True))
-        if operation.timed:
-            named["sample_period_s"] = self.sample_period_s
-        return operation.compute(*signals, **named)
+        if not operation.timed:
+            return operation.compute(*arguments)
+        names = (*operation.signals, *operation.constants)
+        named = dict(zip(names, arguments, strict=True))
+        return operation.compute(**named, sample_period_s=self.sample_period_s)
 
     def compute(self, node: Node, signals: Sequence[Array]) -> Array:
         """Return the value of a node that is no input, from those of its inputs."""
         if node.op == "constant":
             return self.constant(node.constants[0])
-        return self.apply(OPERATIONS[node.op], tuple(signals), node.constants)
+        return self.apply(OPERATIONS[node.op], (*signals, *node.constants))
 
 
 _Key = tuple[str, tuple[int, ...], tuple[float, ...], str]
@@ -103,11 +100,12 @@ class GraphOperations(Operations[Node]):
         """Return a signal that is always `value`."""
         return self._node("constant", constants=(float(value),))
 
-    def apply(
-        self, operation: Operation, signals: tuple[Node, ...], constants: tuple[float, ...]
-    ) -> Node:
+    def apply(self, operation: Operation, arguments: tuple[object, ...]) -> Node:
         """Return the operation's node."""
-        return self._node(operation.name, signals, constants)
+        count = len(operation.signals)
+        constants = (float(cast(SupportsFloat, number)) for number in arguments[count:])
+        signals = cast(tuple[Node, ...], arguments[:count])
+        return self._node(operation.name, signals, tuple(constants))
 
     def _node(
         self,

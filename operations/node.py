@@ -36,6 +36,8 @@ class IntegerNode:
     """
 
     kind: ClassVar[str]
+    reads: ClassVar[int | None] = 1
+    """Number of inputs; None: any."""
     name: str
     """Unique in the model, a C identifier."""
     inputs: tuple[str, ...]

@@ -1,6 +1,6 @@
 """An operation as effects call it: its float meaning, and how it becomes integer nodes."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from zerodrift.operations.arithmetic import Array
@@ -21,19 +21,24 @@ class Operation:
     timed: bool = False
     """Whether `compute` is given `sample_period_s`, too."""
 
-    def name_arguments(
-        self, given: Sequence[object], named: Mapping[str, object]
-    ) -> dict[str, object]:
-        """Return the arguments of a call by their names.
+    @property
+    def arity(self) -> int:
+        """Number of arguments."""
+        return len(self.signals) + len(self.constants)
+
+    def order_arguments(
+        self, given: tuple[object, ...], named: Mapping[str, object]
+    ) -> tuple[object, ...]:
+        """Return the arguments of a call in their order.
 
         Raises:
             TypeError: one is missing, or there are too many.
         """
         names = (*self.signals, *self.constants)
-        arguments = {**dict(zip(names, given, strict=False)), **named}
-        if set(arguments) != set(names) or len(given) + len(named) != len(names):
+        rest = names[len(given) :]
+        if len(given) > len(names) or set(rest) != set(named):
             raise TypeError(
                 f"{self.name}({', '.join(names)}) was given {len(given)} arguments"
                 + "".join(f" and {name}" for name in named)
             )
-        return arguments
+        return (*given, *(named[name] for name in rest))

@@ -20,6 +20,7 @@ class IntegerCounter(IntegerNode):
     """Steps since the start: 0 at the first step, then one more per step up to `limit`."""
 
     kind: ClassVar[str] = "counter"
+    reads: ClassVar[int | None] = 0
     limit: int
 
     @property

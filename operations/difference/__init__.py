@@ -24,6 +24,7 @@ class IntegerDifference(IntegerNode):
     """a - b, both at the same exponent."""
 
     kind: ClassVar[str] = "difference"
+    reads: ClassVar[int | None] = 2
 
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
         """Return a - b."""

@@ -27,6 +27,7 @@ class IntegerDrift(IntegerNode):
     """
 
     kind: ClassVar[str] = "drift"
+    reads: ClassVar[int | None] = None
     coefficients: NDArray[np.int64]  # [K, J] for the J scalar signals
     head_coefficients: NDArray[np.int64]  # [K]; zeros without a head
     bias: NDArray[np.int64]

@@ -18,6 +18,7 @@ class IntegerFeatures(IntegerNode):
     """The front end's whitening: int16 features from 32-bit signals, 64-bit sums, one rounding."""
 
     kind: ClassVar[str] = "features"
+    reads: ClassVar[int | None] = None
     matrix: NDArray[np.int32]  # [I, J]
     bias: NDArray[np.int64]
     """[I], the rounding half folded in."""

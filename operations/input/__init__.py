@@ -19,6 +19,7 @@ class IntegerInput(ChannelNode):
     """
 
     kind: ClassVar[str] = "input"
+    reads: ClassVar[int | None] = 0
     origin: int = 0
 
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:

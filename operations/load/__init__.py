@@ -33,6 +33,7 @@ class IntegerLoad(ChannelNode):
     """
 
     kind: ClassVar[str] = "load"
+    reads: ClassVar[int | None] = 0
     output: int
     """Index of the output."""
 

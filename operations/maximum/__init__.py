@@ -26,6 +26,7 @@ class IntegerMaximum(IntegerNode):
     """The larger of a and b, both in one format."""
 
     kind: ClassVar[str] = "maximum"
+    reads: ClassVar[int | None] = 2
 
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
         """Return the larger one."""

@@ -26,6 +26,7 @@ class IntegerMinimum(IntegerNode):
     """The smaller of a and b, both in one format."""
 
     kind: ClassVar[str] = "minimum"
+    reads: ClassVar[int | None] = 2
 
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
         """Return the smaller one."""

@@ -34,6 +34,7 @@ class IntegerProduct(IntegerNode):
     """saturate(round_shift(a * b, shift), low, high), the product in 64 bits."""
 
     kind: ClassVar[str] = "product"
+    reads: ClassVar[int | None] = 2
     shift: int
     low: int = INT32_MIN
     high: int = INT32_MAX

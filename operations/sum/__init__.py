@@ -43,6 +43,7 @@ class IntegerSum(IntegerNode):
     """
 
     kind: ClassVar[str] = "sum"
+    reads: ClassVar[int | None] = None
     coefficients: tuple[int, ...]
     bias: int
     """The rounding half of `shift` folded in."""
