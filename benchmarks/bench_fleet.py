@@ -4,7 +4,7 @@ The sensors are those of `zerodrift twin`, one seed each: two chamber runs to tr
 test, an hour at 1 Hz, six outputs, told zero_tempco, dark_current and thermal_lag, written in
 absolute force (not tared). That is about 1 MB of CSV per sensor. Simulating them is not timed.
 
-    python -m benchmarks.bench_fleet [--quick] [--sensors N] [--jobs N]
+    python -m benchmarks.bench_fleet [--quick] [--sensors N] [--jobs N] [--training]
 
 Processor time is that of all processes, their start and imports included; its share per core is
 what the wall clock shows on a machine that does nothing else.
@@ -41,8 +41,17 @@ GRUS, QUICK_GRUS, REPEATS = 64, 16, 3
 """Sensors trained together, and how often both ways are timed in turn."""
 
 
-def main(quick: bool, sensors: int | None = None, jobs: int = CORES) -> None:
-    """Print time per sensor with and without C, of a rerun, and the ratio of batched training."""
+def main(
+    quick: bool, sensors: int | None = None, jobs: int = CORES, training: bool = False
+) -> None:
+    """Print time per sensor with and without C, of a rerun, and the ratio of batched training.
+
+    Args:
+        quick: fewer sensors.
+        sensors: how many.
+        jobs: processes.
+        training: the ratio alone.
+    """
     count = sensors or (QUICK_SENSORS if quick else SENSORS)
     with tempfile.TemporaryDirectory(prefix="bench-fleet-") as folder:
         project = Path(folder)
@@ -52,7 +61,7 @@ def main(quick: bool, sensors: int | None = None, jobs: int = CORES) -> None:
             ("without C", ("--no-firmware",)),
             ("with checked C", ()),
             ("again, nothing changed", ()),
-        ):
+        )[: 0 if training else None]:
             report = time_fleet(project, jobs, *options)
             print(describe(name, count, report, judge=not quick and sensors is None))
         compare_training(project, QUICK_GRUS if quick else min(GRUS, count))
@@ -173,5 +182,6 @@ if __name__ == "__main__":
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--sensors", type=int, default=None)
     parser.add_argument("--jobs", type=int, default=CORES)
+    parser.add_argument("--training", action="store_true", help="the ratio of training alone")
     arguments = parser.parse_args()
-    main(arguments.quick, arguments.sensors, arguments.jobs)
+    main(arguments.quick, arguments.sensors, arguments.jobs, arguments.training)

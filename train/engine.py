@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 
 from zerodrift.base.errors import InputError
-from zerodrift.train.courses import Attempt, Problem, Standing
+from zerodrift.train.attempts import Attempt, Problem, Standing
 from zerodrift.train.epochs import Training
 from zerodrift.train.sequences import Array32
 from zerodrift.train.standings import load_standings, mark_problems, save_standings

@@ -9,15 +9,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from zerodrift.train.attempts import Attempt, Problem, Standing, Stored
 from zerodrift.train.courses import (
     STEPS_AT_ONCE,
-    Attempt,
     Batch,
     Course,
-    Problem,
     Runs,
-    Standing,
-    Stored,
     StreamCourse,
     WindowCourse,
 )

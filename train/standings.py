@@ -12,8 +12,8 @@ import torch
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.lock import tell
+from zerodrift.train.attempts import Attempt, Problem, Standing, Stored
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from zerodrift.train.courses import Attempt, Problem, Standing, Stored
 
 NUMBERS = ("epoch", "best_epoch", "best_rmse", "last_rmse", "rmse_without")
 MOMENTS = ("weights", "exp_avg", "exp_avg_sq")

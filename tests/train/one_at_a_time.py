@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from zerodrift.train.courses import Problem
+from zerodrift.train.attempts import Problem
 from zerodrift.train.engine import Result
 from zerodrift.train.networks import FeedForwardNetwork, GruNetwork, MlpNetwork, Network
 from zerodrift.train.optimise import draw_seed, one_cycle
