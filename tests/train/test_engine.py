@@ -13,8 +13,8 @@ from zerodrift.base.errors import InputError
 from zerodrift.train import engine
 from zerodrift.train.engine import Problem, Progress, Result, train_networks
 from zerodrift.train.networks import GruNetwork, build_network
-from zerodrift.train.optimise import Settings
 from zerodrift.train.sequences import Sequence32
+from zerodrift.train.settings import Settings
 
 SETTINGS = Settings(epochs=4, starts=(0, 1), chunk=8, batch=6, evaluations=4)
 STORED = Path(__file__).parent / "stored"

@@ -12,8 +12,8 @@ from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.engine import Problem, Result, train_networks
 from zerodrift.train.networks import build_network
 from zerodrift.train.onnx_export import build_onnx
-from zerodrift.train.optimise import Settings
 from zerodrift.train.sequences import Sequence32
+from zerodrift.train.settings import Settings
 
 FEATURES, OUTPUTS = 2, 3
 
