@@ -3,9 +3,9 @@
 `python -m benchmarks.sabotage [--project NAME] [--jobs 2]` makes a small project. Each file it
 deletes, cuts in half, empties, flips a bit of, makes uncompilable, or takes from another model; it
 changes logs and zerodrift.toml after the firmware was made; and it changes each field of the header
-alone, the limits in its comments too, with every hash that speaks of it corrected. Each time it
-runs `zerodrift verify`: reported is exit code 1 or 2 without a traceback. Exit code 1 if
-something was not reported.
+alone, the limits in its comments too, with every hash that speaks of it corrected. Records for
+later commands are damaged only. Each time it runs `zerodrift verify`: reported is exit code 1 or 2
+without a traceback. Exit code 1 if something was not reported.
 """
 
 import argparse
@@ -21,6 +21,7 @@ from pathlib import Path
 
 from benchmarks.mutants.judge import replace_file
 from benchmarks.mutants.subjects import PROJECTS, train_project
+from zerodrift.verify.records import RECORDS
 
 ROOT = Path(__file__).parents[1] / "build" / "sabotage"
 FOLDERS = ("firmware", "build")
@@ -56,7 +57,8 @@ def list_deeds(project: Path, other: Path) -> Iterator[Deed]:
         for path in sorted((project / folder).iterdir()):
             name = path.relative_to(project)
             if path.is_file() and not path.name.startswith("."):
-                yield from list_file_deeds(name, project, other)
+                deeds = list_file_deeds(name, project, other)
+                yield from (d for d in deeds if path.name not in RECORDS or is_damage(d))
     for log in ("logs/train_1.csv", "logs/test_1.csv"):
         yield Deed(f"{log}: one digit changed", lambda at, log=log: _change_digit(at / log))
     yield Deed("zerodrift.toml: full_scale changed", _change_full_scale)
@@ -68,6 +70,11 @@ def list_deeds(project: Path, other: Path) -> Iterator[Deed]:
                 at / header, text.encode(), [at / folder for folder in FOLDERS]
             ),
         )
+
+
+def is_damage(deed: Deed) -> bool:
+    """Tell whether a deed damages a file: a record may be gone, or of another training."""
+    return not deed.what.endswith(("deleted", "that of another model"))
 
 
 def list_file_deeds(name: Path, project: Path, other: Path) -> Iterator[Deed]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, WARNINGS, Compiler, find_compiler
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
@@ -97,13 +98,20 @@ class HostModel:
     def _attach(
         self, model: IntegerModel, prefix: str, library: Path, symbols: str = "", *, observe: bool
     ) -> None:
-        """Load the library and find the harness in it."""
+        """Load the library and find the harness in it.
+
+        Raises:
+            CheckError: a function is missing in the C.
+        """
         self.model = model
         self.prefix = f"{symbols}{prefix}"
         self.library = library
         self.observes = observe
         self._values = sum(max(node.width, 1) for node in model.nodes) if observe else 0
-        self._lib = ctypes.CDLL(str(library))
+        try:
+            self._lib = ctypes.CDLL(str(library))
+        except OSError as error:  # most often a function that no file holds
+            raise CheckError(f"{library}:\nerror: the library cannot be loaded: {error}") from error
         self._start, self._elapse, self._run = (
             self._lib[f"{symbols}{name}"] for name in ("zd_start", "zd_elapse", "zd_run")
         )

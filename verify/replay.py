@@ -1,7 +1,7 @@
 """`verify`: what lies in a project's firmware folder and in build/, held against the model."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from zerodrift.verify.folder_check import SANITIZER, FolderCheck, check_folder
 from zerodrift.verify.header import HeaderFinding
 from zerodrift.verify.manifest import ManifestCheck, ManifestFinding, NotChecked, check_manifest
 from zerodrift.verify.mismatch import find_mismatch
+from zerodrift.verify.records import check_records
 from zerodrift.verify.summary import VerifySummary
 from zerodrift.verify.vectors import draw_sequences
 from zerodrift.verify.ways import HOST
@@ -140,6 +141,8 @@ def replay(
     sequences = draw_sequences(model, RANDOM_STEPS)
     with make_scratch(config.directory) as scratch:
         check = check_folder(model, code, (expected, cold), sequences, onnx, scratch, progress)
+    records = check_records(config, model.hash)
+    files = replace(files, findings=(*files.findings, *records))
     return _conclude(files, check, model.hash)
 
 

@@ -16,9 +16,11 @@ import pytest
 from benchmarks.mutants.judge import identify_files
 from click.testing import CliRunner
 from tests.golden.vectors import load
+from tests.verify.conftest import MODEL
 
 from zerodrift.app.cli import cli
 from zerodrift.base.errors import ZerodriftError
+from zerodrift.base.sealed import render_sealed
 from zerodrift.export.golden import load_golden
 from zerodrift.verify import folder_check, ways
 from zerodrift.verify.manifest import FILE_NAME
@@ -115,6 +117,27 @@ def test_c_that_cannot_be_built_is_reported(
     assert outcome.code == 1 and name in outcome.told
     assert not outcome.json["bit_exact"] and outcome.json["failures"]
     assert bool(outcome.json["changed"]) != forged
+
+
+@pytest.mark.parametrize("text", ["", "static int zd_nothing;\n"])
+def test_runtime_that_lacks_what_is_called_is_reported(
+    text: str, project: Path, few_ways: object
+) -> None:
+    (project / "firmware" / "zd_runtime.c").write_text(text)
+    outcome = Outcome(project)
+    assert outcome.code == 1 and "cannot be loaded" in outcome.told
+
+
+def test_damaged_record_of_another_command_is_told(project: Path, few_ways: object) -> None:
+    path = project / "build" / "firmware.json"
+    path.write_bytes(render_sealed({"model_hash": load(MODEL).model.hash}))
+    assert Outcome(project).code == 0
+    path.write_bytes(path.read_bytes().replace(b'"model', b'"nodel', 1))
+    outcome = Outcome(project)
+    assert outcome.code == 1 and "build/firmware.json: is damaged" in outcome.told
+    path.write_bytes(render_sealed({"model_hash": "0" * 64}))
+    outcome = Outcome(project)
+    assert outcome.code == 1 and "build/firmware.json: is of model 000000000000" in outcome.told
 
 
 @pytest.mark.parametrize("how", ["deleted", "cut", "nonsense", "another model's"])
