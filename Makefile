@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup-formats mutated-logs test-wheel bench-paper bench-foreign setup-browser setup-page test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: test-faults setup-formats mutated-logs test-wheel bench-paper bench-foreign setup-browser setup-page test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -121,6 +121,9 @@ sizes: $(READY) ## flash, RAM, stack and instructions of the golden models, agai
 
 bench: $(READY) ## the figures of the documentation, but for the targets bench-... (BENCH=--quick)
 	$(RUN) -m benchmarks $(BENCH)
+
+test-faults: $(READY) ## faults in every command that writes: all of them, hours; FAULTS="--share 0.1 --seconds 90" for less
+	$(RUN) -m tests.faults $(FAULTS)
 
 fuzz: $(READY) ## fuzz the generated C and the readers of files, 10 CPU minutes per target (FUZZ=--seconds=20)
 	$(RUN) -m tests.fuzz $(FUZZ)

@@ -29,6 +29,8 @@ from zerodrift.verify.certificate_check import check_certificate, compare, judge
 FRONT = ("lowpass", "product", "delay", "difference", "power")
 C, TABLE, RUNTIME = "golden.c", "zd_tanh_table.h", "zd_runtime.h"
 FULL = Shape(front_end=FRONT, inputs=3, hidden=4, code_limit=12000)
+LONG = ("eight_inputs", "int8", "odd_hidden", "one_input", "rails", "saturation", "long_dwell")
+"""Golden models that are one more of what the others are, and take long."""
 
 
 @cache
@@ -79,7 +81,10 @@ def find_fault(claims: dict[str, Any], texts: dict[str, str]) -> list[str]:
     return list(next(found, ()))
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in CASES],
+)
 def test_every_claim_of_the_golden_models_holds(name: str) -> None:
     certificate, texts = build_files(draw_model(CASES[name].shape, sum(name.encode())))
     claims = json.loads(certificate)
@@ -89,7 +94,7 @@ def test_every_claim_of_the_golden_models_holds(name: str) -> None:
 
 
 @settings(
-    max_examples=25,
+    max_examples=8,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
@@ -146,7 +151,15 @@ def test_any_other_byte_is_noticed_by_the_hash(name: str) -> None:
         assert any("its hash is" in failure for failure in of_files.failures)
 
 
-@pytest.mark.parametrize("table", ["gru_w_x", "gru_w_h", "gru_bias", "head_weights"])
+@pytest.mark.parametrize(
+    "table",
+    [
+        "gru_w_x",
+        pytest.param("gru_w_h", marks=pytest.mark.slow),
+        pytest.param("gru_bias", marks=pytest.mark.slow),
+        "head_weights",
+    ],
+)
 def test_any_weight_farther_from_zero_breaks_its_claim(table: str) -> None:
     """Even where the hashes are corrected; nearer to zero the claims remain true, and hold: what is
     wrong then is the CRC by which the self-test knows its tables."""
@@ -156,7 +169,7 @@ def test_any_weight_farther_from_zero_breaks_its_claim(table: str) -> None:
     body = text[text.index("= {", start) : text.index("};", start)]
     clean = re.sub(r"/\*.*?\*/", lambda m: " " * len(m[0]), body)
     numbers = [m for m in re.finditer(r"-?\d+", clean) if int(m[0]) != 0]
-    for place in numbers[:: max(1, len(numbers) // 4)]:
+    for place in numbers[:: max(1, len(numbers) // 2)]:
         for direction, expect in ((1, True), (-1, False)):
             value = int(place[0])
             value += direction if value > 0 else -direction
