@@ -85,6 +85,12 @@ def explain_invalid_row(
             f"{place.text}: column '{column}' is empty; expected a number. Fill it in, {_SKIP} "
             f"{rows}."
         )
+    if np.isnan(value) and column in table.converted:
+        return InputError(
+            f"{place.text}: column '{column}' holds '{text[:40]}', which its conversion in "
+            f"zerodrift.toml makes no quantity of; expected a value within it. Correct scale, "
+            f"divider or table, or the row, {_SKIP} {rows}."
+        )
     if np.isnan(value) and text.strip().lower().lstrip("+-") != "nan":
         hint = _explain_text(text)
         return InputError(

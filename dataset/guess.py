@@ -83,6 +83,8 @@ class Guess:
     """The runs that have these columns."""
     period_by_hand_s: float | None = None
     """Interval between rows that have no times."""
+    temperature_unit: str = ""
+    """degF or K; empty: degC."""
     times_by_file: Mapping[str, TimeConfig] = field(default_factory=dict)
     """File -> its times, where they are not as `time` says."""
 
@@ -134,7 +136,7 @@ def guess_project(
         checks.append(f"'{temperature}' was taken as the chip's own thermometer")
     unit = thermometers[0][1].column.unit
     if unit in ("degF", "K"):
-        checks.append(f"'{temperature}' seems to be in {unit}; zerodrift wants degC")
+        checks.append(f"'{temperature}' seems to be in {unit}, and is converted to degC")
     used = {temperature, *inputs.values(), *(output.measured for output in outputs)}
     used |= {output.reference for output in outputs if isinstance(output.reference, str)}
     period = _choose_period(files, used, period_s, alternatives, checks)
@@ -157,6 +159,7 @@ def guess_project(
         sensor_name=_name_sensor([run.log for run in runs]),
         time=time,
         temperature=temperature,
+        temperature_unit=unit if unit in ("degF", "K") else "",
         sample_period_s=period,
         outputs=tuple(outputs),
         inputs=inputs,

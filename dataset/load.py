@@ -148,6 +148,10 @@ def open_log(
         InputError: the log is missing, damaged, or holds what cannot be right.
     """
     needed = list_columns(config) if columns is None else columns
+    notes += [
+        f"'{column}' is converted in the logs; the firmware is given the converted quantity"
+        for column in config.conversions
+    ]
     tables = read_log(config, selection.files, needed)
     for table in tables:
         notes += table.source.notes

@@ -7,6 +7,7 @@ from pathlib import Path
 from zerodrift.base.clock_config import fits
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.sources import open_sources
 from zerodrift.dataset.tables import LogTable, Source, label_log, read_table
 from zerodrift.dataset.text_format import UNNAMED
@@ -39,11 +40,22 @@ def read_log(config: Config, files: Sequence[Path], needed: Mapping[str, str]) -
         opened = open_sources(files[0], label_log(files[0], config.directory), config.where)
         if len(opened) == 1:
             (source,) = opened
-            return [read_table(source, needed, clock=find_log_clock(config, source))]
+            table = read_table(source, needed, clock=find_log_clock(config, source))
+            return [_convert(config, table)]
     sources, refused = _open_all(config, files)
     wanted = {name: role for name, role in needed.items() if name != config.time_column}
     parts = _share_out(sources, wanted, files, refused, config)
-    return [_read_part(config, part, needed, len(parts) > 1) for part in parts]
+    tables = [_read_part(config, part, needed, len(parts) > 1) for part in parts]
+    return [_convert(config, table) for table in tables]
+
+
+def _convert(config: Config, table: LogTable) -> LogTable:
+    """Bring the columns that zerodrift.toml converts to the quantity that the model takes."""
+    for column, by in config.conversions.items():
+        if column in table.columns:
+            table.columns[column] = convert(table.columns[column], by)
+            table.converted += (column,)
+    return table
 
 
 def _open_all(config: Config, files: Sequence[Path]) -> tuple[list[Source], list[str]]:

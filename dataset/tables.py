@@ -152,6 +152,8 @@ class LogTable:
     """[n] position of each row among those read, once rows were left out; None = all, in order."""
     clock: Clock | None = None
     """How its times were read."""
+    converted: tuple[str, ...] = ()
+    """Columns that are no longer as they were logged."""
 
     def __len__(self) -> int:
         """Return the number of rows."""

@@ -51,6 +51,8 @@ class Clock:
     """What the times are called among the table's columns."""
     format: str = ""
     """For text, as Polars takes it; empty for a column of dates and times as such."""
+    has_comma: bool = False
+    """For text: the fractions of seconds are written with a comma."""
     unit_s: float = 1.0
     """For numbers: seconds per count."""
     zone: str = ""
@@ -89,15 +91,17 @@ class Clock:
             text = pl.concat_str(text, pl.col(self.columns[1]).str.strip_chars(), separator=" ")
         if self.kind == "day" and "%I" not in self.format:
             return _read_time_of_day(text).alias(self.name)
-        if ".f" in self.format:
+        if self.has_comma:
             text = text.str.replace(r",(\d+)", ".$1")
         if self.kind == "day":
             read = ("2000-01-01 " + text).str.to_datetime(
-                f"%Y-%m-%d {self.format}", strict=False, time_unit="us"
+                f"%Y-%m-%d {self.format}", strict=False, time_unit="us", cache=False
             )
             return (read.cast(pl.Int64) / 1e6 % DAY_S).alias(self.name)
-        text = text.str.strip_suffix(" UTC")
-        read = text.str.to_datetime(self.format, strict=False, time_unit="us")
+        if self.kind == "zoned" and "z" not in self.format:
+            text = text.str.strip_suffix(" UTC")
+        # Times of a log are all different: a cache of them costs more than it saves.
+        read = text.str.to_datetime(self.format, strict=False, time_unit="us", cache=False)
         return (read.cast(pl.Int64) / 1e6).alias(self.name)
 
     def settle(self, values: Array, label: str) -> Array:
@@ -149,7 +153,7 @@ def find_clock(
         written = _translate(time.format)
         has_date = any(code in written for code in ("%d", "%j", "%F", "%x", "%c", "%D"))
         kind = "zoned" if "%z" in written or "%#z" in written else "local" if has_date else "day"
-        return replace(usual, kind=kind, format=written)
+        return replace(usual, kind=kind, format=written, has_comma=_have_comma(texts))
     if not texts or (len(time.columns) == 1 and _are_numbers(texts)):
         unit = time.unit or read_time_unit(time.columns[0]) or "s"
         return replace(usual, unit_s=TIME_UNITS[unit])
@@ -171,7 +175,8 @@ def find_clock(
             f'"{time.columns[0]}", format = "{formats[0].written}" }}, or the other.'
         )
     (known,) = formats
-    return replace(usual, kind=known.kind, format=known.format)
+    has_comma = _have_comma(texts)
+    return replace(usual, kind=known.kind, format=known.format, has_comma=has_comma)
 
 
 @dataclass(frozen=True)
@@ -361,6 +366,11 @@ def _translate(stated: str) -> str:
     """Return a format by strftime's codes as Polars takes it."""
     written = stated.replace(".%f", "%.f").replace(",%f", "%.f").replace("%z", "%#z")
     return written if "%.f" in written or "%S" not in written else written.replace("%S", "%S%.f")
+
+
+def _have_comma(texts: Sequence[str]) -> bool:
+    """Tell whether fractions of seconds are written with a comma."""
+    return any(re.search(r":\d\d,\d", text) is not None for text in texts)
 
 
 def _are_numbers(texts: Sequence[str]) -> bool:

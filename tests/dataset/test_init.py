@@ -152,7 +152,7 @@ def test_guess_project_says_which_column_it_misses(tmp_path, header, missing):
 def test_guess_project_notes_units_other_than_degc_and_seconds(tmp_path):
     log = write_log(tmp_path / "log.csv", header=("elapsed_ms", "temperature_K", "Fx_N"))
     checks = "\n".join(guess_project([log]).checks)
-    assert "'temperature_K' seems to be in K; zerodrift wants degC" in checks
+    assert "'temperature_K' seems to be in K, and is converted to degC" in checks
 
 
 @pytest.mark.parametrize(

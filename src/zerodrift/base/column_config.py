@@ -2,25 +2,17 @@
 
 from dataclasses import dataclass
 
+from zerodrift.base.conversion_config import (
+    CONVERSION_KEYS,
+    ConversionConfig,
+    bring_to_unit,
+    read_conversion,
+)
 from zerodrift.base.toml_table import TomlTable
 
 RAW_BITS = {"int16": 16, "int32": 32}
 COLUMN_KEYS = ("column", "raw", "lsb", "range", "no_reading")
-LATER_KEYS = (
-    "unit",
-    "scale",
-    "offset",
-    "convert",
-    "log_is",
-    "divider",
-    "r25_ohm",
-    "beta_K",
-    "steinhart",
-    "points",
-    "coefficients",
-    "format",
-    "zone",
-)
+LATER_KEYS = ("log_is",)
 """Of a column's table, but not built yet."""
 
 
@@ -40,14 +32,14 @@ class CodesConfig:
     """Every code is a reading (`no_reading = false`)."""
 
 
-def read_column(table: TomlTable, key: str) -> tuple[str, CodesConfig]:
-    """Return the column that a key names, by its name or by a table, and its codes.
+def read_column(table: TomlTable, key: str) -> tuple[str, CodesConfig, ConversionConfig | None]:
+    """Return the column that a key names, by its name or by a table, its codes and conversion.
 
     Raises:
         InputError: neither text nor a table, an unknown key, or a value of the wrong type or range.
     """
     if not isinstance(table.values.get(key), dict):
-        return table.text(key), CodesConfig()
+        return table.text(key), CodesConfig(), None
     inner = table.table(key, None)
     for name in inner.values:
         if name in LATER_KEYS:
@@ -57,7 +49,7 @@ def read_column(table: TomlTable, key: str) -> tuple[str, CodesConfig]:
                 f"yet; expected {', '.join(COLUMN_KEYS)}. Take it out, and convert the log and "
                 "what the firmware is given beforehand.",
             )
-    inner.refuse_unknown(COLUMN_KEYS)
+    inner.refuse_unknown(COLUMN_KEYS + CONVERSION_KEYS)
     bits = None
     if "raw" in inner.values:
         bits = RAW_BITS[inner.choice("raw", tuple(RAW_BITS), "")]
@@ -73,7 +65,20 @@ def read_column(table: TomlTable, key: str) -> tuple[str, CodesConfig]:
         no_reading=no_reading,
         always_read=found is False,
     )
-    return inner.text("column"), codes
+    return inner.text("column"), codes, read_conversion(inner)
+
+
+def read_quantity(table: TomlTable, key: str, unit: str) -> tuple[str, ConversionConfig | None]:
+    """Return the column of an output, and how it is brought to the output's unit.
+
+    Raises:
+        InputError: as `read_column`.
+    """
+    if not isinstance(table.values.get(key), dict):
+        return table.text(key), None
+    inner = table.table(key, ("column", *CONVERSION_KEYS))
+    by = read_conversion(inner)
+    return inner.text("column"), None if by is None else bring_to_unit(by, unit, inner)
 
 
 def _read_range(table: TomlTable) -> tuple[float, float]:

@@ -15,7 +15,8 @@ from zerodrift.base.clock_config import (
     read_clocks,
     read_time,
 )
-from zerodrift.base.column_config import CodesConfig, read_column
+from zerodrift.base.column_config import CodesConfig, read_column, read_quantity
+from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import name_kind
 from zerodrift.base.fleet_config import PLACEHOLDER, FleetConfig, read_fleet
@@ -129,6 +130,8 @@ class Config:
     """What the chip is given of the thermometer."""
     input_codes: Mapping[str, CodesConfig] = field(default_factory=dict)
     """Channel name -> what the chip is given of it."""
+    conversions: Mapping[str, ConversionConfig] = field(default_factory=dict)
+    """Column -> how its logged values become the quantity."""
 
     @property
     def directory(self) -> Path:
@@ -198,14 +201,16 @@ def parse_config(text: str, path: Path) -> Config:
     logs = root.table("logs", LOG_KEYS)
     quantization = root.table("quantization", ("weights",), optional=True)
     firmware = root.table("firmware", ("out", "prefix", "guard"), optional=True)
-    outputs = _read_outputs(root)
+    outputs, converted_outputs = _read_outputs(root)
     inputs = root.table("inputs", None, optional=True)
     clocks = read_clocks(logs)
     time = TimeConfig((ROW_TIME,))
     if "time" in sensor.values or not clocks.periods_s:
         time = read_time(sensor, "time")
-    temperature_column, temperature_codes = read_column(sensor, "temperature")
+    temperature_column, temperature_codes, temperature_by = read_column(sensor, "temperature")
     columns = {name: read_column(inputs, name) for name in inputs.values}
+    conversions = [(temperature_column, temperature_by)]
+    conversions += [(column, by) for column, _, by in columns.values()]
     config = Config(
         path=path,
         sensor_name=sensor.text("name"),
@@ -215,7 +220,7 @@ def parse_config(text: str, path: Path) -> Config:
         temperature_column=temperature_column,
         sample_period_s=sensor.positive("sample_period_s"),
         outputs=outputs,
-        inputs={name: column for name, (column, _) in columns.items()},
+        inputs={name: column for name, (column, _, _) in columns.items()},
         train_logs=_read_selectors(logs, "train"),
         test_logs=_read_selectors(logs, "test"),
         dwell_logs=_read_selectors(logs, "dwell"),
@@ -232,7 +237,10 @@ def parse_config(text: str, path: Path) -> Config:
             root.table("fleet", None, optional=True), tuple(output.name for output in outputs)
         ),
         temperature_codes=temperature_codes,
-        input_codes={name: codes for name, (_, codes) in columns.items()},
+        input_codes={name: codes for name, (_, codes, _) in columns.items()},
+        conversions={
+            column: by for column, by in (*conversions, *converted_outputs) if by is not None
+        },
     )
     _refuse_shared_columns(config, root)
     _refuse_file_as_build(config)
@@ -274,7 +282,10 @@ def _read_selectors(logs: TomlTable, use: str) -> tuple[str, ...]:
     return logs.texts(use, optional=use != "train")
 
 
-def _read_outputs(root: TomlTable) -> tuple[OutputConfig, ...]:
+def _read_outputs(
+    root: TomlTable,
+) -> tuple[tuple[OutputConfig, ...], list[tuple[str, ConversionConfig | None]]]:
+    """Read the outputs, and how columns of theirs are converted."""
     tables = root.table("outputs", None)
     if not 1 <= len(tables.values) <= MAX_OUTPUTS:
         raise tables.error(
@@ -283,23 +294,28 @@ def _read_outputs(root: TomlTable) -> tuple[OutputConfig, ...]:
             "[outputs.NAME], one per quantity that drifts.",
         )
     outputs = []
+    conversions: list[tuple[str, ConversionConfig | None]] = []
     for name in tables.values:
         table = tables.table(name, ("measured", "reference", "unit", "full_scale"))
+        unit = table.text("unit")
+        measured, by = read_quantity(table, "measured", unit)
+        conversions.append((measured, by))
         reference: str | float = 0.0
-        if isinstance(table.values.get("reference"), str):
-            reference = table.text("reference")
+        if isinstance(table.values.get("reference"), str | dict):
+            reference, by = read_quantity(table, "reference", unit)
+            conversions.append((reference, by))
         elif "reference" in table.values:
             reference = table.number("reference", "a column's name in quotes, or a number")
         outputs.append(
             OutputConfig(
                 name,
-                table.text("measured"),
+                measured,
                 reference,
-                table.text("unit"),
+                unit,
                 table.positive("full_scale"),
             )
         )
-    return tuple(outputs)
+    return tuple(outputs), conversions
 
 
 def _read_effects(root: TomlTable) -> tuple[EffectConfig, ...]:

@@ -23,7 +23,7 @@ def write_config(guess: Guess, selectors: Mapping[str, Sequence[str]]) -> str:
         "[sensor]",
         f"name = {_quote(guess.sensor_name)}  # prefix of the C names",
         *_write_time(guess),
-        f"temperature = {_quote(guess.temperature)}{_write_check(check, 'temperature') or usual}",
+        f"temperature = {_write_temperature(guess)}{_write_check(check, 'temperature') or usual}",
         "# The firmware's step: finer logs are averaged to it, coarser ones refused.",
         f"sample_period_s = {guess.sample_period_s!r}{_write_check(check, 'sample_period_s')}",
     ]
@@ -85,6 +85,12 @@ def _write_check(alternatives: Mapping[str, tuple[str, ...]], key: str, before: 
     """Return the comment that names what else a key's value may be, or nothing."""
     found = alternatives.get(key)
     return f"  # check: {before}{' | '.join(found)}" if found else ""
+
+
+def _write_temperature(guess: Guess) -> str:
+    if not guess.temperature_unit:
+        return _quote(guess.temperature)
+    return f"{{ column = {_quote(guess.temperature)}, unit = {_quote(guess.temperature_unit)} }}"
 
 
 def _write_time(guess: Guess) -> list[str]:

@@ -1,0 +1,162 @@
+"""How a column of the logs becomes the quantity that the model takes, as zerodrift.toml says it."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from zerodrift.base.toml_table import TomlTable
+
+KINDS = ("ntc", "pt100", "pt1000", "table", "polynomial")
+TEMPERATURES = ("degC", "degF", "K")
+CONVERSION_KEYS = (
+    *("unit", "scale", "offset", "convert", "divider", "r25_ohm", "beta_K", "steinhart"),
+    *("points", "coefficients"),
+)
+FACTORS = {
+    **{"uV": ("V", 1e-6), "mV": ("V", 1e-3), "V": ("V", 1.0)},
+    **{"uA": ("A", 1e-6), "mA": ("A", 1e-3), "A": ("A", 1.0)},
+    **{"mN": ("N", 1e-3), "N": ("N", 1.0), "kN": ("N", 1e3)},
+    **{"mNm": ("Nm", 1e-3), "Nm": ("Nm", 1.0)},
+    **{"mg": ("g", 1e-3), "g": ("g", 1.0), "kg": ("g", 1e3)},
+    **{"Pa": ("Pa", 1.0), "mbar": ("Pa", 100.0), "kPa": ("Pa", 1e3)},
+    **{"bar": ("Pa", 1e5), "MPa": ("Pa", 1e6)},
+    **{"ohm": ("ohm", 1.0), "kohm": ("ohm", 1e3)},
+    **{"um": ("m", 1e-6), "mm": ("m", 1e-3), "m": ("m", 1.0)},
+    **{"ppb": ("ppm", 1e-3), "ppm": ("ppm", 1.0)},
+}
+"""Unit -> (what it is a multiple of, by how much)."""
+_NEEDED = {
+    "ntc": "r25_ohm and beta_K, or steinhart = [A, B, C]",
+    "table": "points = [[x, y], ...]",
+    "polynomial": "coefficients = [c0, c1, ...]",
+}
+
+
+@dataclass(frozen=True)
+class DividerConfig:
+    """A resistor in series with the sensor's, whose middle a converter measures."""
+
+    series_ohm: float
+    is_low: bool
+    """The sensor lies between the middle and ground."""
+    counts: float
+    """What the converter gives for its whole range, which is that of the divider."""
+
+
+@dataclass(frozen=True)
+class ConversionConfig:
+    """Steps from a logged value to the quantity, in this order."""
+
+    scale: float = 1.0
+    offset: float = 0.0
+    """Value * scale + offset is in `unit`."""
+    unit: str = ""
+    divider: DividerConfig | None = None
+    """From the share of the counts to ohm."""
+    kind: str = ""
+    """ntc | pt100 | pt1000 | table | polynomial; empty: none."""
+    r25_ohm: float = 0.0
+    beta_K: float = 0.0
+    steinhart: tuple[float, ...] = ()
+    points: tuple[tuple[float, float], ...] = ()
+    coefficients: tuple[float, ...] = ()
+
+
+def read_conversion(table: TomlTable) -> ConversionConfig | None:
+    """Read the keys of a column's table that convert; None where it has none of them.
+
+    Raises:
+        InputError: a key is missing, contradicts another, or has a value of the wrong type.
+    """
+    if not any(key in table.values for key in CONVERSION_KEYS):
+        return None
+    kind = table.choice("convert", KINDS, "ntc") if "convert" in table.values else ""
+    own = {"ntc": ("r25_ohm", "beta_K", "steinhart"), "table": ("points",)}
+    own["polynomial"] = ("coefficients",)
+    for owner, keys in own.items():
+        for key in keys:
+            if key in table.values and kind != owner:
+                raise table.error(
+                    key,
+                    f'{table.label(key)} belongs to convert = "{owner}"; expected that beside it.',
+                )
+    unit = table.text("unit") if "unit" in table.values else ""
+    divider = _read_divider(table) if "divider" in table.values else None
+    if kind in ("ntc", "pt100", "pt1000") and unit not in ("", "ohm"):
+        raise table.error(
+            "unit",
+            f"{table.label('unit')} is '{unit}', but convert = \"{kind}\" is from ohm; expected "
+            'unit = "ohm". Bring it to ohm by scale, or take one out.',
+        )
+    if divider is not None and kind not in ("ntc", "pt100", "pt1000"):
+        raise table.error(
+            "divider", f'{table.label("divider")} gives ohm; expected convert = "ntc".'
+        )
+    steinhart = _read_numbers(table, "steinhart", 3) if "steinhart" in table.values else ()
+    has_beta = "r25_ohm" in table.values and "beta_K" in table.values
+    points = _read_points(table) if kind == "table" else ()
+    coefficients = _read_numbers(table, "coefficients") if kind == "polynomial" else ()
+    if kind == "ntc" and has_beta == bool(steinhart):
+        raise table.error("convert", f'convert = "ntc" needs {_NEEDED["ntc"]}, and not both.')
+    return ConversionConfig(
+        scale=table.number("scale", "a number") if "scale" in table.values else 1.0,
+        offset=table.number("offset", "a number") if "offset" in table.values else 0.0,
+        unit=unit,
+        divider=divider,
+        kind=kind,
+        r25_ohm=table.positive("r25_ohm") if "r25_ohm" in table.values else 0.0,
+        beta_K=table.positive("beta_K") if "beta_K" in table.values else 0.0,
+        steinhart=steinhart,
+        points=points,
+        coefficients=coefficients,
+    )
+
+
+def bring_to_unit(by: ConversionConfig, unit: str, table: TomlTable) -> ConversionConfig:
+    """Return a conversion whose result is in another unit than that of the log.
+
+    Raises:
+        InputError: the two are not of one quantity.
+    """
+    if not by.unit or by.unit == unit or by.kind:
+        return by
+    base, factor = FACTORS.get(by.unit, ("", 1.0))
+    wanted, per = FACTORS.get(unit, (" ", 1.0))
+    if base != wanted:
+        raise table.error(
+            "unit",
+            f"{table.label('unit')} is '{by.unit}', and the output's unit '{unit}', which no known "
+            "factor brings together; expected units of one quantity. State scale instead.",
+        )
+    scale = factor / per
+    return replace(by, scale=by.scale * scale, offset=by.offset * scale, unit=unit)
+
+
+def _read_divider(table: TomlTable) -> DividerConfig:
+    inner = table.table("divider", ("series_ohm", "side", "counts"))
+    is_low = inner.choice("side", ("low", "high"), "low") == "low"
+    return DividerConfig(inner.positive("series_ohm"), is_low, inner.positive("counts"))
+
+
+def _read_numbers(table: TomlTable, key: str, count: int | None = None) -> tuple[float, ...]:
+    found = table.values.get(key)
+    expected = f"a list of {count} numbers" if count else "a list of numbers"
+    if not isinstance(found, list) or not found or (count and len(found) != count):
+        raise table.expect(key, expected)
+    inner = (TomlTable(table.file, table.lines, table.key, {key: value}) for value in found)
+    return tuple(each.number(key, expected) for each in inner)
+
+
+def _read_points(table: TomlTable) -> tuple[tuple[float, float], ...]:
+    found = table.values.get("points")
+    expected = "a list of two or more [x, y]"
+    if not isinstance(found, list) or len(found) < 2:
+        raise table.expect("points", expected)
+    points = []
+    for pair in found:
+        inner = TomlTable(table.file, table.lines, table.key, {"points": pair})
+        x, y = _read_numbers(inner, "points", 2)
+        points.append((x, y))
+    steps = [after[0] - before[0] for before, after in pairwise(points)]
+    if not (all(step > 0 for step in steps) or all(step < 0 for step in steps)):
+        raise table.expect("points", f"{expected}, x rising or falling throughout")
+    return tuple(points if steps[0] > 0 else reversed(points))
