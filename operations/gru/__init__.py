@@ -1,13 +1,16 @@
 """A GRU over the features, one step per sample or over a window."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from zerodrift.base.config import LONGEST_WINDOW
-from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray
+from zerodrift.base.errors import CheckError
+from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray, round_shift
 from zerodrift.operations.c_text import RuntimePart, StateField, list_ring
+from zerodrift.operations.dense import COPY_BITS
 from zerodrift.operations.gru.cell import (
     GATES,
     H_LIMIT_Q30,
@@ -51,69 +54,122 @@ class IntegerGruLayer(IntegerNode):
         return self.gru.hidden
 
     def rest(self, values: Values) -> State:
-        """Return a cold state: h = 0, or a window filled with the present features."""
+        """Return cold states: all h = 0, or a window filled with the present features."""
         x = values[self.inputs[0]]
         if self.window:
             return {"window": np.repeat(x[:, None, :], self.window, axis=1)}
-        return {"h_q30": np.zeros((x.shape[0], self.gru.hidden), dtype=np.int64)}
+        return self._join(self._zeros(x))
 
     def settle(self, values: Values) -> State:
-        """Return the state at rest under the present features."""
+        """Return the states at rest under the present features, from the bottom up."""
         if self.window:
             return self.rest(values)
-        return {"h_q30": self.gru.settle(values[self.inputs[0]])}
+        states: list[IntArray] = []
+        for layer in self.layers:
+            x = round_shift(states[-1], COPY_BITS) if states else values[self.inputs[0]]
+            states.append(layer.settle(x))
+        return self._join(states)
 
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
-        """Return the next state and the hidden state in Q1.30."""
+        """Return the next states and the topmost one in Q1.30."""
         x = values[self.inputs[0]]
         if not self.window:
-            h_q30 = self.gru.step(x, state["h_q30"])
-            return {"h_q30": h_q30}, h_q30
+            states = self._step_all(x, self._split(state))
+            return self._join(states), states[-1]
         window = np.concatenate([state["window"][:, 1:], x[:, None, :]], axis=1)
-        h_q30 = np.zeros((x.shape[0], self.gru.hidden), dtype=np.int64)
+        states = self._zeros(x)
         for k in range(self.window):
-            h_q30 = self.gru.step(window[:, k], h_q30)
-        return {"window": window}, h_q30
+            states = self._step_all(window[:, k], states)
+        return {"window": window}, states[-1]
+
+    def _step_all(self, x: IntArray, states: list[IntArray]) -> list[IntArray]:
+        after: list[IntArray] = []
+        for layer, h_q30 in zip(self.layers, states, strict=True):
+            after.append(layer.step(round_shift(after[-1], COPY_BITS) if after else x, h_q30))
+        return after
+
+    def _zeros(self, x: IntArray) -> list[IntArray]:
+        return [np.zeros((x.shape[0], layer.hidden), dtype=np.int64) for layer in self.layers]
+
+    def _split(self, state: State) -> list[IntArray]:
+        """Return the layers' states from the bottom up."""
+        return [state["h_q30"]]
+
+    def _join(self, states: list[IntArray]) -> State:
+        """Return the state that `_split` takes apart."""
+        return {"h_q30": states[-1]}
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
-        """Bound every accumulator of the recurrent layer.
+        """Bound every accumulator of every layer; a state's int16 copy is at most 32767.
 
         A window's features are taken to be any int16, so that the proof does not rest on what is
         stored in it; its position needs 16 bits.
         """
-        features = [Interval(INT16_MIN, INT16_MAX)] * self.gru.inputs if self.window else inputs[0]
-        bounds = self.gru.prove(self.name, features)
+        below = inputs[0]
+        if self.window:
+            below = [Interval(INT16_MIN, INT16_MAX)] * self.layers[0].inputs
+        bounds: list[Bound] = []
+        for name, layer in zip(self.name_layers("."), self.layers, strict=True):
+            if layer.inputs != len(below):
+                raise CheckError(
+                    f"{name}: the layer reads {layer.inputs} values, and gets {len(below)}."
+                    " The model is refused."
+                )
+            bounds += layer.prove(name, below)
+            below = [Interval(-INT16_MAX, INT16_MAX)] * layer.hidden
         if self.window:
             bounds.append(Bound(f"{self.name}.window", Interval(1, self.window), 16).check())
         return [Interval(-H_LIMIT_Q30, H_LIMIT_Q30)] * self.width, bounds
 
-    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
-        """Write a step in time, or the whole window from h = 0."""
-        x, gru = values[self.inputs[0]], self.gru
-        if not self.window:
-            h_q30 = write_gru_step(w, gru, x, state["h_q30"])
-            return {"h_q30": h_q30}, h_q30
-        window = move_window(w, self.window, x, state["window"])
-        h_q30 = w.scan(
-            lambda carried, slices: ([write_gru_step(w, gru, slices[0], carried[0])], []),
-            [(w.zeros(x, gru.hidden), ("B", gru.hidden))],
-            [(w.op("Transpose", window, perm=[1, 0, 2]), ("B", gru.inputs))],
-            [],
-        )[0]
-        return {"window": window}, h_q30
-
     def write_rest(self, w: Writer, values: Names) -> dict[str, str]:
-        """Write h = 0, or a window filled with the present features."""
+        """Write all h = 0, or a window filled with the present features."""
         x = values[self.inputs[0]]
         if self.window:
-            return {"window": rest_window(w, self.window, x)}
-        return {"h_q30": w.zeros(x, self.gru.hidden)}
+            newest = w.op("Unsqueeze", x, w.constant([1]))
+            return {"window": w.op("Tile", newest, w.constant([1, self.window, 1]))}
+        return self._write_joined(w, [w.zeros(x, layer.hidden) for layer in self.layers])
 
     def write_settle(self, w: Writer, values: Names) -> dict[str, str]:
-        """Write the state at rest under the present features."""
+        """Write the states at rest under the present features, from the bottom up."""
         if self.window:
             return self.write_rest(w, values)
-        return {"h_q30": write_relaxed(w, self.gru, values[self.inputs[0]])}
+        states: list[str] = []
+        for layer in self.layers:
+            x = w.round_shift(states[-1], COPY_BITS) if states else values[self.inputs[0]]
+            states.append(write_relaxed(w, layer, x))
+        return self._write_joined(w, states)
+
+    def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
+        """Write a step in time of all layers, or the whole window from h = 0."""
+        x = values[self.inputs[0]]
+        if not self.window:
+            states = self._write_all(w, x, self._write_split(w, state))
+            return self._write_joined(w, states), states[-1]
+        window = w.op("Unsqueeze", x, w.constant([1]))
+        if self.window > 1:
+            ends = (w.constant([end]) for end in (1, self.window, 1))
+            window = w.op("Concat", w.op("Slice", state["window"], *ends), window, axis=1)
+        widths = [layer.hidden for layer in self.layers]
+        states = w.scan(
+            lambda carried, slices: (self._write_all(w, slices[0], carried), []),
+            [(w.zeros(x, width), ("B", width)) for width in widths],
+            [(w.op("Transpose", window, perm=[1, 0, 2]), ("B", self.layers[0].inputs))],
+            [],
+        )
+        return {"window": window}, states[-1]
+
+    def _write_all(self, w: Writer, x: str, states: Sequence[str]) -> list[str]:
+        after: list[str] = []
+        for layer, h_q30 in zip(self.layers, states, strict=True):
+            below = w.round_shift(after[-1], COPY_BITS) if after else x
+            after.append(write_gru_step(w, layer, below, h_q30))
+        return after
+
+    def _write_split(self, w: Writer, state: Names) -> list[str]:
+        return [state["h_q30"]]
+
+    def _write_joined(self, w: Writer, states: Sequence[str]) -> dict[str, str]:
+        return {"h_q30": states[-1]}
 
     def list_state(self) -> tuple[StateField, ...]:
         """Return the fields of the state in C."""
@@ -144,21 +200,6 @@ class IntegerGruLayer(IntegerNode):
             )
         for layer in self.layers:
             check_layer(self.name, layer)
-
-
-def move_window(w: Writer, length: int, x: str, window: str) -> str:
-    """Write a window [B, N, I] with x [B, I] appended and the oldest left out."""
-    newest = w.op("Unsqueeze", x, w.constant([1]))
-    if length == 1:
-        return newest
-    newer = w.op("Slice", window, w.constant([1]), w.constant([length]), w.constant([1]))
-    return w.op("Concat", newer, newest, axis=1)
-
-
-def rest_window(w: Writer, length: int, x: str) -> str:
-    """Write a window [B, N, I] filled with x [B, I]."""
-    newest = w.op("Unsqueeze", x, w.constant([1]))
-    return w.op("Tile", newest, w.constant([1, length, 1]))
 
 
 NODES = (IntegerGruLayer,)
