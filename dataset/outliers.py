@@ -199,6 +199,14 @@ def _list_signals(temperature_degC: Array, reference: Array, inputs: Mapping[str
     return np.stack(scaled, axis=1) if scaled else np.zeros((temperature_degC.size, 0))
 
 
+def find_jumps(temperature_degC: Array, reference: Array, inputs: Mapping[str, Array]) -> Mask:
+    """Return the rows [n] next to which a logged signal jumps."""
+    signals = _list_signals(temperature_degC, reference, inputs)
+    if signals.shape[1] == 0:
+        return np.zeros(temperature_degC.size, dtype=np.bool_)
+    return _find_jumps(signals)
+
+
 def _find_jumps(signals: Array) -> Mask:
     """Return the rows [n] next to which a signal jumps."""
     steps = np.abs(np.diff(signals, axis=0))

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from zerodrift.dataset.runs import OutlierCount
 from zerodrift.diagnosis.candidates import Untested
+from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.remainder import RemainderPattern
 
 
@@ -90,6 +91,8 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     drop: tuple[str, ...] = ()
     """Effects of the model that no longer earn their place."""
+    data_notes: tuple[DataNote, ...] = ()
+    """What looks wrong with the logs; the same in words is among the notes."""
     outliers: OutlierCount = field(default_factory=lambda: OutlierCount(0, {}))
     """In the training and dwell logs; they hardly count in what is said here."""
 

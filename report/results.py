@@ -11,6 +11,7 @@ from typing import ClassVar
 from zerodrift.base.records import OPTIONAL, SCHEMA_KEY, from_json, get_schema_name
 from zerodrift.calibration.summary import CalibrationSummary
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
+from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.summary import AdviceSummary, RevisionSummary, StepSummary
 from zerodrift.fleet.summary import FleetSummary
@@ -39,6 +40,8 @@ class CompareResult(ComparisonSummary):
     """What predicted: physics | compensated | integer | c."""
     advice: AdviceSummary | None
     """What the logs can teach; null where no output moves."""
+    notes: tuple[DataNote, ...]
+    """What looks wrong with the logs: run, column, rows, what it looks like, what to do."""
     chip_error: Mapping[str, ChipError] | None = field(default=None, metadata=OPTIONAL)
     """Of the last firmware, where it is current."""
     warnings: tuple[Statement, ...] | None = field(default=None, metadata=OPTIONAL)

@@ -77,6 +77,7 @@ def command(
     from zerodrift.app.commands.predictors import compare_predictor, open_predictor
     from zerodrift.app.commands.project import open_project
     from zerodrift.diagnosis.advice import advise
+    from zerodrift.diagnosis.referee import review_logs
     from zerodrift.physics.catalogue import load_catalogue
 
     with show_progress("reading logs") as say:
@@ -88,7 +89,8 @@ def command(
         say("looking at what the logs can teach")
         advice = advise(config, dataset)
         firmware, _, firmware_note = read_firmware(config)
-    print_notes((*dataset.notes, *predictor.notes))
+        found = review_logs(config, dataset)
+    print_notes((*dataset.notes, *predictor.notes, *(note.write() for note in found)))
     if html is not None:
         from zerodrift.base.journal import write_text
         from zerodrift.report.figures import draw_comparison, render_page
@@ -103,6 +105,7 @@ def command(
             CompareResult(
                 **vars(comparison.summarise()),
                 model=predictor.kind,
+                notes=found,
                 advice=advice.summarise() if advice is not None else None,
                 chip_error=firmware.chip_error if firmware is not None else None,
                 warnings=firmware.warnings if firmware is not None else None,

@@ -34,6 +34,7 @@ from zerodrift.diagnosis.advice import advise
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.explained import ExplainedDiagnosis
 from zerodrift.diagnosis.history import list_steps
+from zerodrift.diagnosis.referee import review_logs
 from zerodrift.diagnosis.run_errors import collect_errors
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.description import describe_effect
@@ -113,7 +114,15 @@ def survey_project(
         firmware_note=note,
         catalogue={effect.kind: describe_effect(effect) for effect in catalogue.listed()},
         provenance=provenance,
-        notes=tuple(dict.fromkeys((*dataset.notes, *predictor.notes))),
+        notes=tuple(
+            dict.fromkeys(
+                (
+                    *(note.write() for note in review_logs(config, dataset)),
+                    *dataset.notes,
+                    *predictor.notes,
+                )
+            )
+        ),
         skip_invalid=skip_invalid,
         traces=trace_runs(
             errors, [run.name for run in comparison.runs if run.held_out is not None]

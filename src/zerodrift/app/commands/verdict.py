@@ -12,6 +12,7 @@ from zerodrift.diagnosis.course import RepeatedDiagnosis, diagnose_until_done
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.explained import Sentence
+from zerodrift.diagnosis.referee import review_logs
 from zerodrift.diagnosis.summary import AdviceSummary
 from zerodrift.diagnosis.thermometers import OtherThermometer, try_thermometers
 from zerodrift.diagnosis.unseen import describe_unseen
@@ -79,6 +80,10 @@ def find_verdict(
         aside = describe_unseen(effects, dataset, catalogue)
     if aside is not None:
         diagnosis = replace(diagnosis, notes=(*diagnosis.notes, aside))
+    say("looking for wrong data")
+    found = review_logs(config, dataset)
+    notes = (*(note.write() for note in found), *diagnosis.notes)
+    diagnosis = replace(diagnosis, notes=notes, data_notes=found)
     return Verdict(diagnosis, tuple(others), course)
 
 

@@ -1,0 +1,267 @@
+"""Wrong data that one column of one run shows: it stands still, is cut off, jumps or wraps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.outliers import find_jumps
+from zerodrift.dataset.runs import Run
+from zerodrift.diagnosis.data_notes import DataNote
+from zerodrift.physics.rails import find_rails
+
+Array = NDArray[np.float64]
+
+FEWEST_STANDING = 30
+"""Samples for which a column must stand, ..."""
+SHARE_STANDING = 0.04
+"""... as a share of the run, ..."""
+LONGER = 6.0
+"""... and how many times longer than anything else in that column stands."""
+ARM = 20
+"""Samples on either side of a jump through which straight lines are laid."""
+JUMP = 10.0
+"""The lines miss each other by this many times the noise, ..."""
+SHARPER = 2.5
+"""... and by this many times what they miss an arm away."""
+USUAL, UNUSUAL = 0.97, 4.0
+"""Share of the rows near a signal's jumps that shows what is usual there, and how many times more a
+leap is."""
+CAUSE = 4.0
+"""A signal whose level jumps by this many times its spread may be why."""
+FEW_RUNS = 1 / 3
+"""Where more of the runs jump, it is no fault of a log: an effect or a disturbance."""
+SAME_SIZE = 0.05
+"""Jumps up and down whose sizes differ by less are those of a counter that wraps."""
+WRAPS = 0.3
+"""A wrap is at least this share of the column's range."""
+BEYOND_RAIL = 0.02
+"""Share of the range by which other runs pass a level that is no rail, then."""
+
+
+@dataclass(frozen=True)
+class _Stand:
+    run: Run
+    first: int
+    last: int
+
+    @property
+    def length(self) -> int:
+        return self.last - self.first + 1
+
+
+def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
+    """Return notes on thermometers and outputs that stand still in one run alone."""
+    notes = []
+    for name, columns in _list_columns(runs, outputs):
+        thermometer = name == "temperature"
+        moving = [float(np.ptp(x)) > 0.0 for x in columns]
+        for run, x, moves in zip(runs, columns, moving, strict=True):
+            if not moves and thermometer and len(run) >= FEWEST_STANDING:
+                notes.append(
+                    DataNote(
+                        run.group,
+                        name,
+                        (0, len(run) - 1),
+                        "constant",
+                        f"the thermometer reads {x[0]:.4g} degC in all {len(run)} rows; expected "
+                        "a temperature that moves. Is it connected, and is this its column?",
+                    )
+                )
+        stands = [
+            stand
+            for run, x, moves in zip(runs, columns, moving, strict=True)
+            if moves
+            for stand in _list_stands(run, x)
+        ]
+        stands.sort(key=lambda stand: -stand.length)
+        for i, stand in enumerate(stands[: max(1, round(FEW_RUNS * len(runs)))]):
+            next_one = next((s.length for s in stands[i + 1 :] if s.run is not stand.run), 1)
+            elsewhere = [s.length for s in stands if s.run is stand.run and s is not stand]
+            usual = max(next_one, max(elsewhere, default=1))
+            least = max(FEWEST_STANDING, SHARE_STANDING * len(stand.run))
+            if stand.length < max(least, LONGER * usual):
+                break
+            kind = "frozen" if thermometer else "stuck"
+            what = "the thermometer" if thermometer else "the output"
+            notes.append(
+                DataNote(
+                    stand.run.group,
+                    name,
+                    (stand.first, stand.last),
+                    kind,
+                    f"{what} repeats one value {stand.length} times, elsewhere at most {usual} "
+                    "times: it stopped reporting. Leave these rows out ([logs] train takes "
+                    "file@from:to), or record the run again",
+                )
+            )
+    return notes
+
+
+def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
+    """Return notes on outputs that stand at a level in one run which other runs pass."""
+    notes = []
+    for k, name in enumerate(outputs):
+        for run in runs:
+            x = run.measured[:, k]
+            flags = find_rails(x, run.reference[:, k])
+            if not flags.any():
+                continue
+            rows = np.flatnonzero(flags)
+            high = x[rows[0]] >= np.median(x)
+            level = float(x[rows[0]])
+            others = [other.measured[:, k] for other in runs if other.group != run.group]
+            margin = BEYOND_RAIL * float(np.ptp(x))
+            passed = any(
+                (y.max() > level + margin) if high else (y.min() < level - margin) for y in others
+            )
+            if passed:
+                notes.append(
+                    DataNote(
+                        run.group,
+                        name,
+                        (int(rows[0]), int(rows[-1])),
+                        "saturated",
+                        f"{rows.size} samples stand at {level:.6g}, which other runs pass: the "
+                        "output was cut off in this run alone. Look at the amplifier's range in "
+                        "that recording, or leave the run out",
+                    )
+                )
+    return notes
+
+
+def find_leaps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
+    """Return notes on jumps of the zero, and on counters that wrap, in few of the runs."""
+    notes: list[DataNote] = []
+    for k, name in enumerate(outputs):
+        found = []
+        for run in runs:
+            wrap = _find_wrap(run, name, k)
+            if wrap is not None:
+                notes.append(wrap)
+                continue
+            leaps = list_leaps(run, k)
+            if leaps:
+                found.append((run, leaps))
+        if len({run.group for run, _ in found}) > max(1, FEW_RUNS * len(runs)):
+            continue
+        for run, leaps in found:
+            notes.append(_tell_leaps(run, name, leaps))
+    return notes
+
+
+def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
+    """Return a note if an output jumps up and down by one large size."""
+    steps = np.diff(run.drift[:, k])
+    if len(run) < 6 * ARM:
+        return None
+    rows = np.flatnonzero(np.abs(steps) >= WRAPS * np.ptp(run.measured[:, k]))
+    if rows.size < 2:
+        return None
+    size = float(np.median(np.abs(steps[rows])))
+    alike = np.abs(np.abs(steps[rows]) - size) <= SAME_SIZE * size
+    both_ways = (steps[rows] > 0.0).any() and (steps[rows] < 0.0).any()
+    # Spikes go up and down too, each by its own size, and are back in the next row.
+    lasting = (np.diff(rows) > 2).any()
+    if alike.mean() < 0.9 or not both_ways or not lasting:
+        return None
+    return DataNote(
+        run.group,
+        name,
+        (int(rows[0]), int(rows[-1])),
+        "wrapped",
+        f"jumps up and down by {size:.6g} with no cause in the logs: a counter that wraps. Unwrap "
+        "it before logging, or leave these rows out",
+    )
+
+
+def _tell_leaps(run: Run, name: str, leaps: Sequence[tuple[int, float]]) -> DataNote:
+    row, size = max(leaps, key=lambda leap: abs(leap[1]))
+    return DataNote(
+        run.group,
+        name,
+        (row, len(run) - 1),
+        "offset_jump",
+        f"the zero jumps by {size:.4g} at row {row} and stays there, with no cause in the logs: "
+        "re-zeroed or disturbed in mid-run. Split the run there (file@from:to)",
+    )
+
+
+def list_leaps(run: Run, k: int) -> list[tuple[int, float]]:
+    """Return (row, size) of each sharp jump of an output's drift that no signal makes."""
+    if len(run) < 6 * ARM:
+        return []
+    x = run.steady_drift[:, k]
+    signals = (run.temperature_degC, run.reference, run.inputs)
+    steps = np.diff(x)
+    noise = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) / np.sqrt(2.0)
+    if noise == 0.0:
+        moving = np.abs(steps)[steps != 0.0]
+        noise = float(np.median(moving)) if moving.size else 0.0
+    if noise == 0.0:
+        return []
+    gap = _measure_gap(x)
+    size = np.abs(gap)
+    near = find_jumps(*signals)
+    size[: ARM + 1] = size[-ARM:] = 0.0
+    leaps: list[tuple[int, float]] = []
+    # Near jumps of a signal, what is usual there is no leap.
+    usual = float(np.quantile(size[near], USUAL)) if near.any() else 0.0
+    least = np.where(near, np.maximum(JUMP * noise, UNUSUAL * usual), JUMP * noise)
+    left = np.where(size < least, 0.0, size)
+    while len(leaps) < 64:
+        row = int(left.argmax())
+        if left[row] == 0.0:
+            break
+        aside = [size[max(row - ARM - 3, 0)], size[min(row + ARM + 3, x.size - 1)]]
+        at_once = abs(float(x[row]) - float(x[row - 1]))
+        sharp = at_once >= 0.5 * left[row] and left[row] >= SHARPER * max(aside)
+        if sharp and not _has_cause(run, row):
+            leaps.append((row, float(gap[row])))
+        left[max(row - ARM, 0) : row + ARM + 1] = 0.0
+    return sorted(leaps)
+
+
+def _has_cause(run: Run, row: int) -> bool:
+    """Return whether a logged signal changes its level here too."""
+    for signal in (*run.reference.T, *run.inputs.values(), run.temperature_degC):
+        ends, spread = [], 0.0
+        for rows in (np.arange(row - ARM, row - 2), np.arange(row + 2, row + ARM)):
+            line = np.polyfit(rows - row, signal[rows], 1)
+            ends.append(float(line[1]))
+            spread = max(spread, float(np.std(signal[rows] - np.polyval(line, rows - row))))
+        change = abs(ends[1] - ends[0])
+        if change > CAUSE * spread and change > 1e-3 * float(np.ptp(signal)):
+            return True
+    return False
+
+
+def _measure_gap(x: Array) -> Array:
+    """Return by how much lines through the samples before and from each row on miss each other."""
+    n = x.size
+    at = np.arange(ARM, dtype=float)
+    centred = at - at.mean()
+    # Weights of a least-squares line's value one sample beyond its end, and at its start.
+    ahead = 1.0 / ARM + (ARM - at.mean()) * centred / (centred**2).sum()
+    start = 1.0 / ARM + (0.0 - at.mean()) * centred / (centred**2).sum()
+    windows = np.lib.stride_tricks.sliding_window_view(x, ARM)
+    before, after = windows @ ahead, windows @ start
+    gap = np.zeros(n)
+    gap[ARM : n - ARM + 1] = after[ARM:] - before[: n - 2 * ARM + 1]
+    return gap
+
+
+def _list_columns(runs: Sequence[Run], outputs: Sequence[str]) -> list[tuple[str, list[Array]]]:
+    columns = [("temperature", [run.temperature_degC for run in runs])]
+    return columns + [
+        (name, [run.measured[:, k] for run in runs]) for k, name in enumerate(outputs)
+    ]
+
+
+def _list_stands(run: Run, x: Array) -> list[_Stand]:
+    """Return the three longest stands of a column at one value."""
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0.0) + 1])
+    lengths = np.diff(np.concatenate([starts, [x.size]]))
+    longest = np.argsort(-lengths, kind="stable")[:3]
+    return [_Stand(run, int(starts[i]), int(starts[i] + lengths[i] - 1)) for i in longest]

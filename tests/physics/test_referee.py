@@ -1,0 +1,129 @@
+"""Wrong data in one run: told with run, column and kind; clean logs get no note."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.physics.conftest import SLOPE, follow, make_dataset
+
+from zerodrift.diagnosis.referee import review
+
+
+def drifting(bench):
+    return (follow(bench.temperature, 90.0) - 25.0)[:, None] * SLOPE
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return make_dataset(drifting, runs=7, length=600)
+
+
+def spoil(dataset, **changes):
+    """Return the set with its third run changed."""
+    train = list(dataset.train)
+    train[2] = replace(train[2], **changes)
+    return replace(dataset, train=tuple(train))
+
+
+def measure(change):
+    def apply(run):
+        measured = run.measured.copy()
+        measured[:, 0] = change(measured[:, 0])
+        return {"measured": measured}
+
+    return apply
+
+
+def warm(change):
+    return lambda run: {"temperature_degC": change(run.temperature_degC)}
+
+
+def jump(x):
+    return x + 40.0 * (np.arange(x.size) >= 333)
+
+
+def stick(x):
+    return np.where(np.arange(x.size) < 420, x, x[420])
+
+
+def freeze(x):
+    rows = np.arange(x.size)
+    return np.where((rows > 150) & (rows < 450), x[200], x)
+
+
+def wrap(x):
+    return np.where(x > np.quantile(x, 0.8), x - 3.0 * np.ptp(x), x)
+
+
+KINDS = {
+    "gain": (measure(lambda x: 1000.0 * x), "Fz"),
+    "sign": (measure(lambda x: -x), "Fz"),
+    "fahrenheit": (warm(lambda t: 1.8 * t + 32.0), "temperature"),
+    "kelvin": (warm(lambda t: t + 273.15), "temperature"),
+    "frozen": (warm(freeze), "temperature"),
+    "constant": (warm(lambda t: np.full(t.size, 22.0)), "temperature"),
+    "offset_jump": (measure(jump), "Fz"),
+    "stuck": (measure(stick), "Fz"),
+    "wrapped": (measure(wrap), "Fz"),
+    "swapped": (lambda run: {"measured": run.measured[:, ::-1]}, "Fz"),
+}
+
+
+def test_clean_logs_get_no_note(clean):
+    assert review(clean) == ()
+    assert review(replace(clean, train=clean.train[:1])) == ()
+    assert review(make_dataset(lambda b: 0.0 * b.load, runs=4, length=300)) == ()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_wrong_run_is_told_with_its_column(clean, kind):
+    change, column = KINDS[kind]
+    found = review(spoil(clean, **change(clean.train[2])))
+    assert {note.run for note in found} == {"run_2"}
+    mine = [note for note in found if note.column == column]
+    assert mine and mine[0].kind == kind
+    assert mine[0].rows[0] < mine[0].rows[1] < 600
+    assert f"run run_2, column {column}" in mine[0].write()
+
+
+def test_jump_is_told_where_it_is(clean):
+    (note,) = review(spoil(clean, **measure(jump)(clean.train[2])))
+    assert note.rows[0] == pytest.approx(333, abs=1)
+
+
+def test_time_in_another_unit_is_told(clean):
+    run = clean.train[2]
+    short = run.take(slice(0, None, 60))
+    wrong = spoil(
+        clean,
+        **{name: getattr(short, name) for name in ("temperature_degC", "measured", "reference")},
+        time_s=run.time_s[: len(short)],
+        inputs=short.inputs,
+    )
+    found = review(wrong)
+    assert [(note.run, note.column, note.kind) for note in found] == [
+        ("run_2", "time", "time_unit")
+    ]
+
+
+def test_what_all_runs_show_is_no_wrong_data(clean):
+    def everywhere(run):
+        return replace(run, **measure(lambda x: x + jump(0.0 * x))(run))
+
+    jumping = replace(clean, train=tuple(everywhere(run) for run in clean.train))
+    assert review(jumping) == ()
+    flipped = replace(
+        clean, train=tuple(replace(run, measured=-run.measured) for run in clean.train)
+    )
+    assert all(note.kind != "sign" for note in review(flipped))
+
+
+def test_test_logs_that_reach_further_or_are_too_short_are_told(clean):
+    *train, last = clean.train
+    hot = replace(last, temperature_degC=last.temperature_degC + 60.0)
+    found = review(replace(clean, train=tuple(train), test=(hot,)))
+    assert ("run_6", "temperature", "beyond_training") in {
+        (note.run, note.column, note.kind) for note in found
+    }
+    short = review(replace(clean, train=tuple(train), test=(last.take(slice(0, 12)),)))
+    assert [note.kind for note in short] == ["too_short"]
