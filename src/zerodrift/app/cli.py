@@ -40,6 +40,8 @@ COMMANDS: dict[str, str] = {
 }
 
 
+COMPLETION = "_ZERODRIFT_COMPLETE"
+"""Variable by which a shell asks for completions (click)."""
 GROUP = "zerodrift.commands"
 """Entry points that each give a mapping: command name -> (one-line help, "module:attribute")."""
 
@@ -103,10 +105,10 @@ def run() -> None:
             the process in the midst of a command, which is then not done.
     """
     try:
-        cli.main(standalone_mode=False)
+        cli.main(standalone_mode=False, complete_var=COMPLETION)
         sys.stdout.flush()
     except SystemExit as ended:
-        if is_own_exit(ended):
+        if is_own_exit(ended) or COMPLETION in os.environ:  # click answers the shell, and exits
             raise
         raise InputError(
             f"something that this command ran called sys.exit({ended.code!r}), so that the command"

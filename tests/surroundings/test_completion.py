@@ -1,0 +1,10 @@
+"""A shell that asks for completions gets them and nothing else."""
+
+from tests.surroundings.conftest import Run
+
+
+def test_commands_are_completed(run: Run) -> None:
+    asked = {"_ZERODRIFT_COMPLETE": "bash_complete", "COMP_WORDS": "x fi", "COMP_CWORD": "1"}
+    done = run(environment=asked, without=("PYTEST_CURRENT_TEST",))
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert done.stdout.split() == ["plain,firmware"]
