@@ -296,7 +296,7 @@ def _choose_outputs(
             checks.append(f"the unit of {short} is not told by the log; taken as LSB")
         elif not column.unit:
             checks.append(f"the unit of {short}, {unit}, is taken from {source}")
-        outputs.append(GuessedOutput(short, measured, reference, unit, _round_up(peak), source))
+        outputs.append(GuessedOutput(short, measured, reference, unit, round_up(peak), source))
     return outputs
 
 
@@ -312,7 +312,7 @@ def _is_reference(
     return outputs == 1 and len(alike) == 1 and alike[0].column.name == reference
 
 
-def _round_up(peak: float) -> float:
+def round_up(peak: float) -> float:
     """Return a round full scale that holds a peak."""
     largest = peak if peak > 0 and np.isfinite(peak) else 1.0
     decade = 10.0 ** np.floor(np.log10(largest))

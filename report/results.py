@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from zerodrift.base.records import OPTIONAL, SCHEMA_KEY, from_json, get_schema_name
+from zerodrift.base.shown import Shown
 from zerodrift.calibration.summary import CalibrationSummary
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.diagnosis.data_notes import DataNote
@@ -31,7 +32,7 @@ from zerodrift.verify.summary import (
 
 
 @dataclass(frozen=True, kw_only=True)
-class CompareResult(ComparisonSummary):
+class CompareResult(ComparisonSummary, Shown):
     """The model against the measurements, run by run and output by output."""
 
     SCHEMA: ClassVar = "compare/1"
@@ -87,7 +88,7 @@ class AddedEffect:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DiagnoseResult(DiagnosisStep):
+class DiagnoseResult(DiagnosisStep, Shown):
     """Which effect the model lacks."""
 
     SCHEMA: ClassVar = "diagnose/1"
@@ -103,7 +104,7 @@ class DiagnoseResult(DiagnosisStep):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AddResult(RevisionSummary):
+class AddResult(RevisionSummary, Shown):
     """An effect more, and what it brought."""
 
     SCHEMA: ClassVar = "add/1"
@@ -113,7 +114,7 @@ class AddResult(RevisionSummary):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RemoveResult(RevisionSummary):
+class RemoveResult(RevisionSummary, Shown):
     """An effect less, and what that costs."""
 
     SCHEMA: ClassVar = "remove/1"
@@ -122,7 +123,7 @@ class RemoveResult(RevisionSummary):
 
 
 @dataclass(frozen=True)
-class HistoryResult:
+class HistoryResult(Shown):
     """The staircase of errors so far."""
 
     SCHEMA: ClassVar = "history/1"
@@ -131,7 +132,7 @@ class HistoryResult:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainResult(TrainingSummary):
+class TrainResult(TrainingSummary, Shown):
     """What training achieved, per output."""
 
     SCHEMA: ClassVar = "train/1"

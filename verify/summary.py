@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from zerodrift.base.records import OPTIONAL
+from zerodrift.base.shown import Shown
 from zerodrift.verify.header import HeaderFinding
 from zerodrift.verify.manifest import ManifestFinding, NotChecked
 
@@ -98,7 +99,7 @@ class Claims:
 
 
 @dataclass(frozen=True)
-class FirmwareSummary:
+class FirmwareSummary(Shown):
     """A firmware: what it needs of a chip, how it was checked, and its error stage by stage."""
 
     SCHEMA: ClassVar = "firmware/1"

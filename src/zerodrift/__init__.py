@@ -1,3 +1,41 @@
-"""zerodrift: temperature logs in, bit-exact fixed-point drift-compensation firmware out."""
+"""zerodrift: temperature logs in, bit-exact fixed-point drift-compensation firmware out.
+
+Example:
+    >>> import zerodrift as zd
+    >>> zd.__version__
+    '0.1.0'
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from zerodrift import effects
+    from zerodrift.app.frames import Output
+    from zerodrift.app.project import Project
+    from zerodrift.base.errors import CheckError, InputError, ZerodriftError
 
 __version__ = "0.1.0"
+__all__ = ["CheckError", "InputError", "Output", "Project", "ZerodriftError", "effects"]
+
+_PLACES = {
+    "Project": "app.project",
+    "Output": "app.frames",
+    "InputError": "base.errors",
+    "CheckError": "base.errors",
+    "ZerodriftError": "base.errors",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Load what is used when it is used; importing zerodrift loads the standard library alone."""
+    if name == "effects":
+        return import_module("zerodrift.effects")
+    if name in _PLACES:
+        return getattr(import_module(f"zerodrift.{_PLACES[name]}"), name)
+    raise AttributeError(f"module 'zerodrift' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    """Return the names that are there to be used."""
+    return sorted([*__all__, "__version__"])

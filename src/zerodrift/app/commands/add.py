@@ -92,16 +92,9 @@ def command(
     """
     from zerodrift.app.commands.console import open_console, show_progress
     from zerodrift.app.commands.project import open_project
-    from zerodrift.app.commands.revise import (
-        open_history,
-        print_revision,
-        read_text,
-        write_revision,
-    )
+    from zerodrift.app.commands.revise import add_to_project, print_revision
     from zerodrift.base.config import EffectConfig
-    from zerodrift.base.toml_edit import add_effect, set_parameters
-    from zerodrift.diagnosis.changes import ADD, CHANGE, propose_forms
-    from zerodrift.diagnosis.revision import revise_best, summarise_revision
+    from zerodrift.diagnosis.revision import summarise_revision
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.report.results import AddResult
 
@@ -110,28 +103,8 @@ def command(
         config, dataset = open_project(directory, skip_invalid)
         catalogue = load_catalogue(config.plugin_files)
         wanted = EffectConfig(effect, held, texts)
-        changes = propose_forms(config, dataset, catalogue, wanted)
-        text = read_text(config.path)
-        texts_after = [
-            add_effect(text, effect, c.effect.held, texts, path=config.path)
-            if c.action == ADD
-            else set_parameters(text, c.place, c.effect.held, path=config.path)
-            for c in changes
-        ]
-        open_history(config)
-        say(f"fitting without and with {effect}")
-        revision = revise_best(config, dataset, catalogue, changes)
-    text_after = texts_after[changes.index(revision.change)]
+        revision, is_kept = add_to_project(config, dataset, catalogue, wanted, force=force, say=say)
     print_notes(dataset.notes)
-    if revision.change.action == CHANGE and not held and not revision.helps and not force:
-        raise InputError(
-            f"{config.path}: effect '{effect}' is in the model already, and no richer form of it "
-            f"helps: {revision.reason}. Expected one that is not; `zerodrift diagnose` names what "
-            "is missing."
-        )
-    is_kept = revision.helps or force
-    if is_kept:
-        write_revision(config, text, text_after, revision)
     if as_json:
         print_result(AddResult(**vars(summarise_revision(revision)), added=is_kept))
     else:

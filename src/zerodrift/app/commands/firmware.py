@@ -88,11 +88,10 @@ def command(
 
     from zerodrift.app.commands.project import open_project, train_project
     from zerodrift.export.compose import describe_compensator
-    from zerodrift.verify.firmware import build_firmware
     from zerodrift.verify.left_out import leave_out
 
     console = Console(stderr=True)
-    left_out = trained_out = None
+    trained_out = None
     if request:
         config, dataset, described, notes = open_import(request, directory, skip_invalid)
         print_notes((*dataset.notes, *notes))
@@ -104,18 +103,11 @@ def command(
         described = describe_compensator(compensator, config, dataset.train)
         with show_progress("leaving runs out"):
             trained_out = leave_out(config, replace(dataset, test=()), compensator)
-        left_out = None if dataset.test else trained_out
-    with change_together(config.directory):
-        with show_progress("quantizing") as say:
-            network = (request.path.absolute(),) if request and request.path else ()
-            firmware = build_firmware(
-                config, dataset, described, say, left_out=left_out, force=force, network=network
-            )
-        result = summarise(firmware, config.directory)
-        written = bool(firmware.files)
-        keep(result, config)
-        if written:
-            keep_uncertainty(firmware, config, dataset, described, trained_out)
+    network = (request.path.absolute(),) if request and request.path else ()
+    firmware, result = make_firmware(
+        config, dataset, described, trained_out, force=force, network=network
+    )
+    written = bool(firmware.files)
     if as_json:
         print_result(result)
     else:
@@ -126,6 +118,40 @@ def command(
             f" {show_path(config.firmware_out, config.directory)}/. Mend what is named, or write it"
             " all the same with --force."
         )
+
+
+def make_firmware(
+    config: Config,
+    dataset: "Dataset",
+    described: "FloatModel",
+    left_out: "LeftOut | None",
+    *,
+    force: bool = False,
+    network: tuple[Path, ...] = (),
+) -> "tuple[Firmware, FirmwareSummary]":
+    """Build a float model's firmware and write it where the gate lets it pass.
+
+    Args:
+        config: the project.
+        dataset: its runs.
+        described: the float model.
+        left_out: what models say of training runs that they did not learn from; None: nothing.
+        force: write what the gate refuses.
+        network: the ONNX file that the network comes from.
+    """
+    from zerodrift.verify.firmware import build_firmware
+
+    judge = None if dataset.test else left_out
+    with change_together(config.directory):
+        with show_progress("quantizing") as say:
+            firmware = build_firmware(
+                config, dataset, described, say, left_out=judge, force=force, network=network
+            )
+        result = summarise(firmware, config.directory)
+        keep(result, config)
+        if firmware.files:
+            keep_uncertainty(firmware, config, dataset, described, left_out)
+    return firmware, result
 
 
 def summarise(firmware: "Firmware", directory: Path) -> FirmwareSummary:

@@ -37,15 +37,8 @@ def command(
     """
     from zerodrift.app.commands.console import open_console, show_progress
     from zerodrift.app.commands.project import open_project
-    from zerodrift.app.commands.revise import (
-        open_history,
-        print_revision,
-        read_text,
-        write_revision,
-    )
-    from zerodrift.base.toml_edit import remove_effect
-    from zerodrift.diagnosis.changes import propose_removal
-    from zerodrift.diagnosis.revision import revise, summarise_revision
+    from zerodrift.app.commands.revise import print_revision, remove_from_project
+    from zerodrift.diagnosis.revision import summarise_revision
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.report.results import RemoveResult
 
@@ -53,14 +46,8 @@ def command(
     with show_progress("reading logs") as say:
         config, dataset = open_project(directory, skip_invalid)
         catalogue = load_catalogue(config.plugin_files)
-        change = propose_removal(config, effect, signal)
-        text = read_text(config.path)
-        text_after = remove_effect(text, change.place, path=config.path)
-        open_history(config)
-        say(f"fitting with and without {effect}")
-        revision = revise(config, dataset, catalogue, change)
+        revision = remove_from_project(config, dataset, catalogue, effect, signal, say)
     print_notes(dataset.notes)
-    write_revision(config, text, text_after, revision)
     if as_json:
         print_result(RemoveResult(**vars(summarise_revision(revision))))
         return

@@ -1,15 +1,25 @@
 """What `add` and `remove` share: how a change is written, and how it is printed."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from zerodrift.app.commands.console import open_console, open_table
-from zerodrift.base.config import Config, parse_config
+from zerodrift.base.config import Config, EffectConfig, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
-from zerodrift.diagnosis.changes import name_effect
+from zerodrift.base.toml_edit import add_effect, remove_effect, set_parameters
+from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.changes import (
+    ADD,
+    CHANGE,
+    name_effect,
+    propose_forms,
+    propose_removal,
+)
 from zerodrift.diagnosis.history import FILE_NAME, Entry, load_history, record, render_history
-from zerodrift.diagnosis.revision import Revision
+from zerodrift.diagnosis.revision import Revision, revise, revise_best
+from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.summary import describe_coefficients, describe_parameters
 
 
@@ -68,6 +78,77 @@ def write_revision(config: Config, before: str, text: str, revision: Revision) -
     path, entries = open_history(config)
     history = render_history([*entries, record(revision, config.effects)])
     write_all(config.directory, {path: history, config.path: text.encode()})
+
+
+def add_to_project(
+    config: Config,
+    dataset: Dataset,
+    catalogue: Catalogue,
+    wanted: EffectConfig,
+    *,
+    force: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+) -> tuple[Revision, bool]:
+    """Add an effect to zerodrift.toml where that helps; return what it brought, and if it is kept.
+
+    Args:
+        config: the project.
+        dataset: its runs.
+        catalogue: the known effects.
+        wanted: the effect, with what is held.
+        force: keep it even if runs left out are not predicted better.
+        say: is told what is being done.
+
+    Raises:
+        InputError: the effect is unknown, cannot be fitted, or is in the model already and no
+            richer form of it helps.
+    """
+    changes = propose_forms(config, dataset, catalogue, wanted)
+    text = read_text(config.path)
+    texts_after = [
+        add_effect(text, wanted.kind, c.effect.held, wanted.options, path=config.path)
+        if c.action == ADD
+        else set_parameters(text, c.place, c.effect.held, path=config.path)
+        for c in changes
+    ]
+    open_history(config)
+    say(f"fitting without and with {wanted.kind}")
+    revision = revise_best(config, dataset, catalogue, changes)
+    text_after = texts_after[changes.index(revision.change)]
+    is_richer = revision.change.action == CHANGE and not wanted.held
+    if is_richer and not revision.helps and not force:
+        raise InputError(
+            f"{config.path}: effect '{wanted.kind}' is in the model already, and no richer form of "
+            f"it helps: {revision.reason}. Expected one that is not; `zerodrift diagnose` names "
+            "what is missing."
+        )
+    is_kept = revision.helps or force
+    if is_kept:
+        write_revision(config, text, text_after, revision)
+    return revision, is_kept
+
+
+def remove_from_project(
+    config: Config,
+    dataset: Dataset,
+    catalogue: Catalogue,
+    effect: str,
+    signal: str = "",
+    say: Callable[[str], None] = lambda _: None,
+) -> Revision:
+    """Remove an effect from zerodrift.toml and return what that costs.
+
+    Raises:
+        InputError: the model has no such effect, or has it for several thermometers.
+    """
+    change = propose_removal(config, effect, signal)
+    text = read_text(config.path)
+    text_after = remove_effect(text, change.place, path=config.path)
+    open_history(config)
+    say(f"fitting with and without {effect}")
+    revision = revise(config, dataset, catalogue, change)
+    write_revision(config, text, text_after, revision)
+    return revision
 
 
 def print_revision(revision: Revision) -> None:

@@ -1,0 +1,221 @@
+"""Data frames, of pandas or Polars, as the logs and the zerodrift.toml of a project."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from zerodrift.base.config import FILE_NAME
+from zerodrift.base.errors import InputError
+from zerodrift.base.journal import write_all
+from zerodrift.dataset.guess import round_up
+from zerodrift.dataset.units import read_unit
+
+NO_UNIT = "1"
+LEAST_ROWS = 2
+_UNSAFE = re.compile(r"[^\w.-]+")
+
+
+@dataclass(frozen=True)
+class Output:
+    """A quantity that drifts, by the columns of the frames."""
+
+    measured: str
+    """Column before compensation."""
+    reference: str | float = 0.0
+    """Column of what it should have been, or a number."""
+    unit: str = ""
+    """Left out: what the column's name ends in, or none."""
+    full_scale: float | None = None
+    """Left out: a round number that holds what was measured."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What the columns of the frames are."""
+
+    time: str
+    temperature: str
+    outputs: Mapping[str, Output]
+    inputs: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """How the frames are used, and what the first model is."""
+
+    test: Sequence[str] = ()
+    """Runs that nothing is learnt from."""
+    dwell: Sequence[str] = ()
+    """Isothermal, unloaded runs, for the noise floor."""
+    effects: Sequence[str] = ("zero_tempco",)
+    network: str = "lag_bank"
+    """`[network] kind`."""
+    sample_period_s: float | None = None
+    """Of the firmware's step; None: the frames' median interval."""
+    name: str = "sensor"
+    """Of the sensor, and the prefix of its C."""
+
+
+def to_polars(name: str, frame: Any) -> pl.DataFrame:
+    """Return a pandas or Polars frame as one of Polars; a pandas index with a name is a column.
+
+    Args:
+        name: the run's, for messages.
+        frame: the rows.
+
+    Raises:
+        InputError: it is no data frame.
+    """
+    if isinstance(frame, pl.LazyFrame):
+        return frame.collect()
+    if isinstance(frame, pl.DataFrame):
+        return frame
+    if not (hasattr(frame, "columns") and hasattr(frame, "reset_index")):
+        raise InputError(
+            f"frame '{name}': is of type {type(frame).__name__}; expected a data frame of pandas "
+            "or Polars."
+        )
+    if frame.index.name is not None:
+        frame = frame.reset_index()
+    columns = {}
+    for column in frame.columns:
+        values = frame[column]
+        zone = getattr(values.dtype, "tz", None)
+        if zone is not None:  # the same instants without the zone
+            values = values.dt.tz_convert("UTC").dt.tz_localize(None)
+        array = values.to_numpy()
+        columns[str(column)] = array if array.dtype != object else [*map(_plain, array)]
+    return pl.DataFrame(columns)
+
+
+def _plain(value: object) -> object:
+    """Return a cell of a column of objects; a missing one as None."""
+    return None if isinstance(value, float) and np.isnan(value) else value
+
+
+def write_project(
+    folder: Path,
+    frames: Mapping[str, pl.DataFrame],
+    columns: Columns,
+    begin: Beginning,
+) -> None:
+    """Write frames as Parquet logs, and the zerodrift.toml that names them.
+
+    Args:
+        folder: of the project, without a zerodrift.toml yet.
+        frames: run -> its rows.
+        columns: what their columns are.
+        begin: how they are used, and the first model.
+
+    Raises:
+        InputError: there is a project already, a run that is not among the frames is named, or a
+            column is missing.
+    """
+    if (folder / FILE_NAME).exists():
+        raise InputError(
+            f"{folder / FILE_NAME}: exists already; expected a folder without a project. Open it "
+            "by Project(...), or name another path."
+        )
+    if not frames:
+        raise InputError("from_frames: no frames; expected a run's name -> its frame.")
+    for use, runs in (("test", begin.test), ("dwell", begin.dwell)):
+        for run in runs:
+            if run not in frames:
+                raise InputError(
+                    f"from_frames: {use} names '{run}', which is no frame; expected of "
+                    f"{', '.join(frames)}."
+                )
+    places = {run: f"logs/{_UNSAFE.sub('_', run) or 'run'}.parquet" for run in frames}
+    if len(set(places.values())) < len(places):
+        raise InputError(
+            f"from_frames: two runs would be one file ({', '.join(frames)}); expected names that "
+            "differ in letters or digits."
+        )
+    for run, frame in frames.items():
+        for column in _list_columns(columns):
+            if column not in frame.columns:
+                raise InputError(
+                    f"frame '{run}': there is no column '{column}'; it has "
+                    f"{', '.join(frame.columns)}. Correct the name, or rename the column."
+                )
+    train = [run for run in frames if run not in {*begin.test, *begin.dwell}]
+    uses = {"train": train, "test": begin.test, "dwell": begin.dwell}
+    logs = {use: [places[run] for run in runs] for use, runs in uses.items() if runs}
+    text = _render(frames, columns, logs, begin)
+    (folder / "logs").mkdir(parents=True, exist_ok=True)
+    for run, frame in frames.items():
+        frame.write_parquet(folder / places[run])
+    write_all(folder, {folder / FILE_NAME: text.encode()})
+
+
+def _list_columns(columns: Columns) -> list[str]:
+    named = [columns.time, columns.temperature, *columns.inputs.values()]
+    for output in columns.outputs.values():
+        named.append(output.measured)
+        if isinstance(output.reference, str):
+            named.append(output.reference)
+    return named
+
+
+def measure_period_s(frames: Mapping[str, pl.DataFrame], time: str) -> float:
+    """Return the median interval of the frames' times in seconds, to three digits.
+
+    Raises:
+        InputError: no frame has two rows.
+    """
+    intervals = []
+    for frame in frames.values():
+        column = frame[time]
+        if column.dtype.is_temporal():
+            column = column.cast(pl.Datetime("us")).dt.timestamp("us") / 1e6
+        steps = np.diff(column.cast(pl.Float64, strict=False).drop_nulls().to_numpy())
+        if steps.size:
+            intervals.append(float(np.median(steps)))
+    if not intervals:
+        raise InputError(f"from_frames: fewer than {LEAST_ROWS} rows; expected a run per frame.")
+    return float(f"{np.median(intervals):.3g}")
+
+
+def _render(
+    frames: Mapping[str, pl.DataFrame],
+    columns: Columns,
+    logs: Mapping[str, Sequence[str]],
+    begin: Beginning,
+) -> str:
+    """Return zerodrift.toml."""
+    q = json.dumps
+    period_s = begin.sample_period_s or measure_period_s(frames, columns.time)
+    lines = [
+        "[sensor]",
+        f"name = {q(begin.name)}",
+        f"time = {q(columns.time)}",
+        f"temperature = {q(columns.temperature)}",
+        f"sample_period_s = {period_s:g}",
+    ]
+    for output, told in columns.outputs.items():
+        largest = max(
+            float(np.nanmax(np.abs(frame[told.measured].cast(pl.Float64).to_numpy())))
+            for frame in frames.values()
+        )
+        reference = q(told.reference) if isinstance(told.reference, str) else told.reference
+        lines += [
+            "",
+            f"[outputs.{q(output)}]",
+            f"measured = {q(told.measured)}",
+            f"reference = {reference}",
+            f"unit = {q(told.unit or read_unit(told.measured) or NO_UNIT)}",
+            f"full_scale = {told.full_scale or round_up(largest):g}",
+        ]
+    if columns.inputs:
+        lines += ["", "[inputs]", *(f"{key} = {q(c)}" for key, c in columns.inputs.items())]
+    lines += ["", "[logs]", *(f"{use} = {q(list(files))}" for use, files in logs.items())]
+    for effect in begin.effects:
+        lines += ["", "[[effect]]", f"kind = {q(effect)}"]
+    lines += ["", "[network]", f"kind = {q(begin.network)}"]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,409 @@
+"""The Python face: a project, and what the commands do with it, as typed results."""
+
+import contextlib
+import io
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zerodrift.app.commands.console import show_progress
+from zerodrift.app.trust import remember
+from zerodrift.base.config import Config, EffectConfig, load_config
+from zerodrift.base.errors import CheckError, InputError
+from zerodrift.base.journal import hold_project, settle_project
+from zerodrift.base.shown import with_picture
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.report.results import (
+    AddResult,
+    CompareResult,
+    DiagnoseResult,
+    HistoryResult,
+    RemoveResult,
+    TrainResult,
+)
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+    from zerodrift.app.frames import Output
+    from zerodrift.dataset.runs import Dataset
+    from zerodrift.diagnosis.revision import Revision
+    from zerodrift.verify.summary import FirmwareSummary
+
+
+class Project:
+    """A sensor's logs and its model, as they were when it was opened.
+
+    What a method finds is what the command of the same name prints with `--json`; in a notebook it
+    shows itself as a table, and `.plot()` returns a Plotly figure where there is one to draw.
+    `add` and `remove` write zerodrift.toml and return the new project; the old one still compares
+    and diagnoses, but no longer writes.
+
+    Args:
+        directory: the folder with zerodrift.toml.
+        skip_invalid: drop invalid rows of the logs instead of raising.
+
+    Raises:
+        InputError: zerodrift.toml or a log is missing or wrong; the same messages as the commands'.
+    """
+
+    def __init__(self, directory: str | Path, *, skip_invalid: bool = False) -> None:
+        self._scratch: tempfile.TemporaryDirectory[str] | None = None
+        self._skip_invalid = skip_invalid
+        settle_project(Path(directory))
+        self.config: Config = load_config(Path(directory))
+        self._text = self.config.path.read_bytes()
+        remember(self.config.plugin_files)
+        self._catalogue: Catalogue = load_catalogue(self.config.plugin_files)
+
+    @classmethod
+    def from_frames(
+        cls,
+        frames: Mapping[str, Any],
+        *,
+        time: str,
+        temperature: str,
+        outputs: "Mapping[str, str | Output]",
+        **options: Any,
+    ) -> "Project":
+        """Return a project whose logs are data frames, of pandas or Polars.
+
+        Args:
+            frames: run -> its rows; a run is one uninterrupted recording.
+            time: column of the times: seconds, or any datetime.
+            temperature: column of the chip's thermometer, in degC.
+            outputs: quantity -> its column, or an `Output` with reference, unit and full scale.
+            **options: `inputs` (name -> column), `test` and `dwell` (names of runs), `effects` (of
+                the first model; zero_tempco), `network` ("lag_bank"), `sample_period_s` (the
+                frames' median interval), `name` ("sensor"), and `path`, where the project is kept;
+                left out, it lies in a temporary folder as long as a project of it is in use.
+
+        Raises:
+            InputError: a column is missing, or a frame holds what a log must not.
+            TypeError: an option is not one of these.
+        """
+        from zerodrift.app.frames import Beginning, Columns, Output, to_polars, write_project
+
+        path = options.pop("path", None)
+        scratch = tempfile.TemporaryDirectory(prefix="zerodrift-") if path is None else None
+        folder = Path(path if scratch is None else scratch.name)
+        told = {
+            name: output if isinstance(output, Output) else Output(output)
+            for name, output in outputs.items()
+        }
+        columns = Columns(time, temperature, told, dict(options.pop("inputs", {})))
+        begin = Beginning(**options)
+        write_project(folder, {n: to_polars(n, f) for n, f in frames.items()}, columns, begin)
+        project = cls(folder)
+        project._scratch = scratch
+        return project
+
+    @property
+    def directory(self) -> Path:
+        """The folder of zerodrift.toml."""
+        return self.config.directory
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The effects of the model, by name."""
+        return tuple(effect.kind for effect in self.config.effects)
+
+    @cached_property
+    def dataset(self) -> "Dataset":
+        """The runs: time [n] s, temperature [n] degC, drift [n, K] in the outputs' units.
+
+        Raises:
+            InputError: a log is missing, damaged, or holds what cannot be right.
+        """
+        from zerodrift.dataset.load import load_dataset
+
+        with show_progress("reading logs"):
+            return load_dataset(self.config, self._skip_invalid)
+
+    def compare(self, model: str | None = None) -> CompareResult:
+        """Return the model against the measurements; `.plot(output)` draws one output.
+
+        Args:
+            model: physics | network | integer | c; None: the most complete there is.
+
+        Raises:
+            InputError: the model asked for was not trained or built yet.
+        """
+        from zerodrift.app.commands.built import read_firmware
+        from zerodrift.app.commands.predictors import compare_predictor, open_predictor
+        from zerodrift.diagnosis.advice import advise
+
+        with show_progress("comparing"):
+            predictor = open_predictor(model, self.config, self.dataset, self._catalogue)
+            comparison = compare_predictor(predictor, self.config, self.dataset)
+            advice = advise(self.config, self.dataset)
+            firmware, _, _ = read_firmware(self.config)
+        found = CompareResult(
+            **vars(comparison.summarise()),
+            model=predictor.kind,
+            advice=advice.summarise() if advice is not None else None,
+            chip_error=firmware.chip_error if firmware is not None else None,
+            warnings=firmware.warnings if firmware is not None else None,
+        )
+
+        def draw(output: str | None = None) -> "Figure":
+            from zerodrift.report.figures import draw_comparison
+
+            names = list(comparison.outputs)
+            figures = draw_comparison(self.dataset, predictor.predict, comparison)
+            return figures[2 * (names.index(output) if output is not None else 0)]
+
+        return with_picture(found, draw)
+
+    def diagnose(self, *, auto: bool = False) -> DiagnoseResult:
+        """Return which effect the model lacks; `.plot()` draws the candidates.
+
+        Args:
+            auto: add what is missing, in mind, and look again until nothing is.
+        """
+        from zerodrift.app.commands.verdict import find_verdict, list_commands, summarise_verdict
+        from zerodrift.diagnosis.advice import advise
+
+        with show_progress("diagnosing") as say:
+            verdict = find_verdict(self.config, self.dataset, self._catalogue, auto=auto, say=say)
+            course = verdict.course
+            effects = self.config.effects if course is None else course.effects
+            advice = advise(self.config, self.dataset, effects)
+        commands = list_commands(self.config.effects, verdict.steps, self._catalogue)
+        told = advice.summarise() if advice is not None else None
+        found = summarise_verdict(verdict, commands, told, self.directory)
+
+        def draw() -> "Figure":
+            from zerodrift.report.figures import draw_candidates
+
+            return draw_candidates(verdict.diagnosis)
+
+        return with_picture(found, draw)
+
+    def add(
+        self,
+        effect: str | None,
+        *,
+        hold: Mapping[str, float] | None = None,
+        signal: str = "",
+        force: bool = False,
+    ) -> "Project":
+        """Add an effect to zerodrift.toml, refit, and return the new project.
+
+        What it brought is the new project's `revision`.
+
+        Args:
+            effect: its name, such as `diagnose().effect`.
+            hold: parameter -> the value it is held at.
+            signal: the thermometer that a thermal effect follows; "" for the chip's.
+            force: add it even if runs left out are not predicted better.
+
+        Raises:
+            CheckError: runs left out are not predicted better; nothing was written.
+            InputError: no effect was named, or it is unknown, or the folder has moved on.
+        """
+        from zerodrift.app.commands.revise import add_to_project
+        from zerodrift.diagnosis.revision import summarise_revision
+
+        if effect is None:
+            raise InputError(
+                "add: no effect was named; expected the name of one. The verdict names none where "
+                "nothing is missing, or nothing that the catalogue knows."
+            )
+        self._refuse_moved()
+        wanted = EffectConfig(effect, dict(hold or {}), {"signal": signal} if signal else {})
+        with hold_project(self.directory), show_progress(f"fitting without and with {effect}"):
+            revision, is_kept = add_to_project(
+                self.config, self.dataset, self._catalogue, wanted, force=force
+            )
+        if not is_kept:
+            raise CheckError(
+                f"{effect} was not added: {revision.reason}. `force=True` adds it all the same."
+            )
+        return self._follow(AddResult(**vars(summarise_revision(revision)), added=True), revision)
+
+    def remove(self, effect: str, *, signal: str = "") -> "Project":
+        """Remove an effect from zerodrift.toml, refit, and return the new project.
+
+        Args:
+            effect: its name.
+            signal: of which thermometer, where the model has it for several.
+
+        Raises:
+            InputError: the model has no such effect, or the folder has moved on.
+        """
+        from zerodrift.app.commands.revise import remove_from_project
+        from zerodrift.diagnosis.revision import summarise_revision
+
+        self._refuse_moved()
+        with hold_project(self.directory), show_progress(f"fitting with and without {effect}"):
+            revision = remove_from_project(
+                self.config, self.dataset, self._catalogue, effect, signal
+            )
+        return self._follow(RemoveResult(**vars(summarise_revision(revision))), revision)
+
+    revision: AddResult | RemoveResult | None = None
+    """What the change that made this project brought; None for one that was opened."""
+
+    def history(self) -> HistoryResult:
+        """Return the staircase of errors so far; `.plot()` draws it."""
+        from zerodrift.app.commands.revise import open_history
+        from zerodrift.diagnosis.history import list_steps
+
+        steps = list_steps(open_history(self.config)[1])
+
+        def draw() -> "Figure":
+            from zerodrift.report.figures import draw_staircase
+
+            return draw_staircase(steps)
+
+        return with_picture(HistoryResult(tuple(step.summarise() for step in steps)), draw)
+
+    def train(self) -> TrainResult:
+        """Fit the effects, then train what learns the rest; checkpoints go to build/."""
+        from zerodrift.diagnosis.advice import advise
+        from zerodrift.train.progress import show_progress as show_training
+        from zerodrift.train.summary import summarise_training
+        from zerodrift.train.training import list_checkpoints, train
+
+        self._refuse_moved()
+        with hold_project(self.directory), show_training("training") as report:
+            trained = train(self.config, self.dataset, report=report)
+            trained.compensator.save(
+                self.directory,
+                self.config.build_directory,
+                done_with=list_checkpoints(self.config),
+            )
+        advice = advise(self.config, self.dataset)
+        told = summarise_training(trained.compensator, trained.scores)
+        return TrainResult(**vars(told), advice=None if advice is None else advice.summarise())
+
+    def firmware(self, *, force: bool = False) -> "FirmwareSummary":
+        """Train if needed, quantize, generate C, check it bit for bit, and write it.
+
+        Args:
+            force: write what the gate refuses; header and manifest say so.
+
+        Raises:
+            CheckError: the gate refuses the firmware, or a bit differs; nothing was written.
+        """
+        from rich.console import Console
+
+        from zerodrift.app.commands.firmware import make_firmware
+        from zerodrift.app.commands.project import train_project
+        from zerodrift.export.compose import describe_compensator
+        from zerodrift.verify.left_out import leave_out
+
+        self._refuse_moved()
+        with hold_project(self.directory):
+            compensator = train_project(self.config, self.dataset, Console(file=io.StringIO()))
+            described = describe_compensator(compensator, self.config, self.dataset.train)
+            with show_progress("leaving runs out"):
+                left_out = leave_out(self.config, replace(self.dataset, test=()), compensator)
+            firmware, told = make_firmware(
+                self.config, self.dataset, described, left_out, force=force
+            )
+        if not firmware.files:
+            raise CheckError(f"{firmware.gate.explain()}\nNothing was written.")
+        return told
+
+    def apply(self, frame: Any, *, model: str = "integer") -> Any:
+        """Return a frame with what the last firmware gives for its rows.
+
+        Adds OUTPUT_drift, OUTPUT_compensated and OUTPUT_uncertainty (k = 2), in the output's unit,
+        and the chip's flags.
+
+        Args:
+            frame: of pandas or Polars, or the path of a log; needs no reference.
+            model: integer | float.
+
+        Returns:
+            A frame of the kind that was given; of Polars for a path.
+
+        Raises:
+            InputError: no firmware was built yet, or a column is missing.
+        """
+        import polars as pl
+
+        from zerodrift.app.apply import apply_model
+        from zerodrift.app.commands.apply import read_uncertainty
+        from zerodrift.app.frames import to_polars
+        from zerodrift.export.compose import describe_compensator
+        from zerodrift.export.model_files import load_model
+        from zerodrift.train.compensator import Compensator
+
+        found = load_model(self.config.build_directory / "model.json")
+        uncertainty, _ = read_uncertainty(self.config, found)
+        predict = None
+        if model == "float":
+            trained = Compensator.load(self.config.build_directory, self._catalogue)
+            predict = describe_compensator(trained, self.config, self.dataset.train).predict_on_chip
+        with tempfile.TemporaryDirectory(prefix="zerodrift-") as scratch:
+            log, out = Path(scratch) / "frame.parquet", Path(scratch) / "applied.parquet"
+            if isinstance(frame, (str, Path)):
+                log = Path(frame)
+            else:
+                to_polars("frame", frame).write_parquet(log)
+            with show_progress("applying") as say:
+                apply_model(
+                    self.config,
+                    found,
+                    [(log, out)],
+                    uncertainty=uncertainty,
+                    predict_float=predict,
+                    skip_invalid=self._skip_invalid,
+                    say=say,
+                )
+            applied = pl.read_parquet(out)
+        if isinstance(frame, (str, Path, pl.DataFrame, pl.LazyFrame)):
+            return applied
+        added = [name for name in applied.columns if name not in frame.columns]
+        added = [name for name in added if name != frame.index.name]
+        return frame.assign(**{name: applied[name].to_numpy() for name in added})
+
+    def report(self, out: str | Path | None = None, *, diagnose: bool = True) -> Path:
+        """Write the report, one HTML file that opens offline; return its path.
+
+        Args:
+            out: where; by default report.html in the project's folder.
+            diagnose: whether to diagnose for it.
+        """
+        from zerodrift.app.cli import cli
+
+        target = Path(out) if out is not None else self.directory / "report.html"
+        words = ["report", "-C", str(self.directory), "-o", str(target)]
+        words += [] if diagnose else ["--no-diagnose"]
+        words += ["--skip-invalid"] if self._skip_invalid else []
+        with contextlib.redirect_stdout(io.StringIO()):
+            cli.main(words, standalone_mode=False)
+        return target
+
+    def _refuse_moved(self) -> None:
+        """Refuse to write where zerodrift.toml is another than the one that was opened."""
+        if self.config.path.read_bytes() != self._text:
+            raise InputError(
+                f"{self.config.path}: the folder has moved on since this project was opened; "
+                "expected the newest. Go on with what `add` or `remove` returned, or open it again."
+            )
+
+    def _follow(self, told: AddResult | RemoveResult, revision: "Revision") -> "Project":
+        """Return the project as it is after a change of its effects."""
+        follower = Project(self.directory, skip_invalid=self._skip_invalid)
+        follower._scratch = self._scratch
+        follower.__dict__["dataset"] = self.dataset
+
+        def draw() -> "Figure":
+            from zerodrift.report.figures import draw_revision
+
+            before, after = told.before.rmse_heldout, told.after.rmse_heldout
+            return draw_revision(before, after, told.noise_floor)
+
+        follower.revision = with_picture(told, draw)
+        return follower
+
+    def __repr__(self) -> str:
+        """Return the folder and the model's effects."""
+        return f"Project({str(self.directory)!r}): {', '.join(self.effects) or 'no effects'}"
