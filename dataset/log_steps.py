@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
@@ -98,6 +99,8 @@ def read_log_steps(
     time = config.time_column
     needed = {time: "[sensor] time", **columns}
     table, spans = open_log(config, selection, skip_invalid, notes, needed)
+    if len(selection.files) > 1 or table.source.part or table.converted:
+        _make_source(table, path)
     rows = int(table.positions.max()) + 1
     step_of_row = np.full(rows, -1, dtype=np.int64)
     stretches: list[StepStretch] = []
@@ -123,6 +126,13 @@ def read_log_steps(
             stretches.append(StepStretch(run, stretch, first, part, bridge, float(time_s[start])))
             first += stretch.steps
     return LogSteps(table.source, table, rows, tuple(stretches), step_of_row, tuple(notes))
+
+
+def _make_source(table: LogTable, path: Path) -> None:
+    """Take the rows as they are joined and converted for those of the log."""
+    frame = pl.DataFrame(table.columns)
+    table.source = Source(path, path.name, tuple(frame.columns), {}, frame=frame)
+    table.kept = None
 
 
 def _find_steps(stretch: Stretch, time_s: Array) -> NDArray[np.int64]:

@@ -10,6 +10,7 @@ from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.clock_difference import measure_difference
 from zerodrift.dataset.load import load_dataset
+from zerodrift.dataset.log_steps import read_log_steps
 
 
 def heat(time_s):
@@ -175,6 +176,17 @@ def test_local_clock_beside_unix_time_needs_a_zone(tmp_path):
     assert 'zone = "-05:00" would make them overlap best' in message
     run = load(tmp_path, time='{ column = "time_s", zone = "-05:00" }').train[0]
     np.testing.assert_allclose(run.measured[:, 0], 2 * run.temperature_degC, atol=0.01)
+
+
+def test_rows_that_a_model_is_applied_to_are_those_of_the_joined_files(tmp_path):
+    write_run(tmp_path)
+    load(tmp_path)
+    columns = {"temperature_degC": "here", "Fz_N": "here"}
+    steps = read_log_steps(load_config(tmp_path), tmp_path / "run1", columns)
+    frame = steps.source.scan().collect()
+    assert frame.height == steps.step_of_row.size
+    assert set(steps.source.names) == {"time_s", "temperature_degC", "Fz_N"}
+    np.testing.assert_allclose(frame["Fz_N"], 2 * frame["temperature_degC"].to_numpy(), atol=0.01)
 
 
 def record(seed, offset_s=2.3, rate=50e-6):
