@@ -241,6 +241,9 @@ def read_table(
     if len(columns) == 0:
         raise InputError(_explain_no_rows(source))
     arrays = columns.finish()
+    if clock is not None and clock.is_even and np.isnan(arrays[clock.name]).any():
+        # Some row is no time, or is not written as evenly as the first ones.
+        return read_table(source, needed, run_column, replace(clock, is_even=False))
     codes = arrays.pop(RUN_COLUMN).astype(np.uint32) if has_runs else None
     if clock is not None and clock.kind == "rows":
         rows = next(iter(arrays.values())).size

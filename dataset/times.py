@@ -19,6 +19,10 @@ from zerodrift.dataset.time_units import read_time_unit
 
 DAY_S = 86400.0
 HALF_DAY_S = DAY_S / 2
+MINUTE_S = 60.0
+_SECONDS = "%S%.f"
+_SECONDS_AT = 17
+_EVEN = re.compile(r"(\d{4}[-/.]\d\d[-/.]\d\d|\d\d[-/.]\d\d[-/.]\d{4})[T ]\d\d:\d\d:\d\d([.,]\d+)?")
 SAMPLE = 64
 _DATES = (
     (r"(?P<y>\d{4})(?P<s>[-/.])\d{1,2}(?P=s)\d{1,2}", ("%Y{s}%m{s}%d",)),
@@ -53,6 +57,8 @@ class Clock:
     """For text, as Polars takes it; empty for a column of dates and times as such."""
     has_comma: bool = False
     """For text: the fractions of seconds are written with a comma."""
+    is_even: bool = False
+    """For text: ends in two-digit seconds at the same place in every row, as far as was seen."""
     unit_s: float = 1.0
     """For numbers: seconds per count."""
     zone: str = ""
@@ -100,6 +106,14 @@ class Clock:
             return (read.cast(pl.Int64) / 1e6 % DAY_S).alias(self.name)
         if self.kind == "zoned" and "z" not in self.format:
             text = text.str.strip_suffix(" UTC")
+        if self.is_even:
+            # What comes before the seconds is the same in many rows, and so is read once.
+            minute = text.str.slice(0, _SECONDS_AT).str.to_datetime(
+                self.format.removesuffix(_SECONDS), strict=False, time_unit="us"
+            )
+            seconds = text.str.slice(_SECONDS_AT).cast(pl.Float64, strict=False)
+            within = pl.when((seconds >= 0) & (seconds < MINUTE_S)).then(seconds)
+            return (minute.cast(pl.Int64) / 1e6 + within).alias(self.name)
         # Times of a log are all different: a cache of them costs more than it saves.
         read = text.str.to_datetime(self.format, strict=False, time_unit="us", cache=False)
         return (read.cast(pl.Int64) / 1e6).alias(self.name)
@@ -175,8 +189,14 @@ def find_clock(
             f'"{time.columns[0]}", format = "{formats[0].written}" }}, or the other.'
         )
     (known,) = formats
-    has_comma = _have_comma(texts)
-    return replace(usual, kind=known.kind, format=known.format, has_comma=has_comma)
+    is_even = known.format.endswith(_SECONDS) and all(map(_EVEN.fullmatch, texts))
+    return replace(
+        usual,
+        kind=known.kind,
+        format=known.format,
+        has_comma=_have_comma(texts),
+        is_even=is_even,
+    )
 
 
 @dataclass(frozen=True)

@@ -233,3 +233,20 @@ def test_datetimes_of_parquet_and_feather(project, unit, zone, kind):
     frame.write_parquet(path) if kind == "parquet" else frame.write_ipc(path)
     (run,) = project.load(train_logs=(path.name,)).train
     np.testing.assert_allclose(run.time_s - UTC_START.timestamp(), np.arange(COUNT), atol=1e-6)
+
+
+def test_rows_that_are_written_less_evenly_later_are_read_too(project):
+    start = datetime(2024, 10, 21, 23, 58, 30, tzinfo=UTC)
+    times = [
+        t.strftime("%Y-%m-%d %H:%M:%S").replace(" 00:", " 0:") for t in step(start=start, count=200)
+    ]
+    write_log(project, times)
+    (run,) = project.load().train
+    np.testing.assert_allclose(run.time_s, start.timestamp() + np.arange(200), atol=1e-6)
+
+
+def test_second_that_no_minute_has_is_refused(project):
+    times = [t.strftime("%Y-%m-%d %H:%M:%S") for t in step()]
+    times[30] = times[30][:-2] + "75"
+    write_log(project, times)
+    assert "log.csv:32: time_s holds '2024-10-21 15:52:75', which is no time" in project.refusal()
