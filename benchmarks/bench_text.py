@@ -43,6 +43,8 @@ def main(quick: bool) -> None:
     for name in READERS:
         ratio = seconds[name] / seconds["polars"]
         print(f"{name:<10}{seconds[name]:>10.2f}{ratio:>10.2f}{memory[name]:>13.2f}")
+    if quick:  # the limits are for long logs, beside which what a process holds anyway is little
+        return
     good = seconds["zerodrift"] <= TIME_LIMIT * seconds["polars"]
     good &= memory["zerodrift"] <= MEMORY_LIMIT
     verdict = "met" if good else "MISSED"
