@@ -219,7 +219,10 @@ def as_logged(name: str) -> Path:
         ("20171208-svrt-logging/1512853381-AD587-bare", "temp_c", "AD587_bare", "LSB", 1),
         ("20180117-hp34401a-tempco", "temp_c", "lm399", "LSB", 1),
         ("20170603-resistor-tempco-datalog-1", "temp_c", "value", "ohm", 7),
-        ("20180309-r-tempcos", "Oven (C)", "Resistance", "ohm", 8),
+        ("20180309-r-tempcos/run1", "Oven (C)", "Resistance", "ohm", 1),
+        pytest.param(
+            *("20180309-r-tempcos", "Oven (C)", "Resistance", "ohm", 8), marks=pytest.mark.slow
+        ),
     ],
 )
 def test_logs_as_their_author_wrote_them_work_unedited(
@@ -238,7 +241,7 @@ def test_logs_as_their_author_wrote_them_work_unedited(
 @pytest.mark.parametrize(
     ("folder", "lacks"),
     [
-        ("20180115-vhp202z", "expected times."),
+        ("20180115-vhp202z/run4-9k9850-3", "expected times."),
         ("20180505-dmm-chamber", "expected a thermometer."),
         ("20220816-34401a-in-a-box-pid", "expected a quantity that drifts."),
     ],
