@@ -14,7 +14,8 @@ from zerodrift.operations.registry import FOLDERS
 class NodeText:
     """Renders nodes: a face is the macro of that name in `operations/FOLDER/c.j2`, if it is there.
 
-    Else a state is one number, at rest what the value is there, and sound within its bound.
+    A class derived from another operation's takes what it lacks from there. Else a state is one
+    number, at rest what the value is there, and sound within its bound.
 
     Args:
         environment: finds the templates.
@@ -35,7 +36,13 @@ class NodeText:
         self._macros: dict[str, TemplateModule | None] = {}
 
     def _render(self, face: str, node: IntegerNode) -> str:
-        folder = FOLDERS[node.kind]
+        for kind in (c.__dict__["kind"] for c in type(node).__mro__ if "kind" in c.__dict__):
+            macro = getattr(self._find_macros(FOLDERS[kind]), face, None)
+            if macro is not None:
+                return str(macro(node))
+        return ""
+
+    def _find_macros(self, folder: str) -> TemplateModule | None:
         if folder not in self._macros:
             try:
                 template = self._environment.get_template(f"{folder}/c.j2")
@@ -43,8 +50,7 @@ class NodeText:
                 self._macros[folder] = None
             else:
                 self._macros[folder] = template.make_module(dict(self._context))
-        macro = getattr(self._macros[folder], face, None)
-        return "" if macro is None else str(macro(node))
+        return self._macros[folder]
 
     def constants(self, node: IntegerNode) -> str:
         """Return the tables."""
