@@ -14,10 +14,11 @@ from zerodrift.calibration.summary import CalibrationSummary
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.remainder import RemainderPattern
 from zerodrift.diagnosis.summary import AdviceSummary, RevisionSummary, StepSummary
 from zerodrift.fleet.summary import FleetSummary
 from zerodrift.physics.description import EffectDescription
-from zerodrift.physics.summary import ModelSummary
+from zerodrift.physics.summary import FittedCoefficient, ModelSummary, ParameterInterval
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Provenance
 from zerodrift.train.summary import TrainingSummary
@@ -101,6 +102,72 @@ class DiagnoseResult(DiagnosisStep, Shown):
     """With --auto: what was added, one after the other."""
     steps: tuple[DiagnosisStep, ...] | None = field(default=None, metadata=OPTIONAL)
     """With --auto: each diagnosis, the last one last."""
+
+
+@dataclass(frozen=True)
+class ProposedError:
+    """RMSE of one output on runs left out, in its unit."""
+
+    unit: str
+    before: float
+    after: float | None
+    """With the formula; null where none is found."""
+    noise_floor: float
+
+
+@dataclass(frozen=True)
+class ProposedRival:
+    """What these runs cannot tell from the formula."""
+
+    name: str
+    """Another formula, or an effect of the catalogue."""
+    is_effect: bool
+    """Whether it is an effect of the catalogue."""
+    apart: float
+    """RMS difference of the two predictions in the runs, in units of the noise."""
+    equal: bool
+    """Whether that is less than a tenth."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProposeResult:
+    """A formula for what no effect of the catalogue explains, or that there is none."""
+
+    SCHEMA: ClassVar = "propose/1"
+
+    found: bool
+    kind: str | None
+    """The name of the effect that it would be."""
+    formula: str | None
+    """With its numbers; k is each output's own."""
+    parameters: Mapping[str, ParameterInterval]
+    coefficients: tuple[FittedCoefficient, ...]
+    """k of each output."""
+    rmse_left_out: Mapping[str, ProposedError]
+    """Output -> its errors."""
+    floor_ratio_before: float
+    """RMSE on runs left out over the noise floor, pooled over outputs."""
+    floor_ratio_after: float
+    p_value: float | None
+    """How often the best of everything tried does as well when signs of whole runs are flipped;
+    null where nothing was tried."""
+    forms_tried: int
+    columns_tried: int
+    """Formulas times values of their numbers."""
+    lookalikes: tuple[ProposedRival, ...]
+    suffices: str | None
+    """The effect of the catalogue that does as well; null where none does."""
+    nearest: str | None
+    """Without a formula: the one that came nearest."""
+    reason: str
+    physics: str
+    """What kind of physics has this form."""
+    next_experiment: str
+    """What would confirm or refute it."""
+    remainder: tuple[RemainderPattern, ...]
+    """Without a formula: what is left follows these."""
+    written: str | None
+    """The effect's file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -369,7 +436,15 @@ RESULTS: tuple[type, ...] = (
     *(AddResult, ApplyResult, CalibrateResult, CertificateResult, CompareResult, DiagnoseResult),
     *(DiffResult, DoctorResult),
     *(EffectResult, EffectsResult, ExportResult, FirmwareSummary, FleetSummary, HistoryResult),
-    *(InitResult, PackageResult, RemoveResult, ReportResult, TrainResult, VerifySummary),
+    *(
+        InitResult,
+        PackageResult,
+        ProposeResult,
+        RemoveResult,
+        ReportResult,
+        TrainResult,
+        VerifySummary,
+    ),
 )
 """Every record that a command writes with `--json`."""
 

@@ -207,6 +207,7 @@ def explain_verdict(
         ]
         if not diagnosis.remainder:
             sentences.append(Sentence("What is left follows no signal in the logs."))
+        sentences.append(Sentence("To look for a formula of it: zerodrift propose", STEP))
     sentences.append(Sentence(f"Evidence: {diagnosis.evidence}."))
     if diagnosis.next_experiment:
         sentences.append(Sentence(f"Next experiment: {diagnosis.next_experiment}."))

@@ -1,0 +1,1 @@
+"""Where the catalogue ends: formulas grown from the chip's operations, and which of them holds."""

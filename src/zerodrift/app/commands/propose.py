@@ -1,0 +1,96 @@
+"""`zerodrift propose`: a formula where the catalogue of effects ends."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from zerodrift.app.commands.common import (
+    directory_option,
+    json_option,
+    print_notes,
+    print_result,
+    skip_invalid_option,
+)
+from zerodrift.app.commands.console import open_console, open_table, show_progress
+from zerodrift.base.errors import InputError
+
+if TYPE_CHECKING:
+    from zerodrift.report.results import ProposeResult
+
+
+@click.command()
+@directory_option
+@click.option(
+    "--write",
+    "file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Write the formula as a file of effects, which [plugins] files names and `add` takes.",
+)
+@json_option
+@skip_invalid_option
+def command(directory: Path, file: Path | None, as_json: bool, skip_invalid: bool) -> None:
+    """Propose a formula where no effect of the catalogue explains what is left.
+
+    Formulas grow from the operations that the chip has, over temperature, loads, inputs and time,
+    simple before complex. They are judged as effects are, on training runs left out; everything
+    that was tried counts in what chance is allowed. That no formula holds is an answer too.
+    """
+    from zerodrift.app.commands.project import open_project
+    from zerodrift.app.propose import summarise_search
+    from zerodrift.base.files import write_whole
+    from zerodrift.diagnosis.formula.effect_file import render_file
+    from zerodrift.diagnosis.formula.proposal import propose_formula
+    from zerodrift.physics.catalogue import load_catalogue
+
+    if file is not None and file.suffix != ".py":
+        raise InputError(f"--write {file}: expected a name that ends in .py, as [plugins] takes.")
+    if file is not None and file.exists():
+        raise InputError(f"--write {file}: is there already; name another file, or remove it.")
+    with show_progress("reading logs") as say:
+        config, dataset = open_project(directory, skip_invalid)
+        found = propose_formula(
+            config,
+            dataset,
+            load_catalogue(config.plugin_files),
+            lambda name: say(f"tried {name}"),
+        )
+    if file is not None and found.formula is not None:
+        write_whole(file, render_file(found.formula).encode())
+    result = summarise_search(found, dataset, file)
+    print_notes(dataset.notes)
+    if as_json:
+        print_result(result)
+        return
+    print_proposal(result, directory)
+
+
+def print_proposal(result: "ProposeResult", directory: Path) -> None:
+    """Print the errors, the numbers, and then what was found in sentences."""
+    from zerodrift.app.propose import explain_proposal
+
+    console = open_console()
+    table = open_table(
+        "Error in runs left out", ("output", "unit"), ("before", "after", "noise floor")
+    )
+    for name, output in result.rmse_left_out.items():
+        after = "-" if output.after is None else f"{output.after:.4g}"
+        table.add_row(name, output.unit, f"{output.before:.4g}", after, f"{output.noise_floor:.4g}")
+    console.print(table)
+    if result.parameters or result.coefficients:
+        table = open_table("Fitted", ("number", "output", "unit"), ("value", "95 % interval"))
+        for name, told in result.parameters.items():
+            interval = "-"
+            if told.interval is not None:
+                interval = f"{told.interval[0]:.4g} .. {told.interval[1]:.4g}"
+            table.add_row(name, "all", told.unit, f"{told.value:.4g}", interval)
+        for one in result.coefficients:
+            interval = "-"
+            if one.std_error is not None:
+                reach = 1.96 * one.std_error
+                interval = f"{one.value - reach:.4g} .. {one.value + reach:.4g}"
+            table.add_row("k", one.output, one.unit, f"{one.value:.4g}", interval)
+        console.print(table)
+    for sentence in explain_proposal(result, directory):
+        console.print(sentence)

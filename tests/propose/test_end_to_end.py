@@ -1,0 +1,44 @@
+"""A drift outside the catalogue: proposed, written, added, and generated as C, bit for bit."""
+
+import json
+
+import numpy as np
+import pytest
+from benchmarks.formula_cases import TOML, simulate
+
+
+def write_project(directory, kind, runs=6, seed=7):
+    """Write a simulated project's logs and zerodrift.toml."""
+    simulated = simulate(kind, 5.0, runs, seed)
+    data = simulated.dataset
+    for run in (*data.train, *data.test, *data.dwell):
+        names = ["time_s", "temperature_degC", "Fz_N", "Mx_Nm", "ref_Fz_N", *run.inputs]
+        columns = [run.time_s, run.temperature_degC, *run.measured.T, run.reference[:, 0]]
+        path = directory / "logs" / f"{run.name}.csv"
+        path.parent.mkdir(exist_ok=True)
+        np.savetxt(
+            path,
+            np.stack([*columns, *run.inputs.values()], axis=1),
+            delimiter=",",
+            fmt="%.6f",
+            header=",".join(names),
+            comments="",
+        )
+    (directory / "zerodrift.toml").write_text(TOML, encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_formula_is_proposed_written_added_and_becomes_checked_c(tmp_path, zerodrift):
+    write_project(tmp_path, "humidity - LP(humidity)")
+    file = tmp_path / "my_effect.py"
+    told = json.loads(zerodrift("propose", "-C", tmp_path, "--write", file, "--json").out)
+    assert told["found"] and told["written"] == str(file)
+    assert told["formula"].startswith("k * (humidity - LP(humidity, ")
+    toml = tmp_path / "zerodrift.toml"
+    toml.write_text(toml.read_text() + '\n[plugins]\nfiles = ["my_effect.py"]\n')
+    added = json.loads(zerodrift("add", told["kind"], "-C", tmp_path, "--json").out)
+    assert added["added"]
+    value, std = (added["parameters"]["tau_s"][key] for key in ("value", "std_error"))
+    assert abs(value - told["parameters"]["tau_s"]["value"]) < 3.0 * std
+    built = json.loads(zerodrift("firmware", "-C", tmp_path, "--json").out)
+    assert built["bit_exact"] and built["written"]
