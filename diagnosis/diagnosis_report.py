@@ -56,7 +56,7 @@ def report(
                 judged.excitation,
                 judged.parameters,
             )
-            for judged in first.judged
+            for judged in sorted(first.judged, key=lambda j: j.rmse_ratio)
         ),
         not_testable=_list_untested(case, first),
         floor_ratio_before=before,

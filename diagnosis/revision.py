@@ -27,6 +27,8 @@ WORTHWHILE_ON_ONE = 0.97
 WORTHWHILE_ON_FEW = 0.9
 """... or below this where fewer than MANY_RUNS runs show how runs differ."""
 MANY_RUNS = 3
+LOWER = 0.995
+"""An effect is needless if the error without it is below this share of what it is with it."""
 AS_GOOD = 1.005
 """A model without an effect is as good if its RMSE is below this share of what it was."""
 GAIN_OVER_LOSS = 3.0
@@ -160,20 +162,53 @@ def try_extension(
         dataset: the runs.
         catalogue: the known effects.
     """
+    before, after = _fit_both(effects, extended, dataset, catalogue)
+    return judge(before, after, dataset.units)
+
+
+def list_needless(
+    effects: Sequence[EffectConfig], dataset: Dataset, catalogue: Catalogue
+) -> tuple[str, ...]:
+    """Return the effects of a model without which the error on runs left out is lower.
+
+    Args:
+        effects: the model's `[[effect]]` tables.
+        dataset: the runs.
+        catalogue: the known effects.
+    """
+    needless = []
+    for place, effect in enumerate(effects):
+        if catalogue[effect.kind].sets_aside:
+            continue
+        others = (*effects[:place], *effects[place + 1 :])
+        without, full = _fit_both(others, effects, dataset, catalogue)
+        if measure_overall(full, without) < LOWER and not judge(without, full, dataset.units)[0]:
+            needless.append(effect.kind)
+    return tuple(needless)
+
+
+def _fit_both(
+    one: Sequence[EffectConfig],
+    other: Sequence[EffectConfig],
+    dataset: Dataset,
+    catalogue: Catalogue,
+) -> tuple[Fitted, Fitted]:
+    """Return two models with their held-out errors, which are comparable."""
     models = [
         fit(
-            wanted,
+            effects,
             dataset.train,
             outputs=dataset.outputs,
             units=dataset.units,
             full_scale=dataset.full_scale,
             catalogue=catalogue,
         )
-        for wanted in (effects, extended)
+        for effects in (one, other)
     ]
+    # The better model knows best whether logs are zeroed one by one.
     tared = any(model.tared for model in models)
-    before, after = (_hold_out(model, dataset, tared) for model in models)
-    return judge(before, after, dataset.units)
+    first, second = (_hold_out(model, dataset, tared) for model in models)
+    return first, second
 
 
 def _hold_out(model: PhysicalModel, dataset: Dataset, tared: bool) -> Fitted:

@@ -36,6 +36,8 @@ SAME_SIZE = 0.05
 """Jumps up and down whose sizes differ by less are those of a counter that wraps."""
 WRAPS = 0.3
 """A wrap is at least this share of the column's range."""
+LARGE = 20.0
+"""A wrap is this many times the output's usual step."""
 BEYOND_RAIL = 0.02
 """Share of the range by which other runs pass a level that is no rail, then."""
 
@@ -160,6 +162,9 @@ def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
     if rows.size < 2:
         return None
     size = float(np.median(np.abs(steps[rows])))
+    if size < LARGE * float(np.median(np.abs(steps[steps != 0.0]))):
+        # A coarse converter at rest goes up and down by its own step.
+        return None
     alike = np.abs(np.abs(steps[rows]) - size) <= SAME_SIZE * size
     both_ways = (steps[rows] > 0.0).any() and (steps[rows] < 0.0).any()
     # Spikes go up and down too, each by its own size, and are back in the next row.

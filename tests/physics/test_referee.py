@@ -127,3 +127,9 @@ def test_test_logs_that_reach_further_or_are_too_short_are_told(clean):
     }
     short = review(replace(clean, train=tuple(train), test=(last.take(slice(0, 12)),)))
     assert [note.kind for note in short] == ["too_short"]
+
+
+def test_coarse_converter_at_rest_does_not_wrap(clean):
+    rest = np.random.default_rng(1).integers(0, 3, 600)[:, None] * np.array([1.0, 0.01])
+    still = spoil(clean, measured=clean.train[2].reference + 0.0 * rest + rest)
+    assert all(note.kind != "wrapped" for note in review(still))

@@ -78,6 +78,11 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
     print_diagnosis(diagnosis, written[-1], catalogue, console)
     for sentence in explain_others(verdict.others, directory):
         console.print(sentence.text)
+    for kind in () if course is not None else diagnosis.drop:
+        console.print(
+            f"{kind} does not help: runs left out are predicted better without it. "
+            f"To remove it: zerodrift remove {kind}{name_directory(directory)}"
+        )
     for kind in course.drop if course is not None else ():
         console.print(
             f"{kind} no longer earns its place: runs left out are predicted as well without it. "

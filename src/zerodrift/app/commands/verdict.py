@@ -13,6 +13,7 @@ from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.explained import Sentence
 from zerodrift.diagnosis.referee import review_logs
+from zerodrift.diagnosis.revision import list_needless
 from zerodrift.diagnosis.summary import AdviceSummary
 from zerodrift.diagnosis.thermometers import OtherThermometer, try_thermometers
 from zerodrift.diagnosis.unseen import describe_unseen
@@ -80,6 +81,9 @@ def find_verdict(
         aside = describe_unseen(effects, dataset, catalogue)
     if aside is not None:
         diagnosis = replace(diagnosis, notes=(*diagnosis.notes, aside))
+    if course is None:
+        say("trying the model without each of its effects")
+        diagnosis = replace(diagnosis, drop=list_needless(effects, dataset, catalogue))
     say("looking for wrong data")
     found = review_logs(config, dataset)
     notes = (*(note.write() for note in found), *diagnosis.notes)
