@@ -78,7 +78,9 @@ def test_from_frames_to_checked_c(tmp_path: Path) -> None:
 
 
 def test_a_result_is_what_the_command_prints(folder: Path) -> None:
-    told = json.loads(CliRunner().invoke(cli, ["compare", "-C", str(folder), "--json"]).stdout)
+    done = CliRunner().invoke(cli, ["compare", "-C", str(folder), "--json"])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
     found = zd.Project(folder).compare()
     assert found.outputs["Fz"].rmse_heldout == told["outputs"]["Fz"]["rmse_heldout"]
     assert list(found.runs) == list(told["runs"])

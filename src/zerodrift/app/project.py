@@ -132,31 +132,22 @@ class Project:
         Raises:
             InputError: the model asked for was not trained or built yet.
         """
-        from zerodrift.app.commands.built import read_firmware
-        from zerodrift.app.commands.predictors import compare_predictor, open_predictor
-        from zerodrift.diagnosis.advice import advise
+        from zerodrift.app.commands.predictors import compare_project
 
-        with show_progress("comparing"):
-            predictor = open_predictor(model, self.config, self.dataset, self._catalogue)
-            comparison = compare_predictor(predictor, self.config, self.dataset)
-            advice = advise(self.config, self.dataset)
-            firmware, _, _ = read_firmware(self.config)
-        found = CompareResult(
-            **vars(comparison.summarise()),
-            model=predictor.kind,
-            advice=advice.summarise() if advice is not None else None,
-            chip_error=firmware.chip_error if firmware is not None else None,
-            warnings=firmware.warnings if firmware is not None else None,
-        )
+        with show_progress("comparing") as say:
+            compared = compare_project(
+                self.config, self.dataset, self._catalogue, kind=model, say=say
+            )
+        comparison = compared.comparison
 
         def draw(output: str | None = None) -> "Figure":
             from zerodrift.report.figures import draw_comparison
 
             names = list(comparison.outputs)
-            figures = draw_comparison(self.dataset, predictor.predict, comparison)
+            figures = draw_comparison(self.dataset, compared.predictor.predict, comparison)
             return figures[2 * (names.index(output) if output is not None else 0)]
 
-        return with_picture(found, draw)
+        return with_picture(compared.summarise(), draw)
 
     def diagnose(self, *, auto: bool = False) -> DiagnoseResult:
         """Return which effect the model lacks; `.plot()` draws the candidates.

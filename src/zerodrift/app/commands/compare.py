@@ -73,24 +73,17 @@ def command(
     """
     if html is not None:
         require(PAGE, "zerodrift compare --html")
-    from zerodrift.app.commands.built import read_firmware
-    from zerodrift.app.commands.predictors import compare_predictor, open_predictor
+    from zerodrift.app.commands.predictors import compare_project
     from zerodrift.app.commands.project import open_project
-    from zerodrift.diagnosis.advice import advise
-    from zerodrift.diagnosis.referee import review_logs
     from zerodrift.physics.catalogue import load_catalogue
 
     with show_progress("reading logs") as say:
         config, dataset = open_project(directory, skip_invalid)
-        say("fitting")
-        predictor = open_predictor(kind, config, dataset, load_catalogue(config.plugin_files))
-        say("comparing")
-        comparison = compare_predictor(predictor, config, dataset, worst)
-        say("looking at what the logs can teach")
-        advice = advise(config, dataset)
-        firmware, _, firmware_note = read_firmware(config)
-        found = review_logs(config, dataset)
-    print_notes((*dataset.notes, *predictor.notes, *(note.write() for note in found)))
+        catalogue = load_catalogue(config.plugin_files)
+        compared = compare_project(config, dataset, catalogue, kind=kind, most=worst, say=say)
+    predictor, comparison = compared.predictor, compared.comparison
+    notes = (note.write() for note in compared.notes)
+    print_notes((*dataset.notes, *predictor.notes, *notes))
     if html is not None:
         from zerodrift.base.journal import write_text
         from zerodrift.report.figures import draw_comparison, render_page
@@ -99,29 +92,18 @@ def command(
         page = render_page(f"{config.sensor_name}: model against measurements", figures)
         write_text(html, page, config.directory)
     if as_json:
-        from zerodrift.report.results import CompareResult
-
-        print_result(
-            CompareResult(
-                **vars(comparison.summarise()),
-                model=predictor.kind,
-                notes=found,
-                advice=advice.summarise() if advice is not None else None,
-                chip_error=firmware.chip_error if firmware is not None else None,
-                warnings=firmware.warnings if firmware is not None else None,
-            )
-        )
+        print_result(compared.summarise())
         return
     console = open_console()
     effects = ", ".join(comparison.effects) or "a constant only"
     console.print(f"Model: {predictor.kind} ({effects})")
     print_comparison(comparison, console)
-    if firmware is not None:
+    if compared.firmware is not None:
         console.print()
-        if firmware_note:
-            console.print(firmware_note)
-        print_chip_error(firmware, console)
-    print_advice(advice, console)
+        if compared.firmware_note:
+            console.print(compared.firmware_note)
+        print_chip_error(compared.firmware, console)
+    print_advice(compared.advice, console)
     if html is not None:
         console.print(f"Wrote {html}")
 

@@ -14,14 +14,18 @@ from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.dataset.units import read_unit
 from zerodrift.diagnosis.compare import Comparison, Labels, compare
+from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.held_out import HeldOut, hold_out
 from zerodrift.diagnosis.run_errors import FindUsable
 from zerodrift.diagnosis.segments import MOST_SEGMENTS
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit_config
+from zerodrift.report.results import CompareResult
 
 if TYPE_CHECKING:
+    from zerodrift.diagnosis.advice import Advice
     from zerodrift.train.compensator import Compensator
+    from zerodrift.verify.summary import FirmwareSummary
 
 Array = NDArray[np.float64]
 
@@ -96,6 +100,68 @@ def compare_predictor(
         labels=Labels(tuple(predictor.effects), units),
         most=most,
     )
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A model held against the measurements, and what is to be said beside that."""
+
+    predictor: Predictor
+    comparison: Comparison
+    notes: tuple[DataNote, ...]
+    """What the logs look like where they look wrong."""
+    advice: "Advice | None"
+    """What the logs can teach; None where no output moves."""
+    firmware: "FirmwareSummary | None"
+    """The last firmware, where it is current."""
+    firmware_note: str
+
+    def summarise(self) -> CompareResult:
+        """Return it as the command prints it."""
+        return CompareResult(
+            **vars(self.comparison.summarise()),
+            model=self.predictor.kind,
+            notes=self.notes,
+            advice=self.advice.summarise() if self.advice is not None else None,
+            chip_error=self.firmware.chip_error if self.firmware is not None else None,
+            warnings=self.firmware.warnings if self.firmware is not None else None,
+        )
+
+
+def compare_project(
+    config: Config,
+    dataset: Dataset,
+    catalogue: Catalogue,
+    *,
+    kind: str | None = None,
+    most: int = MOST_SEGMENTS,
+    say: Callable[[str], None] = lambda _: None,
+) -> Compared:
+    """Hold a project's model against its measurements.
+
+    Args:
+        config: the project.
+        dataset: its runs.
+        catalogue: the known effects.
+        kind: as `open_predictor` takes it.
+        most: how many of the worst segments to keep.
+        say: is told what is being done.
+
+    Raises:
+        InputError: the model was not trained or exported yet.
+    """
+    from zerodrift.app.commands.built import read_firmware
+    from zerodrift.diagnosis.advice import advise
+    from zerodrift.diagnosis.referee import review_logs
+
+    say("fitting")
+    predictor = open_predictor(kind, config, dataset, catalogue)
+    say("comparing")
+    comparison = compare_predictor(predictor, config, dataset, most)
+    say("looking at what the logs can teach")
+    advice = advise(config, dataset)
+    firmware, _, note = read_firmware(config)
+    return Compared(predictor, comparison, review_logs(config, dataset), advice, firmware, note)
 
 
 def _open_physics(
