@@ -129,6 +129,18 @@ class ProposedRival:
     """Whether that is less than a tenth."""
 
 
+@dataclass(frozen=True)
+class ProposedCost:
+    """What a formula adds to the C of the physical model; empty where it could not be told."""
+
+    instructions: Mapping[str, int]
+    """Core -> instructions more in a step."""
+    flash_bytes: Mapping[str, int]
+    """Core -> bytes of flash more."""
+    rounding: Mapping[str, float]
+    """Output -> RMS difference of the integers from the float model in the first run, its unit."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ProposeResult:
     """A formula for what no effect of the catalogue explains, or that there is none."""
@@ -166,6 +178,14 @@ class ProposeResult:
     """What would confirm or refute it."""
     remainder: tuple[RemainderPattern, ...]
     """Without a formula: what is left follows these."""
+    instructions: Mapping[str, int]
+    """Core -> instructions that it adds to a step; empty where that could not be told."""
+    flash_bytes: Mapping[str, int]
+    """Core -> bytes of flash that it adds."""
+    rounding: Mapping[str, float]
+    """Output -> RMS difference of the integers from the float model, in its unit."""
+    cost_note: str
+    """Why the cost could not be told; empty where it is."""
     written: str | None
     """The effect's file."""
 

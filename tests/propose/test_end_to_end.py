@@ -34,6 +34,8 @@ def test_a_formula_is_proposed_written_added_and_becomes_checked_c(tmp_path, zer
     told = json.loads(zerodrift("propose", "-C", tmp_path, "--write", file, "--json").out)
     assert told["found"] and told["written"] == str(file)
     assert told["formula"].startswith("k * (humidity - LP(humidity, ")
+    assert told["instructions"]["cortex-m4"] > 0 and told["flash_bytes"]["cortex-m4"] > 0
+    assert all(told["rounding"][k] < 0.1 * told["rmse_left_out"][k]["after"] for k in ("Fz", "Mx"))
     toml = tmp_path / "zerodrift.toml"
     toml.write_text(toml.read_text() + '\n[plugins]\nfiles = ["my_effect.py"]\n')
     added = json.loads(zerodrift("add", told["kind"], "-C", tmp_path, "--json").out)

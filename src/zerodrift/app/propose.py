@@ -6,15 +6,19 @@ from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.changes import name_directory
 from zerodrift.diagnosis.formula.proposal import Formula, FormulaSearch
 from zerodrift.physics.summary import ParameterInterval, describe_coefficients
-from zerodrift.report.results import ProposedError, ProposedRival, ProposeResult
+from zerodrift.report.results import ProposedCost, ProposedError, ProposedRival, ProposeResult
 
 
-def summarise_search(found: FormulaSearch, dataset: Dataset, file: Path | None) -> ProposeResult:
+def summarise_search(
+    found: FormulaSearch, dataset: Dataset, cost: ProposedCost, cost_note: str, file: Path | None
+) -> ProposeResult:
     """Return what the command prints.
 
     Args:
         found: the search's end.
         dataset: the runs it was made in.
+        cost: what the formula adds on the chip.
+        cost_note: why that could not be told.
         file: where the effect's file was asked for.
     """
     formula = found.formula
@@ -58,6 +62,10 @@ def summarise_search(found: FormulaSearch, dataset: Dataset, file: Path | None) 
         physics=formula.meaning.physics if formula is not None else "",
         next_experiment=formula.meaning.experiment if formula is not None else "",
         remainder=found.remainder if formula is None else (),
+        instructions=cost.instructions,
+        flash_bytes=cost.flash_bytes,
+        rounding=cost.rounding,
+        cost_note=cost_note,
         written=str(file) if file is not None and formula is not None else None,
     )
 
@@ -110,6 +118,18 @@ def explain_proposal(result: ProposeResult, directory: Path) -> list[str]:
     for rival in result.lookalikes:
         says = "says the same" if rival.equal else "cannot be told from it by these logs"
         told.append(f"{rival.name} {says} ({rival.apart:.2f} times the noise apart).")
+    for core, instructions in result.instructions.items():
+        rounding = ", ".join(
+            f"{name} {value:.2g} {result.rmse_left_out[name].unit}"
+            for name, value in result.rounding.items()
+        )
+        told.append(
+            f"On a {core} it adds {instructions} instructions to a step and "
+            f"{result.flash_bytes[core]} B of flash; in integers the model differs by an RMS of "
+            f"{rounding} from float."
+        )
+    if result.cost_note:
+        told.append(f"Its cost on the chip could not be told: {result.cost_note}.")
     told.append(f"To confirm or refute it: {result.next_experiment}.")
     if result.written:
         told.append(

@@ -38,11 +38,13 @@ def command(directory: Path, file: Path | None, as_json: bool, skip_invalid: boo
     that was tried counts in what chance is allowed. That no formula holds is an answer too.
     """
     from zerodrift.app.commands.project import open_project
+    from zerodrift.app.formula_cost import measure_cost
     from zerodrift.app.propose import summarise_search
     from zerodrift.base.files import write_whole
     from zerodrift.diagnosis.formula.effect_file import render_file
     from zerodrift.diagnosis.formula.proposal import propose_formula
     from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.report.results import ProposedCost
 
     if file is not None and file.suffix != ".py":
         raise InputError(f"--write {file}: expected a name that ends in .py, as [plugins] takes.")
@@ -56,9 +58,13 @@ def command(directory: Path, file: Path | None, as_json: bool, skip_invalid: boo
             load_catalogue(config.plugin_files),
             lambda name: say(f"tried {name}"),
         )
+        cost, cost_note = ProposedCost({}, {}, {}), ""
+        if found.formula is not None:
+            say("counting what it costs on the chip")
+            cost, cost_note = measure_cost(config, dataset, found.formula)
     if file is not None and found.formula is not None:
         write_whole(file, render_file(found.formula).encode())
-    result = summarise_search(found, dataset, file)
+    result = summarise_search(found, dataset, cost, cost_note, file)
     print_notes(dataset.notes)
     if as_json:
         print_result(result)
