@@ -118,7 +118,10 @@ def _find_in_folder(folder: Path, period_s: float | None, refused: list[str]) ->
         try:
             tables = _open(path)
         except InputError as error:
-            if path.suffix.lower() != ".txt":  # which is as often a remark
+            is_remark = path.suffix.lower() == ".txt" and not isinstance(error.__cause__, OSError)
+            if not is_remark and not isinstance(error.__cause__, ImportError):
+                raise
+            if not is_remark:
                 refused.append(f"not read: {error}")
             continue
         if len(tables) > 1:

@@ -65,6 +65,8 @@ def _open_all(config: Config, files: Sequence[Path]) -> tuple[list[Source], list
         try:
             sources += open_sources(path, label_log(path, config.directory), {})
         except InputError as error:
+            if isinstance(error.__cause__, OSError):
+                raise
             refused.append(str(error))
     for column in config.where:
         if not any(column in source.names for source in sources):

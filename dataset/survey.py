@@ -289,7 +289,9 @@ def _read_times(
         expression = clock.read(frame.collect_schema())
         seconds = frame.select(expression).collect().to_series().fill_null(np.nan).to_numpy()
         seconds = clock.settle(np.array(seconds, dtype=np.float64), source.label)
-    except (InputError, *PARSER_ERRORS):
+    except (InputError, *PARSER_ERRORS) as error:
+        if isinstance(error, OSError) or isinstance(error.__cause__, OSError):
+            raise
         return None
     seconds = seconds[np.isfinite(seconds)]
     if seconds.size < 2:

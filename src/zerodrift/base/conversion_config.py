@@ -24,11 +24,6 @@ FACTORS = {
     **{"ppb": ("ppm", 1e-3), "ppm": ("ppm", 1.0)},
 }
 """Unit -> (what it is a multiple of, by how much)."""
-_NEEDED = {
-    "ntc": "r25_ohm and beta_K, or steinhart = [A, B, C]",
-    "table": "points = [[x, y], ...]",
-    "polynomial": "coefficients = [c0, c1, ...]",
-}
 
 
 @dataclass(frozen=True)
@@ -96,7 +91,8 @@ def read_conversion(table: TomlTable) -> ConversionConfig | None:
     points = _read_points(table) if kind == "table" else ()
     coefficients = _read_numbers(table, "coefficients") if kind == "polynomial" else ()
     if kind == "ntc" and has_beta == bool(steinhart):
-        raise table.error("convert", f'convert = "ntc" needs {_NEEDED["ntc"]}, and not both.')
+        needed = "r25_ohm and beta_K, or steinhart = [A, B, C]"
+        raise table.error("convert", f'convert = "ntc" needs {needed}, and not both.')
     return ConversionConfig(
         scale=table.number("scale", "a number") if "scale" in table.values else 1.0,
         offset=table.number("offset", "a number") if "offset" in table.values else 0.0,
