@@ -134,7 +134,7 @@ def _measure_output(
         factor: float,
         note: str,
         why_not: str,
-        fits: Mapping[str, _Fit],
+        fits: Mapping[str, _SlopeFit],
     ) -> DatasheetRow:
         if why_not or column is None:
             return DatasheetRow(quantity, name, unit, f"not told: {why_not}" if why_not else note)
@@ -186,7 +186,7 @@ def _pair(value: float, error: float) -> tuple[float, float | None]:
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _SlopeFit:
     value: Array
     """[4] of T, load, T load, creep; zeros for columns that are not there."""
     error: Array
@@ -217,7 +217,7 @@ def _fit(
     loaded: bool,
     tau_s: float,
     bends: bool = False,
-) -> _Fit:
+) -> _SlopeFit:
     """Return the least-squares fit with an offset for each run."""
     designs, targets = [], []
     for block in blocks:
@@ -239,7 +239,7 @@ def _fit(
     told = 4 if loaded else 1
     value[:told], error[:told] = (solution / scale)[:told], (spread / scale)[:told]
     rests = tuple(y - x[:, 1:told] @ value[1:told] for x, y in zip(designs, targets, strict=True))
-    return _Fit(value, error, float(sum(e @ e for e in left)), rests)
+    return _SlopeFit(value, error, float(sum(e @ e for e in left)), rests)
 
 
 def _choose_tau(blocks: Sequence[_Block], k: int) -> float:
@@ -250,7 +250,7 @@ def _choose_tau(blocks: Sequence[_Block], k: int) -> float:
     return known[int(np.argmin(squares))]
 
 
-def _measure_loop(blocks: Sequence[_Block], fit: _Fit) -> tuple[float, float] | None:
+def _measure_loop(blocks: Sequence[_Block], fit: _SlopeFit) -> tuple[float, float] | None:
     """Return the largest mean difference of the two branches, and its standard uncertainty."""
     low = min(float(b.rise_K.min()) for b in blocks)
     high = max(float(b.rise_K.max()) for b in blocks)

@@ -32,9 +32,9 @@ def to_onnx_gates(gru: FloatGru) -> tuple[Array, Array, Array]:
 
 def from_onnx_gates(
     attributes: Mapping[str, Any],
-    w: NDArray[Any],
-    r: NDArray[Any],
-    b: NDArray[Any] | None,
+    w: NDArray[np.generic],
+    r: NDArray[np.generic],
+    b: NDArray[np.generic] | None,
 ) -> FloatGru:
     """Return the GRU of an ONNX GRU node.
 

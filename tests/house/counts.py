@@ -23,6 +23,8 @@ NAMED = (
     ("state", "operations/*", "arrays by the names under which an operation declares them"),
     ("state", "export/*", "arrays by the names under which an operation declares them"),
     ("values", "src/zerodrift/base/*config.py", "keys of a table of zerodrift.toml"),
+    ("_NEEDED", "src/zerodrift/base/*config.py", "words for a value of zerodrift.toml"),
+    ("__dict__", "codegen/node_text.py", "attributes of a class by their names"),
     ("parts", "src/zerodrift/base/toml_edit.py", "groups of a regular expression"),
     ("parts", "export/golden.py", "arrays by their names in golden.npz"),
     ("attributes", "export/onnx_*", "attributes of an ONNX node, by ONNX's own names"),
@@ -45,6 +47,7 @@ NAMED = (
 )
 """What a key may be written out for, and where: names declared elsewhere, none of a result."""
 EDGES = {
+    "dataset/formats/*": "readers of other programs' logs",
     "c_runtime/footprint.py": "pyelftools hands out an ELF file by the format's own names",
     "c_runtime/emulator.py": "the same",
     "train/standings.py": "the reader of checkpoints, which yields where each attempt stood",
@@ -87,7 +90,7 @@ def list_subscripts() -> list[Place]:
         and isinstance(node.slice.value, str)
         and not _is_annotation(node)
         and not _is_named(_name_receiver(node), path)
-        and str(path.relative_to(ROOT)) not in EDGES
+        and not any(fnmatch(str(path.relative_to(ROOT)), edge) for edge in EDGES)
     ]
 
 

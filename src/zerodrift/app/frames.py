@@ -36,7 +36,7 @@ class Output:
 
 
 @dataclass(frozen=True)
-class Columns:
+class FrameColumns:
     """What the columns of the frames are."""
 
     time: str
@@ -102,7 +102,7 @@ def _plain(value: object) -> object:
 def write_project(
     folder: Path,
     frames: Mapping[str, pl.DataFrame],
-    columns: Columns,
+    columns: FrameColumns,
     begin: Beginning,
 ) -> None:
     """Write frames as Parquet logs, and the zerodrift.toml that names them.
@@ -154,7 +154,7 @@ def write_project(
     write_all(folder, {folder / FILE_NAME: text.encode()})
 
 
-def _list_columns(columns: Columns) -> list[str]:
+def _list_columns(columns: FrameColumns) -> list[str]:
     named = [columns.time, columns.temperature, *columns.inputs.values()]
     for output in columns.outputs.values():
         named.append(output.measured)
@@ -184,7 +184,7 @@ def measure_period_s(frames: Mapping[str, pl.DataFrame], time: str) -> float:
 
 def _render(
     frames: Mapping[str, pl.DataFrame],
-    columns: Columns,
+    columns: FrameColumns,
     logs: Mapping[str, Sequence[str]],
     begin: Beginning,
 ) -> str:

@@ -85,7 +85,7 @@ class Project:
             InputError: a column is missing, or a frame holds what a log must not.
             TypeError: an option is not one of these.
         """
-        from zerodrift.app.frames import Beginning, Columns, Output, to_polars, write_project
+        from zerodrift.app.frames import Beginning, FrameColumns, Output, to_polars, write_project
 
         path = options.pop("path", None)
         scratch = tempfile.TemporaryDirectory(prefix="zerodrift-") if path is None else None
@@ -94,7 +94,7 @@ class Project:
             name: output if isinstance(output, Output) else Output(output)
             for name, output in outputs.items()
         }
-        columns = Columns(time, temperature, told, dict(options.pop("inputs", {})))
+        columns = FrameColumns(time, temperature, told, dict(options.pop("inputs", {})))
         begin = Beginning(**options)
         write_project(folder, {n: to_polars(n, f) for n, f in frames.items()}, columns, begin)
         project = cls(folder)

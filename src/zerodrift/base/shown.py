@@ -47,7 +47,7 @@ class Shown:
         return f"<h3>{title}</h3><table>{body}</table>{''.join(tables)}"
 
 
-def with_picture(result: T, draw: Callable[..., Any]) -> T:
+def with_picture(result: T, draw: Callable[..., object]) -> T:
     """Return a result that draws itself by `draw`."""
     object.__setattr__(result, "_draw", draw)
     return result
