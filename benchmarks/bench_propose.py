@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.bench_conditions import bound
 from benchmarks.formula_cases import DISTURBANCES, FORMS, Simulated, simulate
@@ -115,15 +116,18 @@ def score(kind: str, seed: int) -> Scored:
             kind, found.reason, False, float("nan"), found.floor_ratio_before, False, cpu_s
         )
     apart, ratio = _compare(case, found)
-    right = formula.expression.write() in RIGHT.get(kind, set())
-    return Scored(kind, formula.expression.write(formula.values), right, apart, ratio, True, cpu_s)
+    one = formula.expressions[0].write() if len(formula.expressions) == 1 else ""
+    right = one in RIGHT.get(kind, set())
+    return Scored(kind, formula.write(), right, apart, ratio, True, cpu_s)
 
 
 def _compare(case: Simulated, found: FormulaSearch) -> tuple[float, float]:
     """Return how far predictions are from the truth, and errors over the noise, on test runs."""
     assert found.formula is not None
     model = found.formula.revision.after.model
-    apart, left, noise = [], [], []
+    apart: list[NDArray[np.float64]] = []
+    left: list[NDArray[np.float64]] = []
+    noise: list[NDArray[np.float64]] = []
     for run in case.dataset.test:
         prediction, truth = model.predict(run), case.truth[run.name]
         for rows, difference in (

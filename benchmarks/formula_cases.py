@@ -175,7 +175,7 @@ def simulate(kind: str, size: float, runs: int, seed: int) -> Simulated:
     """Return a project whose model has zero_tempco alone.
 
     Args:
-        kind: one of FORMS, of DISTURBANCES, or "complete".
+        kind: one of FORMS or a sum of them ("A + B"), one of DISTURBANCES, or "complete".
         size: RMS of what is hidden beyond a straight line in temperature, over that of the noise.
         runs: training runs.
         seed: draws everything.
@@ -185,10 +185,12 @@ def simulate(kind: str, size: float, runs: int, seed: int) -> Simulated:
     channels = {name: _draw_channels(rng) for name in names}
     channels["dwell"] = _rest(channels["run_0"])
     hidden: dict[str, Array] = {}
-    if kind in FORMS:
-        law = FORMS[kind](channels["run_0"], rng)
-        hidden = {name: law(c) for name, c in channels.items()}
-    elif kind in DISTURBANCES:
+    laws = [FORMS[one](channels["run_0"], rng) for one in kind.split(" + ") if one in FORMS]
+    for law in laws:
+        found_by_law = {name: law(c) for name, c in channels.items()}
+        size_of_it = _measure([found_by_law[n] for n in names], [channels[n]["T"] for n in names])
+        hidden = {name: hidden.get(name, 0.0) + x / size_of_it for name, x in found_by_law.items()}
+    if kind in DISTURBANCES:
         hidden = {name: _disturb(kind, rng) for name in channels}
         hidden["dwell"] = np.zeros(ROWS)
     scale = (

@@ -120,9 +120,7 @@ class ProposedRival:
     """What these runs cannot tell from the formula."""
 
     name: str
-    """Another formula, or an effect of the catalogue."""
-    is_effect: bool
-    """Whether it is an effect of the catalogue."""
+    """Another formula."""
     apart: float
     """RMS difference of the two predictions in the runs, in units of the noise."""
     equal: bool
@@ -163,6 +161,9 @@ class ProposeResult:
     p_value: float | None
     """How often the best of everything tried does as well when signs of whole runs are flipped;
     null where nothing was tried."""
+    probability: float | None
+    """1 less the p-value: that chance among all that was tried does not do as well; null without a
+    formula. That the formula is the cause it does not say."""
     forms_tried: int
     columns_tried: int
     """Formulas times values of their numbers."""

@@ -3,7 +3,7 @@
 import json
 import textwrap
 
-from zerodrift.diagnosis.formula.expression import is_by_load
+from zerodrift.diagnosis.formula.expression import is_by_load, name_term, write_formula
 from zerodrift.diagnosis.formula.proposal import Formula
 from zerodrift.physics.effect import Parameter
 
@@ -12,18 +12,20 @@ WIDTH = 92
 
 def render_file(formula: Formula) -> str:
     """Return the text of the file: the effect, named and commented."""
-    effect, expression, meaning = formula.effect, formula.expression, formula.meaning
-    by_load = is_by_load(expression)
-    feature = [f'Feature("formula", x, {_quote(expression.unit)})']
-    if by_load:
-        feature = [f'Feature(f"formula {{name}}", x, {_quote(expression.unit)}, name)']
-    code = expression.list_code()
-    if by_load:
-        body = ["features = []", "for name, load in signals.load.items():"]
-        body += [f"    {line}" for line in code]
-        body += [f"    features.append({feature[0]})", "return features"]
-    else:
-        body = [*code, f"return [{feature[0]}]"]
+    effect, meaning = formula.effect, formula.meaning
+    body, by_load = ["features = []"], ["for own, load in signals.load.items():"]
+    for number, one in enumerate(formula.expressions, 1):
+        name = name_term(number, len(formula.expressions))
+        result = "x" if len(formula.expressions) == 1 else "xyz"[number - 1]
+        code, unit = one.list_code(result), _quote(one.unit)
+        if is_by_load(one):
+            by_load += [f"    {line}" for line in code]
+            by_load.append(
+                f'    features.append(Feature(f"{name} {{own}}", {result}, {unit}, own))'
+            )
+        else:
+            body += [*code, f"features.append(Feature({_quote(name)}, {result}, {unit}))"]
+    body += [*(by_load if len(by_load) > 1 else []), "return features"]
     told = (
         f"Found by `zerodrift propose` in these logs, not taken from a book: {meaning.physics} "
         f"What would show it: {meaning.experiment}."
@@ -33,9 +35,9 @@ def render_file(formula: Formula) -> str:
         "",
         *textwrap.wrap(told, WIDTH),
         "",
-        f"    drift = k * {expression.write(formula.values)}",
+        f"    drift = {formula.write()}",
         "",
-        "Each output has a k of its own; the numbers below are fitted again by `zerodrift add`.",
+        "Each output has coefficients of its own; `zerodrift add` fits the numbers again.",
         '"""',
         "",
         "from zerodrift.physics.catalogue import register",
@@ -43,7 +45,7 @@ def render_file(formula: Formula) -> str:
         "",
         "",
         "def build(ops, signals, p):",
-        f'    """{expression.write()}"""',
+        f'    """Return the terms of {write_formula(formula.expressions)}."""',
         *(f"    {line}" for line in body),
         "",
         "",
@@ -53,7 +55,7 @@ def render_file(formula: Formula) -> str:
         f"        title={_quote(effect.title)},",
         "        build=build,",
         "        parameters=(",
-        *(line for p in expression.parameters for line in _write_parameter(p, formula)),
+        *(line for p in effect.parameters for line in _write_parameter(p, formula)),
         "        ),",
         f"        needs={_write_names(effect.needs)},",
         f"        equation={_quote(effect.equation)},",

@@ -1,7 +1,7 @@
 """A formula as a tree of the chip's operations: computed, written for a reader, and as code."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from zerodrift.operations.backend import Operations
 from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values
@@ -208,8 +208,8 @@ class Expression:
         value = f"{values[self.parameter.name]:.3g}"
         return f"{float(value):g}{unit}"
 
-    def list_code(self) -> list[str]:
-        """Return the lines of a `build` function that compute it; the last one's name is `x`."""
+    def list_code(self, result: str = "x") -> list[str]:
+        """Return the lines of a `build` function that compute it; the last one's name is given."""
         names: dict[str, str] = {}
         lines: list[str] = []
         steps = [one for one in self.walk() if one.op != "source"]
@@ -218,10 +218,10 @@ class Expression:
                 assert step.source is not None
                 names[step.write()] = step.source.code
                 continue
-            name = "x" if step is steps[-1] else f"x{len(lines) + 1}"
+            name = result if step is steps[-1] else f"{result}{len(lines) + 1}"
             lines.append(f"{name} = {step.write_call([names[one.write()] for one in step.inputs])}")
             names[step.write()] = name
-        return lines or [f"x = {names[self.write()]}"]
+        return lines or [f"{result} = {names[self.write()]}"]
 
     def write_call(self, arguments: Sequence[str]) -> str:
         """Return the call of `ops` that this operation is, its inputs given as code."""
@@ -244,30 +244,54 @@ class Expression:
         return f"ops.{name}({', '.join(arguments)})"
 
 
-def make_effect(kind: str, title: str, expression: Expression) -> Effect:
-    """Return the formula as an effect, which is fitted and judged as those of the catalogue are."""
+def make_effect(kind: str, title: str, expressions: Sequence[Expression]) -> Effect:
+    """Return a sum of terms as an effect, fitted and judged as those of the catalogue are."""
 
     def build(ops: Operations[S], signals: Signals[S], p: Mapping[str, float]) -> list[Feature[S]]:
-        if is_by_load(expression):
-            return [
-                Feature(
-                    f"formula {name}",
-                    expression.build(ops, signals, p, name),
-                    expression.unit,
-                    name,
-                )
-                for name in signals.load
-            ]
-        return [Feature("formula", expression.build(ops, signals, p, None), expression.unit)]
+        features: list[Feature[S]] = []
+        for number, one in enumerate(expressions, 1):
+            name = name_term(number, len(expressions))
+            if is_by_load(one):
+                features += [
+                    Feature(f"{name} {own}", one.build(ops, signals, p, own), one.unit, own)
+                    for own in signals.load
+                ]
+            else:
+                features.append(Feature(name, one.build(ops, signals, p, None), one.unit))
+        return features
 
     return Effect(
         kind=kind,
         title=title,
         build=build,
-        parameters=expression.parameters,
-        needs=tuple(dict.fromkeys(source.need for source in expression.sources)),
-        equation=f"drift = k {expression.write()}",
+        parameters=tuple(p for one in expressions for p in one.parameters),
+        needs=tuple(dict.fromkeys(d.need for one in expressions for d in one.sources)),
+        equation=f"drift = {write_formula(expressions)}",
     )
+
+
+def name_term(number: int, of: int) -> str:
+    """Return the name of a term's feature, whose coefficient is k, or k1, k2, ..."""
+    return "k" if of == 1 else f"k{number}"
+
+
+def write_formula(expressions: Sequence[Expression], values: Values | None = None) -> str:
+    """Return a sum of terms, each with its coefficient."""
+    return " + ".join(
+        f"{name_term(number, len(expressions))} * {one.write(values)}"
+        for number, one in enumerate(expressions, 1)
+    )
+
+
+def rename(expression: Expression, suffix: str) -> Expression:
+    """Return the expression with a suffix to the names of its numbers, before the unit."""
+    parameter = expression.parameter
+    if parameter is not None:
+        stem = parameter.name.removesuffix("_s")
+        unit = parameter.name[len(stem) :]
+        parameter = replace(parameter, name=f"{stem}{suffix}{unit}")
+    inputs = tuple(rename(one, suffix) for one in expression.inputs)
+    return replace(expression, inputs=inputs, parameter=parameter)
 
 
 def is_by_load(expression: Expression) -> bool:

@@ -21,6 +21,8 @@ LONGEST_DELAY_SHARE = 0.12
 MOST_DELAY_SAMPLES = 32_767
 QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Where between the ends of a signal's values thresholds begin."""
+ORIGINS = (-0.5, 0.2, 0.5, 0.8, 1.5)
+"""The same for what a square or a size is counted from, which may lie outside."""
 WIDTHS = (0.04, 0.1, 0.25)
 """Half-widths of a play, in spans of the signal."""
 DOUBLINGS = (0.12, 0.25, 0.5)
@@ -206,8 +208,8 @@ class _Grower:
             (Expression("difference", (x, slow)), tau),
             (_hinge(x, "above", a, "threshold"), thresholds),
             (_hinge(x, "below", a, "threshold"), thresholds),
-            (Expression("power", (shifted,), number=2.0), origins_a[1:2]),
-            (Expression("size", (shifted,)), origins_a[1:2]),
+            (Expression("power", (shifted,), number=2.0), origins_a[2:3]),
+            (Expression("size", (shifted,)), origins_a[2:3]),
             self._exp2(x, a, 1.0),
         ]
         for form, starts in grown:
@@ -254,7 +256,7 @@ class _Grower:
 
     def _shift(self, x: Expression, source: Driver) -> Grown:
         parameter = _inside("origin", source, beyond=1.0)
-        starts = tuple((source.low + q * source.span,) for q in (0.2, 0.5, 0.8))
+        starts = tuple((source.low + q * source.span,) for q in ORIGINS)
         return Expression("shift", (x,), parameter=parameter), starts
 
     def _count(
@@ -266,6 +268,9 @@ class _Grower:
         parameter = _inside(name, source, beyond=2.0)
         quantiles = (0.5,) if middle_only else (0.1, 0.5, 0.9)
         starts = tuple((source.low + q * source.span,) for q in quantiles)
+        # From zero on it is at least as good as the form without an origin.
+        if parameter.lower <= 0.0 <= parameter.upper:
+            starts += ((0.0,),)
         return Expression("shift", (x,), parameter=parameter), starts
 
     def _exp2(self, x: Expression, source: Driver, sign: float) -> Grown:

@@ -12,7 +12,12 @@ from zerodrift.diagnosis.case import Advance, Case, open_case
 from zerodrift.diagnosis.changes import ADD, Change
 from zerodrift.diagnosis.examination import Examination, Judged, examine, fit_base, predict
 from zerodrift.diagnosis.examination import share_explained as explain_share
-from zerodrift.diagnosis.formula.expression import Expression, make_effect
+from zerodrift.diagnosis.formula.expression import (
+    Expression,
+    make_effect,
+    rename,
+    write_formula,
+)
 from zerodrift.diagnosis.formula.grammar import centre, list_forms
 from zerodrift.diagnosis.formula.screen import Screen, Search, list_sources
 from zerodrift.diagnosis.formula.words import Meaning, explain
@@ -27,16 +32,19 @@ from zerodrift.diagnosis.rules import (
 )
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Effect
+from zerodrift.physics.terms import Term
 
 Array = NDArray[np.float64]
 
+SEARCHES = 3
+"""Where one term explains too little a second is looked for, and then the first one anew."""
 SHORTLIST = 12
 """Forms that are fitted in full."""
 SIMPLE = 3
 """As many of them are the best of the simplest kind."""
 FROM_CATALOGUE = 3
 """Effects of the catalogue that are fitted beside them."""
-AS_GOOD = 1.01
+AS_GOOD = 1.005
 """A simpler form is as good if its error on runs left out is below this share of the best's, ..."""
 AS_GOOD_UNITS = 10.0
 """... or its gain is behind by less than this in noise units."""
@@ -46,11 +54,10 @@ EQUAL = 0.1
 
 @dataclass(frozen=True)
 class Rival:
-    """A formula or an effect of the catalogue that these runs cannot tell from the one proposed."""
+    """A formula that these runs cannot tell from the one proposed."""
 
     name: str
-    """The formula, or the effect's name."""
-    is_effect: bool
+    """The formula."""
     apart: float
     """RMS difference of their predictions, in units of the noise."""
 
@@ -65,12 +72,39 @@ class Formula:
     """A formula as it was fitted."""
 
     effect: Effect
-    expression: Expression
+    expressions: tuple[Expression, ...]
+    """The terms of the sum, the strongest first."""
     values: Mapping[str, float]
     meaning: Meaning
     revision: Revision
     """What `add` would say of it, on runs left out."""
     rivals: tuple[Rival, ...]
+
+    def write(self) -> str:
+        """Return the formula with its numbers."""
+        return write_formula(self.expressions, self.values)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One search beside what has been found."""
+
+    search: Search
+    examination: Examination
+    expressions: Mapping[str, Expression]
+    """The forms that were fitted, by their names for the time being."""
+    catalogue: Catalogue
+    """With these forms in it."""
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """The simplest formula that is as good as the best, or why there is none."""
+
+    best: Judged | None
+    alike: tuple[Judged, ...]
+    reason: str = ""
+    suffices: str = ""
 
 
 @dataclass(frozen=True)
@@ -112,35 +146,70 @@ def propose_formula(
         InputError: as `fit_config`.
     """
     dataset = replace(dataset, test=())
-    places = {f"formula_{n}": _hold_place(f"formula_{n}") for n in range(1, SHORTLIST + 1)}
+    places = {f"formula_{n}": _hold_place(f"formula_{n}") for n in range(SEARCHES * SHORTLIST)}
     case = open_case(dataset, Catalogue({**catalogue, **places}), config.effects, advance)
     known = replace(case, catalogue=catalogue)
     first = examine(known.campaign, dataset.dwell, catalogue, known.terms, advance=known.advance)
     if is_at_floor(first, first.fitted_ratio):
         reason = "what the model leaves is at the noise floor: there is nothing to explain"
         return _end(known, first, reason)
-    base, noise, _ = fit_base(case.campaign, dataset.dwell, case.terms)
-    screen = Screen(case.campaign, base, noise)
-    forms = list_forms(list_sources(case.campaign), screen.spans)
-    advance(f"{len(forms)} formulas")
-    found = screen.search(forms)
-    expressions = _shortlist(found)
-    effects = {
-        kind: make_effect(kind, expression.write(), expression)
-        for kind, expression in zip(places, expressions, strict=False)
-    }
-    by_kind = dict(zip(effects, expressions, strict=True))
     rivals = [j.kind for j in first.judged if j.sound and helps(j, first)][:FROM_CATALOGUE]
-    grown = Catalogue({**catalogue, **places, **effects})
-    second = examine(
-        case.campaign,
-        dataset.dwell,
-        grown,
-        case.terms,
-        kinds=frozenset((*effects, *rivals)),
-        advance=advance,
-    )
-    return _conclude(replace(case, catalogue=grown), config, second, by_kind, found)
+    step = _search_beside(case, case.catalogue, case.terms, 0, rivals)
+    choice = _choose(step)
+    ended = _tell(_end(case, step.examination, choice.reason, choice.suffices), step)
+    if choice.best is None:
+        return ended
+    whole, best = step.examination, choice.best
+    terms: tuple[Expression, ...] = (step.expressions[best.kind],)
+    first_kind = best.kind
+    if not _explains(case, whole, best):
+        advance("one formula; looking for a second beside it")
+        second = _search_beside(case, step.catalogue, best.found.terms, SHORTLIST, ())
+        beside = _choose(second)
+        if beside.best is None or not _explains(case, whole, beside.best):
+            share = explain_share(whole.fitted_ratio**2, best.fitted_ratio**2)
+            reason = (
+                f"the best formula explains {100.0 * share:.0f} % of what is left above the floor,"
+                " and no second one beside it the rest; a formula of the right form explains "
+                "nearly all of it"
+            )
+            return replace(ended, reason=reason)
+        kept = second.expressions[beside.best.kind]
+        terms = (rename(terms[0], "_1"), rename(kept, "_2"))
+        step, choice, best = second, beside, beside.best
+        # The first was chosen while the second was still missing: it may have stood in for both.
+        others = [t for t in best.found.terms if t.effect.kind != first_kind]
+        third = _search_beside(case, step.catalogue, others, 2 * SHORTLIST, ())
+        again = _choose(third)
+        if again.best is not None and again.best.fitted_ratio < best.fitted_ratio:
+            terms = (rename(kept, "_1"), rename(third.expressions[again.best.kind], "_2"))
+            step, choice, best = third, again, again.best
+    return _finish(case, config, catalogue, terms, (whole, step, choice, best), ended)
+
+
+def _search_beside(
+    case: Case, catalogue: Catalogue, terms: Sequence[Term], place: int, rivals: Sequence[str]
+) -> _Step:
+    """Return what a search beside a model's terms finds.
+
+    Args:
+        case: the runs.
+        catalogue: the known effects and those found before.
+        terms: the model.
+        place: the first of the names kept for the forms of this search.
+        rivals: effects of the catalogue to be fitted too.
+    """
+    campaign, dwell = case.campaign, case.dataset.dwell
+    base, noise, _ = fit_base(campaign, dwell, terms)
+    screen = Screen(campaign, base, noise)
+    search = screen.search(list_forms(list_sources(campaign), screen.spans))
+    case.advance(f"{search.tried} values of {len(search.forms)} formulas")
+    expressions = {f"formula_{place + n}": one for n, one in enumerate(_shortlist(search))}
+    effects = {kind: make_effect(kind, one.write(), (one,)) for kind, one in expressions.items()}
+    grown = Catalogue({**catalogue, **effects})
+    kinds = frozenset((*effects, *rivals))
+    seen = examine(campaign, dwell, grown, terms, kinds=kinds, advance=case.advance)
+    return _Step(search, seen, expressions, grown)
 
 
 def _hold_place(kind: str) -> Effect:
@@ -160,74 +229,87 @@ def _shortlist(found: Search) -> list[Expression]:
     return [centre(one.form, one.values) for one in chosen]
 
 
-def _conclude(
+def _choose(step: _Step) -> _Choice:
+    """Return the simplest formula that is as good as the best, if it passes every rule."""
+    seen, expressions, search = step.examination, step.expressions, step.search
+    judged = [j for j in seen.judged if j.sound and helps(j, seen)]
+    if not judged:
+        return _Choice(
+            None, (), "no formula predicts runs left out better by more than chance does"
+        )
+    alike = tuple(j for j in judged if _is_as_good(j, judged[0]))
+    from_catalogue = [j.kind for j in alike if j.kind not in expressions]
+    if from_catalogue:
+        kind = from_catalogue[0]
+        return _Choice(None, alike, f"the catalogue's {kind} does as well as any formula", kind)
+    if search.p_value > max(SIGNIFICANT, 1.0 / len(search.chance)):
+        return _Choice(
+            None,
+            alike,
+            f"the best of {search.tried} formulas and values does no better than the best of as "
+            f"many by chance (p = {search.p_value:.2g})",
+        )
+    return _Choice(min(alike, key=lambda j: (expressions[j.kind].complexity, -j.gain)), alike)
+
+
+def _explains(case: Case, whole: Examination, best: Judged) -> bool:
+    """Return whether a formula explains nearly all that the model and its floor leave."""
+    share = explain_share(whole.fitted_ratio**2, best.fitted_ratio**2)
+    enough = is_at_floor(whole, best.fitted_ratio) or share >= EXPLAINED
+    if case.dataset.dwell:
+        return enough
+    return enough or best.rmse_ratio**2 <= LEFT_WITHOUT_DWELL
+
+
+def _finish(
     case: Case,
     config: Config,
-    second: Examination,
-    expressions: Mapping[str, Expression],
-    found: Search,
+    catalogue: Catalogue,
+    terms: tuple[Expression, ...],
+    found: tuple[Examination, _Step, _Choice, Judged],
+    ended: FormulaSearch,
 ) -> FormulaSearch:
-    """Return the simplest formula that is as good as the best, if it passes every rule."""
-    judged = [j for j in second.judged if j.sound and helps(j, second)]
-    nearest = next((expressions[j.kind] for j in second.judged if j.kind in expressions), None)
-    name = nearest.write() if nearest is not None else ""
-
-    def refuse(reason: str, suffices: str = "") -> FormulaSearch:
-        ended = _end(case, second, reason, suffices)
-        return replace(
-            ended,
-            forms=len(found.forms),
-            tried=found.tried,
-            p_value=found.p_value,
-            nearest=name,
-        )
-
-    if not judged:
-        return refuse("no formula predicts runs left out better by more than chance does")
-    alike = [j for j in judged if _is_as_good(j, judged[0])]
-    from_catalogue = [j for j in alike if j.kind not in expressions]
-    if from_catalogue:
-        kind = from_catalogue[0].kind
-        return refuse(f"the catalogue's {kind} does as well as any formula", kind)
-    best = min(alike, key=lambda j: (expressions[j.kind].complexity, -j.gain))
-    reachable = 1.0 / len(found.chance)
-    if found.p_value > max(SIGNIFICANT, reachable):
-        return refuse(
-            f"the best of {found.tried} formulas tried does no better than the best of as many "
-            f"by chance (p = {found.p_value:.2g})"
-        )
-    share = explain_share(second.fitted_ratio**2, best.fitted_ratio**2)
-    enough = is_at_floor(second, best.fitted_ratio) or share >= EXPLAINED
-    if not case.dataset.dwell:
-        enough = enough or best.rmse_ratio**2 <= LEFT_WITHOUT_DWELL
-    if not enough:
-        return refuse(
-            f"the best formula explains {100.0 * share:.0f} % of what is left above the floor; "
-            "a formula of the right form explains nearly all of it"
-        )
-    effect, expression, meaning = _name(case, expressions[best.kind])
-    catalogue = Catalogue(
-        {**{k: e for k, e in case.catalogue.items() if k not in expressions}, effect.kind: effect}
-    )
+    """Return the formula as `add` would fit it, if `add` would keep it."""
+    whole, step, choice, best = found
+    effect, meaning = _name(catalogue, terms)
     wanted = EffectConfig(effect.kind)
-    effects = (*config.effects, wanted)
-    change = Change(ADD, wanted, effects, len(config.effects))
-    revision = revise(config, case.dataset, catalogue, change)
+    change = Change(ADD, wanted, (*config.effects, wanted), len(config.effects))
+    extended = Catalogue({**catalogue, effect.kind: effect})
+    revision = revise(config, case.dataset, extended, change)
     if not revision.helps:
-        return refuse(f"`add` would not keep the best formula: {revision.reason}")
+        return replace(ended, reason=f"`add` would not keep the best formula: {revision.reason}")
     assert revision.term is not None
-    rivals = [
+    rivals = tuple(
         Rival(
-            _write(j, expressions), j.kind not in expressions, _measure_apart(case, second, best, j)
+            write_formula((*terms[:-1], step.expressions[other.kind]), None)
+            if len(terms) > 1
+            else write_formula((step.expressions[other.kind],), other.parameters),
+            _measure_apart(case, whole, best, other),
         )
-        for j in alike
-        if j.kind != best.kind
-    ]
-    formula = Formula(
-        effect, expression, revision.term.term.values, meaning, revision, tuple(rivals)
+        for other in choice.alike
+        if other.kind != best.kind
     )
-    ended = refuse(revision.reason)
-    return replace(ended, formula=formula, floor_ratio_after=best.floor_ratio, nearest="")
+    values = revision.term.term.values
+    return replace(
+        ended,
+        formula=Formula(effect, terms, values, meaning, revision, rivals),
+        reason=revision.reason,
+        floor_ratio_after=best.floor_ratio,
+        nearest="",
+    )
+
+
+def _tell(ended: FormulaSearch, step: _Step) -> FormulaSearch:
+    """Return the end with what the search was."""
+    kinds = (j.kind for j in step.examination.judged if j.kind in step.expressions)
+    nearest = next(kinds, None)
+    return replace(
+        ended,
+        forms=len(step.search.forms),
+        tried=step.search.tried,
+        p_value=step.search.p_value,
+        nearest=step.expressions[nearest].write() if nearest is not None else "",
+    )
 
 
 def _is_as_good(judged: Judged, best: Judged) -> bool:
@@ -236,22 +318,26 @@ def _is_as_good(judged: Judged, best: Judged) -> bool:
     return behind <= AS_GOOD_UNITS or judged.floor_ratio <= AS_GOOD * best.floor_ratio
 
 
-def _name(case: Case, expression: Expression) -> tuple[Effect, Expression, Meaning]:
-    """Return the effect under a name of its own."""
-    meaning = explain(expression)
-    stem = "_".join(dict.fromkeys(s.text.replace(" ", "_") for s in expression.sources))
-    kind = wanted = f"{stem}_{meaning.name}".lower()
-    kind = wanted = "".join(c if c.isalnum() or c == "_" else "_" for c in wanted)
+def _name(catalogue: Catalogue, terms: tuple[Expression, ...]) -> tuple[Effect, Meaning]:
+    """Return the effect under a name of its own, and what its strongest term means."""
+    meaning = explain(terms[0])
+    stem = "_".join(dict.fromkeys(d.text.replace(" ", "_") for d in terms[0].sources))
+    name = f"{stem}_{meaning.name}{'_and_more' if len(terms) > 1 else ''}".lower()
+    kind = name = "".join(c if c.isalnum() or c == "_" else "_" for c in name)
     number = 2
-    while kind in case.catalogue:
-        kind, number = f"{wanted}_{number}", number + 1
-    return make_effect(kind, meaning.title, expression), expression, meaning
-
-
-def _write(judged: Judged, expressions: Mapping[str, Expression]) -> str:
-    if judged.kind not in expressions:
-        return judged.kind
-    return f"k * {expressions[judged.kind].write(judged.parameters)}"
+    while kind in catalogue:
+        kind, number = f"{name}_{number}", number + 1
+    title = meaning.title
+    if len(terms) > 1:
+        others = [explain(one) for one in terms[1:]]
+        title = " and ".join((title, *(one.title for one in others)))
+        meaning = replace(
+            meaning,
+            title=title,
+            physics=" Beside it: ".join((meaning.physics, *(one.physics for one in others))),
+            experiment="; ".join((meaning.experiment, *(one.experiment for one in others))),
+        )
+    return make_effect(kind, title, terms), meaning
 
 
 def _measure_apart(case: Case, second: Examination, one: Judged, other: Judged) -> float:

@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 from benchmarks.formula_cases import TOML, simulate
 
+from zerodrift.diagnosis.formula.effect_file import render_file
+from zerodrift.diagnosis.formula.proposal import propose_formula
+from zerodrift.physics.catalogue import load_catalogue
+
 
 def write_project(directory, kind, runs=6, seed=7):
     """Write a simulated project's logs and zerodrift.toml."""
@@ -44,3 +48,27 @@ def test_a_formula_is_proposed_written_added_and_becomes_checked_c(tmp_path, zer
     assert abs(value - told["parameters"]["tau_s"]["value"]) < 3.0 * std
     built = json.loads(zerodrift("firmware", "-C", tmp_path, "--json").out)
     assert built["bit_exact"] and built["written"]
+
+
+@pytest.mark.slow
+def test_a_second_term_is_found_and_the_first_one_anew(tmp_path):
+    simulated = simulate("play(humidity) + max(supply, c)", 5.0, 6, 77)
+    found = propose_formula(simulated.config, simulated.dataset, load_catalogue())
+    assert found.formula is not None
+    assert {one.write() for one in found.formula.expressions} == {
+        "max(supply, threshold_1)",
+        "play(humidity, half_width_2)",
+    }
+    (tmp_path / "two.py").write_text(render_file(found.formula), encoding="utf-8")
+    effect = load_catalogue([tmp_path / "two.py"])[found.formula.effect.kind]
+    assert [p.name for p in effect.parameters] == ["threshold_1", "half_width_2"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["complete", "random walk"])
+def test_where_there_is_no_formula_none_is_proposed(tmp_path, zerodrift, kind):
+    write_project(tmp_path, kind)
+    file = tmp_path / "my_effect.py"
+    told = json.loads(zerodrift("propose", "-C", tmp_path, "--write", file, "--json").out)
+    assert not told["found"] and told["written"] is None and not file.exists()
+    assert "NO FORMULA" in zerodrift("propose", "-C", tmp_path).out

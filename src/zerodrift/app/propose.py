@@ -34,7 +34,7 @@ def summarise_search(
     return ProposeResult(
         found=formula is not None,
         kind=formula.effect.kind if formula is not None else None,
-        formula=f"k * {formula.expression.write(formula.values)}" if formula is not None else None,
+        formula=formula.write() if formula is not None else None,
         parameters=_list_parameters(formula) if formula is not None else {},
         coefficients=(
             describe_coefficients(formula.revision.after.model, fitted)
@@ -50,10 +50,13 @@ def summarise_search(
         floor_ratio_before=found.floor_ratio_before,
         floor_ratio_after=found.floor_ratio_after,
         p_value=found.p_value,
+        probability=1.0 - found.p_value
+        if formula is not None and found.p_value is not None
+        else None,
         forms_tried=found.forms,
         columns_tried=found.tried,
         lookalikes=tuple(
-            ProposedRival(rival.name, rival.is_effect, rival.apart, rival.is_equal)
+            ProposedRival(rival.name, rival.apart, rival.is_equal)
             for rival in (formula.rivals if formula is not None else ())
         ),
         suffices=found.suffices or None,
@@ -109,7 +112,7 @@ def explain_proposal(result: ProposeResult, directory: Path) -> list[str]:
             told.append("What is left follows no signal in the logs.")
         return [*told, tried] if tried else told
     told = [
-        f"FORMULA: drift = {result.formula}, a k for each output.",
+        f"FORMULA: drift = {result.formula}, with coefficients of its own for each output.",
         f"Held-out error: {result.floor_ratio_before:.2f} times the noise floor now, "
         f"{result.floor_ratio_after:.2f} times with it; {result.reason}.",
         tried,
@@ -117,7 +120,7 @@ def explain_proposal(result: ProposeResult, directory: Path) -> list[str]:
     ]
     for rival in result.lookalikes:
         says = "says the same" if rival.equal else "cannot be told from it by these logs"
-        told.append(f"{rival.name} {says} ({rival.apart:.2f} times the noise apart).")
+        told.append(f"drift = {rival.name} {says} ({rival.apart:.2f} times the noise apart).")
     for core, instructions in result.instructions.items():
         rounding = ", ".join(
             f"{name} {value:.2g} {result.rmse_left_out[name].unit}"

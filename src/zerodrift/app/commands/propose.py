@@ -96,7 +96,9 @@ def print_proposal(result: "ProposeResult", directory: Path) -> None:
             if one.std_error is not None:
                 reach = 1.96 * one.std_error
                 interval = f"{one.value - reach:.4g} .. {one.value + reach:.4g}"
-            table.add_row("k", one.output, one.unit, f"{one.value:.4g}", interval)
+            table.add_row(
+                one.feature.split()[0], one.output, one.unit, f"{one.value:.4g}", interval
+            )
         console.print(table)
     for sentence in explain_proposal(result, directory):
         console.print(sentence)
