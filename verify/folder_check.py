@@ -194,7 +194,9 @@ def compare_texts(code: GeneratedCode, fresh: GeneratedCode) -> list[str]:
     if own == read_code_identities(fresh.header):
         found += _compare_lines(code.header_name, code.header, fresh.header)
         found += _compare_lines(code.source_name, code.source, fresh.source)
-    elif own and identify_again(code.header, code.source) != (code.header, code.source):
+    elif own and read_code_identities(
+        *identify_again(code.header, code.source)
+    ) != read_code_identities(code.header, code.source):
         found.append(
             f"header: {code.prefix.upper()}_CODE_ID is {own[0]}; the text of {code.header_name} and"
             f" {code.source_name} gives another: they were changed"

@@ -256,12 +256,14 @@ def keep_uncertainty(
     described: "FloatModel",
     left_out: "LeftOut | None",
 ) -> None:
-    """Write build/uncertainty.json, for `apply`; none where no model left a run out."""
+    """Write build/uncertainty.json, for `apply`, where models left a run out.
+
+    One of an earlier model may stay beside it: `apply` takes none but its own.
+    """
     from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
     from zerodrift.verify.uncertainty import measure_uncertainty
 
     if left_out is None:
-        (config.build_directory / UNCERTAINTY).unlink(missing_ok=True)
         return
     model = firmware.model
     scale = [output.lsb_per_unit for output in model.outputs]
