@@ -115,7 +115,10 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
         return report(case, verdict, first, None, ()), terms
     left = findings[-1].judged.fitted_ratio if last is None else last.fitted_ratio
     if len(findings) > 1:
-        findings = confirm(case, findings)
+        confirmed = confirm(case, findings)
+        strongest = confirmed[0]
+        if strongest.judged.sound and helps(strongest.judged, strongest.examination):
+            findings = confirmed
     share = share_explained(first.fitted_ratio**2, left**2)
     explained = is_at_floor(first, left) or share >= EXPLAINED
     if not case.dataset.dwell:
@@ -165,7 +168,7 @@ def find_missing(case: Case, first: Examination) -> tuple[list[Finding], Examina
     findings: list[Finding] = []
     examination = first
     while len(findings) < MOST_EFFECTS:
-        leading = lead(examination)
+        leading = lead(examination, beside=bool(findings))
         if leading is None:
             return findings, examination if findings else None
         findings.append(Finding(examination, leading))
@@ -190,7 +193,7 @@ def confirm(case: Case, findings: Sequence[Finding]) -> list[Finding]:
             continue
         wanted = shortlist - {t.effect.kind for t in others if t.effect.kind not in told}
         examination = look(case, others, frozenset(wanted))
-        leading = lead(examination)
+        leading = lead(examination, beside=True)
         if leading is not None:
             best[leading.kind] = Finding(examination, leading)
             terms = leading.found.terms

@@ -88,11 +88,11 @@ class Diagnosis:
     next_experiment: str
     evidence: str
     """How many runs spoke, and whether that is thin."""
-    notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     drop: tuple[str, ...] = ()
     """Effects of the model that no longer earn their place."""
-    data_notes: tuple[DataNote, ...] = ()
-    """What looks wrong with the logs; the same in words is among the notes."""
+    notes: tuple[DataNote, ...] = ()
+    """What looks wrong with the logs; the same in words is among the remarks."""
     outliers: OutlierCount = field(default_factory=lambda: OutlierCount(0, {}))
     """In the training and dwell logs; they hardly count in what is said here."""
 

@@ -66,7 +66,7 @@ def report(
         remainder=remainder,
         next_experiment=_advise(case, verdict, first, finding, alike),
         evidence=_weigh_evidence(case),
-        notes=_list_notes(case, verdict, first),
+        remarks=_list_remarks(case, verdict, first),
         outliers=_tell_outliers(case),
     )
 
@@ -199,7 +199,7 @@ def _tell_outliers(case: Case) -> OutlierCount:
     return tell_outliers((*case.dataset.train, *case.dataset.dwell))
 
 
-def _list_notes(case: Case, verdict: str, first: Examination) -> tuple[str, ...]:
+def _list_remarks(case: Case, verdict: str, first: Examination) -> tuple[str, ...]:
     """Return what else a reader should know."""
     notes = list(case.notes)
     outliers = _tell_outliers(case).explain()

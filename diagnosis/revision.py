@@ -126,8 +126,7 @@ def revise_best(
         fit_config(replace(config, effects=wanted), dataset, catalogue)
         for wanted in (config.effects, *(change.effects for change in changes))
     ]
-    # The better model knows best whether logs are zeroed one by one; errors must be comparable.
-    tared = any(model.tared for model in models)
+    tared = find_tared(models)  # errors must be comparable
     before, *fitted = (_hold_out(model, dataset, tared) for model in models)
     best = 0
     for i in range(1, len(changes)):
@@ -205,10 +204,18 @@ def _fit_both(
         )
         for effects in (one, other)
     ]
-    # The better model knows best whether logs are zeroed one by one.
-    tared = any(model.tared for model in models)
+    tared = find_tared(models)
     first, second = (_hold_out(model, dataset, tared) for model in models)
     return first, second
+
+
+def find_tared(models: Sequence[PhysicalModel]) -> bool:
+    """Return whether logs are zeroed one by one, as the richest of some models sees it.
+
+    It knows best: an effect may bring offsets to light, or explain what looked like them.
+    """
+    most = max(len(model.terms) for model in models)
+    return [model for model in models if len(model.terms) == most][-1].tared
 
 
 def _hold_out(model: PhysicalModel, dataset: Dataset, tared: bool) -> Fitted:

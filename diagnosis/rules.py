@@ -25,9 +25,9 @@ LEFT_WITHOUT_DWELL = 0.5
 """Share of the held-out squared error that an effect may leave where no dwell tells the floor."""
 ENOUGH_RUNS = 6
 """Fewer runs than this are thin evidence, and said to be: there an effect that is named ..."""
-SURE_UNITS = 300.0
-"""... must gain this in noise units, where a complete model's best effect gains some 100 by chance,
-..."""
+SURE_UNITS = 200.0
+"""... must gain this in noise units, where a complete model's best effect gained at most 118 by
+chance (58 simulated models of 2 to 5 runs), ..."""
 SURE_SHARE = 0.9
 """... and lose next to nothing in any run or piece of one."""
 CONCENTRATED = 0.8
@@ -59,9 +59,18 @@ class Finding:
     judged: Judged
 
 
-def lead(examination: Examination) -> Judged | None:
-    """Return the effect to name: the one with most gain, unless its values are implausible."""
-    helpful = [j for j in examination.judged if j.sound and helps(j, examination)]
+def lead(examination: Examination, *, beside: bool = False) -> Judged | None:
+    """Return the effect to name: the one with most gain, unless its values are implausible.
+
+    Args:
+        examination: what each effect would gain.
+        beside: another one was found for sure; what explains the rest may be less so.
+    """
+    helpful = [
+        j
+        for j in examination.judged
+        if (j.sound or beside) and helps(j, examination, beside=beside)
+    ]
     if not helpful:
         return None
     best = helpful[0]
@@ -71,7 +80,7 @@ def lead(examination: Examination) -> Judged | None:
     return rivals[0] if rivals else best
 
 
-def helps(judged: Judged, examination: Examination) -> bool:
+def helps(judged: Judged, examination: Examination, *, beside: bool = False) -> bool:
     """Return whether an effect's held-out gain is real and worth having.
 
     With few runs chance alone gains in all of them, now and then: there the gain must be large in
@@ -80,7 +89,7 @@ def helps(judged: Judged, examination: Examination) -> bool:
     worthwhile = judged.rmse_ratio <= WORTHWHILE or judged.best_output_ratio <= WORTHWHILE_ON_ONE
     reachable = 2.0 ** -float(judged.gains.size)
     sure = judged.p_value <= max(SIGNIFICANT, reachable)
-    if examination.runs < ENOUGH_RUNS:
+    if examination.runs < ENOUGH_RUNS and not beside:
         sure = sure and judged.gain >= SURE_UNITS and judged.positive_share >= SURE_SHARE
     # Seen in a few runs only, sign flips cannot be sure; reaching the floor by one effect can.
     clear = judged.share >= CONCENTRATED and judged.positive_share >= ALL_GAIN

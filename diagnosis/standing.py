@@ -156,7 +156,7 @@ def find_leaps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
 def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
     """Return a note if an output jumps up and down by one large size."""
     steps = np.diff(run.drift[:, k])
-    if len(run) < 6 * ARM:
+    if len(run) < 6 * ARM or not steps.any():
         return None
     rows = np.flatnonzero(np.abs(steps) >= WRAPS * np.ptp(run.measured[:, k]))
     if rows.size < 2:

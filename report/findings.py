@@ -17,6 +17,7 @@ from zerodrift.dataset.outliers import COUNTED
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.advice import Advice
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
+from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.explained import ExplainedDiagnosis
 from zerodrift.diagnosis.history import Step
 from zerodrift.diagnosis.run_errors import RunError
@@ -111,6 +112,8 @@ class Findings:
     """Effect -> what is declared about it."""
     provenance: Provenance
     notes: tuple[str, ...]
+    reviewed: tuple[DataNote, ...]
+    """What looks wrong with the logs; the same in words is among the notes."""
     skip_invalid: bool
     """Whether invalid rows of the logs were dropped."""
     traces: tuple[Trace, ...]

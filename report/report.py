@@ -127,7 +127,7 @@ def list_figures(findings: Findings) -> dict[str, go.Figure]:
 
 def list_notes(findings: Findings) -> list[str]:
     """Return what the commands noted, each once."""
-    of_diagnosis = findings.diagnosed.diagnosis.notes if findings.diagnosed is not None else ()
+    of_diagnosis = findings.diagnosed.diagnosis.remarks if findings.diagnosed is not None else ()
     return list(dict.fromkeys((*findings.notes, *of_diagnosis)))
 
 

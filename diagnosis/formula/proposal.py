@@ -86,7 +86,7 @@ class Formula:
 
 
 @dataclass(frozen=True)
-class _SearchStep:
+class _Step:
     """One search beside what has been found."""
 
     search: Search
@@ -189,7 +189,7 @@ def propose_formula(
 
 def _search_beside(
     case: Case, catalogue: Catalogue, terms: Sequence[Term], place: int, rivals: Sequence[str]
-) -> _SearchStep:
+) -> _Step:
     """Return what a search beside a model's terms finds.
 
     Args:
@@ -209,7 +209,7 @@ def _search_beside(
     grown = Catalogue({**catalogue, **effects})
     kinds = frozenset((*effects, *rivals))
     seen = examine(campaign, dwell, grown, terms, kinds=kinds, advance=case.advance)
-    return _SearchStep(search, seen, expressions, grown)
+    return _Step(search, seen, expressions, grown)
 
 
 def _hold_place(kind: str) -> Effect:
@@ -229,7 +229,7 @@ def _shortlist(found: Search) -> list[Expression]:
     return [centre(one.form, one.values) for one in chosen]
 
 
-def _choose(step: _SearchStep) -> _Choice:
+def _choose(step: _Step) -> _Choice:
     """Return the simplest formula that is as good as the best, if it passes every rule."""
     seen, expressions, search = step.examination, step.expressions, step.search
     judged = [j for j in seen.judged if j.sound and helps(j, seen)]
@@ -266,7 +266,7 @@ def _finish(
     config: Config,
     catalogue: Catalogue,
     terms: tuple[Expression, ...],
-    found: tuple[Examination, _SearchStep, _Choice, Judged],
+    found: tuple[Examination, _Step, _Choice, Judged],
     ended: FormulaSearch,
 ) -> FormulaSearch:
     """Return the formula as `add` would fit it, if `add` would keep it."""
@@ -299,7 +299,7 @@ def _finish(
     )
 
 
-def _tell(ended: FormulaSearch, step: _SearchStep) -> FormulaSearch:
+def _tell(ended: FormulaSearch, step: _Step) -> FormulaSearch:
     """Return the end with what the search was."""
     kinds = (j.kind for j in step.examination.judged if j.kind in step.expressions)
     nearest = next(kinds, None)

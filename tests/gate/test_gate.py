@@ -178,7 +178,7 @@ def test_difference_is_split_by_cause_and_the_squares_add_up(
         rail=rows[3],
     )
     monkeypatch.setattr(chip_error, "find_saturated", lambda model, run: rows[4, :, 0])
-    replay = chip_error.Replay(None, (replayed,), np.array([0.01]))
+    replay = chip_error.ChipReplay(None, (replayed,), np.array([0.01]))
     (split,) = replay.split()
     assert split.rounding == pytest.approx(0.001 / 5**0.5)
     assert split.out_of_range == pytest.approx(3.0 / 5**0.5)

@@ -70,7 +70,7 @@ def test_without_a_dwell_the_floor_is_estimated_and_said_to_be(make_project, zer
     told = diagnose(zerodrift, make_project(dwell=False))
     assert (told["verdict"], told["effect"]) == ("missing", "thermal_lag")
     assert told["floor"] == "estimated"
-    assert any("no dwell" in note for note in told["notes"])
+    assert any("no dwell" in note for note in told["remarks"])
 
 
 def test_one_run_is_called_thin(make_project, zerodrift):
@@ -126,7 +126,7 @@ def test_a_dead_channel_is_left_out_and_the_others_diagnosed(project, zerodrift)
     told = diagnose(zerodrift, project)
     assert (told["verdict"], told["effect"]) == ("missing", "thermal_lag")
     assert list(told["outputs"]) == ["Fz"]
-    assert any("output Mx never moves" in note for note in told["notes"])
+    assert any("output Mx never moves" in note for note in told["remarks"])
     added = json.loads(zerodrift("add", "thermal_lag", "-C", project.directory, "--json").out)
     tau = added["parameters"]["tau_s"]
     assert 0.0 < tau["std_error"] < 1.0
@@ -146,7 +146,7 @@ def test_a_channel_dead_in_the_dwell_alone_has_an_estimated_floor(project, zerod
     told = diagnose(zerodrift, project)
     assert told["effect"] == "thermal_lag"
     assert told["floor"] == "estimated"
-    assert any("Mx never moves in the dwell" in note for note in told["notes"])
+    assert any("Mx never moves in the dwell" in note for note in told["remarks"])
     # Beside a whole model what is left is noise, so the estimate can be held against the truth.
     edit_toml(project, "[network]", '[[effect]]\nkind = "thermal_lag"\n\n[network]')
     result = zerodrift("compare", "-C", project.directory, "--json")

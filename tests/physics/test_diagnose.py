@@ -82,7 +82,7 @@ def test_sensor_that_wanders_at_rest_is_not_called_complete(tempco):
 
     diagnosis = diagnose(tempco, make_dataset(disturb, length=600))
     assert diagnosis.verdict == "unknown"
-    assert any("wanders" in note for note in diagnosis.notes)
+    assert any("wanders" in note for note in diagnosis.remarks)
 
 
 def test_noisier_runs_are_named(tempco):
@@ -94,7 +94,7 @@ def test_noisier_runs_are_named(tempco):
         train[i] = replace(train[i], measured=train[i].measured + noise)
     diagnosis = diagnose(tempco, replace(dataset, train=tuple(train)))
     assert diagnosis.verdict == "unknown"
-    (note,) = [note for note in diagnosis.notes if "noisier" in note]
+    (note,) = [note for note in diagnosis.remarks if "noisier" in note]
     assert "run_3" in note and "run_5" in note
 
 
@@ -127,7 +127,7 @@ def test_floor_without_a_dwell_is_called_estimated(tempco):
     diagnosis = diagnose(tempco, make_dataset(lagging, length=500, dwell=False))
     assert diagnosis.effect == "thermal_lag"
     assert diagnosis.noise_floor_source == "estimated"
-    assert any("no dwell" in note for note in diagnosis.notes)
+    assert any("no dwell" in note for note in diagnosis.remarks)
 
 
 def test_effect_that_logs_do_not_excite_is_not_testable(tempco):

@@ -63,7 +63,7 @@ def test_effect_is_named_and_outliers_are_counted(clean, tempco):
     assert diagnosis.floor_ratio_after == pytest.approx(1.0, abs=0.15)
     assert diagnosis.outliers.rows == pytest.approx(0.02 * 600 * 9, rel=0.4)
     assert to_json(diagnosis)["outliers"]["rows"] == diagnosis.outliers.rows
-    assert any("outliers" in note for note in diagnosis.notes)
+    assert any("outliers" in note for note in diagnosis.remarks)
 
 
 def test_errors_are_told_over_all_rows_and_beside_it_without_outliers(clean):

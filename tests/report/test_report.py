@@ -264,7 +264,9 @@ def test_bounds_are_those_of_the_model_s_own_certificate(tmp_path):
         {"where": "a", "low": -5, "high": 100, "bits": 8},
         {"where": "b", "low": 0, "high": 2**31 - 1, "bits": 32},
     ]
-    path.write_text(json.dumps({"model": "abc", "bounds": bounds}))
+    lists = {name: [] for name in ("inputs", "invariants", "tables", "shifts")}
+    whole = {"model": "abc", "prefix": "p", "files": {}, **lists, "bounds": bounds}
+    path.write_text(json.dumps(whole))
     told, note = read_certificate(path, "abc")
     assert told.bounds == 2 and note == ""
     assert [b.where for b in told.tightest] == ["b", "a"]

@@ -54,7 +54,7 @@ _gathered: dict[Path, dict[Path, bytes | None]] = {}
 
 
 @dataclass(frozen=True)
-class _Step:
+class _FileStep:
     """One file of a change."""
 
     path: str
@@ -70,7 +70,7 @@ class _Step:
 class _Record:
     """A change, as it stands in its record."""
 
-    steps: tuple[_Step, ...]
+    steps: tuple[_FileStep, ...]
     made: tuple[str, ...]
     """Directories that were not there before, outermost first."""
     durable: bool
@@ -330,7 +330,7 @@ def _plan(name: str, contents: Mapping[Path, bytes | None], durable: bool) -> _R
         made |= dict.fromkeys(str(p) for p in reversed(missing))
         stem = str(path.with_name(f".{name}.{number}"))
         steps.append(
-            _Step(
+            _FileStep(
                 path=str(path),
                 new="" if content is None else stem + REMAINDER,
                 old=stem + OLD if there else "",
@@ -350,7 +350,7 @@ def _keep_old(path: Path, old: Path, durable: bool) -> None:
         write_beside(old, path.read_bytes(), like=path, durable=durable)
 
 
-def _put(step: _Step) -> None:
+def _put(step: _FileStep) -> None:
     """Put one file in its place, or remove it."""
     if step.new:
         os.replace(step.new, step.path)  # noqa: PTH105 - a string from the record
@@ -482,7 +482,7 @@ def _finish(record: _Record) -> bool:
     return True
 
 
-def _is_put(step: _Step) -> bool:
+def _is_put(step: _FileStep) -> bool:
     """Return whether a file was put in its place; what became of it afterwards is its user's."""
     return not Path(step.new).exists() if step.new else not Path(step.path).exists()
 

@@ -64,7 +64,7 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
         diagnosis, course = verdict.diagnosis, verdict.course
         say("looking at what the logs can teach")
         advice = advise(config, dataset, config.effects if course is None else course.effects)
-    print_notes((*dataset.notes, *diagnosis.notes))
+    print_notes((*dataset.notes, *diagnosis.remarks))
     commands = list_commands(config.effects, verdict.steps, catalogue)
     if as_json:
         print_result(

@@ -94,6 +94,7 @@ def survey_project(
     say("looking at the firmware")
     firmware, certificate, note = read_firmware(config)
     _, entries = open_history(config)
+    reviewed = review_logs(config, dataset)
     model = _find_model(predictor.kind, config, dataset, catalogue)
     return Findings(
         sensor=config.sensor_name,
@@ -117,12 +118,13 @@ def survey_project(
         notes=tuple(
             dict.fromkeys(
                 (
-                    *(note.write() for note in review_logs(config, dataset)),
+                    *(note.write() for note in reviewed),
                     *dataset.notes,
                     *predictor.notes,
                 )
             )
         ),
+        reviewed=reviewed,
         skip_invalid=skip_invalid,
         traces=trace_runs(
             errors, [run.name for run in comparison.runs if run.held_out is not None]
@@ -281,6 +283,7 @@ def summarise_survey(
         compare=CompareResult(
             **vars(findings.comparison),
             model=findings.predictor,
+            notes=findings.reviewed,
             advice=advice.summarise() if advice is not None else None,
         ),
         compare_sentences=findings.comparison_sentences,

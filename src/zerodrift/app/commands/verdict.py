@@ -31,7 +31,7 @@ class Verdict:
     """A diagnosis with what was looked at beside it."""
 
     diagnosis: Diagnosis
-    """The last one; its notes tell of bad runs and of test logs far from the floor."""
+    """The last one; its remarks tell of bad runs and of test logs far from the floor."""
     others: tuple[OtherThermometer, ...]
     """Further thermometers that the drift follows, where the catalogue has no name for it."""
     course: RepeatedDiagnosis | None
@@ -80,14 +80,14 @@ def find_verdict(
         say("looking at the test logs")
         aside = describe_unseen(effects, dataset, catalogue)
     if aside is not None:
-        diagnosis = replace(diagnosis, notes=(*diagnosis.notes, aside))
+        diagnosis = replace(diagnosis, remarks=(*diagnosis.remarks, aside))
     if course is None:
         say("trying the model without each of its effects")
         diagnosis = replace(diagnosis, drop=list_needless(effects, dataset, catalogue))
     say("looking for wrong data")
     found = review_logs(config, dataset)
-    notes = (*(note.write() for note in found), *diagnosis.notes)
-    diagnosis = replace(diagnosis, notes=notes, data_notes=found)
+    remarks = (*(note.write() for note in found), *diagnosis.remarks)
+    diagnosis = replace(diagnosis, remarks=remarks, notes=found)
     return Verdict(diagnosis, tuple(others), course)
 
 
