@@ -112,11 +112,11 @@ class Findings:
     """Effect -> what is declared about it."""
     provenance: Provenance
     notes: tuple[str, ...]
-    reviewed: tuple[DataNote, ...]
-    """What looks wrong with the logs; the same in words is among the notes."""
     skip_invalid: bool
     """Whether invalid rows of the logs were dropped."""
     traces: tuple[Trace, ...]
+    reviewed: tuple[DataNote, ...] = ()
+    """What looks wrong with the logs; the same in words is among the notes."""
 
     @property
     def titles(self) -> dict[str, str]:
