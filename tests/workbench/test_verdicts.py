@@ -49,7 +49,7 @@ def test_verdict_says_its_kind_in_words(diagnosed, label):
 
 
 def test_notes_of_logs_and_diagnosis_are_shown():
-    diagnosed = told("unknown", notes=("one run holds 80 % of the error",))
+    diagnosed = told("unknown", remarks=("one run holds 80 % of the error",))
     text = read(show_verdict(find(diagnosed), diagnosing=False, hides=False)[1])
     assert "Note: rows were set aside" in text
     assert "Note: one run holds 80 % of the error" in text
