@@ -14,7 +14,6 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-import zerodrift
 from zerodrift.base.errors import InputError
 from zerodrift.lab.paper.world import digest_logs
 from zerodrift.train.checkpoint import write_whole
@@ -78,9 +77,9 @@ class Cell:
 def digest_sources(family: str) -> str:
     """Return the hash of the code that decides a family's results."""
     digest = hashlib.sha256()
-    root = resources.files(zerodrift)
     for name in SOURCES[family]:
-        _digest(root.joinpath(name), name, digest)
+        stage, _, inner = name.partition("/")  # each lies where it was installed from
+        _digest(resources.files(f"zerodrift.{stage}").joinpath(inner), name, digest)
     return digest.hexdigest()
 
 

@@ -1,5 +1,6 @@
 """The command line: names the commands and loads each one's module only when it is called."""
 
+import contextlib
 import importlib
 import os
 import sys
@@ -127,6 +128,12 @@ def is_own_exit(ended: SystemExit) -> bool:
     return str(raised_in).startswith("zerodrift.")
 
 
+def drop_output() -> None:
+    """Let what is still to be written on stdout go nowhere."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def main() -> None:
     """Run the command line; a user's error becomes one message on stderr and its exit code."""
     use_one_thread()
@@ -140,7 +147,7 @@ def main() -> None:
         sys.exit(error.exit_code)
     except BrokenPipeError:
         # who reads our output has gone; nothing more can be said to them
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop_output()
         sys.exit(1)
     except MemoryError:
         click.echo(f"error: {explain_memory()}", err=True)
@@ -149,6 +156,7 @@ def main() -> None:
         if is_refused_write(error):
             place = error.filename or f"standard output, or {tempfile.gettempdir()}"
             click.echo(f"error: {explain_write(place, error, NOTHING_HALF)}", err=True)
+            drop_output()  # what is still to be written would fail again as the process ends
         elif told := explain_refusal(error):
             click.echo(f"error: {told}", err=True)
         else:
