@@ -25,7 +25,7 @@ LEFT_WITHOUT_DWELL = 0.5
 """Share of the held-out squared error that an effect may leave where no dwell tells the floor."""
 ENOUGH_RUNS = 6
 """Fewer runs than this are thin evidence, and said to be: there an effect that is named ..."""
-SURE_UNITS = 200.0
+SURE_UNITS = 300.0
 """... must gain this in noise units, where a complete model's best effect gained at most 118 by
 chance (58 simulated models of 2 to 5 runs), ..."""
 SURE_SHARE = 0.9
