@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.foreign import case, files
-from zerodrift.app.apply import UNSTATED, Chip, measure_beyond
+from zerodrift.app.applied_rows import UNSTATED
+from zerodrift.app.apply import Chip, measure_beyond
 from zerodrift.base.config import Config, NetworkConfig, load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset

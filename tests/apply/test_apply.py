@@ -10,7 +10,9 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from zerodrift.app.apply import FLAG_NAMES, Chip, answer, choose_file
+from zerodrift.app.applied_model import choose_file
+from zerodrift.app.applied_rows import FLAG_NAMES
+from zerodrift.app.apply import Chip, answer
 from zerodrift.app.cli import cli
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
@@ -109,6 +111,32 @@ def test_missing_readings_are_given_to_the_chip_as_such(built: Path, tmp_path: P
     assert FLAG_NAMES[FLAG_NO_READING] in result.output
 
 
+def test_a_channel_without_a_code_for_none_holds_its_last_reading(
+    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A gap that begins in one block and fills the next holds what came before both."""
+    time_s = np.arange(300.0)
+    log = write_log(tmp_path / "holes.csv", time_s, wave(time_s))
+    lines = log.read_text().splitlines()
+    held = lines[1 + 39].split(",")[1]
+    with_hole, filled = list(lines), list(lines)
+    for row in range(40, 130):
+        with_hole[1 + row] = f"{row}.0000,,0.5"
+        filled[1 + row] = f"{row}.0000,{held},0.5"
+    model = load(built)
+    channel = replace(model.channels[0], no_reading=None)
+    chip = Chip(replace(model, channels=(channel, *model.channels[1:])))
+    config = load_config(built)
+    columns = name_columns(config, ["temperature_degC", "measured:y"])
+    monkeypatch.setattr("zerodrift.app.apply.BLOCK", 32)
+    told = []
+    for text in (with_hole, filled):
+        log.write_text("\n".join(text) + "\n")
+        told.append(answer(chip, config, read_log_steps(config, log, columns)))
+    assert np.array_equal(told[0].drift, told[1].drift)
+    assert "no reading at 90 steps" in " ".join(told[0].notes)
+
+
 def test_outside_the_range_the_uncertainty_grows(built: Path, tmp_path: Path) -> None:
     time_s = np.arange(200.0)
     log = write_log(tmp_path / "hot.csv", time_s, 25 + 0.2 * time_s)
@@ -194,6 +222,10 @@ def test_what_cannot_be_is_refused(built: Path, tmp_path: Path) -> None:
     other.write_text("mine\n")
     assert "was not written by" in refuse(built, log, "--out", other)
     assert other.read_text() == "mine\n"
+    table = tmp_path / "mine.parquet"
+    pl.DataFrame({"mine": [1.0]}).write_parquet(table)
+    assert "was not written by" in refuse(built, log, "--out", table)
+    assert apply(built, log, "--out", out).exit_code == 0, "its own answer may be written again"
     lacking = tmp_path / "lacking.csv"
     lacking.write_text("time_s,y_N\n0,1\n1,2\n")
     assert "temperature_degC" in refuse(built, lacking, "--out", twice)
@@ -202,6 +234,8 @@ def test_what_cannot_be_is_refused(built: Path, tmp_path: Path) -> None:
     assert "1 row" in refuse(built, short, "--out", twice)
     with pytest.raises(InputError, match="stands for no format"):
         choose_file(log, tmp_path / "x.doc", several=False)
+    assert choose_file(Path("a/run.feather"), None, several=False) == Path("run_compensated.csv")
+    assert choose_file(Path("run.pq"), None, several=False) == Path("run_compensated.pq")
     with pytest.raises(InputError, match="is no directory"):
         choose_file(log, tmp_path / "x.csv", several=True)
     assert not twice.exists() and not list(tmp_path.glob(".*.part"))

@@ -1,19 +1,23 @@
 """A finished model over a log, as the chip would: drift, compensated value, uncertainty, flags."""
 
-import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
-from polars.io.plugins import register_io_source
 
+from zerodrift.app.applied_rows import (
+    BLOCK,
+    AppliedRows,
+    StepAnswers,
+    refuse_names,
+    summarise,
+    write_rows,
+)
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError
-from zerodrift.base.files import explain_write
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.chip_codes import MEASURED
@@ -26,54 +30,15 @@ from zerodrift.dataset.log_steps import (
     read_log_steps,
 )
 from zerodrift.dataset.runs import Run
-from zerodrift.dataset.selectors import CSV_SUFFIXES, PARQUET_SUFFIXES
 from zerodrift.export.compose import count_elapsed
-from zerodrift.export.integer_model import (
-    FLAG_CLAMPED,
-    FLAG_DAMAGED,
-    FLAG_INPUT_RANGE,
-    FLAG_NO_READING,
-    FLAG_RATE_RANGE,
-    FLAG_TEMPERATURE_RANGE,
-    FLAG_WARMING_UP,
-    Channel,
-    IntegerModel,
-)
+from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.export.reference import ModelState, Reference
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.report.results import AppliedLog, OutputApplied
+from zerodrift.report.results import AppliedLog
 from zerodrift.verify.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 PredictFloat = Callable[[Run], Array]
-
-FLAGS = "flags"
-FLAG_NAMES = {
-    FLAG_WARMING_UP: "warming up",
-    FLAG_TEMPERATURE_RANGE: "temperature outside the calibrated range",
-    FLAG_RATE_RANGE: "temperature moves faster than calibrated",
-    FLAG_CLAMPED: "correction at its limit",
-    FLAG_DAMAGED: "state or model damaged",
-    FLAG_INPUT_RANGE: "an input outside its calibrated range",
-    FLAG_NO_READING: "no reading",
-}
-UNSTATED = FLAG_CLAMPED | FLAG_DAMAGED | FLAG_NO_READING
-"""Rows with one of these flags have no uncertainty: nothing says how far off they are."""
-BLOCK = 65_536
-"""Steps, and rows, that are worked on at once."""
-
-
-@dataclass(frozen=True)
-class StepAnswers:
-    """What the model gives for each step of a log."""
-
-    drift: NDArray[np.float32] | NDArray[np.int32]
-    """[steps, K]: int32 codes, or float32 values of the float model."""
-    flags: NDArray[np.uint32]
-    """[steps]."""
-    beyond: NDArray[np.float32] | None
-    """[steps] how far outside its range an input is, as a share of it; None: nowhere."""
-    notes: tuple[str, ...]
 
 
 class Chip:
@@ -146,17 +111,17 @@ def apply_model(
         wanted += [f"{MEASURED}{output.name}" for output in model.outputs]
         columns = name_columns(config, wanted)
         steps = read_log_steps(config, log, columns, skip_invalid)
-        _refuse_names(steps, config, model)
+        refuse_names(steps, config, model)
         say(f"computing {log.name} ({number} of {len(logs)})")
         answers = answer(chip, config, steps, with_range=uncertainty is not None)
         if predict_float is not None:
             drift = _predict_float(predict_float, config, model, steps)
             answers = replace(answers, drift=drift)
         say(f"writing {out.name} ({number} of {len(logs)})")
-        frames = _Frames(config, model, steps, answers, uncertainty)
-        write_frames(frames, out)
+        rows = AppliedRows(config, model, steps, answers, uncertainty)
+        write_rows(rows, out)
         notes = (*steps.notes, *answers.notes, *([chip.note] if chip.note else []))
-        applied.append(_summarise(log, out, frames, notes))
+        applied.append(summarise(log, out, rows, notes))
     return applied
 
 
@@ -177,7 +142,7 @@ def answer(chip: Chip, config: Config, steps: LogSteps, *, with_range: bool = Tr
     clipped = dict.fromkeys((channel.name for channel in model.channels), 0)
     held = dict.fromkeys(clipped, 0)
     for one in steps.stretches:
-        values = _read_channels(config, model, steps, one)
+        values = _read_channels(config, model, steps, one, held)
         elapsed: int | None = None
         if one.part == 0 or before is None:
             elapsed = _count_elapsed(config, model, one)
@@ -188,9 +153,8 @@ def answer(chip: Chip, config: Config, steps: LogSteps, *, with_range: bool = Tr
         for start in range(0, one.stretch.steps, BLOCK):
             part = values[start : start + BLOCK]
             counts, codes = encode_values(model, part)
-            for channel, (out, lacking) in zip(model.channels, counts, strict=True):
+            for channel, out in zip(model.channels, counts, strict=True):
                 clipped[channel.name] += out
-                held[channel.name] += lacking if channel.no_reading is None else 0
             at = slice(one.first_step + start, one.first_step + start + len(part))
             drift[at], flags[at] = chip.run(codes, elapsed)
             if beyond is not None:
@@ -211,43 +175,81 @@ def answer(chip: Chip, config: Config, steps: LogSteps, *, with_range: bool = Tr
     return StepAnswers(drift, flags, beyond, tuple(notes))
 
 
-def _read_channels(config: Config, model: IntegerModel, steps: LogSteps, one: StepStretch) -> Array:
-    """Return the channels' values [n, C] over a stretch; NaN where a channel may lack them."""
+def _read_channels(
+    config: Config,
+    model: IntegerModel,
+    steps: LogSteps,
+    one: StepStretch,
+    held: dict[str, int],
+) -> Array:
+    """Return the channels' values [n, C] over a stretch; count steps at which one was held.
+
+    A channel with a code for "no reading" lacks values as the log does (NaN); one without holds its
+    last reading, and before its first one that.
+
+    Args:
+        config: names the columns.
+        model: has the channels.
+        steps: the log.
+        one: the stretch.
+        held: channel -> steps, counted on.
+    """
     values = np.empty((one.stretch.steps, len(model.channels)))
     for index, channel in enumerate(model.channels):
         column = find_column(config, channel.source or channel.name)
         values[:, index] = steps.resample(column, one)
-        if channel.no_reading is None and np.isnan(values[:, index]).all():
+        if channel.no_reading is not None:
+            continue
+        lacking = int(np.isnan(values[:, index]).sum())
+        if lacking == one.stretch.steps:
             raise InputError(
                 f"{steps.source.label}: '{column}' has no reading in a whole stretch, and the "
                 f"firmware has no code for none of '{channel.name}'; expected numbers. Leave the "
                 "stretch out of the log."
             )
+        if lacking:
+            values[:, index] = hold_last(values[:, index])
+            held[channel.name] += lacking
     return values
 
 
-def encode_values(model: IntegerModel, values: Array) -> tuple[list[tuple[int, int]], CodeArray]:
-    """Return per channel the values beyond its codes and those that lack, and codes [n, C]."""
+def hold_last(values: Array) -> Array:
+    """Return values [n] whose gaps (NaN) hold the last known one, or at the start the first.
+
+    Values of which none is known stay as they are.
+    """
+    lacks = np.isnan(values)
+    known = np.flatnonzero(~lacks)
+    if not known.size or not lacks.any():
+        return values
+    return values[np.maximum.accumulate(np.where(lacks, known[0], np.arange(values.size)))]
+
+
+def encode_values(model: IntegerModel, values: Array) -> tuple[list[int], CodeArray]:
+    """Return per channel how many values lie beyond its codes, and the codes [n, C].
+
+    Args:
+        model: has the channels.
+        values: [n, C]; NaN only for a channel that has a code for "no reading".
+    """
     counts, columns = [], []
     for channel, column in zip(model.channels, values.T, strict=True):
-        codes, out, lacking = _encode_channel(channel, column)
-        counts.append((out, lacking))
+        codes, out = _encode_channel(channel, column)
+        counts.append(out)
         columns.append(codes)
     return counts, np.stack(columns, axis=1).astype(model.code_type)
 
 
-def _encode_channel(channel: Channel, values: Array) -> tuple[Array, int, int]:
-    """Return codes [n], how many values lie beyond them, and how many are lacking."""
+def _encode_channel(channel: Channel, values: Array) -> tuple[Array, int]:
+    """Return codes [n], and how many values lie beyond them."""
     codes = np.round((values - channel.offset) / channel.lsb)
     lacks = np.isnan(codes)
     limited = np.clip(codes, channel.least, channel.most)
     if lacks.any():
-        known = np.flatnonzero(~lacks)
-        first = int(known[0]) if known.size else 0
-        last = np.maximum.accumulate(np.where(lacks, first, np.arange(codes.size)))
-        none = limited[last] if channel.no_reading is None else float(channel.no_reading)
-        limited = np.where(lacks, none, limited)
-    return limited, int(np.sum(limited[~lacks] != codes[~lacks])), int(lacks.sum())
+        if channel.no_reading is None:
+            raise ValueError(f"{channel.name}: no code says that a reading is lacking")
+        limited = np.where(lacks, float(channel.no_reading), limited)
+    return limited, int(np.sum(limited[~lacks] != codes[~lacks]))
 
 
 def _count_elapsed(config: Config, model: IntegerModel, one: StepStretch) -> int:
@@ -282,13 +284,7 @@ def _predict_float(
     for one in steps.stretches:
 
         def read(column: str, one: StepStretch = one) -> Array:
-            values = steps.resample(column, one)
-            lacks = np.isnan(values)
-            known = np.flatnonzero(~lacks)
-            if known.size and lacks.any():
-                held = np.where(lacks, known[0], np.arange(values.size))
-                values = values[np.maximum.accumulate(held)]
-            return values
+            return hold_last(steps.resample(column, one))
 
         inputs = {}
         for channel in model.channels[1:]:
@@ -314,203 +310,3 @@ def _predict_float(
         drift[one.first_step : one.first_step + len(run)] = predict(run)
         before = run
     return drift
-
-
-class _Frames:
-    """The log's rows with what the model gives for them, in batches."""
-
-    def __init__(
-        self,
-        config: Config,
-        model: IntegerModel,
-        steps: LogSteps,
-        answers: StepAnswers,
-        uncertainty: Uncertainty | None,
-    ) -> None:
-        self.model, self.steps, self.answers = model, steps, answers
-        self.measured = [find_column(config, f"{MEASURED}{o.name}") for o in model.outputs]
-        self._known = uncertainty.outputs if uncertainty is not None else {}
-        self._scales = [
-            float(o.lsb_per_unit) if answers.drift.dtype == np.int32 else 1.0 for o in model.outputs
-        ]
-
-    def list_added(self) -> list[str]:
-        """Return the names of the columns that are added."""
-        return list_added(self.model)
-
-    def stream(self, as_text: bool) -> Iterator[pl.DataFrame]:
-        """Yield the rows.
-
-        Args:
-            as_text: keep a CSV's fields as they were written, but for the outputs; else what is
-                numbers in its first rows is read as numbers.
-        """
-        source = self.steps.source
-        numeric = set(self.measured)
-        if source.is_csv and not as_text:
-            numeric |= _find_numeric(source.scan().head(1000).collect())
-        frame = source.scan(sorted(numeric))
-        names = [name for name in source.names if not name.startswith("\0")]
-        row = 0
-        for batch in frame.select(names).collect_batches(chunk_size=BLOCK):
-            at = self.steps.step_of_row[row : row + len(batch)]
-            lacking = len(batch) - at.size  # rows after the last that was kept
-            if lacking:
-                at = np.concatenate([at, np.full(lacking, -1, dtype=np.int64)])
-            yield batch.with_columns(self._compute(batch, at))
-            row += len(batch)
-
-    def _compute(self, batch: pl.DataFrame, at: NDArray[np.int64]) -> list[pl.Series]:
-        none = at < 0
-        step = np.where(none, 0, at)
-        flags = self.answers.flags[step]
-        columns = []
-        for k, (output, column) in enumerate(zip(self.model.outputs, self.measured, strict=True)):
-            drift = self.answers.drift[step, k] / self._scales[k]
-            measured = batch[column].cast(pl.Float64).to_numpy()
-            expanded = self.expand(output.name, step)
-            columns += [
-                _fill(f"{output.name}_drift", drift, none),
-                _fill(f"{output.name}_compensated", measured - drift, none),
-                _fill(f"{output.name}_uncertainty", expanded, none),
-            ]
-        told = pl.Series(FLAGS, flags.astype(np.uint32))
-        return [*columns, told.zip_with(pl.Series(~none), pl.Series([None], dtype=pl.UInt32))]
-
-    def expand(self, output: str, step: NDArray[np.int64]) -> Array:
-        """Return the expanded uncertainty [n] at some steps; NaN where none is known."""
-        known = self._known.get(output)
-        if known is None or self.answers.beyond is None:
-            return np.full(step.size, np.nan)
-        expanded = known.expand(self.answers.beyond[step].astype(np.float64))
-        return np.where(self.answers.flags[step] & UNSTATED != 0, np.nan, expanded)
-
-
-def list_added(model: IntegerModel) -> list[str]:
-    """Return the names of the columns that a log gains."""
-    kinds = ("drift", "compensated", "uncertainty")
-    return [*(f"{o.name}_{kind}" for o in model.outputs for kind in kinds), FLAGS]
-
-
-def _fill(name: str, values: Array, none: NDArray[np.bool_]) -> pl.Series:
-    """Return a column whose missing numbers are null."""
-    return pl.Series(name, np.where(none, np.nan, values)).fill_nan(None)
-
-
-def _find_numeric(head: pl.DataFrame) -> set[str]:
-    """Return the columns of text that hold nothing but numbers."""
-    found = set()
-    for name in head.columns:
-        column = head[name].drop_nulls()
-        if len(column) and column.cast(pl.Float64, strict=False).null_count() == 0:
-            found.add(name)
-    return found
-
-
-def _refuse_names(steps: LogSteps, config: Config, model: IntegerModel) -> None:
-    """Refuse a log that has a column which is to be added."""
-    taken = [name for name in list_added(model) if name in steps.source.names]
-    if taken:
-        raise InputError(
-            f"{steps.source.label}: has a column '{taken[0]}' already; expected a log as it was "
-            f"recorded. Apply the model of {config.path} to the original."
-        )
-
-
-def write_frames(frames: _Frames, out: Path) -> None:
-    """Write a log's rows, whole or not at all.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    beside = out.with_name(f".{out.name}.{os.getpid()}.part")
-    try:
-        if out.suffix.lower() in PARQUET_SUFFIXES:
-            _write_parquet(frames, beside)
-        else:
-            _write_csv(frames, beside, "\t" if out.suffix.lower() == ".tsv" else ",")
-        beside.replace(out)
-    except OSError as error:
-        raise InputError(explain_write(out, error)) from error
-    finally:
-        beside.unlink(missing_ok=True)
-
-
-def _write_csv(frames: _Frames, path: Path, separator: str) -> None:
-    with path.open("wb") as file:
-        for number, batch in enumerate(frames.stream(as_text=True)):
-            batch.write_csv(file, include_header=number == 0, separator=separator)
-
-
-def _write_parquet(frames: _Frames, path: Path) -> None:
-    stream = frames.stream(as_text=False)
-    first = next(stream)
-
-    def read(
-        columns: list[str] | None,
-        predicate: pl.Expr | None,
-        most: int | None,
-        size: int | None,
-    ) -> Iterator[pl.DataFrame]:
-        del columns, predicate, most, size  # a sink asks for everything
-        yield first
-        yield from stream
-
-    register_io_source(read, schema=first.schema).sink_parquet(path)
-
-
-def _summarise(log: Path, out: Path, frames: _Frames, notes: tuple[str, ...]) -> AppliedLog:
-    outputs = {}
-    answers, scales = frames.answers, frames._scales
-    every = np.arange(frames.steps.steps)
-    for k, output in enumerate(frames.model.outputs):
-        squares, largest = 0.0, 0.0
-        for start in range(0, every.size, BLOCK):
-            part = answers.drift[start : start + BLOCK, k] / scales[k]
-            squares += float(part @ part)
-            largest = max(largest, float(np.abs(part).max()))
-        expanded = frames.expand(output.name, every[:: max(1, every.size // BLOCK)])
-        known = expanded[np.isfinite(expanded)]
-        outputs[output.name] = OutputApplied(
-            unit=output.unit,
-            rms_drift=float(np.sqrt(squares / every.size)),
-            largest_drift=largest,
-            uncertainty=float(np.median(known)) if known.size else None,
-        )
-    counts = {text: int(np.count_nonzero(answers.flags & bit)) for bit, text in FLAG_NAMES.items()}
-    return AppliedLog(
-        log=str(log),
-        file=str(out),
-        rows=frames.steps.rows,
-        steps=frames.steps.steps,
-        outputs=outputs,
-        flags={text: count for text, count in counts.items() if count},
-        notes=notes,
-    )
-
-
-def choose_file(log: Path, out: Path | None, several: bool) -> Path:
-    """Return the file that a log's answer is written to.
-
-    Args:
-        log: the log.
-        out: what the user named: a file, or a directory.
-        several: whether there are more logs.
-
-    Raises:
-        InputError: a file is named for several logs, or its suffix stands for no format.
-    """
-    name = f"{log.stem}_compensated{log.suffix or '.csv'}"
-    if out is None:
-        return Path(name)
-    if out.is_dir():
-        return out / name
-    if several:
-        raise InputError(
-            f"--out {out}: is no directory; expected one, as there are several logs. Make it first."
-        )
-    if out.suffix.lower() not in (*CSV_SUFFIXES, *PARQUET_SUFFIXES):
-        raise InputError(
-            f"--out {out}: '{out.suffix}' stands for no format; expected .csv, .tsv or .parquet."
-        )
-    return out

@@ -39,8 +39,6 @@ class OpenedModel:
     model: IntegerModel
     compensator: Compensator | None
     """What it was made from; None where that is not there, or of another model."""
-    directory: Path | None
-    """Of its project."""
 
 
 def open_model(path: Path, plugins: Sequence[Path] = ()) -> OpenedModel:
@@ -67,8 +65,17 @@ def open_model(path: Path, plugins: Sequence[Path] = ()) -> OpenedModel:
             compensator = Compensator.load(build, load_catalogue(tuple(plugins)))
         except InputError:
             compensator = None
-    project = build.parent if (build.parent / "zerodrift.toml").is_file() else None
-    return OpenedModel(str(path), model, compensator, project)
+    return OpenedModel(str(path), model, compensator)
+
+
+def find_project(path: Path) -> Path | None:
+    """Return the directory of the project that a path's model lies in, if there is one.
+
+    Raises:
+        InputError: the path holds no model.
+    """
+    project = _find_model(path)[1].parent
+    return project if (project / "zerodrift.toml").is_file() else None
 
 
 def _find_model(path: Path) -> tuple[Path, Path]:
@@ -167,11 +174,16 @@ def measure_over_logs(
     chips = (Chip(old), Chip(new))
     for log in logs:
         drifts = []
+        read: dict[tuple[float, tuple[str, ...]], LogSteps] = {}
         for chip in chips:
             model = chip.model
             sources = [c.source or c.name for c in model.channels]
             sources += [f"{MEASURED}{output.name}" for output in model.outputs]
-            steps = _read(config, model, log, name_columns(config, sources), skip_invalid)
+            key = (model.sample_period_s, tuple(sources))
+            if key not in read:
+                named = name_columns(config, sources)
+                read[key] = _read(config, model, log, named, skip_invalid)
+            steps = read[key]
             told = answer(chip, config, steps, with_range=False)
             notes += [*steps.notes, *told.notes]
             at = steps.step_of_row

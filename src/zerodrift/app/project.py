@@ -319,19 +319,11 @@ class Project:
         """
         import polars as pl
 
+        from zerodrift.app.applied_model import open_applied
         from zerodrift.app.apply import apply_model
-        from zerodrift.app.commands.apply import read_uncertainty
         from zerodrift.app.frames import to_polars
-        from zerodrift.export.compose import describe_compensator
-        from zerodrift.export.model_files import load_model
-        from zerodrift.train.compensator import Compensator
 
-        found = load_model(self.config.build_directory / "model.json")
-        uncertainty, _ = read_uncertainty(self.config, found)
-        predict = None
-        if model == "float":
-            trained = Compensator.load(self.config.build_directory, self._catalogue)
-            predict = describe_compensator(trained, self.config, self.dataset.train).predict_on_chip
+        opened = open_applied(self.config, model, load_logs=lambda: self.dataset)
         with tempfile.TemporaryDirectory(prefix="zerodrift-") as scratch:
             log, out = Path(scratch) / "frame.parquet", Path(scratch) / "applied.parquet"
             if isinstance(frame, (str, Path)):
@@ -341,10 +333,10 @@ class Project:
             with show_progress("applying") as say:
                 apply_model(
                     self.config,
-                    found,
+                    opened.model,
                     [(log, out)],
-                    uncertainty=uncertainty,
-                    predict_float=predict,
+                    uncertainty=opened.uncertainty,
+                    predict_float=opened.predict_float,
                     skip_invalid=self._skip_invalid,
                     say=say,
                 )

@@ -53,16 +53,15 @@ def command(
     OLD and NEW are projects, firmware folders or model.json files. The drifts are compared over
     LOG..., or else over the calibrated range that both have.
     """
-    from zerodrift.app.diff import diff_models, open_model
+    from zerodrift.app.diff import diff_models, find_project, open_model
     from zerodrift.app.trust import remember
     from zerodrift.base.config import load_config
 
-    before, after = (open_model(path) for path in (old, new))
-    place = directory or after.directory or before.directory
+    place = directory or find_project(new) or find_project(old)
     config = load_config(place) if place is not None else None
-    if config is not None:
-        remember(config.plugin_files)
-        before, after = (open_model(path, config.plugin_files) for path in (old, new))
+    plugins = config.plugin_files if config is not None else ()
+    remember(plugins)
+    before, after = (open_model(path, plugins) for path in (old, new))
     with show_progress("comparing") as say:
         found = diff_models(
             before,

@@ -1,0 +1,167 @@
+"""What `apply` works with: a project's finished model, and the files that it may write."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import polars as pl
+from polars.exceptions import PolarsError
+
+from zerodrift.app.applied_rows import FLAGS
+from zerodrift.app.apply import PredictFloat
+from zerodrift.app.commands.built import read_kept
+from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError
+from zerodrift.base.records import from_json
+from zerodrift.dataset.runs import Dataset
+from zerodrift.dataset.selectors import CSV_SUFFIXES, PARQUET_SUFFIXES
+from zerodrift.export.compose import describe_compensator
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.model_files import load_model
+from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.train.compensator import Compensator
+from zerodrift.verify.manifest import check_manifest
+from zerodrift.verify.uncertainty import FILE_NAME, Uncertainty
+
+KINDS = INTEGER, FLOAT = ("integer", "float")
+
+
+@dataclass(frozen=True)
+class AppliedModel:
+    """The model of the last `firmware`."""
+
+    model: IntegerModel
+    uncertainty: Uncertainty | None
+    predict_float: PredictFloat | None
+    """Of the float model, where that was asked for."""
+    notes: tuple[str, ...]
+    """Why there is no uncertainty, and what has changed since the firmware was built."""
+
+
+def open_applied(
+    config: Config, kind: str = INTEGER, *, load_logs: Callable[[], Dataset]
+) -> AppliedModel:
+    """Return the model that a project's last `firmware` left.
+
+    Args:
+        config: the project.
+        kind: integer | float.
+        load_logs: gives the project's logs, which the float model needs.
+
+    Raises:
+        InputError: no firmware was built yet, it has other outputs, or `kind` is neither.
+    """
+    if kind not in KINDS:
+        raise InputError(f"model = {kind!r}: expected one of {', '.join(KINDS)}.")
+    model = load_model(config.build_directory / "model.json")
+    _refuse_other(config, model)
+    uncertainty, why = _read_uncertainty(config, model)
+    stale = [finding.text for finding in check_manifest(config).findings]
+    predict = None
+    if kind == FLOAT:
+        dataset = load_logs()
+        catalogue = load_catalogue(config.plugin_files)
+        trained = Compensator.load(config.build_directory, catalogue)
+        predict = describe_compensator(trained, config, dataset.train).predict_on_chip
+    return AppliedModel(model, uncertainty, predict, (*([why] if why else []), *stale))
+
+
+def _read_uncertainty(config: Config, model: IntegerModel) -> tuple[Uncertainty | None, str]:
+    """Return the uncertainty of a model, or None and why there is none."""
+    path = config.build_directory / FILE_NAME
+    kept = read_kept(path)
+    if kept is not None:
+        try:
+            found = from_json(Uncertainty, kept)
+        except ValueError:
+            found = None
+        if found is not None and found.model_hash == model.hash:
+            return found, ""
+    if path.exists():
+        return None, (
+            f"no uncertainty is stated: {path.name} in build/ is damaged, or of another model; "
+            "`zerodrift firmware` writes it again"
+        )
+    return None, (
+        "no uncertainty is stated: it comes from models that leave a training run out, which "
+        "`zerodrift firmware` fits for effects and lag bank, not for other networks"
+    )
+
+
+def _refuse_other(config: Config, model: IntegerModel) -> None:
+    names = tuple(output.name for output in model.outputs)
+    wanted = tuple(output.name for output in config.outputs)
+    if names != wanted:
+        raise InputError(
+            f"{config.build_directory / 'model.json'}: has the outputs {', '.join(names)}; "
+            f"{config.path} has {', '.join(wanted)}. Run `zerodrift firmware`."
+        )
+
+
+def choose_file(log: Path, out: Path | None, several: bool) -> Path:
+    """Return the file that a log's answer is written to.
+
+    Args:
+        log: the log.
+        out: what the user named: a file, or a directory.
+        several: whether there are more logs.
+
+    Raises:
+        InputError: a file is named for several logs, or its suffix stands for no format.
+    """
+    written = (*CSV_SUFFIXES, *PARQUET_SUFFIXES)
+    suffix = log.suffix if log.suffix.lower() in written else ".csv"
+    name = f"{log.stem}_compensated{suffix}"
+    if out is None:
+        return Path(name)
+    if out.is_dir():
+        return out / name
+    if several:
+        raise InputError(
+            f"--out {out}: is no directory; expected one, as there are several logs. Make it first."
+        )
+    if out.suffix.lower() not in written:
+        raise InputError(
+            f"--out {out}: '{out.suffix}' stands for no format; expected .csv, .tsv or .parquet."
+        )
+    return out
+
+
+def refuse_taken(pairs: Sequence[tuple[Path, Path]]) -> None:
+    """Refuse to write over a log, over another's answer, or over what `apply` did not write.
+
+    Args:
+        pairs: (log, file to be written).
+
+    Raises:
+        InputError: a file would be lost.
+    """
+    taken: dict[Path, Path] = {}
+    logs = {log.resolve() for log, _ in pairs}
+    for log, out in pairs:
+        place = out.resolve()
+        if place in logs:
+            raise InputError(f"{out}: is a log itself; expected another file. Name it by --out.")
+        if place in taken:
+            raise InputError(
+                f"{out}: would hold {taken[place]} and {log}; expected a file for each. Apply the "
+                "model to one at a time, with --out."
+            )
+        taken[place] = log
+        if out.exists() and FLAGS not in _name_columns(out):
+            raise InputError(
+                f"{out}: is there and was not written by `zerodrift apply`; expected a new file. "
+                "Move it, or name another by --out."
+            )
+
+
+def _name_columns(path: Path) -> list[str]:
+    """Return the columns of a file as `apply` writes them; none where it is no such file."""
+    try:
+        if path.suffix.lower() in PARQUET_SUFFIXES:
+            return list(pl.read_parquet_schema(path))
+        separator = "\t" if path.suffix.lower() == ".tsv" else ","
+        head = pl.read_csv(path, separator=separator, n_rows=0, infer_schema=False)
+        return head.columns
+    except (PolarsError, OSError, UnicodeDecodeError):
+        return []
