@@ -20,7 +20,8 @@ import numpy as np
 import polars as pl
 
 from zerodrift.base.config import load_config
-from zerodrift.dataset.load import list_columns, load_dataset
+from zerodrift.dataset.load import load_dataset
+from zerodrift.dataset.open_log import list_columns
 
 AXES = ("Fx_N", "Fy_N", "Fz_N", "Mx_Nm", "My_Nm", "Mz_Nm")
 LOG_PERIOD_S = 0.1

@@ -15,7 +15,7 @@ from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.bridges import plan_spans
 from zerodrift.dataset.chip_codes import MEASURED, TEMPERATURE
-from zerodrift.dataset.load import open_log
+from zerodrift.dataset.open_log import open_log
 from zerodrift.dataset.resample import KEPT_TOLERANCE, Stretch, plan_stretches
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.selectors import Selection, list_files
