@@ -44,7 +44,7 @@ class Trace:
     """[n] on the log's own clock."""
     temperature_degC: Array
     """[n] what the chip's thermometer reported."""
-    rate_K_per_min: Array  # noqa: N815 - the unit's own spelling
+    rate_K_per_min: Array
     """[n] slope of the temperature over `RATE_SPAN_S`."""
     load: Array
     """[K, n] true values of the outputs, in their units."""

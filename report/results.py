@@ -16,6 +16,7 @@ from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.remainder import RemainderPattern
 from zerodrift.diagnosis.summary import AdviceSummary, RevisionSummary, StepSummary
+from zerodrift.discovery.summary import PlanSummary
 from zerodrift.fleet.summary import FleetSummary
 from zerodrift.physics.description import EffectDescription
 from zerodrift.physics.summary import FittedCoefficient, ModelSummary, ParameterInterval
@@ -189,6 +190,13 @@ class ProposeResult:
     """Why the cost could not be told; empty where it is."""
     written: str | None
     """The effect's file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanResult(PlanSummary, Shown):
+    """The next experiment: a programme of set points, and what it is expected to tell."""
+
+    SCHEMA: ClassVar = "plan/1"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -460,6 +468,7 @@ RESULTS: tuple[type, ...] = (
     *(
         InitResult,
         PackageResult,
+        PlanResult,
         ProposeResult,
         RemoveResult,
         ReportResult,

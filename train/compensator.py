@@ -43,7 +43,7 @@ class TrainedRanges:
 
     temperature_degC: tuple[float, float]
     """Lowest and highest."""
-    rate_K_per_s: float  # noqa: N815 - the unit's own spelling
+    rate_K_per_s: float
     """Largest change of the temperature from one sample to the next, per second."""
     drift: Array
     """[2, K] lowest and highest measured drift, in the outputs' units."""

@@ -10,7 +10,7 @@ from setup import ROOT, find_stages
 
 ORDER = (
     *("base", "dataset", "operations", "physics", "calibration", "diagnosis", "train", "export"),
-    *("codegen", "c_runtime", "verify", "fleet", "report", "workbench", "app", "lab"),
+    *("codegen", "c_runtime", "verify", "discovery", "fleet", "report", "workbench", "app", "lab"),
 )
 FOLDERS = {name: ROOT / name for name in find_stages()} | {
     name: ROOT / "src/zerodrift" / name for name in ("base", "app")

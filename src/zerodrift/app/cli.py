@@ -24,6 +24,7 @@ COMMANDS: dict[str, str] = {
     "compare": "Model against measurements, run by run; where it fails.",
     "diagnose": "Name the physical effect that the model lacks.",
     "propose": "A formula where no effect of the catalogue explains what is left.",
+    "plan": "The next experiment, computed: temperatures, loads and inputs over time.",
     "add": "Add an effect, refit, and show the held-out error before and after.",
     "remove": "Remove an effect, refit, and show the held-out error before and after.",
     "history": "The staircase of errors so far.",

@@ -3,7 +3,7 @@
 import contextlib
 import io
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +21,7 @@ from zerodrift.report.results import (
     CompareResult,
     DiagnoseResult,
     HistoryResult,
+    PlanResult,
     RemoveResult,
     TrainResult,
 )
@@ -171,6 +172,44 @@ class Project:
             from zerodrift.report.figures import draw_candidates
 
             return draw_candidates(verdict.diagnosis)
+
+        return with_picture(found, draw)
+
+    def plan(
+        self,
+        hours: float | None = None,
+        *,
+        between: Sequence[str] = (),
+        target: float | None = None,
+        within: str | None = None,
+        budget_s: float = 60.0,
+    ) -> PlanResult:
+        """Return the next experiment; `.plot()` draws its programme.
+
+        Args:
+            hours: how long it may take; None: [experiment] hours, or 8.
+            between: effects to tell apart; empty: those that are open.
+            target: share of full scale from which on an effect has to be named.
+            within: limits beside those of [experiment], as the command takes them.
+            budget_s: processor seconds of the search.
+
+        Raises:
+            InputError: limits that contradict each other, or nothing left to tell apart.
+        """
+        from zerodrift.app.plan import find_plan, has_logs, read_within
+        from zerodrift.discovery.plan import HOURS, Question
+
+        config = self.config if within is None else read_within(self.config, within)
+        dataset = self.dataset if has_logs(config) else None
+        wanted = hours or config.experiment.hours or HOURS
+        question = Question(wanted, tuple(between), target, budget_s)
+        with show_progress("planning") as say:
+            found = find_plan(config, dataset, self._catalogue, question, say)[1]
+
+        def draw() -> "Figure":
+            from zerodrift.report.figures_plan import draw_plan
+
+            return draw_plan(found)
 
         return with_picture(found, draw)
 

@@ -18,6 +18,7 @@ from zerodrift.base.clock_config import (
 from zerodrift.base.column_config import CodesConfig, read_column, read_quantity
 from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.base.errors import InputError
+from zerodrift.base.experiment_config import ExperimentConfig, read_experiment
 from zerodrift.base.files import name_kind
 from zerodrift.base.fleet_config import PLACEHOLDER, FleetConfig, read_fleet
 from zerodrift.base.toml_lines import find_line, index_lines
@@ -32,7 +33,7 @@ LOG_KEYS = ("train", "test", "dwell", "where", "period_s", "offset_s", "time", "
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
 MOST = {"starts": 1000, "epochs": 1_000_000}
 """Trainings from different weights, and passes over the logs, that are still meant."""
-MODEL_TABLES = ("effect", "network", "quantization", "firmware", "plugins", "fleet")
+MODEL_TABLES = ("effect", "network", "quantization", "firmware", "plugins", "fleet", "experiment")
 NETWORK_KINDS = ("lag_bank", "gru", "mlp", "mlp_seq", "tcn", "none")
 WINDOWED_KINDS = ("mlp_seq", "tcn")
 """These see a window of samples; the GRU may."""
@@ -122,6 +123,8 @@ class Config:
     """Whether the C keeps a checksum over its state."""
     fleet: FleetConfig = field(default_factory=FleetConfig)
     """`[fleet]`: for `zerodrift fleet` alone."""
+    experiment: ExperimentConfig = field(default_factory=ExperimentConfig)
+    """`[experiment]`: for `zerodrift plan` alone."""
     time: TimeConfig = field(default_factory=TimeConfig)
     """How the times of `time_column` are written."""
     clocks: ClockConfig = field(default_factory=ClockConfig)
@@ -235,6 +238,11 @@ def parse_config(text: str, path: Path) -> Config:
         where=_read_where(logs),
         fleet=read_fleet(
             root.table("fleet", None, optional=True), tuple(output.name for output in outputs)
+        ),
+        experiment=read_experiment(
+            root.table("experiment", None, optional=True),
+            tuple(output.name for output in outputs),
+            tuple(inputs.values),
         ),
         temperature_codes=temperature_codes,
         input_codes={name: codes for name, (_, codes, _) in columns.items()},

@@ -1,0 +1,257 @@
+"""The explanations that are still open: as truths, drawn, and as rivals, refitted at every value.
+
+A truth is a whole model with one effect more, at values drawn from what is known of them: the
+fit's values and errors where there are logs, the catalogue's typical ranges where there are none.
+A rival is the same model at a grid of its shared values, its coefficients left to be refitted.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.base.config import EffectConfig
+from zerodrift.base.errors import InputError, nearest
+from zerodrift.diagnosis.case import Case
+from zerodrift.diagnosis.examination import fit_base, measure_rest
+from zerodrift.diagnosis.noise import Noise
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.effect import Effect
+from zerodrift.physics.fit import estimate_errors
+from zerodrift.physics.projection import get_coordinates, list_coordinates, set_coordinates
+from zerodrift.physics.search import Found, assess, search, sum_with_slopes
+from zerodrift.physics.signals import SignalPlan, explain_missing
+from zerodrift.physics.terms import Term, start_term
+
+Array = NDArray[np.float64]
+
+NODES = {1: 7, 2: 4, 3: 3}
+"""Values of each shared parameter of a rival, by how many it has."""
+MOST_FORMS = 2
+DRAWS = 6
+WIDE = 2.0
+"""A rival's values reach beyond its typical range by this factor, or this share of the range."""
+MOST_SPREAD = 0.7
+"""Largest standard deviation of a drawn value, in its own coordinate."""
+MOST_SHARED = 3
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A model that may be the true one."""
+
+    terms: tuple[Term, ...]
+    coefficients: Array
+    """[K, J] of its features, the constant left out; unscaled where nothing is known of them."""
+    known: bool
+    """Whether the coefficients are fitted; else they are scaled to a size."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One effect that the model may lack."""
+
+    kind: str
+    truths: tuple[Truth, ...]
+    forms: tuple[tuple[tuple[Term, ...], ...], ...]
+    """Form -> its models on the grid; all of a form have the same features."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is known before the experiment."""
+
+    plan: SignalPlan
+    order: tuple[str, ...]
+    base: tuple[Term, ...]
+    noise: Noise
+    contenders: tuple[Contender, ...]
+    runs: int
+    """Training runs that there are."""
+
+
+def describe_noise(full_scale: Sequence[float], share: float, period_s: float) -> Noise:
+    """Return noise of which nothing is known: half of it white, half about 1/f.
+
+    Args:
+        full_scale: [K].
+        share: RMS over full scale.
+        period_s: seconds per sample.
+    """
+    taus = np.array([0.0, *(t / period_s for t in (10.0, 100.0, 1000.0))])
+    shares = np.array([0.5, *(np.full(3, 0.5 / 3.0))])
+    variance = (share * np.array(full_scale)) ** 2
+    return Noise(shares[:, None] * variance[None, :], taus, "assumed")
+
+
+def find_placeable(effect: Effect, plan: SignalPlan) -> str:
+    """Return why an experiment cannot show an effect, or an empty string."""
+    if effect.sets_aside:
+        return "samples at a converter's rail are seen directly, no programme is needed"
+    return explain_missing(effect, plan)
+
+
+def list_forms(
+    catalogue: Catalogue, base: Sequence[Term], kind: str
+) -> list[tuple[tuple[Term, ...], int]]:
+    """Return the whole models that have an effect in each of its first forms, and its place.
+
+    Raises:
+        InputError: the model has it in its richest form already.
+    """
+    effect = catalogue[kind]
+    place = next((i for i, term in enumerate(base) if term.effect.kind == kind), len(base))
+    forms = []
+    for choices in effect.variants:
+        if place < len(base):
+            own = base[place]
+            richer = any(own.values.get(name) != value for name, value in choices.items())
+            if not richer or any(own.values[n] > v for n, v in choices.items()):
+                continue
+        term = start_term(catalogue, EffectConfig(kind), choices)
+        forms.append(((*base[:place], term, *base[place + 1 :]), place))
+    return forms[:MOST_FORMS]
+
+
+def refuse_unknown(
+    kinds: Sequence[str], catalogue: Catalogue, base: Sequence[Term], plan: SignalPlan
+) -> None:
+    """Refuse effects that no experiment of these signals can tell.
+
+    Raises:
+        InputError: an unknown effect, one that the model has, or one whose signal is lacking.
+    """
+    for kind in kinds:
+        if kind not in catalogue:
+            raise InputError(
+                f"--between {kind}: no effect '{kind}'{nearest(kind, catalogue) or '.'} "
+                "`zerodrift effects` lists them."
+            )
+        if not list_forms(catalogue, base, kind):
+            raise InputError(
+                f"--between {kind}: the model has {kind} already; expected an effect that it may "
+                "lack. Leave it out, or remove it from zerodrift.toml."
+            )
+        why = find_placeable(catalogue[kind], plan)
+        if why:
+            raise InputError(
+                f"--between {kind}: no experiment can show it: {why}. Add the column to [inputs] "
+                "or the reference to [outputs], and what it can be set to under [experiment]."
+            )
+
+
+def _spread_nodes(terms: Sequence[Term], place: int) -> tuple[tuple[Term, ...], ...]:
+    """Return a form on a grid over a little more than its typical values."""
+    coordinates = [
+        c for c in list_coordinates(terms) if c.term == place and not c.parameter.is_setting
+    ]
+    if not coordinates:
+        return (tuple(terms),)
+    count = NODES.get(len(coordinates), 2)
+    axes = []
+    for c in coordinates:
+        low, high = (c.encode(value) for value in c.parameter.typical)
+        wide = np.log(WIDE) if c.parameter.scale == "log" else 0.1 * (high - low)
+        low, high = max(low - wide, c.bounds[0]), min(high + wide, c.bounds[1])
+        axes.append(np.linspace(low, high, count).tolist())
+    return tuple(
+        tuple(set_coordinates(terms, coordinates, np.array(u))) for u in itertools.product(*axes)
+    )
+
+
+def imagine(
+    plan: SignalPlan,
+    catalogue: Catalogue,
+    base: Sequence[Term],
+    kinds: Sequence[str],
+    noise: Noise,
+    seed: int,
+) -> Scene:
+    """Return the scene before any log: typical values, and effects of a size that is asked for."""
+    contenders = []
+    for kind in kinds:
+        forms = list_forms(catalogue, base, kind)
+        rng = np.random.default_rng([seed, *kind.encode()])
+        truths = [draw_typical(*forms[0], plan, rng) for _ in range(DRAWS)]
+        nodes = tuple(_spread_nodes(terms, place) for terms, place in forms)
+        contenders.append(Contender(kind, tuple(truths), nodes))
+    return Scene(plan, tuple(catalogue), tuple(base), noise, tuple(contenders), 0)
+
+
+def draw_typical(
+    terms: Sequence[Term], place: int, plan: SignalPlan, rng: np.random.Generator
+) -> Truth:
+    """Return a truth with values drawn from their typical ranges, coefficients of any sign."""
+    coordinates = [
+        c for c in list_coordinates(terms) if c.term == place and not c.parameter.is_setting
+    ]
+    if coordinates:
+        bounds = [[c.encode(v) for v in c.parameter.typical] for c in coordinates]
+        u = np.array([rng.uniform(low, high) for low, high in bounds])
+        terms = set_coordinates(terms, coordinates, u)
+    signs = rng.choice([-1.0, 1.0], size=(len(plan.outputs), 64)) * rng.uniform(
+        0.5, 1.5, (len(plan.outputs), 64)
+    )
+    return Truth(tuple(terms), signs, False)
+
+
+def look_back(
+    case: Case, kinds: Sequence[str], untold: Mapping[str, str], seed: int
+) -> tuple[Scene, Array]:
+    """Return the scene after logs, and the noise floor [K].
+
+    Args:
+        case: the model and its runs.
+        kinds: the effects that are open.
+        untold: those of them that these logs say nothing of, drawn from typical values.
+        seed: of the draws.
+    """
+    base, noise, weights = fit_base(case.campaign, case.dataset.dwell, case.terms)
+    contenders = []
+    best: Found | None = None
+    for kind in kinds:
+        forms = list_forms(case.catalogue, base.terms, kind)
+        rng = np.random.default_rng([seed, *kind.encode()])
+        nodes = tuple(_spread_nodes(terms, place) for terms, place in forms)
+        if kind in untold:
+            truths = [draw_typical(*forms[0], case.plan, rng) for _ in range(DRAWS)]
+        else:
+            found = [search(case.campaign, t, weights, vary=(p,)) for t, p in forms]
+            # The simplest form that explains as much: a richer one is for the logs to show.
+            least = min(one.cost for one in found)
+            chosen = next(one for one in found if one.cost <= least + 0.02 * abs(least) + 1e-3)
+            if best is None or chosen.cost < best.cost:
+                best = chosen
+            truths = _draw_fitted(case, chosen, weights, rng)
+        contenders.append(Contender(kind, tuple(truths), nodes))
+    noise, floor = measure_rest(case.campaign, case.dataset.dwell, best or base)
+    order = tuple(case.campaign.order)
+    scene = Scene(
+        case.plan,
+        order,
+        tuple(base.terms),
+        noise,
+        tuple(contenders),
+        len(case.campaign.groups),
+    )
+    return scene, floor
+
+
+def _draw_fitted(case: Case, found: Found, weights: Array, rng: np.random.Generator) -> list[Truth]:
+    """Return truths drawn around a fit; the coefficients are solved anew at each."""
+    coordinates = list_coordinates(found.terms)
+    truths = [Truth(found.terms, found.solution.coefficients, True)]
+    if not coordinates:
+        return truths
+    u = get_coordinates(found.terms, coordinates)
+    sums = sum_with_slopes(case.campaign, found.terms, coordinates)
+    errors, _ = estimate_errors(case.campaign, sums, weights, found.solution, len(coordinates))
+    spread = np.minimum(errors, MOST_SPREAD)
+    bounds = np.array([c.bounds for c in coordinates])
+    for _ in range(DRAWS - 1):
+        moved = np.clip(u + spread * rng.standard_normal(u.size), bounds[:, 0], bounds[:, 1])
+        there = assess(case.campaign, set_coordinates(found.terms, coordinates, moved), weights)
+        truths.append(Truth(there.terms, there.solution.coefficients, True))
+    return truths

@@ -1,0 +1,336 @@
+"""What a programme is expected to tell: each truth simulated, each rival refitted to it.
+
+Signals are taken apart into octaves, in which the measured noise is white once each octave is
+weighted (see `physics.octaves`). The squared distance that a rival's best refit leaves there is
+twice the expected log-likelihood ratio between the two, and what `diagnose` would find one gains
+over the other, in its own units. A log's mean is left out, since logs may be tared.
+
+Source: Atkinson and Fedorov, Biometrika 62 (1975), T-optimality; Kullback and Leibler (1951).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+from zerodrift.discovery.contenders import Scene, Truth
+from zerodrift.discovery.limits import Limits
+from zerodrift.discovery.patterns import Space
+from zerodrift.discovery.programme import Course, Log, follow
+from zerodrift.operations.backend import NumpyOperations
+from zerodrift.physics.effect import Signals
+from zerodrift.physics.octaves import MEANS, cut_octaves
+from zerodrift.physics.signals import read_signals
+from zerodrift.physics.terms import Term, build_features
+
+Array = NDArray[np.float64]
+
+ROWS = 192
+"""Blocks of a log that are simulated."""
+ROWS_BEFORE = 128
+"""The same of each log that there is already."""
+MOST_OUTPUTS = 3
+"""Outputs that are looked at: those in which the contenders show most."""
+POWERED_EARLIER_S = 7200.0
+NEGLIGIBLE = 1e-9
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Simulated signals [P, n] of P logs of one length, and how they become white."""
+
+    signals: Signals[Array]
+    period_s: float
+    whiten: Array
+    """[P, R, n, K'] as [R, n] per output: octaves' coefficients over their noise."""
+    weight: Array
+    """[P] square root of how many logs each stands for."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What an experiment is expected to tell, logs before it included."""
+
+    gain: Array
+    """[M, D] squared distance of each truth from the model without it, noise units."""
+    apart: Array
+    """[M, D, M] the same from each rival's best refit; infinite from itself."""
+    runs: int
+    """Logs in all."""
+
+
+class _Laid(NamedTuple):
+    """What all models and truths are in one output: whitened, rows that count alike."""
+
+    truths: Array
+    """[rows, M]."""
+    models: list[Array]
+    """Model -> [rows, p], the base first."""
+    beside: list[Array] = []  # noqa: RUF012 - never written to
+    """Model -> the truths [rows, M] that stand beside its rows, where these differ."""
+
+    def join(self, before: "_Laid | None", begin: int, end: int) -> tuple[Array, Array]:
+        """Return models [N, R, p] of one form and truths [N, R, M], earlier logs below."""
+        models = np.stack(self.models[begin:end])
+        truths = np.broadcast_to(self.truths, (end - begin, *self.truths.shape))
+        if before is None:
+            return models, truths
+        return (
+            np.concatenate([models, np.stack(before.models[begin:end])], axis=1),
+            np.concatenate([truths, np.stack(before.beside[begin:end])], axis=1),
+        )
+
+
+def _whiten(scene: Scene, rows: int, block: int, outputs: Sequence[int]) -> Array:
+    """Return [K', R, n]: what turns n block means into white coefficients without the mean."""
+    octaves = cut_octaves(np.array([rows], dtype=np.int64), block)
+    basis: Array = np.stack([octaves.transform(e) for e in np.eye(rows)], axis=1)
+    keep = octaves.octave != MEANS
+    levels = octaves.octave[keep]
+    numbers = np.unique(levels)
+    variance = scene.noise.variance(numbers, rows * block, block)[:, list(outputs)]
+    floor = np.maximum(variance, 1e-30 + 1e-12 * variance.max(axis=0))
+    each: Array = np.sqrt(block / floor)[np.searchsorted(numbers, levels)]
+    whitened: Array = each.T[:, :, None] * basis[keep][None]
+    return whitened
+
+
+def _make_signals(scene: Scene, logs: Sequence[Log], courses: Sequence[Course]) -> Signals[Array]:
+    plan = scene.plan
+    time_s: Array = np.stack([course.time_s for course in courses])
+    earlier = np.array([0.0 if log.power_on else POWERED_EARLIER_S for log in logs])
+    elapsed: Array = time_s + earlier[:, None]
+    still = np.zeros_like(time_s)
+
+    def channel(name: str) -> Array:
+        if name == "clock":
+            return elapsed
+        first = courses[0]
+        if name in first.inputs:
+            return np.stack([course.inputs[name] for course in courses])
+        return still
+
+    return Signals(
+        temperature_degC=np.stack([course.temperature_degC for course in courses]),
+        elapsed_s=elapsed,
+        clock_s=elapsed,
+        load={
+            name: np.stack([c.loads[name] for c in courses]) if name in courses[0].loads else still
+            for name in plan.loaded
+        },
+        saturated=dict.fromkeys(plan.saturated, still),
+        channels={name: channel(name) for name in plan.channels},
+        outputs=plan.outputs,
+        full_scale=dict(zip(plan.outputs, plan.full_scale, strict=True)),
+        reference_temperature_degC=plan.reference_temperature_degC,
+    )
+
+
+class Judge:
+    """Judges programmes of one scene within limits.
+
+    Args:
+        scene: what is known.
+        limits: how sensor and chamber follow.
+        before: logs that there are already.
+        outputs: indices of the outputs that are looked at.
+    """
+
+    def __init__(
+        self, scene: Scene, limits: Limits, before: Sequence[Run], outputs: Sequence[int]
+    ) -> None:
+        self.scene, self.limits, self.outputs = scene, limits, tuple(outputs)
+        self._white: dict[tuple[int, int], Array] = {}
+        self._before = self._look_back(before)
+
+    def scale(self, logs: Sequence[Log], sizes: Array) -> Scene:
+        """Return the scene with coefficients of which nothing is known made as large as asked.
+
+        Args:
+            logs: a programme that moves everything.
+            sizes: [K] RMS of what is beyond the model there, in each output's unit.
+        """
+        stage = self._stage(logs, np.ones(len(logs)))
+        contenders = tuple(
+            replace(
+                c,
+                truths=tuple(
+                    t if t.known else self._scale_truth(stage, t, sizes) for t in c.truths
+                ),
+            )
+            for c in self.scene.contenders
+        )
+        return replace(self.scene, contenders=contenders)
+
+    def _scale_truth(self, stage: Stage, truth: Truth, sizes: Array) -> Truth:
+        shape = stage.signals.temperature_degC.shape
+        ops = NumpyOperations(stage.period_s, shape)
+
+        def stack(terms: Sequence[Term]) -> tuple[Array, list[str | None]]:
+            features = build_features(ops, stage.signals, terms, self.scene.order)[1:]
+            columns = np.stack([np.broadcast_to(f.signal, shape) for f in features], axis=-1)
+            columns = columns - columns.mean(axis=1, keepdims=True)
+            return columns.reshape(-1, len(features)), [f.output for f in features]
+
+        columns, owners = stack(truth.terms)
+        base, base_owners = stack(self.scene.base)
+        spread = columns.std(axis=0)
+        each = np.where(spread > 0.0, 1.0 / np.where(spread > 0.0, spread, 1.0), 0.0)
+        coefficients = truth.coefficients[:, : len(owners)] * each
+        for k, name in enumerate(self.scene.plan.outputs):
+            coefficients[k] *= [owner in (None, name) for owner in owners]
+            mine = base[:, [owner in (None, name) for owner in base_owners]]
+            total = columns @ coefficients[k]
+            beyond = np.sqrt(np.mean(total**2))
+            if mine.shape[1]:
+                beyond = np.sqrt(_leave(mine[None], total[None, :, None])[0, 0] / total.size)
+            coefficients[k] *= sizes[k] / beyond if beyond > 0.0 else 0.0
+        return replace(truth, coefficients=coefficients)
+
+    def judge(self, space: Space, point: Array) -> Told:
+        """Return what the programme of a point is expected to tell."""
+        return self.judge_logs(space.list_patterns(point), space.repeats)
+
+    def judge_logs(self, logs: Sequence[Log], repeats: Array) -> Told:
+        """Return what logs of one length are expected to tell, each done so many times."""
+        stage = self._stage(logs, repeats[: len(logs)])
+        return self._compare(stage, round(float(repeats.sum())))
+
+    def _whiten(self, rows: int, block: int) -> Array:
+        if (rows, block) not in self._white:
+            self._white[rows, block] = _whiten(self.scene, rows, block, self.outputs)
+        return self._white[rows, block]
+
+    def _stage(self, logs: Sequence[Log], repeats: Array) -> Stage:
+        period_s = self.scene.plan.sample_period_s
+        block = max(1, round(logs[0].lasts_s / ROWS / period_s))
+        step_s = block * period_s
+        courses = [follow(log, self.limits, step_s, self.limits.start_degC) for log in logs]
+        signals = _make_signals(self.scene, logs, courses)
+        rows = signals.elapsed_s.shape[1]
+        return Stage(signals, step_s, self._whiten(rows, block), np.sqrt(repeats))
+
+    def _stage_run(self, run: Run) -> Stage:
+        """Return a log that there is, its signals averaged over blocks."""
+        block = max(1, len(run) // ROWS_BEFORE)
+        rows = len(run) // block
+        read = read_signals(run, self.scene.plan)
+
+        def thin(x: Array) -> Array:
+            return np.asarray(x[: rows * block].reshape(rows, block).mean(axis=1)[None])
+
+        signals = replace(
+            read,
+            temperature_degC=thin(read.temperature_degC),
+            elapsed_s=thin(read.elapsed_s),
+            clock_s=thin(read.clock_s),
+            load={name: thin(x) for name, x in read.load.items()},
+            saturated={name: thin(x) for name, x in read.saturated.items()},
+            channels={name: thin(x) for name, x in read.channels.items()},
+        )
+        period_s = block * self.scene.plan.sample_period_s
+        return Stage(signals, period_s, self._whiten(rows, block), np.ones(1))
+
+    def _columns(self, stage: Stage, terms: Sequence[Term]) -> list[Array]:
+        """Return, per output, the whitened columns [rows, J'] that it sees."""
+        shape = stage.signals.temperature_degC.shape
+        ops = NumpyOperations(stage.period_s, shape)
+        features = build_features(ops, stage.signals, terms, self.scene.order)[1:]
+        columns = np.stack([np.broadcast_to(f.signal, shape) for f in features], axis=-1)
+        columns = columns * stage.weight[:, None, None]
+        found = []
+        for k, place in enumerate(self.outputs):
+            name = self.scene.plan.outputs[place]
+            seen = [j for j, f in enumerate(features) if f.output in (None, name)]
+            found.append((stage.whiten[k] @ columns[..., seen]).reshape(-1, len(seen)))
+        return found
+
+    def _truth(self, stage: Stage, truth: Truth) -> list[Array]:
+        """Return, per output, the whitened drift [rows] of a truth."""
+        shape = stage.signals.temperature_degC.shape
+        ops = NumpyOperations(stage.period_s, shape)
+        features = build_features(ops, stage.signals, truth.terms, self.scene.order)[1:]
+        columns = np.stack([np.broadcast_to(f.signal, shape) for f in features], axis=-1)
+        found = []
+        for k, place in enumerate(self.outputs):
+            name = self.scene.plan.outputs[place]
+            seen = [f.output in (None, name) for f in features]
+            total = columns @ np.where(seen, truth.coefficients[place, : len(features)], 0.0)
+            total = total * stage.weight[:, None]
+            found.append((stage.whiten[k] @ total[..., None]).reshape(-1))
+        return found
+
+    def _lay_out(self, stage: Stage) -> list[_Laid]:
+        """Return, per output, what all models and truths are in a stage."""
+        contenders = self.scene.contenders
+        truths = [self._truth(stage, t) for c in contenders for t in c.truths]
+        models = [self.scene.base, *(m for c in contenders for form in c.forms for m in form)]
+        columns = [self._columns(stage, terms) for terms in models]
+        return [
+            _Laid(np.stack([t[k] for t in truths], axis=1), [c[k] for c in columns])
+            for k in range(len(self.outputs))
+        ]
+
+    def _look_back(self, runs: Sequence[Run]) -> list[_Laid]:
+        """Return the logs that there are, made as short as their sums of products allow."""
+        laid = [self._lay_out(self._stage_run(run)) for run in runs]
+        shortened = []
+        for k in range(len(self.outputs) if laid else 0):
+            truths = np.concatenate([one[k].truths for one in laid])
+            count = truths.shape[1]
+            parts = []
+            for m in range(len(laid[0][k].models)):
+                both = np.concatenate([one[k].models[m] for one in laid])
+                stacked = np.concatenate([both, truths], axis=1)
+                parts.append(np.asarray(np.linalg.qr(stacked, mode="r")))
+            shortened.append(
+                _Laid(np.empty((0, count)), [part[:, :-count] for part in parts])._replace(
+                    beside=[part[:, -count:] for part in parts]
+                )
+            )
+        return shortened
+
+    def _compare(self, stage: Stage, logs: int) -> Told:
+        contenders = self.scene.contenders
+        draws = len(contenders[0].truths)
+        count = len(contenders)
+        scale = len(self.scene.plan.outputs) / len(self.outputs)
+        laid = self._lay_out(stage)
+        gain = np.zeros(count * draws)
+        apart = np.full((count * draws, count), np.inf)
+        nodes = [(r, f) for r, c in enumerate(contenders) for f in range(len(c.forms))]
+        left: dict[tuple[int, int], Array] = {}
+        for k, one in enumerate(laid):
+            before = self._before[k] if self._before else None
+            models, truths = one.join(before, 0, 1)
+            gain += _leave(models, truths)[0]
+            place = 1
+            for r, f in nodes:
+                size = len(contenders[r].forms[f])
+                models, truths = one.join(before, place, place + size)
+                squares = _leave(models, truths)
+                left[r, f] = left[r, f] + squares if (r, f) in left else squares
+                place += size
+        for r in range(count):
+            # Values are shared by the outputs: the nearest one is chosen for all together.
+            apart[:, r] = np.min([left[a, f].min(axis=0) for a, f in nodes if a == r], axis=0)
+        apart[np.arange(count * draws), np.repeat(np.arange(count), draws)] = np.inf
+        return Told(
+            scale * gain.reshape(count, draws),
+            scale * apart.reshape(count, draws, count),
+            logs + self.scene.runs,
+        )
+
+
+def _leave(models: Array, truths: Array) -> Array:
+    """Return [N, M] what least squares on models [N, R, p] leaves of truths [N, R, M], squared."""
+    norms = np.linalg.norm(models, axis=1, keepdims=True)
+    scaled = models / np.where(norms > 0.0, norms, 1.0)
+    q, r = np.linalg.qr(scaled)
+    # A column that the others span adds nothing; without this it would add what rounding made.
+    q = q * (np.abs(np.diagonal(r, axis1=-2, axis2=-1)) > NEGLIGIBLE)[:, None, :]
+    rest = truths - q @ (np.swapaxes(q, -1, -2) @ truths)
+    return np.asarray((rest**2).sum(axis=1))

@@ -1,0 +1,314 @@
+"""The next experiment: what is open, what may be set, and the programme that tells most of it."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError
+from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.case import open_case
+from zerodrift.diagnosis.diagnose import diagnose_config
+from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.discovery.contenders import (
+    Scene,
+    describe_noise,
+    find_placeable,
+    imagine,
+    list_forms,
+    look_back,
+    refuse_unknown,
+)
+from zerodrift.discovery.criterion import Judge, Told
+from zerodrift.discovery.likely import weigh
+from zerodrift.discovery.limits import Limits, resolve_limits
+from zerodrift.discovery.patterns import Space, choose_spaces
+from zerodrift.discovery.programme import Programme
+from zerodrift.discovery.search import Best, find_programme, list_designs
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.signals import SignalPlan
+from zerodrift.physics.terms import start_term
+
+Array = NDArray[np.float64]
+
+HOURS = 8.0
+BUDGET_S = 60.0
+NOISE_PCT = 0.01
+"""RMS of the noise in % of full scale where nothing is said and no log shows it: about one count of
+a converter of 14 bits."""
+SIZE_IN_NOISE = 3.0
+"""Size of an effect that has to be named, where no target is set, in noise RMS."""
+SLOWER_THAN_PLANS = ("ageing",)
+"""Effects of days, which no programme of hours shows."""
+NEAR_ENOUGH = 0.97
+"""With an UNKNOWN, candidates that leave no more than this of the error are open."""
+MOST_OPEN = 8
+SHOWN_OUTPUTS = 2
+"""Outputs that stand for all where nothing is known of any."""
+SEED = 1
+LINE = 2e-4
+"""Of two programmes that tell as much, the one with fewer lines is taken."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked for."""
+
+    hours: float = HOURS
+    between: tuple[str, ...] = ()
+    """Effects to tell apart; empty: those that are open."""
+    target: float | None = None
+    """Share of full scale from which on an effect has to be named; None: 3 times the noise."""
+    budget_s: float = BUDGET_S
+    """Processor seconds of the search."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A programme, and what it is expected to tell."""
+
+    question: Question
+    limits: Limits
+    scene: Scene
+    programme: Programme
+    told: Told
+    best: Best
+    notes: tuple[str, ...]
+    cpu_s: float
+    first_cpu_s: float
+    """Processor seconds until there was a first answer."""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The effects that are open."""
+        return tuple(contender.kind for contender in self.scene.contenders)
+
+
+def find_open(diagnosis: Diagnosis) -> tuple[tuple[str, ...], dict[str, str], str]:
+    """Return what a diagnosis leaves open: effects, why some were not tested, and in words.
+
+    Raises:
+        InputError: nothing is left to tell apart.
+    """
+    silent = {u.effect: u.why for u in diagnosis.not_testable if u.excitation is not None}
+    if diagnosis.verdict == "missing" and diagnosis.effect is not None and diagnosis.lookalikes:
+        kinds = (diagnosis.effect, *diagnosis.lookalikes)
+        return kinds, {}, f"these logs cannot tell {diagnosis.effect} from its look-alikes"
+    if diagnosis.verdict == "unknown":
+        near = [c.effect for c in diagnosis.candidates if c.rmse_left_out_ratio <= NEAR_ENOUGH][:4]
+        kinds = tuple(dict.fromkeys((*near, *silent)))
+        if len(kinds) > 1:
+            return kinds, silent, "something is missing that none of these explains yet"
+    elif silent:
+        said = (
+            "nothing is missing" if diagnosis.effect is None else f"{diagnosis.effect} is missing"
+        )
+        return tuple(silent), silent, f"{said} in these logs, which could not test these effects"
+    named = (
+        f"{diagnosis.effect} is missing, and no other effect looks like it"
+        if diagnosis.effect is not None
+        else f"the verdict is {diagnosis.verdict}, and every effect that could be tested was"
+    )
+    raise InputError(
+        f"plan: nothing is left to tell apart: {named}. Expected two open explanations or an "
+        "effect that the logs could not test. Name what to compare by --between EFFECT EFFECT, or "
+        "go on with `zerodrift add` or `zerodrift propose`."
+    )
+
+
+def plan_experiment(
+    config: Config,
+    dataset: Dataset | None,
+    catalogue: Catalogue,
+    question: Question,
+    say: Callable[[str], None] = lambda text: None,
+) -> Planned:
+    """Return the programme that is expected to tell most of what is open.
+
+    Args:
+        config: the project.
+        dataset: its runs; None before any log.
+        catalogue: the known effects.
+        question: hours, effects, target and budget.
+        say: told how far it is.
+
+    Raises:
+        InputError: limits that contradict each other, an effect that no experiment can show, or
+            nothing left to tell apart.
+    """
+    begin = time.process_time()
+    runs: Sequence[Run] = () if dataset is None else dataset.train
+    limits = resolve_limits(config, runs, question.hours)
+    notes = list(limits.notes)
+    if dataset is None:
+        scene, floor = _open_blank(config, catalogue, limits, question, notes)
+        before: Sequence[Run] = ()
+        outputs = _choose_blank(scene.plan)
+    else:
+        say("what is open")
+        scene, floor = _open_logs(config, dataset, catalogue, limits, question, notes)
+        before = [replace(run, before=None) for run in runs]
+        outputs = tuple(np.argsort(-_rank_outputs(scene, floor))[:3].tolist())
+    limits = _leave_alone(limits, scene, catalogue)
+    spaces = choose_spaces(limits, question.hours, scene.runs)
+    full_scale = np.array([output.full_scale for output in config.outputs])
+    size = SIZE_IN_NOISE * floor if question.target is None else question.target * full_scale
+    everything = Judge(scene, limits, (), outputs)
+    scene = everything.scale(spaces[0].list_patterns(list_designs(spaces[0])[1]), size)
+    judge = Judge(scene, limits, before, outputs)
+    first_s = [0.0]
+
+    def answer_first(best: Best) -> None:
+        first_s[0] = time.process_time() - begin
+
+    best = find_programme(
+        spaces,
+        lambda space, point: _weigh(judge, space, point),
+        question.budget_s,
+        say,
+        answer_first,
+    )
+    if best.interrupted:
+        notes.append("interrupted: the best programme until then")
+    return Planned(
+        question,
+        limits,
+        scene,
+        best.space.build(best.point),
+        judge.judge(best.space, best.point),
+        best,
+        tuple(notes),
+        time.process_time() - begin,
+        first_s[0],
+    )
+
+
+def _weigh(judge: Judge, space: Space, point: Array) -> float:
+    """Return what a programme tells, less a little for each line that somebody has to set."""
+    lines = sum(len(log.settings) for log in space.list_patterns(point))
+    return weigh(judge.judge(space, point)) - LINE * lines
+
+
+def _leave_alone(limits: Limits, scene: Scene, catalogue: Catalogue) -> Limits:
+    """Return the limits without the loads and inputs that no open effect follows."""
+    needs = {need for c in scene.contenders for need in catalogue[c.kind].needs}
+    named = {name for need in needs for name in need.split("|")}
+    loads = limits.loads if "load" in named else {}
+    inputs = {name: reach for name, reach in limits.inputs.items() if name in named}
+    nominal = {name: limits.nominal[name] for name in inputs}
+    return replace(limits, loads=loads, inputs=inputs, nominal=nominal)
+
+
+def _refuse_single(kinds: Sequence[str], said: str) -> None:
+    if not kinds:
+        raise InputError(
+            f"plan: {said}; no effect is left that this experiment could show. Expected one at "
+            "least. Allow loads or inputs under [experiment], or name effects by --between."
+        )
+
+
+def _open_blank(
+    config: Config,
+    catalogue: Catalogue,
+    limits: Limits,
+    question: Question,
+    notes: list[str],
+) -> tuple[Scene, Array]:
+    """Return the scene before any log, and the noise floor [K]."""
+    outputs = tuple(output.name for output in config.outputs)
+    full_scale = tuple(output.full_scale for output in config.outputs)
+    plan = SignalPlan(
+        outputs=outputs,
+        full_scale=full_scale,
+        sample_period_s=config.sample_period_s,
+        loaded=tuple(limits.loads),
+        saturated=(),
+        channels=tuple(limits.inputs),
+        reference_temperature_degC=float(round(limits.start_degC)),
+        clock_origin_s=0.0,
+    )
+    base = [start_term(catalogue, effect) for effect in config.effects]
+    for term in base:
+        why = find_placeable(term.effect, plan)
+        if why:
+            raise InputError(
+                f"{config.path}: the model has {term.effect.kind}, but {why}; expected what it "
+                "needs among what the experiment sets. Add it under [experiment.loads] or "
+                "[experiment.inputs]."
+            )
+    kinds = question.between or tuple(
+        kind
+        for kind, effect in catalogue.items()
+        if not find_placeable(effect, plan)
+        and list_forms(catalogue, base, kind)
+        and kind not in SLOWER_THAN_PLANS
+        and not (kind == "warm_up" and not limits.power)
+        and not (kind == "crosstalk" and len(limits.loads) < 2)
+    )
+    refuse_unknown(kinds, catalogue, base, plan)
+    _refuse_single(kinds, "there are no logs yet")
+    share = (config.experiment.noise_pct or NOISE_PCT) / 100.0
+    if config.experiment.noise_pct is None:
+        notes.append(
+            f"noise of {NOISE_PCT:g} % of full scale, assumed; [experiment] noise_pct says better"
+        )
+    noise = describe_noise(full_scale, share, config.sample_period_s)
+    scene = imagine(plan, catalogue, base, kinds, noise, SEED)
+    return scene, share * np.array(full_scale)
+
+
+def _open_logs(
+    config: Config,
+    dataset: Dataset,
+    catalogue: Catalogue,
+    limits: Limits,
+    question: Question,
+    notes: list[str],
+) -> tuple[Scene, Array]:
+    """Return the scene after logs, and their noise floor [K]."""
+    case = open_case(dataset, catalogue, config.effects)
+    plan = replace(
+        case.plan,
+        loaded=tuple(n for n in case.plan.outputs if n in {*case.plan.loaded, *limits.loads}),
+    )
+    case = replace(case, plan=plan)
+    untold: Mapping[str, str] = {}
+    kinds = question.between
+    if kinds:
+        refuse_unknown(kinds, catalogue, case.terms, plan)
+    else:
+        kinds, untold, said = find_open(diagnose_config(config, dataset))
+        kinds = tuple(
+            kind
+            for kind in kinds
+            if not find_placeable(catalogue[kind], plan)
+            and list_forms(catalogue, case.terms, kind)
+            and kind not in SLOWER_THAN_PLANS
+        )[:MOST_OPEN]
+        notes.append(f"open: {', '.join(kinds)}: {said}")
+        _refuse_single(kinds, said)
+    return look_back(case, kinds, untold, SEED)
+
+
+def _choose_blank(plan: SignalPlan) -> tuple[int, ...]:
+    """Return the outputs that stand for all, loaded ones first."""
+    order = sorted(range(len(plan.outputs)), key=lambda k: plan.outputs[k] not in plan.loaded)
+    return tuple(order[:SHOWN_OUTPUTS])
+
+
+def _rank_outputs(scene: Scene, floor: Array) -> Array:
+    """Return [K] how strongly the contenders' coefficients show in each output, in its noise."""
+    rank = np.zeros(len(scene.plan.outputs))
+    for contender in scene.contenders:
+        for truth in contender.truths:
+            if truth.known:
+                rank += np.abs(truth.coefficients[:, -1]) / floor
+    return rank
+
+
+def describe_space(space: Space) -> str:
+    """Return how the time is cut into logs, in words."""
+    return f"{space.logs} logs of {space.log_s / 60.0:.0f} min"

@@ -1,0 +1,196 @@
+"""What `plan` found, as its record and in sentences."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from zerodrift.base.records import OPTIONAL
+from zerodrift.discovery.likely import MOST, expect_pairs, expect_verdicts
+from zerodrift.discovery.plan import Planned
+
+
+@dataclass(frozen=True)
+class PlannedSetting:
+    """One line of the programme: from then on, what is set."""
+
+    log: int
+    """Its number, from 1; each log is a file, and a run."""
+    from_s: float
+    """Since the first row of the first log, rests included."""
+    temperature_degC: float
+    """The chamber's set point."""
+    rate_K_per_min: float
+    """How fast it gets there, a positive number; 0: it stays."""
+    loads: Mapping[str, float]
+    """Output -> load in its unit."""
+    inputs: Mapping[str, float]
+    """Input -> value."""
+
+
+@dataclass(frozen=True)
+class PlannedLog:
+    """One log of the programme."""
+
+    log: int
+    from_s: float
+    lasts_s: float
+    power_on: bool
+    """Whether the power is to come on with its first row."""
+
+
+@dataclass(frozen=True)
+class Separation:
+    """A pair of open effects."""
+
+    effects: tuple[str, ...]
+    probability: float
+    """That `diagnose` names the one that is true, and without the other, over both of them."""
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What is expected if one effect is the one that is missing."""
+
+    effect: str
+    probability: float
+    """That it is named, and alone, over the draws of its values."""
+    range: tuple[float, float]
+    """Of that probability, from the least to the most favourable draw."""
+    nearest: str | None
+    """The rival that it is hardest to tell from; null without one."""
+
+
+@dataclass(frozen=True)
+class PastPlan:
+    """What the plan before this one said, beside what came of it."""
+
+    effects: tuple[str, ...]
+    probability: float
+    """Of the right verdict, as it was predicted."""
+    verdict: str
+    """What the logs say now: missing | complete | unknown."""
+    effect: str | None
+    told_apart: bool
+    """Whether one of those effects is named now, and alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanSummary:
+    """The next experiment: a programme of set points, and what it is expected to tell."""
+
+    hours: float
+    """What it takes, rests included."""
+    criterion: str
+    """discrimination: the mean probability of the right verdict."""
+    programme: tuple[PlannedSetting, ...]
+    logs: tuple[PlannedLog, ...]
+    rest_s: float
+    """Between two logs, unloaded at the start temperature, nothing recorded."""
+    start_degC: float
+    """Where each log begins and ends."""
+    separates: tuple[Separation, ...]
+    outlooks: tuple[Outlook, ...]
+    probability: float
+    """Of the right verdict, over the open effects and their draws."""
+    units: Mapping[str, str]
+    """Output -> unit of its loads."""
+    programmes_tried: int
+    cpu_s: float
+    first_answer_cpu_s: float
+    """Processor seconds to the first answer."""
+    interrupted: bool
+    notes: tuple[str, ...]
+    """What was assumed."""
+    file: str | None
+    """The programme as CSV; null where none was written."""
+    files: tuple[str, ...] = ()
+    """All files that were written."""
+    before: PastPlan | None = field(default=None, metadata=OPTIONAL)
+    """Where logs followed an earlier plan."""
+
+
+def summarise_plan(
+    planned: Planned, units: Mapping[str, str], before: PastPlan | None = None
+) -> PlanSummary:
+    """Return what the command prints, before any file is written."""
+    kinds = planned.kinds
+    verdicts = expect_verdicts(planned.told)
+    pairs = expect_pairs(planned.told)
+    apart = planned.told.apart.mean(axis=1)
+    settings, logs = [], []
+    at_s = 0.0
+    for number, log in enumerate(planned.programme.logs, start=1):
+        logs.append(PlannedLog(number, at_s, log.lasts_s, log.power_on))
+        settings += [
+            PlannedSetting(
+                number,
+                at_s + setting.from_s,
+                setting.temperature_degC,
+                setting.rate_K_per_min,
+                dict(setting.loads),
+                dict(setting.inputs),
+            )
+            for setting in log.settings
+        ]
+        at_s += log.lasts_s + planned.programme.rest_s
+    return PlanSummary(
+        hours=round(planned.programme.hours, 4),
+        criterion="discrimination",
+        programme=tuple(settings),
+        logs=tuple(logs),
+        rest_s=planned.programme.rest_s,
+        start_degC=planned.programme.start_degC,
+        separates=tuple(
+            Separation((kinds[i], kinds[j]), round(float(pairs[i, j]), 3))
+            for i in range(len(kinds))
+            for j in range(i + 1, len(kinds))
+        ),
+        outlooks=tuple(
+            Outlook(
+                kind,
+                round(float(verdicts[m].mean()), 3),
+                (round(float(verdicts[m].min()), 3), round(float(verdicts[m].max()), 3)),
+                kinds[int(apart[m].argmin())] if len(kinds) > 1 else None,
+            )
+            for m, kind in enumerate(kinds)
+        ),
+        probability=round(float(verdicts.mean()), 3),
+        units=dict(units),
+        programmes_tried=planned.best.tried,
+        cpu_s=round(planned.cpu_s, 2),
+        first_answer_cpu_s=round(planned.first_cpu_s, 2),
+        interrupted=planned.best.interrupted,
+        notes=planned.notes,
+        file=None,
+        before=before,
+    )
+
+
+def explain_plan(plan: PlanSummary, directory: Path) -> list[str]:
+    """Return what is expected of the programme, in sentences."""
+    sentences = []
+    if plan.before is not None:
+        past = plan.before
+        came = "they are told apart now" if past.told_apart else "they are not told apart yet"
+        sentences.append(
+            f"The plan before this one gave {', '.join(past.effects)} a probability of "
+            f"{past.probability:.2f}; {came} (verdict: {past.verdict}"
+            + (f", {past.effect})." if past.effect else ").")
+        )
+    lasts = {log.lasts_s for log in plan.logs}
+    each = f"{min(lasts) / 60.0:.0f} min"
+    sentences.append(
+        f"PLAN: {len(plan.logs)} log{'s' if len(plan.logs) > 1 else ''} of {each}, "
+        f"{plan.rest_s / 60.0:.0f} min of rest after each, {plan.hours:.2g} h in all. "
+        f"Probability of the right verdict: {plan.probability:.2f}."
+    )
+    hard = [pair for pair in plan.separates if pair.probability < 0.8 * MOST]
+    if hard:
+        told = "; ".join(f"{' and '.join(p.effects)} ({p.probability:.2f})" for p in hard[:3])
+        sentences.append(f"Hard to tell apart within these limits: {told}. More hours help most.")
+    where = "" if str(directory) == "." else f" -C {directory}"
+    sentences.append(
+        "Begin each log at rest, unloaded, each in a file of its own under [logs] train; then "
+        f"zerodrift diagnose{where}"
+    )
+    return sentences

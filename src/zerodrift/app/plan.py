@@ -1,0 +1,131 @@
+"""Plans the next experiment of a project; used by the command and by the Python face."""
+
+import json
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from zerodrift.base.config import Config, load_config
+from zerodrift.base.errors import InputError
+from zerodrift.base.experiment_config import read_experiment
+from zerodrift.base.files import write_whole
+from zerodrift.base.records import from_json, to_dict
+from zerodrift.base.toml_lines import index_lines
+from zerodrift.base.toml_table import TomlTable
+from zerodrift.dataset.runs import Dataset
+from zerodrift.dataset.selectors import expand_selectors
+from zerodrift.discovery.plan import Planned, Question, plan_experiment
+from zerodrift.discovery.summary import PastPlan, summarise_plan
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.report.results import PlanResult
+
+KEPT = "plan.json"
+"""In build/: the last plan, to be compared with what came of it."""
+
+
+def has_logs(config: Config) -> bool:
+    """Return whether there is any training log yet."""
+    for pattern in config.train_logs:
+        try:
+            if expand_selectors(replace(config, train_logs=(pattern,)), "train"):
+                return True
+        except InputError as error:
+            if "no file matches" not in str(error):
+                raise
+    return False
+
+
+def read_within(config: Config, within: str) -> Config:
+    """Return the project with other limits: a TOML file, or `KEY = VALUE; KEY = VALUE`.
+
+    What is not said there stays as `[experiment]` has it.
+
+    Raises:
+        InputError: it is no TOML, or holds what `[experiment]` does not know.
+    """
+    path = Path(within)
+    is_file = path.suffix == ".toml"
+    if is_file and not path.is_file():
+        raise InputError(
+            f"--within {within}: there is no such file; expected one with a table [experiment], or "
+            "keys such as 'temperature_degC = [0, 50]; heating_K_per_min = 2'."
+        )
+    where = path if is_file else Path("--within")
+    text = path.read_text(encoding="utf-8") if is_file else within.replace(";", "\n")
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(
+            f"{where}: {error}; expected TOML such as 'temperature_degC = [0, 50]; "
+            "heating_K_per_min = 2', or the name of a .toml file."
+        ) from error
+    table = values.get("experiment", values)
+    if not isinstance(table, dict):
+        raise InputError(f"{where}: [experiment] is no table; write [experiment] above its keys.")
+    key = ("experiment",) if "experiment" in values else ()
+    read = read_experiment(
+        TomlTable(where, index_lines(text), key, table),
+        tuple(output.name for output in config.outputs),
+        tuple(config.inputs),
+    )
+    old = config.experiment
+    merged = replace(
+        old,
+        **{name: getattr(read, name) for name in table},
+        lines={**old.lines, **read.lines},
+    )
+    return replace(config, experiment=merged)
+
+
+def find_plan(
+    config: Config,
+    dataset: Dataset | None,
+    catalogue: Catalogue,
+    question: Question,
+    say: Callable[[str], None] = lambda text: None,
+) -> tuple[Planned, PlanResult]:
+    """Return the programme and its record; no file is written.
+
+    Raises:
+        InputError: as `plan_experiment`.
+    """
+    past = None if dataset is None else _compare_past(config, dataset, catalogue)
+    planned = plan_experiment(config, dataset, catalogue, question, say)
+    units = {output.name: output.unit for output in config.outputs}
+    summary = summarise_plan(planned, units, past)
+    return planned, PlanResult(**vars(summary))
+
+
+def keep_plan(config: Config, plan: PlanResult, runs: int) -> None:
+    """Keep what a plan predicts, for the next one to compare with what came of it."""
+    config.build_directory.mkdir(exist_ok=True)
+    told = {"runs": runs, "plan": to_dict(plan)}
+    write_whole(config.build_directory / KEPT, json.dumps(told).encode())
+
+
+def _compare_past(config: Config, dataset: Dataset, catalogue: Catalogue) -> PastPlan | None:
+    """Return the last plan beside what came of it; None where no log followed it."""
+    path = config.build_directory / KEPT
+    if not path.is_file():
+        return None
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+        plan = from_json(PlanResult, told["plan"], str(path))
+        runs = from_json(int, told["runs"], str(path))
+    except (ValueError, KeyError, TypeError):
+        return None
+    if len({run.group for run in dataset.train}) <= runs:
+        return None
+    from zerodrift.diagnosis.diagnose import diagnose
+
+    found = diagnose(config.effects, dataset, catalogue)
+    kinds = tuple(outlook.effect for outlook in plan.outlooks)
+    alone = found.effect in kinds and not set(found.lookalikes) & set(kinds)
+    return PastPlan(kinds, plan.probability, found.verdict, found.effect, alone)
+
+
+def load_limits(directory: Path, within: str | None) -> Config:
+    """Return a project's configuration with the limits that are asked for."""
+    config = load_config(directory)
+    return read_within(config, within) if within is not None else config
