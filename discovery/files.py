@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from zerodrift.base.files import write_whole
 from zerodrift.discovery.limits import Limits
-from zerodrift.discovery.programme import Log, Programme
+from zerodrift.discovery.programme import Log, SetProgramme
 from zerodrift.discovery.summary import PlanSummary
 
 P = TypeVar("P", bound=PlanSummary)
@@ -77,7 +77,7 @@ def render_protocol(
 
 
 def list_protocols(
-    programme: Programme, limits: Limits, units: Mapping[str, str]
+    programme: SetProgramme, limits: Limits, units: Mapping[str, str]
 ) -> dict[str, str]:
     """Return the protocol of each log, by the end of its file's name."""
     return {

@@ -14,7 +14,7 @@ from scipy.linalg import hadamard
 
 from zerodrift.base.experiment_config import Reach
 from zerodrift.discovery.limits import Limits
-from zerodrift.discovery.programme import Log, Programme, Setting
+from zerodrift.discovery.programme import Log, SetProgramme, Setting
 
 Array = NDArray[np.float64]
 
@@ -68,14 +68,14 @@ class Space:
             if self.repeats[p] > 0
         ]
 
-    def build(self, point: Array) -> Programme:
+    def build(self, point: Array) -> SetProgramme:
         """Return the programme of a point."""
         patterns = self.list_patterns(point)
         logs = []
         for number in range(self.logs):
             log = patterns[number % PATTERNS]
             logs.append(_mirror(log, self.limits) if (number // PATTERNS) % 2 else log)
-        return Programme(tuple(logs), self.limits.rest_s, self.limits.start_degC)
+        return SetProgramme(tuple(logs), self.limits.rest_s, self.limits.start_degC)
 
 
 def choose_spaces(limits: Limits, hours: float, runs: int, wanted: int = 8) -> list[Space]:

@@ -26,7 +26,7 @@ from zerodrift.discovery.criterion import Judge, Told
 from zerodrift.discovery.likely import weigh
 from zerodrift.discovery.limits import Limits, resolve_limits
 from zerodrift.discovery.patterns import Space, choose_spaces
-from zerodrift.discovery.programme import Programme
+from zerodrift.discovery.programme import SetProgramme
 from zerodrift.discovery.search import Best, find_programme, list_designs
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.signals import SignalPlan
@@ -73,7 +73,7 @@ class Planned:
     question: Question
     limits: Limits
     scene: Scene
-    programme: Programme
+    programme: SetProgramme
     told: Told
     best: Best
     notes: tuple[str, ...]

@@ -39,7 +39,7 @@ class Log:
 
 
 @dataclass(frozen=True)
-class Programme:
+class SetProgramme:
     """Logs one after the other, with rests between in which nothing is recorded."""
 
     logs: tuple[Log, ...]
@@ -53,7 +53,7 @@ class Programme:
 
 
 @dataclass(frozen=True)
-class Course:
+class PlannedCourse:
     """The signals of one log on a grid [n]."""
 
     time_s: Array
@@ -80,7 +80,7 @@ def list_set_points(log: Log, start_degC: float) -> tuple[Array, Array]:
     return np.array(times), np.array(levels)
 
 
-def follow(log: Log, limits: Limits, step_s: float, start_degC: float) -> Course:
+def follow(log: Log, limits: Limits, step_s: float, start_degC: float) -> PlannedCourse:
     """Return the signals of a log: set points ramped, the thermometer behind the chamber.
 
     Args:
@@ -107,7 +107,7 @@ def follow(log: Log, limits: Limits, step_s: float, start_degC: float) -> Course
                 to += [before, after]
         return np.asarray(np.interp(time_s, at, to))
 
-    return Course(
+    return PlannedCourse(
         time_s,
         np.asarray(start_degC + away, dtype=np.float64),
         {
@@ -123,7 +123,7 @@ def follow(log: Log, limits: Limits, step_s: float, start_degC: float) -> Course
     )
 
 
-def check_followed(programme: Programme, limits: Limits) -> list[str]:
+def check_followed(programme: SetProgramme, limits: Limits) -> list[str]:
     """Return where a programme breaks the limits, a sentence each; empty: nowhere."""
     broken = []
     for number, log in enumerate(programme.logs, start=1):

@@ -9,7 +9,7 @@ from zerodrift.discovery.limits import resolve_limits
 from zerodrift.discovery.patterns import Space, choose_spaces
 from zerodrift.discovery.programme import (
     Log,
-    Programme,
+    SetProgramme,
     Setting,
     check_followed,
     follow,
@@ -50,7 +50,7 @@ def test_every_point_keeps_to_the_limits(number):
 
 def test_the_check_of_limits_sees_what_breaks_them():
     fast = Log((Setting(0.0, 45.0, 9.0, {"Fz": 500.0}, {"supply": 6.0}),), 600.0)
-    told = " ".join(check_followed(Programme((fast,), 0.0, 23.0), LIMITS))
+    told = " ".join(check_followed(SetProgramme((fast,), 0.0, 23.0), LIMITS))
     assert "too fast" in told and "Fz = 500" in told and "supply = 6" in told
 
 

@@ -3,7 +3,7 @@
 import json
 import tomllib
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from zerodrift.base.config import Config, load_config
@@ -22,6 +22,14 @@ from zerodrift.report.results import PlanResult
 
 KEPT = "plan.json"
 """In build/: the last plan, to be compared with what came of it."""
+
+
+@dataclass(frozen=True)
+class KeptPlan:
+    """A plan, and how many runs there were when it was made."""
+
+    runs: int
+    plan: PlanResult
 
 
 def has_logs(config: Config) -> bool:
@@ -100,8 +108,8 @@ def find_plan(
 def keep_plan(config: Config, plan: PlanResult, runs: int) -> None:
     """Keep what a plan predicts, for the next one to compare with what came of it."""
     config.build_directory.mkdir(exist_ok=True)
-    told = {"runs": runs, "plan": to_dict(plan)}
-    write_whole(config.build_directory / KEPT, json.dumps(told).encode())
+    kept = json.dumps(to_dict(KeptPlan(runs, plan)))
+    write_whole(config.build_directory / KEPT, kept.encode())
 
 
 def _compare_past(config: Config, dataset: Dataset, catalogue: Catalogue) -> PastPlan | None:
@@ -110,12 +118,12 @@ def _compare_past(config: Config, dataset: Dataset, catalogue: Catalogue) -> Pas
     if not path.is_file():
         return None
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-        plan = from_json(PlanResult, told["plan"], str(path))
-        runs = from_json(int, told["runs"], str(path))
-    except (ValueError, KeyError, TypeError):
+        kept = from_json(KeptPlan, json.loads(path.read_text(encoding="utf-8")), str(path))
+    except ValueError:
+        # Of another version: it has nothing to compare with.
         return None
-    if len({run.group for run in dataset.train}) <= runs:
+    plan = kept.plan
+    if len({run.group for run in dataset.train}) <= kept.runs:
         return None
     from zerodrift.diagnosis.diagnose import diagnose
 
