@@ -19,7 +19,7 @@ from zerodrift.dataset.runs import Run
 from zerodrift.discovery.contenders import Scene, Truth
 from zerodrift.discovery.limits import Limits
 from zerodrift.discovery.patterns import Space
-from zerodrift.discovery.programme import PlannedCourse, Log, follow
+from zerodrift.discovery.programme import Log, PlannedCourse, follow
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.effect import Signals
 from zerodrift.physics.octaves import MEANS, cut_octaves
@@ -39,8 +39,8 @@ NEGLIGIBLE = 1e-9
 
 
 @dataclass(frozen=True)
-class Simulated:
-    """Simulated signals [P, n] of P logs of one length, and how they become white."""
+class Staged:
+    """Staged signals [P, n] of P logs of one length, and how they become white."""
 
     signals: Signals[Array]
     period_s: float
@@ -167,7 +167,7 @@ class Judge:
         )
         return replace(self.scene, contenders=contenders)
 
-    def _scale_truth(self, stage: Simulated, truth: Truth, sizes: Array) -> Truth:
+    def _scale_truth(self, stage: Staged, truth: Truth, sizes: Array) -> Truth:
         shape = stage.signals.temperature_degC.shape
         ops = NumpyOperations(stage.period_s, shape)
 
@@ -206,16 +206,16 @@ class Judge:
             self._white[rows, block] = _whiten(self.scene, rows, block, self.outputs)
         return self._white[rows, block]
 
-    def _stage(self, logs: Sequence[Log], repeats: Array) -> Simulated:
+    def _stage(self, logs: Sequence[Log], repeats: Array) -> Staged:
         period_s = self.scene.plan.sample_period_s
         block = max(1, round(logs[0].lasts_s / ROWS / period_s))
         step_s = block * period_s
         courses = [follow(log, self.limits, step_s, self.limits.start_degC) for log in logs]
         signals = _make_signals(self.scene, logs, courses)
         rows = signals.elapsed_s.shape[1]
-        return Simulated(signals, step_s, self._whiten(rows, block), np.sqrt(repeats))
+        return Staged(signals, step_s, self._whiten(rows, block), np.sqrt(repeats))
 
-    def _stage_run(self, run: Run) -> Simulated:
+    def _stage_run(self, run: Run) -> Staged:
         """Return a log that there is, its signals averaged over blocks."""
         block = max(1, len(run) // ROWS_BEFORE)
         rows = len(run) // block
@@ -234,9 +234,9 @@ class Judge:
             channels={name: thin(x) for name, x in read.channels.items()},
         )
         period_s = block * self.scene.plan.sample_period_s
-        return Simulated(signals, period_s, self._whiten(rows, block), np.ones(1))
+        return Staged(signals, period_s, self._whiten(rows, block), np.ones(1))
 
-    def _columns(self, stage: Simulated, terms: Sequence[Term]) -> list[Array]:
+    def _columns(self, stage: Staged, terms: Sequence[Term]) -> list[Array]:
         """Return, per output, the whitened columns [rows, J'] that it sees."""
         shape = stage.signals.temperature_degC.shape
         ops = NumpyOperations(stage.period_s, shape)
@@ -250,7 +250,7 @@ class Judge:
             found.append((stage.whiten[k] @ columns[..., seen]).reshape(-1, len(seen)))
         return found
 
-    def _truth(self, stage: Simulated, truth: Truth) -> list[Array]:
+    def _truth(self, stage: Staged, truth: Truth) -> list[Array]:
         """Return, per output, the whitened drift [rows] of a truth."""
         shape = stage.signals.temperature_degC.shape
         ops = NumpyOperations(stage.period_s, shape)
@@ -265,7 +265,7 @@ class Judge:
             found.append((stage.whiten[k] @ total[..., None]).reshape(-1))
         return found
 
-    def _lay_out(self, stage: Simulated) -> list[_Laid]:
+    def _lay_out(self, stage: Staged) -> list[_Laid]:
         """Return, per output, what all models and truths are in a stage."""
         contenders = self.scene.contenders
         truths = [self._truth(stage, t) for c in contenders for t in c.truths]
@@ -295,7 +295,7 @@ class Judge:
             )
         return shortened
 
-    def _compare(self, stage: Simulated, logs: int) -> Told:
+    def _compare(self, stage: Staged, logs: int) -> Told:
         contenders = self.scene.contenders
         draws = len(contenders[0].truths)
         count = len(contenders)
