@@ -22,6 +22,7 @@ SECTIONS = (
 )
 FIRST = (
     "tutorial/simulated-sensor.md",
+    "tutorial/notebook-raw-log.md",
     "how-to/logs.md",
     "how-to/close-the-loop.md",
     "how-to/workbench.md",

@@ -6,6 +6,7 @@ from importlib import import_module
 
 import click
 
+from manual.notebooks import DOCS, list_notebooks, render_notebook
 from zerodrift.app.cli import cli, list_commands
 
 MODULES = {
@@ -92,6 +93,9 @@ def list_pages() -> Iterator[tuple[str, Callable[[], str]]]:
     yield "reference/commands.md", render_commands
     for page in MODULES:
         yield f"reference/python/{page}.md", lambda page=page: render_modules(page)
+    for path in list_notebooks():
+        name = path.relative_to(DOCS).with_suffix(".md").as_posix()
+        yield name, lambda path=path: render_notebook(path)
     yield "assets/plotly.min.js", get_plotlyjs
 
 

@@ -1,33 +1,25 @@
 """A progress bar on stderr for anything that takes longer than a moment."""
 
-import os
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from zerodrift.base.progress import is_watched, open_text_progress
 from zerodrift.train.scores import Stage
-
-LINES = "ZERODRIFT_PROGRESS_LINES"
-"""Environment variable: progress is told in lines that begin with `progress: `."""
 
 
 @contextmanager
 def show_progress(title: str) -> Iterator[Callable[[Stage], None]]:
     """Show a bar while the block runs; yields what is called with each stage.
 
-    Where stderr is no terminal nothing is shown, or lines for another program (`LINES`).
+    Where stderr is no terminal nothing is shown, or text (`base.progress`).
     """
-    if os.environ.get(LINES):
-
-        def tell(stage: Stage) -> None:
-            text = f"{title}, {100.0 * stage.done:.0f} %: {stage.text}"
-            print(f"progress: {text}", file=sys.stderr, flush=True)
-
-        yield tell
-        return
+    with open_text_progress() as show:
+        if show is not None:
+            yield lambda stage: show(f"{title}, {100.0 * stage.done:.0f} %: {stage.text}")
+            return
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
@@ -35,7 +27,7 @@ def show_progress(title: str) -> Iterator[Callable[[Stage], None]]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[text]}"),
     )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+    with Progress(*columns, console=console, disable=not is_watched()) as progress:
         task = progress.add_task(title, total=1.0, text="fitting physics")
 
         def report(stage: Stage) -> None:

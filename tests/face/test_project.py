@@ -88,6 +88,7 @@ def test_a_result_is_what_the_command_prints(folder: Path) -> None:
 
 def test_results_show_themselves(project: zd.Project) -> None:
     found = project.compare()
+    assert "<h4>runs</h4><table>" in found._repr_html_() and "RunSummary" not in found._repr_html_()
     assert "<table>" in found._repr_html_() and "Fz" in found._repr_html_()
     assert len(found.plot("Fz").data) > 2
     values = {one.name: getattr(found, one.name) for one in fields(found)}

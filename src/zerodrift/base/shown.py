@@ -9,6 +9,8 @@ T = TypeVar("T", bound="Shown")
 MOST_ROWS = 24
 """Of a table; the rest is counted."""
 LONGEST_CELL = 160
+EPOCH = 1e8
+"""Numbers from here on are times in seconds since 1970: written out."""
 
 
 class Shown:
@@ -54,12 +56,25 @@ def with_picture(result: T, draw: Callable[..., object]) -> T:
 
 
 def _list_rows(value: object) -> list[dict[str, object]]:
-    """Return a mapping or a sequence of records as rows; none of anything else."""
+    """Return a mapping or a sequence of records as rows; none of anything else.
+
+    Of a mapping of mappings of records, each row has both keys.
+    """
     if isinstance(value, Mapping) and value and all(is_dataclass(v) for v in value.values()):
         return [{"": key, **_list_cells(record)} for key, record in value.items()]
+    if isinstance(value, Mapping) and value and all(_is_table(v) for v in value.values()):
+        return [
+            {"": f"{key}, {each}", **_list_cells(record)}
+            for key, records in value.items()
+            for each, record in records.items()
+        ]
     if isinstance(value, tuple) and value and all(is_dataclass(v) for v in value):
         return [_list_cells(record) for record in value]
     return []
+
+
+def _is_table(value: object) -> bool:
+    return isinstance(value, Mapping) and all(is_dataclass(record) for record in value.values())
 
 
 def _list_cells(record: object) -> dict[str, object]:
@@ -83,7 +98,7 @@ def _write(value: object) -> str:
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "-"}[value]
     if isinstance(value, float):
-        return f"{value:.4g}"
+        return f"{value:.0f}" if abs(value) >= EPOCH else f"{value:.4g}"
     if isinstance(value, Mapping):
         return ", ".join(f"{escape(str(key))} {_write(one)}" for key, one in value.items())
     if isinstance(value, (tuple, list)):

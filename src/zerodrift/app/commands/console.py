@@ -1,13 +1,12 @@
 """Where the commands of the loop print: results on stdout, progress on stderr."""
 
-import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, fields
 from typing import TYPE_CHECKING
 
-from zerodrift.base.progress import PROGRESS_LINES, print_progress
+from zerodrift.base.progress import is_watched, open_text_progress
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -56,19 +55,19 @@ def show_progress(first: str) -> Iterator[Callable[[str], None]]:
     """Show on stderr what is being done; gives a function that says what comes next.
 
     Where `PROGRESS_LINES` is set in the environment, each step is a line that another program can
-    read.
+    read; in a notebook it is text in the cell.
     """
-    if os.environ.get(PROGRESS_LINES):
-        print_progress(first)
-        yield print_progress
+    with open_text_progress() as show:
+        if show is not None:
+            show(first)
+            yield show
+            return
+    if not is_watched():
+        yield lambda _: None
         return
     from rich.console import Console
 
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda _: None
-        return
-    with console.status(first) as status:
+    with Console(stderr=True).status(first) as status:
         yield status.update
 
 

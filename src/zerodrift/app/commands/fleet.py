@@ -183,7 +183,7 @@ def _show_progress(state: _RunState) -> "Iterator[Callable[[FleetProgress], None
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
-    from zerodrift.base.progress import PROGRESS_LINES, print_progress
+    from zerodrift.base.progress import PROGRESS_LINES, is_watched, print_progress
 
     def describe(p: "FleetProgress") -> str:
         parts = [f"{p.kept} kept"] * bool(p.kept) + [f"{p.failed} failed"] * bool(p.failed)
@@ -202,7 +202,7 @@ def _show_progress(state: _RunState) -> "Iterator[Callable[[FleetProgress], None
         *(TextColumn("sensors"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()),
         TextColumn("{task.fields[text]}"),
     )
-    with Bar(*columns, console=console, disable=not console.is_terminal) as bar:
+    with Bar(*columns, console=console, disable=not is_watched()) as bar:
         task = bar.add_task("", total=None, text="")
 
         def tell(p: "FleetProgress") -> None:
