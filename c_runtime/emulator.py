@@ -145,7 +145,9 @@ class EmulatedModel:
         self._width = _count_state(model)
         self._batch = _choose_batch(self._width)
         self._code_type = np.dtype(model.code_type).newbyteorder("<")
-        fields = [(f"c{k}", f"<i{c.bits // 8}") for k, c in enumerate(model.channels)]
+        fields = [
+            (f"c{k}", np.dtype(c.raw_type).newbyteorder("<")) for k, c in enumerate(model.channels)
+        ]
         self._input_type = np.dtype(fields, align=True)  # as the compilers lay the struct out
         program = _build(model, code, folder, flags, compiler or _find(core))
         self._arm = core in _ARM_CPUS

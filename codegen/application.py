@@ -67,6 +67,8 @@ def render_application(model: IntegerModel) -> str:
                 if channel.source in of_outputs
             },
             guards=model.guards,
-            is_tmp117=thermometer.bits == 16 and thermometer.lsb == TEMPERATURE_LSB_DEGC,
+            is_tmp117=thermometer.bits == 16
+            and thermometer.lsb == TEMPERATURE_LSB_DEGC
+            and thermometer.conversion is None,
         )
     )

@@ -9,6 +9,7 @@ import jinja2
 from zerodrift import __version__, operations
 from zerodrift.codegen.identifiers import sanitize_comment
 from zerodrift.codegen.identity import PLACEHOLDER, find_runtime_identity, identify
+from zerodrift.codegen.inputs import describe_conversion
 from zerodrift.codegen.names import name_channels, name_outputs, name_prefix
 from zerodrift.codegen.node_text import NodeText
 from zerodrift.codegen.selftest import SELFTEST_SEED, SELFTEST_STEPS, compute_selftest, limits_of
@@ -63,7 +64,8 @@ def generate(model: IntegerModel) -> GeneratedCode:
     needed_at_rest = _ancestors(model, fed_at_rest)
     settle_nodes = [n for n in model.nodes if layer and n.name in _ancestors(model, [layer])]
     selftest_low, selftest_high = limits_of(model)
-    tables = [table for node in model.nodes for table in node.list_tables()]
+    every = (*model.conversions, *model.nodes)
+    tables = [table for node in every for table in node.list_tables()]
     parts = sorted({part for node in model.nodes for part in node.parts})
     prefix = name_prefix(model)
     context: dict[str, object] = {
@@ -79,6 +81,8 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "channels": name_channels(model),
         "outputs": [name.upper() for name in name_outputs(model)],
         "guards": model.guards,
+        "input_comments": [describe_conversion(channel) for channel in model.channels],
+        "thermometer": model.channels[model.guards.temperature_channel],
         "steps_full": max(model.guards.warm_up_steps, 1),
         "selftest_steps": SELFTEST_STEPS,
         "selftest_seed": SELFTEST_SEED,

@@ -56,6 +56,10 @@ class NodeText:
         """Return the tables."""
         return self._render("constants", node)
 
+    def convert(self, node: IntegerNode) -> str:
+        """Return how a raw code becomes that of its channel."""
+        return self._render("convert", node)
+
     def functions(self, node: IntegerNode) -> str:
         """Return the functions that the node's step calls."""
         return self._render("functions", node)

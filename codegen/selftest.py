@@ -33,13 +33,17 @@ def draw_codes(low: list[int], high: list[int]) -> NDArray[np.int32]:
 def limits_of(model: IntegerModel) -> tuple[list[int], list[int]]:
     """Return lowest and highest code of each channel; unused channels keep the full range.
 
-    A raw output has the limits of its load.
+    They are those that the chip is given. A raw output has the limits of its load.
     """
-    low = [-(1 << (channel.bits - 1)) for channel in model.channels]
-    high = [(1 << (channel.bits - 1)) - 1 for channel in model.channels]
+    low = [channel.raw_least for channel in model.channels]
+    high = [channel.raw_most for channel in model.channels]
     for node in model.nodes:
         if isinstance(node, ChannelNode):
-            low[node.channel], high[node.channel] = node.low, node.high
+            by = model.channels[node.channel].conversion
+            ends = [node.low, node.high]
+            if by is not None:
+                ends = sorted(int(code) for code in by.find(np.array(ends)))
+            low[node.channel], high[node.channel] = ends
     return low, high
 
 

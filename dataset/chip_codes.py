@@ -2,16 +2,18 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zerodrift.base.column_config import CodesConfig
+from zerodrift.base.column_config import RAW_CODES, CodesConfig
 from zerodrift.base.config import Config, locate_key
+from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import guess_temperature_unit
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.logs import read_log
+from zerodrift.dataset.raw_codes import RawCover, RawRange, cover_range, find_linear, find_range
 from zerodrift.dataset.runs import Array, Dataset, Run
 
 TEMPERATURE, MEASURED, CLOCK = "temperature_degC", "measured:", "clock"
@@ -31,7 +33,7 @@ FILLED = {16: 2.0**14, 32: 2.0**30}
 
 @dataclass(frozen=True)
 class ChipCodes:
-    """The codes of one input: value = code * lsb."""
+    """The codes of one input: value = offset + code * lsb; or raw codes that become such codes."""
 
     name: str
     """`temperature`, `measured_Fz`, or the input's name."""
@@ -46,21 +48,37 @@ class ChipCodes:
     """The code that means that there is none."""
     remedy: str
     """What a user changes where a log leaves these codes."""
+    offset: float = 0.0
+    cover: RawCover | None = None
+    """What the chip is given where that is not these codes."""
+    by: ConversionConfig | None = None
+    """From raw code to value."""
+    held: RawRange | None = None
+    """Raw codes that have a value, where a table converts them."""
 
     @property
     def codes(self) -> tuple[int, int]:
         """The lowest and highest code that is a reading."""
         low, high = -(1 << (self.bits - 1)), (1 << (self.bits - 1)) - 1
+        if self.cover is not None and self.cover.is_plain:
+            low, high = self.cover.least, self.cover.most
         return low + (self.no_reading == low), high - (self.no_reading == high)
 
     def holds(self, low: float, high: float) -> bool:
         """Tell whether codes stand for both values, with one to spare on either side."""
         lowest, highest = self.codes
-        return lowest < round(low / self.lsb) and round(high / self.lsb) < highest
+        return lowest < self._round(low) and self._round(high) < highest
+
+    def _round(self, value: float) -> int:
+        return round((value - self.offset) / self.lsb)
 
     def find_outside(self, values: Array) -> int | None:
         """Return the first position of values [n] that no code stands for; None: there is none."""
-        codes = np.round(values / self.lsb)
+        if self.held is not None:
+            low, high = sorted(self.held.values)
+            beyond = ~((values >= low) & (values <= high))
+            return int(beyond.argmax()) if beyond.any() else None
+        codes = np.round((values - self.offset) / self.lsb)
         lowest, highest = self.codes
         outside = ~((codes >= lowest) & (codes <= highest)) | (codes == self.no_reading)
         return int(outside.argmax()) if outside.any() else None
@@ -70,7 +88,7 @@ class ChipCodes:
         held = hint = ""
         if self.source == TEMPERATURE:
             hint = guess_temperature_unit(self.column, run.temperature_degC)
-        if round(value / self.lsb) == self.no_reading:
+        if self.held is None and self._round(value) == self.no_reading:
             held = f", and {self.no_reading} means no reading"
         return InputError(
             f"{place}: run '{run.name}': {self.column} is {self.show(value)}; {self.describe()}"
@@ -79,8 +97,14 @@ class ChipCodes:
 
     def describe(self) -> str:
         """Return in words what the codes hold."""
-        low, high = (self.show(code * self.lsb) for code in self.codes)
-        kind = f"int{self.bits}, {self.show(self.lsb)} each"
+        if self.held is not None and self.cover is not None and self.by is not None:
+            low, high = (self.show(value) for value in sorted(self.held.values))
+            codes = f"{self.cover.begin} .. {self.cover.end} of {self.cover.raw}"
+            kind = self.by.kind or "scaled"
+            return f"the raw codes of '{self.name}' ({codes}, {kind}) hold {low} to {high}"
+        low, high = (self.show(code * self.lsb + self.offset) for code in self.codes)
+        kind = f"int{self.bits}" if self.cover is None else self.cover.raw
+        kind = f"{kind}, {self.show(self.lsb)} each"
         return f"the codes of '{self.name}' ({kind}) hold {low} to {high}"
 
     def show(self, value: float) -> str:
@@ -123,6 +147,10 @@ def choose_temperature_codes(config: Config, runs: Sequence[Run]) -> ChipCodes:
     stated = config.temperature_codes
     spans = [(float(r.temperature_degC.min()), float(r.temperature_degC.max())) for r in runs]
     low, high = _join(spans, stated)
+    if stated.raw:
+        beyond = max(1.5 * FLAG_MARGIN_K, RANGE_MARGIN * _measure_span(spans) + 0.5)
+        need = (low - FLAG_MARGIN_K, high + FLAG_MARGIN_K)
+        return _convert(config, TEMPERATURE, (low, high), need, beyond)
     options = _list_options(stated, TEMPERATURE_LSB_DEGC)
     if stated.bits == 16 and stated.lsb is None:  # coarser, as it may not be wider
         options = [(16, TEMPERATURE_LSB_DEGC * 2.0**step) for step in range(64)]
@@ -145,6 +173,10 @@ def choose_input_codes(config: Config, name: str, runs: Sequence[Run]) -> ChipCo
     spans = [(float(r.inputs[name].min()), float(r.inputs[name].max())) for r in runs]
     low, high = _join(spans, stated)
     largest = max(abs(low), abs(high), 1e-30)
+    margin = RANGE_MARGIN * _measure_span(spans)
+    if stated.raw:
+        need = (low - margin, high + margin)
+        return _convert(config, name, (low, high), need, 1.5 * margin)
     if name == CLOCK:
         second = 2.0 ** max(0, math.ceil(math.log2(largest / 2.0**30)) - 1)
         options = [(stated.bits or 32, stated.lsb or second)]
@@ -152,10 +184,92 @@ def choose_input_codes(config: Config, name: str, runs: Sequence[Run]) -> ChipCo
     else:
         bits = stated.bits or 16
         options = _list_options(stated, 2.0 ** math.ceil(math.log2(largest / FILLED[bits])))
-        margin = RANGE_MARGIN * (max(s[1] for s in spans) - min(s[0] for s in spans))
         need = (low - margin, high + margin)
     found = [_make(config, name, *option) for option in options if _fits_type(stated, option[0])]
     return _choose(config, found, runs, need, "a quarter of the span on either side")
+
+
+def _measure_span(spans: Sequence[tuple[float, float]]) -> float:
+    """Return how far the lowest and the highest logged value are apart."""
+    return max(high for _, high in spans) - min(low for low, _ in spans)
+
+
+def _convert(
+    config: Config,
+    source: str,
+    span: tuple[float, float],
+    need: tuple[float, float],
+    beyond: float,
+) -> ChipCodes:
+    """Return the codes of an input whose raw codes the chip is given.
+
+    Args:
+        config: the project.
+        source: `temperature_degC`, or the input's name.
+        span: what the training logs and the stated range hold.
+        need: the same with what is flagged.
+        beyond: how far from the span the table goes.
+
+    Raises:
+        InputError: the raw codes do not hold the span.
+    """
+    is_temperature = source == TEMPERATURE
+    stated = config.temperature_codes if is_temperature else config.input_codes[source]
+    usual = TEMPERATURE_LSB_DEGC if is_temperature else _choose_lsb(need, 2.0**14)
+    by = stated.by or ConversionConfig(scale=stated.lsb or usual)
+    made = _make(config, source, 32, usual)
+    least, _ = RAW_CODES[stated.raw]
+    lacks = None if stated.always_read else stated.no_reading
+    if lacks is None and least < 0 and not stated.always_read:
+        lacks = least
+    linear = find_linear(by)
+    if linear is not None and linear[0] > 0.0:
+        made = replace(
+            made,
+            bits=16 if stated.raw == "int16" else 32,
+            lsb=linear[0],
+            offset=linear[1],
+            no_reading=lacks,
+            cover=RawCover(stated.raw, *RAW_CODES[stated.raw], None, *RAW_CODES[stated.raw], True),
+            by=by,
+        )
+        ends = [code * made.lsb + made.offset for code in made.codes]
+        if made.holds(*need) or (least == 0 and ends[0] <= span[0] and span[1] <= ends[1]):
+            return made  # nothing lies below 0, so that nothing there is flagged
+        low, high = map(made.show, need)
+        raise InputError(
+            f"{_locate(config, made)}: {made.describe()}; expected {low} to {high}: the training "
+            "logs and the range, with what is flagged beyond them. Correct scale, offset or range, "
+            'or take raw = "int32".'
+        )
+    found = find_range(by, stated.raw, span)
+    if isinstance(found, str):
+        raise InputError(
+            f"{_locate(config, made)}: {made.name} is converted from raw codes, but {found}; "
+            "expected one quantity for each code from the lowest to the highest that is needed. "
+            "Correct the conversion, or convert what the firmware is given beforehand."
+        )
+    cover = cover_range(by, found, stated.raw, (span[0] - beyond, span[1] + beyond), lacks)
+    every = (cover.begin, cover.end) == RAW_CODES[stated.raw] and lacks is None
+    lsb = stated.lsb or usual
+    made = replace(made, lsb=lsb, cover=cover, by=by, held=found, no_reading=None)
+    bits = 16 if replace(made, bits=16).holds(span[0] - beyond, span[1] + beyond) else 32
+    none = None if stated.always_read or every else -(1 << (bits - 1))
+    made = replace(made, bits=bits, no_reading=none)
+    ends = sorted(found.values)
+    if ends[0] <= span[0] and span[1] <= ends[1]:
+        return made
+    low, high = map(made.show, span)
+    raise InputError(
+        f"{_locate(config, made)}: {made.describe()}; expected {low} to {high}: the training logs "
+        "and the range. Correct the conversion or the range, or leave out what no code stands for."
+    )
+
+
+def _choose_lsb(span: tuple[float, float], filled: float) -> float:
+    """Return the power of two of which the larger end of a span is at most so many."""
+    largest = max(abs(span[0]), abs(span[1]), 1e-30)
+    return float(2.0 ** math.ceil(math.log2(largest / filled)))
 
 
 def _join(spans: Sequence[tuple[float, float]], stated: CodesConfig) -> tuple[float, float]:
@@ -279,9 +393,13 @@ def _explain_row(config: Config, codes: ChipCodes, run: Run, row: int) -> InputE
     source = table.source
     values = table.columns[codes.column]
     time_s = table.columns[config.time_column]
-    raw = np.round(values / codes.lsb)
-    lowest, highest = codes.codes
-    outside = (raw < lowest) | (raw > highest) | (raw == codes.no_reading)
+    if codes.held is not None:
+        low, high = sorted(codes.held.values)
+        outside = (values < low) | (values > high)
+    else:
+        raw = np.round((values - codes.offset) / codes.lsb)
+        lowest, highest = codes.codes
+        outside = (raw < lowest) | (raw > highest) | (raw == codes.no_reading)
     # among a run's rows, the one beside the step that no code stands for
     away = np.where(outside, np.abs(time_s - run.time_s[row]), np.inf)
     if table.run_of_row is not None:

@@ -22,9 +22,13 @@ def convert(values: Array, by: ConversionConfig) -> Array:
     """
     with np.errstate(all="ignore"):
         found = values * by.scale + by.offset
+        if by.lacks is not None:
+            found = np.where(values == by.lacks, np.nan, found)
         if by.divider is not None:
-            share = found / by.divider.counts
+            share, rail = found / by.divider.counts, by.divider.rail
             inside = (share > 0) & (share < 1)
+            if rail:
+                inside &= (found >= rail) & (found <= by.divider.counts - 1 - rail)
             ratio = share / (1 - share) if by.divider.is_low else (1 - share) / share
             found = np.where(inside, by.divider.series_ohm * ratio, np.nan)
         if by.kind == "ntc":

@@ -60,9 +60,17 @@ def open_log(
         InputError: the log is missing, damaged, or holds what cannot be right.
     """
     needed = list_columns(config) if columns is None else columns
+    raw = {config.temperature_column: config.temperature_codes.raw}
+    raw |= {column: config.input_codes[name].raw for name, column in config.inputs.items()}
     notes += [
         f"'{column}' is converted in the logs; the firmware is given the converted quantity"
         for column in config.conversions
+        if not raw.get(column)
+    ]
+    notes += [
+        f"'{column}': the firmware is given {kind} codes as the hardware has them"
+        for column, kind in raw.items()
+        if kind and column in needed
     ]
     tables = read_log(config, selection.files, needed)
     for table in tables:

@@ -23,6 +23,8 @@ from zerodrift.dataset.chip_codes import (
     refuse_outside,
 )
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.export.conversions import design_conversion
+from zerodrift.export.encoding import encode_channel, find_held
 from zerodrift.export.float_model import LOAD, Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat, code_type
@@ -165,45 +167,57 @@ def list_channels(
     outputs: Sequence[OutputFormat],
 ) -> tuple[tuple[Channel, ...], dict[str, int]]:
     """Return the raw inputs that the graph needs; the temperature is always the first."""
-    channels = [_make_channel(choose_codes(config, TEMPERATURE, runs, 0.0))]
+    channels = [_make_channel(0, choose_codes(config, TEMPERATURE, runs, 0.0))]
     sources = {TEMPERATURE: 0}
     places = {TEMPERATURE: 0}
     for node in list_nodes(roots):
         if node.op != "input" or node.source in sources:
             continue
-        channel = _describe_channel(node.source, config, runs, outputs)
-        if channel is None:
+        codes = _find_codes(node.source, config, runs, outputs)
+        if codes is None:
             continue
-        if channel.source not in places:
-            places[channel.source] = len(channels)
-            channels.append(channel)
-        sources[node.source] = places[channel.source]
+        if codes.source not in places:
+            places[codes.source] = len(channels)
+            channels.append(_make_channel(len(channels), codes))
+        sources[node.source] = places[codes.source]
     return tuple(channels), sources
 
 
-def _describe_channel(
+def _find_codes(
     source: str, config: Config, runs: Sequence[Run], outputs: Sequence[OutputFormat]
-) -> Channel | None:
-    """Return the raw input behind a signal of the graph, or None where it needs none."""
+) -> ChipCodes | None:
+    """Return the codes behind a signal of the graph, or None where it needs none."""
     if source.startswith(LOAD):
         name = source.removeprefix(LOAD)
         output = next(o for o in outputs if o.name == name)
         lsb = 1.0 / output.lsb_per_unit
-        return _make_channel(choose_codes(config, f"{MEASURED}{name}", runs, lsb))
+        return choose_codes(config, f"{MEASURED}{name}", runs, lsb)
     name = CLOCK if source == "clock_s" else source
     if not all(name in run.inputs for run in runs):
         return None
-    return _make_channel(choose_codes(config, name, runs, 0.0))
+    return choose_codes(config, name, runs, 0.0)
 
 
-def _make_channel(codes: ChipCodes) -> Channel:
+def _make_channel(index: int, codes: ChipCodes) -> Channel:
+    """Return a channel of the model.
+
+    Raises:
+        CheckError: no table converts what the chip is given within the error.
+    """
+    conversion = None
+    if codes.cover is not None and codes.by is not None:
+        is_same = codes.cover.is_plain and codes.cover.raw == f"int{codes.bits}"
+        given = (codes.cover, codes.by, codes.lsb, codes.offset, codes.no_reading)
+        conversion = None if is_same else design_conversion(index, *given)
     return Channel(
         name=codes.name,
         unit=codes.unit,
         lsb=codes.lsb,
+        offset=codes.offset,
         bits=codes.bits,
         source=codes.source,
         no_reading=codes.no_reading,
+        conversion=conversion,
     )
 
 
@@ -214,7 +228,7 @@ def choose_lsb_per_unit(full_scale: float) -> int:
 
 
 def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> CodeArray:
-    """Return the raw codes [n, C] that the hardware would have given for a run.
+    """Return the codes [n, C] that the hardware would have given for a run, raw where they are.
 
     Raises:
         InputError: no code stands for a value.
@@ -223,20 +237,30 @@ def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> CodeArray:
     columns = []
     for channel in model.channels:
         values = read_source(names, channel.source, run)
-        codes = np.round((values - channel.offset) / channel.lsb)
-        outside = ~((codes >= channel.least) & (codes <= channel.most))
-        outside |= codes == channel.no_reading
+        codes, outside = encode_channel(channel, values)
         if outside.any():
-            row = int(outside.argmax())
-            low, high = (c * channel.lsb + channel.offset for c in (channel.least, channel.most))
-            raise InputError(
-                f"{run.source}: run '{run.name}', at {run.time_s[row]:g} s: '{channel.name}' is "
-                f"{values[row]:.10g}; its codes hold {low:.10g} to {high:.10g} and one of them may "
-                "mean no reading. Correct the log, or give the column a table with a range in "
-                "zerodrift.toml, and build the firmware again."
-            )
+            raise _explain_outside(channel, run, values, int(outside.argmax()))
         columns.append(codes)
     return np.stack(columns, axis=1).astype(code_type(model.channels))
+
+
+def encode_quantities(model: FloatModel | IntegerModel, run: Run) -> NDArray[np.int64]:
+    """Return the channels' own codes [n, C] of a run, into which raw ones are converted."""
+    codes = encode_inputs(model, run).astype(np.int64)
+    for index, channel in enumerate(model.channels):
+        if channel.conversion is not None:
+            codes[:, index] = channel.conversion.convert(codes[:, index])
+    return codes
+
+
+def _explain_outside(channel: Channel, run: Run, values: Array, row: int) -> InputError:
+    low, high = (f"{value:.10g}" for value in find_held(channel))
+    return InputError(
+        f"{run.source}: run '{run.name}', at {run.time_s[row]:g} s: '{channel.name}' is "
+        f"{values[row]:.10g}; its codes hold {low} to {high} and one of them may mean no reading. "
+        "Correct the log, or give the column a table with a range in zerodrift.toml, and build the "
+        "firmware again."
+    )
 
 
 def count_elapsed(model: IntegerModel, run: Run) -> int:
@@ -255,7 +279,7 @@ def calibrate(model: FloatModel, runs: Sequence[Run]) -> Calibration:
     """Return the ranges that the training runs showed, with their margins."""
     limits, ranges = [], []
     names = [output.name for output in model.outputs]
-    codes = [encode_inputs(model, run).astype(np.int64) for run in runs]
+    codes = [encode_quantities(model, run) for run in runs]
     for index, channel in enumerate(model.channels):
         columns = [c[:, index] for c in codes]
         spans = RANGE_SPANS if model.sources.get("clock_s") == index else RANGE_MARGIN

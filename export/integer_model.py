@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from zerodrift.base.files import write_whole
+from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.conversion import IntegerConversion
 from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.intervals import Bound, Interval
@@ -21,13 +23,16 @@ FORMAT = 3
 OLDER_FORMAT = 2
 """Knows neither codes that mean no reading nor ranges of other inputs; a model that has none of
 either is written in it, and computes the same."""
-NEWER_FIELDS = ("no_reading", "ranges")
+NEWER_FIELDS = ("no_reading", "ranges", "conversion")
 """Left out of a model's file where they are empty."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One raw integer input: physical value = offset + code * lsb."""
+    """One integer input: physical value = offset + code * lsb.
+
+    With a conversion the chip is given other codes, which become these.
+    """
 
     name: str
     unit: str
@@ -39,6 +44,8 @@ class Channel:
     """Where a log has it: temperature_degC, measured:Fz or an input's name; empty for the name."""
     no_reading: int | None = None
     """The code that means that there is no reading; None: every code is one."""
+    conversion: IntegerConversion | None = None
+    """From the raw code that the chip is given to the code; None: they are the same."""
 
     @property
     def least(self) -> int:
@@ -50,10 +57,37 @@ class Channel:
         """The highest code of the type."""
         return (1 << (self.bits - 1)) - 1
 
+    @property
+    def raw_type(self) -> str:
+        """The C type of what the chip is given, without its _t."""
+        return f"int{self.bits}" if self.conversion is None else self.conversion.raw
+
+    @property
+    def raw_bits(self) -> int:
+        """16 or 32: width of what the chip is given."""
+        return 16 if self.raw_type.endswith("16") else 32
+
+    @property
+    def raw_least(self) -> int:
+        """The lowest code that the chip may be given."""
+        return self.least if self.conversion is None else self.conversion.least
+
+    @property
+    def raw_most(self) -> int:
+        """The highest code that the chip may be given."""
+        return self.most if self.conversion is None else self.conversion.most
+
+    @property
+    def raw_lacks(self) -> tuple[int, ...]:
+        """Codes that the chip may be given and that mean no reading: the nearest ones, if many."""
+        if self.conversion is not None and not self.conversion.is_plain:
+            return self.conversion.list_missing()
+        return () if self.no_reading is None else (self.no_reading,)
+
 
 def code_type(channels: Sequence[Channel]) -> type[np.signedinteger[Any]]:
-    """Return the narrowest type that holds the codes of every channel."""
-    return np.int32 if any(channel.bits > 16 for channel in channels) else np.int16
+    """Return the narrowest signed type that holds what the chip is given of every channel."""
+    return np.int32 if any(c.raw_most > 2**15 - 1 for c in channels) else np.int16
 
 
 @dataclass(frozen=True)
@@ -129,6 +163,19 @@ class IntegerModel:
         return code_type(self.channels)
 
     @property
+    def conversions(self) -> tuple[IntegerConversion, ...]:
+        """What makes the channels' codes of what the chip is given, in the channels' order."""
+        return tuple(c.conversion for c in self.channels if c.conversion is not None)
+
+    def convert(self, given: CodeArray) -> IntArray:
+        """Return the channels' codes [..., C] of what the chip is given [..., C]."""
+        codes = given.astype(np.int64)
+        for index, channel in enumerate(self.channels):
+            if channel.conversion is not None:
+                codes[..., index] = channel.conversion.convert(codes[..., index])
+        return codes
+
+    @property
     def optional(self) -> tuple[int, ...]:
         """The channels that may have no reading."""
         return tuple(i for i, c in enumerate(self.channels) if c.no_reading is not None)
@@ -141,7 +188,7 @@ class IntegerModel:
     @property
     def format(self) -> int:
         """The oldest version of the arithmetic that knows all that the model uses."""
-        return FORMAT if self.optional or self.guards.ranges else OLDER_FORMAT
+        return FORMAT if self.optional or self.guards.ranges or self.conversions else OLDER_FORMAT
 
     @property
     def recurrent(self) -> IntegerGruLayer | None:
@@ -167,7 +214,7 @@ class IntegerModel:
             CheckError: a bound does not hold; the model must not be generated.
         """
         known: dict[str, list[Interval]] = {}
-        bounds: list[Bound] = []
+        bounds = [bound for by in self.conversions for bound in by.prove([])[1]]
         for node in self.nodes:
             out, relied_on = node.prove([known[name] for name in node.inputs])
             known[node.name] = out

@@ -147,6 +147,7 @@ def _write_step(
 
     The last reading stands for one that is missing; a new state waits for the first of all.
     """
+    codes = _write_conversions(w, model, codes)
     new = w.op("Equal", state["steps"], w.constant(0))
     if not model.optional:
         return _write_advance(w, model, _write_begin(w, model, state, codes, new, shapes), codes)
@@ -171,6 +172,20 @@ def _write_step(
         drift = w.op("Where", wide, blank, drift)
         started = w.op("Where", waits, _write_start_flag(w, model, state), flags)
         return after, values, drift, w.add(started, w.flag(no_reading, FLAG_NO_READING))
+
+
+def _write_conversions(w: OnnxWriter, model: IntegerModel, given: str) -> str:
+    """Write the channels' codes [B, C] of what the chip is given [B, C]."""
+    if not model.conversions:
+        return given
+    columns = []
+    for index, channel in enumerate(model.channels):
+        column = w.column(given, index)
+        if channel.conversion is not None:
+            with w.label(channel.conversion.name):
+                column = channel.conversion.write(w, column)
+        columns.append(column)
+    return w.stack(columns)
 
 
 def _write_missing(w: OnnxWriter, model: IntegerModel, codes: str) -> str:
@@ -314,7 +329,7 @@ def _write_start(
     """Write the state before the first step: the one given, at rest at codes[0], or a new one."""
 
     def restart() -> list[str]:
-        first = w.op("Gather", codes, w.constant(0), axis=0)
+        first = _write_conversions(w, model, w.op("Gather", codes, w.constant(0), axis=0))
         settled = w.flag(w.op("Equal", "start", w.constant(START_SETTLED)))
         if model.optional:
             missing = w.flag(_write_any(w, _write_missing(w, model, first)))

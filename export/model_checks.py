@@ -14,7 +14,7 @@ from zerodrift.base.errors import CheckError, InputError
 from zerodrift.operations.node import ChannelNode, IntegerNode
 
 if TYPE_CHECKING:
-    from zerodrift.export.integer_model import IntegerModel
+    from zerodrift.export.integer_model import Channel, IntegerModel
 
 
 def check_model(where: str, model: "IntegerModel") -> None:
@@ -25,12 +25,13 @@ def check_model(where: str, model: "IntegerModel") -> None:
         CheckError: a bound of the arithmetic does not hold.
     """
     try:
-        for channel in model.channels:
+        for index, channel in enumerate(model.channels):
             if channel.bits not in (16, 32):
                 raise ValueError(f"channel '{channel.name}' has {channel.bits!r} bits")
             code = channel.no_reading
             if code is not None and not channel.least <= code <= channel.most:
                 raise ValueError(f"channel '{channel.name}': {code} is no code")
+            _check_conversion(index, channel)
         for node in model.nodes:
             check_types(f"node '{node.name}'", node)
             _check_references(node, model)
@@ -95,6 +96,26 @@ def _check_references(node: IntegerNode, model: "IntegerModel") -> None:
         if not -reach <= node.low <= node.high < reach:
             raise ValueError(f"node '{node.name}' is limited to {node.low} .. {node.high}")
     node.check_form()
+
+
+def _check_conversion(index: int, channel: "Channel") -> None:
+    """Raise where a conversion is no table, or gives codes that its channel has not."""
+    by = channel.conversion
+    if by is None:
+        return
+    check_types(f"conversion of '{channel.name}'", by)
+    by.check_form()
+    if by.channel != index or by.name != f"conversion_{index}" or by.inputs:
+        raise ValueError(f"'{by.name}' stands at channel {index}")
+    if by.is_plain:
+        if not (channel.least <= by.least and by.most <= channel.most and by.none is None):
+            raise ValueError(f"'{by.name}': {channel.bits} bits do not hold {by.raw}")
+    elif not channel.least <= by.lowest <= by.highest <= channel.most:
+        raise ValueError(f"'{by.name}' gives {by.lowest} .. {by.highest}")
+    elif by.none != channel.no_reading or (
+        by.none is not None and by.lowest <= by.none <= by.highest
+    ):
+        raise ValueError(f"'{by.name}' means no reading by {by.none}")
 
 
 def _check_whole(model: "IntegerModel") -> None:

@@ -66,6 +66,8 @@ def _read_field(path: str, hint: Any, value: Any) -> Any:
     if isinstance(hint, type) and is_dataclass(hint):
         return _build(hint, path, value)
     (item, *_) = get_args(hint) or (None,)
+    if isinstance(item, type) and is_dataclass(item) and isinstance(value, dict):
+        return _build(item, path, value)
     if isinstance(item, type) and is_dataclass(item) and value and isinstance(value, list):
         return tuple(_build(item, f"{path}[{i}]", v) for i, v in enumerate(value))
     return _typed(path, value)

@@ -102,12 +102,16 @@ class Reference:
         """Return the state before the first step, whose codes [B, C] are given.
 
         Args:
-            codes: [B, C] raw input codes.
+            codes: [B, C] as the chip is given them.
             settled: True for `settle` (at rest at these codes, or new where one is no reading),
                 False for `init` (new), after which the first step that has readings takes its
                 linear parts to be at rest but the network to be cold.
             elapsed: steps since power-on, for a log that starts later; 0 on the chip.
         """
+        return self._start(self.model.convert(codes), settled=settled, elapsed=elapsed)
+
+    def _start(self, codes: IntArray, *, settled: bool, elapsed: int) -> ModelState:
+        """Return the state before the first step, whose channels' codes [B, C] are given."""
         state = self._begin(codes, settled=settled, elapsed=elapsed)
         new = np.asarray(self._find_missing(codes).any(axis=1) | (not settled))
         return state.choose(new, state.unpack(np.zeros_like(state.pack())))
@@ -156,6 +160,12 @@ class Reference:
 
         While a state is new and an input has no reading, it stays new, and all values are 0.
         """
+        return self._step(state, self.model.convert(codes))
+
+    def _step(
+        self, state: ModelState, codes: IntArray
+    ) -> tuple[ModelState, dict[str, IntArray], IntArray, IntArray]:
+        """Return what `step` does, of the channels' codes."""
         missing = self._find_missing(codes)
         no_reading, new = missing.any(axis=1), state.steps == 0
         if no_reading.any():
@@ -225,8 +235,8 @@ class Reference:
     ) -> ReferenceTrace:
         """Run T steps over codes [B, T, C], from `state` or else from `start` at codes[:, 0]."""
         batch, steps, _ = codes.shape
-        wide = np.ascontiguousarray(codes.swapaxes(0, 1), dtype=np.int64)  # step by step
-        now = state or self.start(wide[0], settled=settled, elapsed=elapsed)
+        wide = self.model.convert(np.ascontiguousarray(codes.swapaxes(0, 1)))  # step by step
+        now = state or self._start(wide[0], settled=settled, elapsed=elapsed)
         layer = self.model.recurrent
         streaming = layer is not None and not layer.window
         hidden = layer.width if layer is not None and streaming else 0
@@ -234,7 +244,7 @@ class Reference:
         flags = np.empty((steps, batch), dtype=np.uint32)
         states = np.empty((steps, batch, hidden), dtype=np.int32)
         for t in range(steps):
-            now, values, drift[t], flags[t] = self.step(now, wide[t])
+            now, values, drift[t], flags[t] = self._step(now, wide[t])
             if layer is not None and streaming:
                 states[t] = now.nodes[layer.name]["h_q30"]
             if observe is not None:

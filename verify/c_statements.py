@@ -65,7 +65,7 @@ class Statements(Expressions):
             block = make_block(f"{name}->{variable.name}", type_, sizes, any_cell)
             struct.fields[variable.name] = block
             self._live.append(block)
-        if kind == f"{self.prefix}_input_t":
+        if kind in (f"{self.prefix}_input_t", f"{self.prefix}_codes_t"):
             self.inputs |= {id(block) for block in struct.fields.values()}
             self._inputs.append(struct)  # an id is no other's while the block lives
         return struct

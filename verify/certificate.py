@@ -43,8 +43,8 @@ def certify(model: IntegerModel, code: GeneratedCode) -> str:
         "inputs": [
             {
                 "channel": channel.name,
-                "low": -(1 << (channel.bits - 1)),
-                "high": (1 << (channel.bits - 1)) - 1,
+                "low": channel.raw_least,
+                "high": channel.raw_most,
             }
             for channel in model.channels
         ],
@@ -55,7 +55,7 @@ def certify(model: IntegerModel, code: GeneratedCode) -> str:
         "tables": [_describe_table()] if layer else [],
         "shifts": [
             {"where": shift.where, "shift": int(shift.amount), "most": shift.most}
-            for node in model.nodes
+            for node in (*model.conversions, *model.nodes)
             for shift in node.list_shifts()
         ],
         "bounds": [

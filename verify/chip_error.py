@@ -17,11 +17,11 @@ from zerodrift.dataset.bridges import predict_all
 from zerodrift.dataset.chip_codes import MEASURED
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed, encode_inputs
+from zerodrift.export.encoding import round_channel
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_RATE_RANGE,
-    Channel,
     IntegerModel,
 )
 from zerodrift.export.reference import Reference
@@ -197,7 +197,7 @@ def find_outside(
     others, and of loads, it is that beyond which the chip limits them.
     """
     outside = np.zeros((len(codes), len(model.channels) + 1), dtype=np.bool_)
-    wide = codes.astype(np.int64)
+    wide = model.convert(codes)
     before = np.concatenate([drift[:1], drift[:-1]]).astype(np.int64)
     for node in model.nodes:
         if isinstance(node, ChannelNode):
@@ -217,9 +217,10 @@ def find_outside(
 
 def find_rails(model: IntegerModel, codes: CodeArray) -> Mask:
     """Return [n, C] rows on which a code stands at the end of its type."""
-    limits = np.array([2 ** (channel.bits - 1) for channel in model.channels], dtype=np.int64)
+    least = np.array([channel.raw_least for channel in model.channels], dtype=np.int64)
+    most = np.array([channel.raw_most for channel in model.channels], dtype=np.int64)
     wide = codes.astype(np.int64)
-    return np.asarray((wide <= -limits) | (wide >= limits - 1))
+    return np.asarray((wide <= least) | (wide >= most))
 
 
 def measure_rounding(
@@ -239,22 +240,17 @@ def measure_rounding(
 
 def _round_inputs(model: IntegerModel, run: Run) -> Run:
     """Return a run with every channel rounded to its codes, however large these would be."""
-
-    def round_to(channel: Channel, values: Array) -> Array:
-        codes = np.round((values - channel.offset) / channel.lsb)
-        return np.asarray(codes * channel.lsb + channel.offset)
-
     names = [output.name for output in model.outputs]
     inputs, measured = dict(run.inputs), run.measured.copy()
     temperature = run.temperature_degC
     for channel in model.channels:
         if channel.source == "temperature_degC":
-            temperature = round_to(channel, temperature)
+            temperature = round_channel(channel, temperature)
         elif channel.source.startswith(MEASURED):
             k = names.index(channel.source.removeprefix(MEASURED))
-            measured[:, k] = round_to(channel, measured[:, k])
+            measured[:, k] = round_channel(channel, measured[:, k])
         else:
-            inputs[channel.source] = round_to(channel, run.inputs[channel.source])
+            inputs[channel.source] = round_channel(channel, run.inputs[channel.source])
     return replace(run, temperature_degC=temperature, measured=measured, inputs=inputs)
 
 

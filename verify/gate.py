@@ -17,6 +17,7 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.held_out import TEST_LOGS
 from zerodrift.diagnosis.run_errors import FindUsable
+from zerodrift.export.encoding import find_held
 from zerodrift.export.float_model import FloatModel
 from zerodrift.verify.chip_error import ChipReplay, replay_runs
 from zerodrift.verify.excursions import Excursion, list_excursions
@@ -338,8 +339,7 @@ def _name_cause(split: ChipError, name: str, unit: str, replay: ChipReplay) -> s
             " runs drift less than these."
         )
     ends = [
-        f"{channel.name} from {channel.offset - channel.lsb * 2 ** (channel.bits - 1):g} to"
-        f" {channel.offset + channel.lsb * (2 ** (channel.bits - 1) - 1):g} {channel.unit}"
+        f"{channel.name} from {find_held(channel)[0]:g} to {find_held(channel)[1]:g} {channel.unit}"
         for i, channel in enumerate(replay.model.channels)
         if any(r.rail[:, i].any() for r in replay.runs)
     ]

@@ -168,7 +168,7 @@ def check_header(model: IntegerModel, prefix: str, library: Path) -> tuple[Heade
     widths, places = told[-2 * len(channels) : -len(channels)], told[-len(channels) :]
     for k, (name, channel) in enumerate(zip(channels, model.channels, strict=True)):
         values[f"bits of {prefix}_input_t.{name}"] = 8 * widths[k]
-        expected[f"bits of {prefix}_input_t.{name}"] = channel.bits
+        expected[f"bits of {prefix}_input_t.{name}"] = channel.raw_bits
         values[f"place of {prefix}_input_t.{name}"] = sorted(places).index(places[k])
         expected[f"place of {prefix}_input_t.{name}"] = k
     form = f"{prefix.upper()}_FORMAT"

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.codegen.selftest import limits_of
-from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray, IntArray
 from zerodrift.operations.tables import NODES, watching_lines
@@ -31,21 +31,20 @@ def draw_sequences(model: IntegerModel, steps: int) -> dict[str, CodeArray]:
     rng = np.random.default_rng(RANDOM_SEED)
     part, channels = steps // 5, len(model.channels)
     low, high = (np.array(x, dtype=np.float64) for x in limits_of(model))
-    bits = np.array([channel.bits for channel in model.channels])
-    first, last = -(1 << (bits - 1)), (1 << (bits - 1)) - 1
+    first, last = _list_ends(model)
     noise = rng.integers(first, last + 1, size=(part, channels))
     within = rng.integers(low.astype(np.int64), high.astype(np.int64) + 1, size=(part, channels))
     noise = np.where(rng.random((part, 1)) < 0.5, noise, within)
-    none = np.array([channel.no_reading or 0 for channel in model.channels], dtype=np.int64)
     for channel in model.optional:
         lacks = rng.random(part) < MISSING_SHARE
         lacks[:2] = True  # nothing to start from
-        noise[lacks, channel] = none[channel]
+        none = model.channels[channel].raw_lacks
+        noise[lacks, channel] = np.resize(np.array(none, dtype=np.int64), int(lacks.sum()))
     guards = model.guards
     temperature = (guards.temperature_channel, guards.temperature_low, guards.temperature_high)
     for channel, lowest, highest in (temperature, *guards.ranges):
         at = rng.random(part) < EDGE_SHARE
-        edges = (lowest - 1, lowest, highest, highest + 1)
+        edges = find_given(model, channel, (lowest - 1, lowest, highest, highest + 1))
         noise[at, channel] = rng.choice(edges, size=int(at.sum()))
     rails = np.where(rng.random((part, channels)) < 0.5, first, last)
     jumps = np.repeat(noise[:: max(part // 40, 1)], max(part // 40, 1), axis=0)[:part]
@@ -58,6 +57,28 @@ def draw_sequences(model: IntegerModel, steps: int) -> dict[str, CodeArray]:
         name: np.clip(np.round(codes), first, last).astype(model.code_type)
         for name, codes in named.items()
     }
+
+
+def _list_ends(model: IntegerModel) -> tuple[IntArray, IntArray]:
+    """Return the lowest and the highest code [C] that the chip can be given."""
+    least = np.array([channel.raw_least for channel in model.channels], dtype=np.int64)
+    return least, np.array([channel.raw_most for channel in model.channels], dtype=np.int64)
+
+
+def find_given(model: IntegerModel, channel: int, codes: tuple[int, ...]) -> tuple[int, ...]:
+    """Return what the chip is given for codes of a channel, or for the nearest beyond them."""
+    by = model.channels[channel].conversion
+    return codes if by is None else tuple(int(code) for code in by.find(np.array(codes)))
+
+
+def _list_edges(channel: Channel) -> set[int]:
+    """Return the codes at the ends of a channel's type, and at those of its conversion."""
+    edges = {channel.raw_least, channel.raw_most}
+    by = channel.conversion
+    if by is not None and not by.is_plain:
+        for end in (by.begin, by.low, by.high, by.end):
+            edges |= {end - 1, end, end + 1}
+    return edges
 
 
 GOLDEN_LOG_STEPS = 2000
@@ -79,25 +100,27 @@ def draw_golden(model: IntegerModel, log: CodeArray) -> CodeArray:
         log: [T, C] codes of a log, of which the first 2000 steps are taken.
     """
     log = log[:GOLDEN_LOG_STEPS].astype(np.int64)
-    limits = [{c.least, c.most} for c in model.channels]
+    limits = [_list_edges(c) for c in model.channels]
     guards = model.guards
     temperature = (guards.temperature_channel, guards.temperature_low, guards.temperature_high)
     for channel, low, high in (temperature, *guards.ranges):
-        limits[channel] |= {low - 1, low, high, high + 1}
+        limits[channel] |= {*find_given(model, channel, (low - 1, low, high, high + 1))}
     for channel, (low, high) in enumerate(zip(*limits_of(model), strict=True)):
         limits[channel] |= {low - 1, low, high, high + 1}
     rest = log[-1]
     rows = [rest]
     for k, own in enumerate(model.channels):
-        within = sorted(x for x in limits[k] if own.least <= x <= own.most)
-        if own.no_reading is not None:
-            within += [own.no_reading, within[0], own.no_reading]
+        within = sorted(x for x in limits[k] if own.raw_least <= x <= own.raw_most)
+        for none in own.raw_lacks:
+            within += [none, within[len(within) // 2 if own.conversion else 0], none]
         for code in within:
             rows += [np.where(np.arange(len(rest)) == k, code, rest)] * 2
     at = guards.temperature_channel  # the rate at, and just beyond, its limit, up and down
+    now = int(model.convert(rest)[at])
     for change in (guards.rate_max, -guards.rate_max, guards.rate_max + 1, -guards.rate_max - 1):
-        rows += [rest, np.where(np.arange(len(rest)) == at, rest + change, rest), rest]
-    least, most = (np.array([getattr(c, end) for c in model.channels]) for end in ("least", "most"))
+        (moved,) = find_given(model, at, (now + change,))
+        rows += [rest, np.where(np.arange(len(rest)) == at, moved, rest), rest]
+    least, most = _list_ends(model)
     rows += [least, most, least, least, most, most]
     share = np.linspace(0.0, 1.0, _RAMP_STEPS)[:, None]
     ramp = np.round(least + share * (most - least)).astype(np.int64)
@@ -124,7 +147,7 @@ def _search_lines(model: IntegerModel, before: IntArray) -> IntArray:
         return chosen[0]
     rng = np.random.default_rng(RANDOM_SEED)
     low, high = (np.array(x) for x in limits_of(model))
-    least, most = (np.array([getattr(c, end) for c in model.channels]) for end in ("least", "most"))
+    least, most = _list_ends(model)
     misses = 0
     for _ in range(_LONGEST_SEARCH):
         shape = (_PIECES, _PIECE_STEPS, len(low))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tests.oracle.conversion import convert
 from tests.oracle.layers import Dense, Drift, Head, Recurrent
 from tests.oracle.primitives import fit
 from tests.oracle.signals import SIGNALS, Features, Signal
@@ -55,6 +56,7 @@ class Oracle:
     def settle(self, codes: Sequence[int]) -> None:
         """Put everything to rest at these codes."""
         self.init()
+        codes = convert(self.channels, codes)
         if any(self._find_missing(codes)):
             return
         self._begin(codes, settled=True)
@@ -63,6 +65,7 @@ class Oracle:
 
     def step(self, codes: Sequence[int]) -> Answer:
         """Compute one step."""
+        codes = convert(self.channels, codes)
         for code, channel in zip(codes, self.channels, strict=True):
             fit(code, channel["bits"])
         missing = self._find_missing(codes)

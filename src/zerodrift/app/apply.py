@@ -31,6 +31,7 @@ from zerodrift.dataset.log_steps import (
 )
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed
+from zerodrift.export.encoding import encode_channel
 from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.export.reference import ModelState, Reference
 from zerodrift.operations.arithmetic import CodeArray
@@ -241,15 +242,16 @@ def encode_values(model: IntegerModel, values: Array) -> tuple[list[int], CodeAr
 
 
 def _encode_channel(channel: Channel, values: Array) -> tuple[Array, int]:
-    """Return codes [n], and how many values lie beyond them."""
-    codes = np.round((values - channel.offset) / channel.lsb)
-    lacks = np.isnan(codes)
-    limited = np.clip(codes, channel.least, channel.most)
+    """Return codes [n], raw where the chip is given such, and how many values lie beyond them."""
+    codes, beyond = encode_channel(channel, values)
+    lacks = np.isnan(values)
+    if channel.conversion is None:  # one of them may be the code for none, which says so
+        beyond = codes != np.round((values - channel.offset) / channel.lsb)
     if lacks.any():
-        if channel.no_reading is None:
+        if not channel.raw_lacks:
             raise ValueError(f"{channel.name}: no code says that a reading is lacking")
-        limited = np.where(lacks, float(channel.no_reading), limited)
-    return limited, int(np.sum(limited[~lacks] != codes[~lacks]))
+        codes = np.where(lacks, float(channel.raw_lacks[0]), codes)
+    return codes, int(np.sum(beyond & ~lacks))
 
 
 def _count_elapsed(config: Config, model: IntegerModel, one: StepStretch) -> int:
@@ -264,9 +266,9 @@ def measure_beyond(model: IntegerModel, codes: CodeArray) -> NDArray[np.float32]
     """Return how far outside its calibrated range an input is [n], as a share; 0 inside."""
     guards = model.guards
     temperature = (guards.temperature_channel, guards.temperature_low, guards.temperature_high)
-    squares = np.zeros(len(codes))
+    squares, own_codes = np.zeros(len(codes)), model.convert(codes)
     for index, low, high in (temperature, *guards.ranges):
-        own = codes[:, index].astype(np.float64)
+        own = own_codes[:, index].astype(np.float64)
         none = model.channels[index].no_reading
         outside = np.maximum(np.maximum(low - own, own - high), 0.0) / max(high - low, 1)
         if none is not None:

@@ -126,6 +126,12 @@ def _state(opened: OpenedModel) -> dict[str, str]:
         told[f"channel {channel.name}"] = (
             f"int{channel.bits}, {channel.lsb:g} {channel.unit} per code, no reading: {none}"
         )
+        if channel.conversion is not None:
+            by = channel.conversion
+            told[f"conversion of {channel.name}"] = (
+                f"from {by.raw}, readings {by.begin} .. {by.end}, converted {by.low} .. {by.high},"
+                f" within {by.error:.3g} {channel.unit}"
+            )
     for k, output in enumerate(model.outputs):
         told[f"output {output.name}"] = (
             f"{output.lsb_per_unit} codes per {output.unit}, full scale {output.full_scale:g}"

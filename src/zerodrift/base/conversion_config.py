@@ -35,6 +35,8 @@ class DividerConfig:
     """The sensor lies between the middle and ground."""
     counts: float
     """What the converter gives for its whole range, which is that of the divider."""
+    rail: float = 0.0
+    """Counts from either end within which the converter stands at a rail: no reading."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +56,17 @@ class ConversionConfig:
     steinhart: tuple[float, ...] = ()
     points: tuple[tuple[float, float], ...] = ()
     coefficients: tuple[float, ...] = ()
+    lacks: float | None = None
+    """The logged value that means that there is no reading."""
 
 
-def read_conversion(table: TomlTable) -> ConversionConfig | None:
+def read_conversion(table: TomlTable, *, of_code: bool = True) -> ConversionConfig | None:
     """Read the keys of a column's table that convert; None where it has none of them.
+
+    Args:
+        table: of the column.
+        of_code: what is converted is what the log holds; else only what the chip is given, and the
+            log's unit may be that of the result.
 
     Raises:
         InputError: a key is missing, contradicts another, or has a value of the wrong type.
@@ -76,11 +85,14 @@ def read_conversion(table: TomlTable) -> ConversionConfig | None:
                 )
     unit = table.text("unit") if "unit" in table.values else ""
     divider = _read_divider(table) if "divider" in table.values else None
-    if kind in ("ntc", "pt100", "pt1000") and unit not in ("", "ohm"):
+    results = () if of_code else TEMPERATURES
+    if kind in ("ntc", "pt100", "pt1000") and unit not in ("", "ohm", *results):
+        hint = ', and log_is = "quantity" where the log holds the temperature itself'
         raise table.error(
             "unit",
             f"{table.label('unit')} is '{unit}', but convert = \"{kind}\" is from ohm; expected "
-            'unit = "ohm". Bring it to ohm by scale, or take one out.',
+            f'unit = "ohm"{hint if unit in TEMPERATURES else ""}. Bring it to ohm by scale, or '
+            "take one out.",
         )
     if divider is not None and kind not in ("ntc", "pt100", "pt1000"):
         raise table.error(

@@ -1,0 +1,197 @@
+"""Chooses the table by which the chip converts raw codes: as small as its error allows."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.base.conversion_config import ConversionConfig
+from zerodrift.base.errors import CheckError
+from zerodrift.dataset.conversions import convert
+from zerodrift.dataset.raw_codes import RawCover
+from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray
+from zerodrift.operations.conversion import MOST_LINES, IntegerConversion
+
+Array = NDArray[np.float64]
+Exact = Callable[[Array], Array]
+
+TOLERANCE_LSB = 0.48
+"""What lines may be off the formula, beside the rounding of the result: together one code."""
+BETWEEN_SAMPLES = 1.02
+"""What lines may be off between the codes at which they are held against it, as a multiple."""
+MOST_TABLE_BYTES = 4096
+MOST_SAMPLES = 1 << 17
+"""Codes at which lines are held against the formula; all of them where there are no more."""
+MOST_BLOCKS_BITS = 7
+FRACTION_BITS, NODE_LIMIT = 8, 2**30
+MOST_ROUNDS = 24
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """A segmentation: blocks of 2**block_bits codes with so many lines each."""
+
+    block_bits: int
+    parts: IntArray
+    nodes: Array
+    """In the quantity's unit."""
+
+    @property
+    def table_bytes(self) -> int:
+        """What the tables take in flash."""
+        return 2 * (len(self.parts) + 1) + 4 * len(self.nodes)
+
+
+@lru_cache(maxsize=64)
+def design_conversion(
+    index: int,
+    cover: RawCover,
+    formula: ConversionConfig,
+    lsb: float,
+    offset: float,
+    none: int | None,
+) -> IntegerConversion:
+    """Return the conversion of a channel, its error measured over the codes that it covers.
+
+    Args:
+        index: of the channel.
+        cover: the raw codes that are readings, and those to be converted.
+        formula: raw code -> quantity; monotone over the codes that are covered.
+        lsb: one code of the quantity, in its unit.
+        offset: the quantity at its code 0.
+        none: the quantity's code for no reading.
+
+    Raises:
+        CheckError: no table of a reasonable size meets the error.
+    """
+    name = f"conversion_{index}"
+    given = (name, (), index, cover.raw, formula, cover.begin, cover.end, cover.lacks)
+    if cover.is_plain:
+        return IntegerConversion(*given, None, cover.least, cover.most, worth=(lsb, lsb))
+
+    def exact(places: Array) -> Array:
+        """Return the quantity at places counted from cover.low; straight on beyond the codes."""
+        span = float(cover.high - cover.low)
+        inside = np.clip(places, 0.0, span)
+        found = convert(inside + cover.low, formula)
+        last = convert(np.array([cover.high - 1.0, cover.high]), formula)
+        return np.asarray(found + np.maximum(places - span, 0.0) * (last[1] - last[0]))
+
+    span = cover.high - cover.low
+    places = np.unique(np.linspace(0, span, min(span + 1, MOST_SAMPLES)).round().astype(np.int64))
+    wanted = exact(places.astype(np.float64))
+    lines = _choose_lines(exact, places, wanted, span, TOLERANCE_LSB * lsb)
+    if lines is None or lines.table_bytes > MOST_TABLE_BYTES:
+        raise CheckError(
+            f"the conversion of codes {cover.low} .. {cover.high} to within {TOLERANCE_LSB * lsb:g}"
+            f" needs a table of more than {MOST_TABLE_BYTES} bytes. Take a larger lsb, a narrower "
+            "range, or a table of points without sharp bends."
+        )
+    in_codes = (lines.nodes - offset) / lsb
+    bits = FRACTION_BITS
+    while bits and np.abs(in_codes).max() * 2.0**bits > NODE_LIMIT:
+        bits -= 1
+    ends = sorted(round(float((end - offset) / lsb)) for end in (wanted[0], wanted[-1]))
+    made = IntegerConversion(
+        *given,
+        none,
+        cover.low,
+        cover.high,
+        block_bits=lines.block_bits,
+        first=(0, *(int(n) for n in np.cumsum(lines.parts))),
+        nodes=tuple(int(n) for n in np.round(in_codes * 2.0**bits)),
+        shift=lines.block_bits + bits,
+        lowest=ends[0],
+        highest=ends[1],
+    )
+    return _measure(made, places, wanted, lsb, offset)
+
+
+def _measure(
+    made: IntegerConversion, places: IntArray, wanted: Array, lsb: float, offset: float
+) -> IntegerConversion:
+    """Return the conversion with its error over all codes, and what one of them is worth."""
+    codes = places + made.low
+    readings = ~made.find_missing(codes)
+    if places.size > made.high - made.low:
+        error = np.abs(made.convert(codes) * lsb + offset - wanted)[readings].max()
+    else:
+        bits = made.shift - made.block_bits
+        fine = replace(made, shift=made.block_bits, lowest=INT32_MIN, highest=INT32_MAX)
+        lines = fine.convert(codes) * 2.0**-bits * lsb + offset
+        error = np.abs(lines - wanted)[readings].max() * BETWEEN_SAMPLES + (0.5 + 2.0**-bits) * lsb
+    steps = np.abs(np.diff(wanted)) / np.diff(places)
+    return replace(
+        made,
+        error=float(error),
+        worth=(float(steps.min()), float(steps.max())),
+    )
+
+
+def _choose_lines(
+    exact: Exact, places: IntArray, wanted: Array, span: int, tolerance: float
+) -> _Lines | None:
+    """Return the smallest table of all sizes of blocks that stays within the tolerance."""
+    widest = max(span.bit_length(), 1)
+    best: _Lines | None = None
+    for block_bits in range(min(widest, 31), max(widest - MOST_BLOCKS_BITS, 0) - 1, -1):
+        found = _fit_lines(exact, places, wanted, span, block_bits, tolerance)
+        if found is not None and (best is None or found.table_bytes < best.table_bytes):
+            best = found
+    return best
+
+
+def _fit_lines(
+    exact: Exact, places: IntArray, wanted: Array, span: int, block_bits: int, tolerance: float
+) -> _Lines | None:
+    """Return lines within the tolerance in blocks of a size; None where there are none."""
+    blocks = (span >> block_bits) + 1
+    parts = np.ones(blocks, dtype=np.int64)
+    most = min(1 << block_bits, 1 << max(32 - block_bits, 0), MOST_LINES)
+    for _ in range(MOST_ROUNDS):
+        if parts.sum() > min(MOST_LINES, MOST_TABLE_BYTES // 4):
+            return None
+        nodes, errors = _place_nodes(exact, places, wanted, block_bits, parts)
+        wrong = errors > tolerance
+        if not wrong.any():
+            return _Lines(block_bits, parts, nodes)
+        if (parts[wrong] >= most).any():
+            return None
+        more = np.ceil(parts * np.minimum(np.sqrt(errors / tolerance), 4.0)).astype(np.int64)
+        parts = np.where(wrong, np.minimum(np.maximum(more, parts + 1), most), parts)
+    return None
+
+
+def _place_nodes(
+    exact: Exact, places: IntArray, wanted: Array, block_bits: int, parts: IntArray
+) -> tuple[Array, Array]:
+    """Return the ends of all lines, and the largest error in each block.
+
+    A chord lies on one side of a curve; ends moved by half of what its middle is off halve that.
+    """
+    first = np.concatenate([[0], np.cumsum(parts)])
+    line_block = np.repeat(np.arange(len(parts)), parts)
+    within = (np.arange(first[-1]) - first[line_block]) / parts[line_block]
+    begins = (line_block + within) * 2.0**block_bits
+    nodes = exact(np.append(begins, len(parts) * 2.0**block_bits))
+    block = places >> block_bits
+    at = (places & ((1 << block_bits) - 1)) * parts[block]
+    line = first[block] + (at >> block_bits)
+    share = (at & ((1 << block_bits) - 1)) / 2.0**block_bits
+
+    def deviate() -> Array:
+        return np.asarray(wanted - nodes[line] - (nodes[line + 1] - nodes[line]) * share)
+
+    starts = np.flatnonzero(np.diff(line, prepend=-1))
+    off = deviate()
+    middle = np.zeros(first[-1])
+    low, high = np.minimum.reduceat(off, starts), np.maximum.reduceat(off, starts)
+    middle[line[starts]] = np.minimum(low, 0.0) + np.maximum(high, 0.0)
+    nodes[1:-1] += (middle[:-1] + middle[1:]) / 4.0
+    nodes[0] += middle[0] / 2.0
+    nodes[-1] += middle[-1] / 2.0
+    errors = np.zeros(len(parts))
+    np.maximum.at(errors, block, np.abs(deviate()))
+    return nodes, errors

@@ -1,0 +1,67 @@
+"""From quantities to the codes that the hardware would have given for them, and back."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.conversions import convert
+from zerodrift.dataset.raw_codes import RawRange, find_code
+from zerodrift.export.integer_model import Channel
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def find_held(channel: Channel) -> tuple[float, float]:
+    """Return the lowest and highest value that a code stands for."""
+    if channel.conversion is None or channel.conversion.is_plain:
+        ends = (channel.raw_least, channel.raw_most)
+        low, high = sorted(code * channel.lsb + channel.offset for code in ends)
+        return low, high
+    low, high = sorted(_find_range(channel).values)
+    return low, high
+
+
+def encode_channel(channel: Channel, values: Array) -> tuple[Array, Mask]:
+    """Return the codes [n] that stand for values [n] of a channel, raw where it is given such.
+
+    Returns:
+        whole numbers, the nearest code where none stands for a value (NaN stays NaN); and where
+        that is so, which includes the codes that mean no reading.
+    """
+    low, high = find_held(channel)
+    if channel.conversion is None or channel.conversion.is_plain:
+        codes = np.round((values - channel.offset) / channel.lsb)
+        outside = ~((codes >= channel.raw_least) & (codes <= channel.raw_most))
+        outside |= codes == channel.no_reading
+        return np.clip(codes, channel.raw_least, channel.raw_most), outside
+    by = channel.conversion
+    known = np.where(np.isnan(values), low, values)
+    codes = find_code(by.formula, _find_range(channel), known)
+    outside = ~((values >= low) & (values <= high))
+    if by.none is not None and by.lacks is not None:
+        outside |= codes == by.lacks
+    return np.where(np.isnan(values), np.nan, codes), outside
+
+
+def round_channel(channel: Channel, values: Array) -> Array:
+    """Return what is left of values [n] in the channel's codes, however large these would be.
+
+    Of a conversion, what its table makes of the code that the hardware would give.
+    """
+    by = channel.conversion
+    if by is None or by.is_plain:
+        codes = np.round((values - channel.offset) / channel.lsb)
+    else:
+        given = find_code(by.formula, _find_range(channel), values)
+        inside = (given >= by.low) & (given <= by.high)
+        converted = by.convert(np.clip(given, by.low, by.high).astype(np.int64))
+        return np.where(inside, converted * channel.lsb + channel.offset, values)
+    return np.asarray(codes * channel.lsb + channel.offset)
+
+
+def _find_range(channel: Channel) -> RawRange:
+    """Return the raw codes that are readings, and the values at both ends."""
+    by = channel.conversion
+    assert by is not None
+    ends = convert(np.array([by.begin, by.end], dtype=np.float64), by.formula)
+    return RawRange(by.begin, by.end, (float(ends[0]), float(ends[1])), bool(ends[1] > ends[0]))

@@ -1,0 +1,268 @@
+"""From the raw code that the hardware gives to the code of the quantity: a table and its lines."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar
+
+import numpy as np
+
+from zerodrift.base.conversion_config import ConversionConfig
+from zerodrift.base.errors import CheckError
+from zerodrift.operations.arithmetic import INT32_MAX, IntArray, saturate
+from zerodrift.operations.c_text import CTable, format_int32, format_int64, make_table
+from zerodrift.operations.intervals import Bound, Interval, Shift, check_limits, check_shift
+from zerodrift.operations.node import IntegerNode, Writer
+
+RAW_TYPES = {
+    "uint16": (0, 2**16 - 1),
+    "int16": (-(2**15), 2**15 - 1),
+    "int32": (-(2**31), 2**31 - 1),
+}
+"""What the hardware may hand over -> its lowest and highest code."""
+MOST_LINES = 2**15 - 2
+"""Places in the table are int16."""
+
+
+@dataclass(frozen=True)
+class IntegerConversion(IntegerNode):
+    """The quantity's code of a raw code; it stands before all nodes, and before the last reading.
+
+        place = saturate(code, low, high) - low
+        b     = place >> block_bits
+        parts = saturate(first[b + 1] - first[b], 1, most)
+        at    = (place & (2**block_bits - 1)) * parts
+        i     = saturate(first[b] + (at >> block_bits), 0, lines - 1)
+        f     = at & (2**block_bits - 1)
+        q     = saturate((half + nodes[i] 2**block_bits + (nodes[i + 1] - nodes[i]) f) >> shift,
+                         lowest, highest)
+
+    A block of 2**block_bits codes holds a whole number of lines of equal width. Codes outside
+    begin .. end, and `lacks`, are no readings; they become `none`. Without nodes the quantity's
+    code is the raw code.
+    """
+
+    kind: ClassVar[str] = "conversion"
+    reads: ClassVar[int | None] = 0
+    channel: int
+    raw: str
+    """uint16, int16 or int32."""
+    formula: ConversionConfig
+    """What is converted by, exactly; the table is within `error` of it."""
+    begin: int
+    end: int
+    """Raw codes beyond these are no readings."""
+    lacks: int | None
+    """One more raw code that is none."""
+    none: int | None
+    """The quantity's code for no reading; None: every raw code is a reading."""
+    low: int
+    high: int
+    """Raw codes that the table covers; beyond them they are limited."""
+    block_bits: int = 0
+    first: tuple[int, ...] = ()
+    """Of each block its first line, and behind them the number of lines."""
+    nodes: tuple[int, ...] = ()
+    """The quantity at the lines' ends, in its codes and shift - block_bits fractional bits."""
+    shift: int = 0
+    lowest: int = 0
+    highest: int = 0
+    error: float = 0.0
+    """Largest distance to the formula at any code that is covered, rounding included, in the
+    quantity's unit."""
+    worth: tuple[float, float] = (0.0, 0.0)
+    """What one raw code is worth where it is worth least and most, in the quantity's unit."""
+
+    @property
+    def least(self) -> int:
+        """The lowest code of the raw type."""
+        return RAW_TYPES[self.raw][0]
+
+    @property
+    def most(self) -> int:
+        """The highest code of the raw type."""
+        return RAW_TYPES[self.raw][1]
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the quantity's code is the raw code."""
+        return not self.nodes
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return len(self.nodes) - 1
+
+    @property
+    def most_parts(self) -> int:
+        """The largest number of lines in a block."""
+        return max(after - before for before, after in pairwise(self.first))
+
+    @property
+    def mask(self) -> int:
+        """The bits of a place within its block."""
+        return (1 << self.block_bits) - 1
+
+    @property
+    def half(self) -> int:
+        """What rounds the shift."""
+        return 1 << self.shift >> 1
+
+    def find_missing(self, codes: IntArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        """Return which raw codes of any shape are no readings."""
+        missing = (codes < self.begin) | (codes > self.end)
+        return np.asarray(missing if self.lacks is None else missing | (codes == self.lacks))
+
+    def list_missing(self) -> tuple[int, ...]:
+        """Return raw codes that are no readings: those beside the readings, and the one stated."""
+        if self.none is None:
+            return ()
+        beside = (c for c in (self.begin - 1, self.end + 1) if self.least <= c <= self.most)
+        return (*beside, *(() if self.lacks is None else (self.lacks,)))
+
+    def find(self, wanted: IntArray) -> IntArray:
+        """Return raw codes [n] whose codes are the nearest at or beyond wanted ones [n].
+
+        They lie within those that are covered.
+        """
+        if self.is_plain:
+            return np.asarray(saturate(wanted, self.least, self.most))
+        rises = self.nodes[-1] >= self.nodes[0]
+        low, high = np.full(wanted.shape, self.low), np.full(wanted.shape, self.high)
+        while np.any(low < high):
+            middle = (low + high) >> 1
+            found = self._look_up(middle)
+            reached = found >= wanted if rises else found <= wanted
+            low, high = np.where(reached, low, middle + 1), np.where(reached, middle, high)
+        return np.asarray(low)
+
+    def convert(self, codes: IntArray) -> IntArray:
+        """Return the quantity's codes of raw codes of any shape, both int64."""
+        found = codes if self.is_plain else self._look_up(codes)
+        if self.none is None:
+            return found
+        return np.where(self.find_missing(codes), self.none, found)
+
+    def _look_up(self, codes: IntArray) -> IntArray:
+        place = saturate(codes, self.low, self.high) - self.low
+        first, nodes = np.array(self.first), np.array(self.nodes)
+        block = place >> self.block_bits
+        parts = saturate(first[block + 1] - first[block], 1, self.most_parts)
+        at = (place & self.mask) * parts
+        line = saturate(first[block] + (at >> self.block_bits), 0, self.lines - 1)
+        rise = (nodes[line + 1] - nodes[line]) * (at & self.mask)
+        total = self.half + (nodes[line] << self.block_bits) + rise
+        return np.asarray(saturate(total >> self.shift, self.lowest, self.highest))
+
+    def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
+        """Bound what is looked up, for any raw code and any places in the table."""
+        if self.is_plain:
+            return [Interval(self.least, self.most)], []
+        check_shift(self.name, self.shift, 62)
+        code = check_limits(self.name, self.low, self.high)
+        reach = max(map(abs, self.nodes))
+        total = self.half + (reach << self.block_bits) + 2 * reach * self.mask
+        if self.most_parts << self.block_bits > 2**32:
+            raise CheckError(
+                f"{self.name}: {self.most_parts} lines in a block of 2**{self.block_bits} codes do"
+                " not fit 32 bits. The model is refused; narrow the range, or take a larger lsb."
+            )
+        out = check_limits(f"{self.name}.limits", self.lowest, self.highest)
+        return [out], [
+            Bound(f"{self.name}_code.code", code, 32).check(),
+            Bound(f"{self.name}_parts.limits", Interval(1, self.most_parts), 32).check(),
+            Bound(f"{self.name}_line.limits", Interval(0, self.lines - 1), 32).check(),
+            Bound(f"{self.name}.sum", Interval(-total, total), 64).check(),
+            Bound(self.name, out, 32).check(),
+        ]
+
+    def check_form(self) -> None:
+        """Raise ValueError where the table is not one, or the codes are none of their type."""
+        if self.raw not in RAW_TYPES:
+            raise ValueError(f"'{self.name}' is given {self.raw!r}")
+        ends = (self.begin, self.low, self.high, self.end)
+        if not self.least <= min(ends) or not max(ends) <= self.most:
+            raise ValueError(f"'{self.name}': {ends} are no codes of {self.raw}")
+        if self.is_plain:
+            return
+        blocks = ((self.high - self.low) >> self.block_bits) + 1
+        parts = np.diff(self.first)
+        if (
+            not 0 <= self.block_bits <= 31
+            or len(self.first) != blocks + 1
+            or self.first[0] != 0
+            or parts.min() < 1
+            or not 0 < self.first[-1] == self.lines <= MOST_LINES
+            or max(map(abs, self.nodes)) > INT32_MAX
+            or self.shift < self.block_bits
+        ):
+            raise ValueError(f"'{self.name}': {self.lines} lines in {blocks} blocks are no table")
+
+    def list_shifts(self) -> list[Shift]:
+        """Return every right shift of a signed number in the C."""
+        return [] if self.is_plain else [Shift(f"{self.name}.shift", self.shift, 63)]
+
+    def list_tables(self) -> tuple[CTable, ...]:
+        """Return the constant tables in C."""
+        if self.is_plain:
+            return ()
+        return (
+            make_table(f"{self.name}_first", "i16", self.first),
+            make_table(f"{self.name}_nodes", "i32", self.nodes),
+        )
+
+    @property
+    def table_bytes(self) -> int:
+        """What the tables take in flash."""
+        return 2 * len(self.first) + 4 * len(self.nodes)
+
+    def write(self, w: Writer, codes: str) -> str:
+        """Write the quantity's codes [B] of raw codes [B] in ONNX."""
+        found = codes if self.is_plain else self._write_look_up(w, codes)
+        if self.none is None:
+            return found
+        missing = w.op(
+            "Or",
+            w.op("Less", codes, w.constant(self.begin)),
+            w.op("Greater", codes, w.constant(self.end)),
+        )
+        if self.lacks is not None:
+            missing = w.op("Or", missing, w.op("Equal", codes, w.constant(self.lacks)))
+        return w.op("Where", missing, w.constant(self.none), found)
+
+    def _write_look_up(self, w: Writer, codes: str) -> str:
+        place = w.sub(w.saturate(codes, self.low, self.high), w.constant(self.low))
+        width = w.constant(1 << self.block_bits)
+        block, within = w.op("Div", place, width), w.op("Mod", place, width)  # place >= 0
+        first, nodes = w.constant(self.first), w.constant(self.nodes)
+        begins = w.op("Gather", first, block)
+        ends = w.op("Gather", first, w.add(block, w.constant(1)))
+        at = w.mul(within, w.saturate(w.sub(ends, begins), 1, self.most_parts))
+        line = w.saturate(w.add(begins, w.op("Div", at, width)), 0, self.lines - 1)
+        left = w.op("Gather", nodes, line)
+        rise = w.sub(w.op("Gather", nodes, w.add(line, w.constant(1))), left)
+        total = w.add(w.constant(self.half), w.shift_left(left, self.block_bits))
+        total = w.add(total, w.mul(rise, w.op("Mod", at, width)))
+        return w.saturate(w.floor_shift(total, self.shift), self.lowest, self.highest)
+
+    def express_sum(self) -> str:
+        """Return the 64-bit sum in C, of the names that the template declares."""
+        name = self.name
+        left = f"((int64_t){name}_nodes[{name}_line] * {format_int64(1 << self.block_bits)})"
+        rise = f"((int64_t){name}_nodes[{name}_line + 1] - {name}_nodes[{name}_line])"
+        within = f"(int64_t)({name}_at & {self.mask}u)"
+        return f"{format_int64(self.half)} + {left} + ({rise} * {within})"
+
+    def express_missing(self, given: str) -> str:
+        """Return the C of whether a raw code is no reading; empty where each is one."""
+        tests = []
+        if self.none is not None:
+            if self.begin > self.least:
+                tests.append(f"({given} < {format_int32(self.begin)})")
+            if self.end < self.most:
+                tests.append(f"({given} > {format_int32(self.end)})")
+            if self.lacks is not None and self.begin <= self.lacks <= self.end:
+                tests.append(f"({given} == {format_int32(self.lacks)})")
+        return " || ".join(tests)
+
+
+NODES = (IntegerConversion,)
