@@ -29,7 +29,7 @@ from zerodrift.export.float_model import LOAD, Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat, code_type
 from zerodrift.export.onnx_reader import read_network_bytes
-from zerodrift.export.quantize import quantize
+from zerodrift.export.quantize import Quantized, quantize_graph
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.operations.backend import GraphOperations, evaluate
@@ -55,6 +55,11 @@ POWER_ON, FIRST_ROW = "power_on", "first row of a log"
 
 
 def compose_integer_model(model: FloatModel, config: Config, dataset: Dataset) -> IntegerModel:
+    """Return the integer model of `compose_quantized`."""
+    return compose_quantized(model, config, dataset).model
+
+
+def compose_quantized(model: FloatModel, config: Config, dataset: Dataset) -> Quantized:
     """Return the quantized compensator, with its warm-up time measured on the training logs.
 
     Raises:
@@ -62,15 +67,17 @@ def compose_integer_model(model: FloatModel, config: Config, dataset: Dataset) -
         InputError: a log leaves what the codes can say.
     """
     refuse_logs_outside(config, model, dataset)
-    cold = quantize(model, calibrate(model, dataset.train), config.weights)
+    quantized = quantize_graph(model, calibrate(model, dataset.train), config.weights)
+    cold = quantized.model
     if model.plan is not None and model.plan.starts_at_first_row:
         cold = replace(cold, notes={**cold.notes, POWER_ON: FIRST_ROW})
-    return replace(
+    warm = replace(
         cold,
         guards=replace(cold.guards, warm_up_steps=measure_warm_up(cold, dataset.train)),
         prefix=config.firmware_prefix,
         guarded=config.firmware_guard,
     )
+    return replace(quantized, model=warm)
 
 
 def refuse_logs_outside(config: Config, model: FloatModel, dataset: Dataset) -> None:

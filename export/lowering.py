@@ -8,11 +8,12 @@ from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import Channel
 from zerodrift.operations.clip import limit
 from zerodrift.operations.counter import COUNTER_LIMIT, IntegerCounter
-from zerodrift.operations.formats import RANGE_SPANS, SIGNAL_BITS, FormattedNodes, Signal
+from zerodrift.operations.formats import RANGE_SPANS, SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.registry import OPERATIONS
+from zerodrift.operations.signals import Signal, constant
 
 INPUT_SHIFT = 12
 """Fractional bits given to a 16-bit code: 2**-19 K for the TMP117's 2**-7 K."""
@@ -64,7 +65,7 @@ class Lowering(FormattedNodes):
         if node.op == "input":
             return self._lower_input(node)
         if node.op == "constant":
-            return Signal("", 0.0, node.constants[0])
+            return constant(node.constants[0])
         return OPERATIONS[node.op].lower(self, node, *(self.lower(child) for child in node.inputs))
 
     def _lower_input(self, node: Node) -> Signal:
@@ -103,10 +104,12 @@ class Lowering(FormattedNodes):
             origin=origin,
         )
         self.append(node)
-        offset = channel.offset + origin * channel.lsb
+        offset, taken_off = channel.offset + origin * channel.lsb, 0.0
         if source == "clock_s":
-            offset -= self.clock_origin_s
-        return Signal(name, channel.lsb / 2**shift, offset)
+            taken_off = self.clock_origin_s
+            offset -= taken_off
+        signal = Signal(name, channel.lsb / 2**shift, offset)
+        return signal.standing_for("input", (), channel.lsb, channel.offset, taken_off)
 
     def _lower_load(self, source: str) -> Signal:
         index = self.sources[source]
@@ -122,9 +125,10 @@ class Lowering(FormattedNodes):
             high=high,
             shift=shift,
         )
-        return Signal(self.append(node), self.channels[index].lsb / 2**shift)
+        lsb = self.channels[index].lsb
+        return Signal(self.append(node), lsb / 2**shift).standing_for("load", (), lsb)
 
     def _count(self) -> Signal:
-        return Signal(
-            self.append(IntegerCounter("counter", (), COUNTER_LIMIT)), self.sample_period_s
-        )
+        counter = IntegerCounter("counter", (), COUNTER_LIMIT)
+        signal = Signal(self.append(counter), self.sample_period_s)
+        return signal.standing_for("counter", (), self.sample_period_s)

@@ -12,12 +12,14 @@ from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Guards, IntegerModel
 from zerodrift.export.lowering import Lowering
 from zerodrift.export.quantize_layers import append_network
+from zerodrift.export.real_network import describe_answers, describe_features, describe_network
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN, choose_exponent
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.features import IntegerFeatures
-from zerodrift.operations.formats import COEFFICIENT_LIMIT, Signal
+from zerodrift.operations.formats import COEFFICIENT_LIMIT
 from zerodrift.operations.graph import Node
+from zerodrift.operations.signals import Signal
 
 Array = NDArray[np.float64]
 
@@ -36,6 +38,8 @@ class Quantized:
     """Of every node of the float graph."""
     features: tuple[Signal, ...]
     """Of the float model's features, as held beyond calibration."""
+    answers: tuple[Signal, ...]
+    """Of the drifts; what they stand for is the float model, with its unrounded parameters."""
 
 
 def quantize(model: FloatModel, calibration: Calibration, weights: str = "int16") -> IntegerModel:
@@ -68,9 +72,9 @@ def quantize_graph(
     lowered = [_lower_feature(lowering, model, j) for j in range(len(model.features))]
     signals, coefficients, constant = _gather(lowered, model.coefficients)
     offset = model.offset + constant
-    head_exponents = None
+    head_exponents, heads = None, list[Signal]()
     if model.network is not None:
-        head_exponents = _lower_network(lowering, model, model.network, calibration, weights)
+        head_exponents, heads = _lower_network(lowering, model, model.network, calibration, weights)
         offset = offset + model.network.head_bias
     _lower_drift(lowering, model, signals, coefficients, head_exponents, offset, calibration)
     low, high = calibration.temperature_range or calibration.code_limits[0]
@@ -90,7 +94,8 @@ def quantize_graph(
         ),
     )
     integer.prove()
-    return Quantized(integer, lowering.signals, tuple(lowered))
+    answers = describe_answers(model, lowered, heads)
+    return Quantized(integer, lowering.signals, tuple(lowered), answers)
 
 
 def _gather(
@@ -136,8 +141,8 @@ def _lower_network(
     network: FloatNetwork | FloatFeedForward,
     calibration: Calibration,
     weights: str,
-) -> NDArray[np.int64]:
-    """Add features, GRU and head; return the exponent of each head row."""
+) -> tuple[NDArray[np.int64], list[Signal]]:
+    """Add features, GRU and head; return the exponent of each head row, and its signals."""
     assert model.whitening is not None and model.tap_mean is not None
     taps = [lowering.lower(node) for node in model.taps]
     exponents = np.array(
@@ -167,7 +172,9 @@ def _lower_network(
             shift=tuple(shifts),
         )
     )
-    return append_network(lowering, network, exponents, weights, model.window)
+    features = describe_features(taps, model.whitening, model.tap_mean, exponents)
+    read_out = append_network(lowering, network, exponents, weights, model.window)
+    return read_out.head_exponents, describe_network(model, features, read_out)
 
 
 def _lower_drift(

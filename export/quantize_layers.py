@@ -23,11 +23,23 @@ from zerodrift.operations.gru.cell import H_LIMIT_Q30, FloatGru, IntegerGru
 from zerodrift.operations.gru_stack import IntegerGruStack
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.intervals import Interval
+from zerodrift.operations.tables import TABLE_BITS
 
-TABLE_BITS = 16
-"""Fractional bits of the table's argument."""
 SHIFT_LIMIT = 30
 Exponents = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ReadOut:
+    """The nodes between state or features and the answer, with their scales."""
+
+    dense: tuple[IntegerDense, ...]
+    dense_exponents: tuple[Exponents, ...]
+    """Of each dense layer, [M]: its int16 copies stand for copy * 2**-e, its results, which have
+    `COPY_BITS` more bits, for result * 2**-(e + COPY_BITS)."""
+    head: IntegerHead
+    head_exponents: Exponents
+    """[K]: a sum stands for sum * 2**-e."""
 
 
 def append_network(
@@ -36,7 +48,7 @@ def append_network(
     feature_exponents: Exponents,
     weights: str,
     window: int,
-) -> Exponents:
+) -> ReadOut:
     """Add recurrent layers if there are any, dense layers and head after the node "features".
 
     Args:
@@ -47,7 +59,7 @@ def append_network(
         window: 0, or the number of samples of a window.
 
     Returns:
-        [K] the exponent of each row of the node "head".
+        The nodes after the recurrent layers, with their scales.
 
     Raises:
         CheckError: a layer has no safe format; names it and its row.
@@ -67,7 +79,7 @@ def append_network(
         read_out = quantize_state_read_out(network)
     for node in (*read_out.dense, read_out.head):
         lowering.append(node)
-    return read_out.head_exponents
+    return read_out
 
 
 def quantize_layers(
@@ -81,19 +93,6 @@ def quantize_layers(
     bottom, *upper = layers
     above = [quantize_gru(gru, np.full(gru.w_x.shape[2], COPY_BITS), weights) for gru in upper]
     return [quantize_gru(bottom, feature_exponents, weights), *above]
-
-
-@dataclass(frozen=True)
-class ReadOut:
-    """The nodes between state or features and the answer, with their scales."""
-
-    dense: tuple[IntegerDense, ...]
-    dense_exponents: tuple[Exponents, ...]
-    """Of each dense layer, [M]: its int16 copies stand for copy * 2**-e, its results, which have
-    `COPY_BITS` more bits, for result * 2**-(e + COPY_BITS)."""
-    head: IntegerHead
-    head_exponents: Exponents
-    """[K]: a sum stands for sum * 2**-e."""
 
 
 def quantize_state_read_out(network: FloatNetwork) -> ReadOut:

@@ -21,7 +21,8 @@ from zerodrift.c_runtime.host_batch import build_host_batch
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.export.compose import compose_integer_model, describe_compensator
+from zerodrift.export.compose import compose_quantized, describe_compensator
+from zerodrift.export.error_bound import ErrorBound, bound_errors
 from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.integer_model import FORCED, IntegerModel
@@ -66,6 +67,7 @@ class _Job:
     trained: Trained | None = None
     described: FloatModel | None = None
     model: IntegerModel | None = None
+    bound: ErrorBound | None = None
     code: GeneratedCode | None = None
     notes: list[str] = field(default_factory=list)
 
@@ -167,7 +169,9 @@ def _generate(design: Design, job: _Job) -> bool:
     place = design.place(job.config, job.sensor)
     runs = job.dataset.train
     job.described = describe_compensator(job.trained.compensator, place, runs)
-    job.model = compose_integer_model(load_or_tune(job.described, place, runs), place, job.dataset)
+    tuned = load_or_tune(job.described, place, runs)
+    quantized = compose_quantized(tuned, place, job.dataset)
+    job.model, job.bound = quantized.model, bound_errors(quantized)
     job.code = generate(job.model)
     return True
 
@@ -229,7 +233,7 @@ def _finish(
     if host is not None and scratch is not None:
         assert job.model is not None and job.code is not None and job.described is not None
         vectors = check_bits(host, job.dataset)
-        certificate = certify(job.model, job.code)
+        certificate = certify(job.model, job.code, job.bound)
         _recheck(job.code, certificate, scratch)
         left_out = leave_out(job.config, job.dataset, compensator)
         verdict, replay = judge_firmware(job.described, host, job.dataset, left_out)
@@ -263,7 +267,7 @@ def _mark_forced(job: _Job, reasons: Sequence[str], scratch: Path) -> str:
     assert job.model is not None
     job.model = replace(job.model, notes={**job.model.notes, FORCED: "\n".join(reasons)})
     job.code = generate(job.model)
-    certificate = certify(job.model, job.code)
+    certificate = certify(job.model, job.code, job.bound)
     _recheck(job.code, certificate, scratch)
     return certificate
 

@@ -12,6 +12,7 @@ from zerodrift.operations.arithmetic import choose_exponent
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.signals import Signal
 
 RANGE_SPANS = 4.0
 """A signal that could leave its calibrated range by more than this multiple of the range's span is
@@ -29,18 +30,6 @@ ROW_ERROR = 2.0**-4
 COEFFICIENT_LIMIT = 2**30
 SUM_LIMIT = 2**61
 """64-bit sums stay below this, halves and biases included."""
-
-
-@dataclass(frozen=True)
-class Signal:
-    """An integer signal q and its meaning: physical value = q * scale + offset.
-
-    A constant has no node (an empty name), scale 0 and its value as offset.
-    """
-
-    node: str
-    scale: float
-    offset: float = 0.0
 
 
 def _describe(node: IntegerNode) -> Hashable:

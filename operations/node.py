@@ -1,12 +1,15 @@
 """What every node of an integer compensator has in common: names, state, step, proof."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
+from zerodrift.base.errors import NoRuleError
 from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.c_text import CTable, RuntimePart, StateField
+from zerodrift.operations.errors import Error, Known
 from zerodrift.operations.intervals import Bound, Interval, Shift
+from zerodrift.operations.signals import Real
 
 if TYPE_CHECKING:
     from zerodrift.operations.onnx_writer import OnnxWriter
@@ -94,19 +97,20 @@ class IntegerNode:
     def check_form(self) -> None:
         """Raise ValueError where the fields of a node from a file do not fit together."""
 
-    def bound_error(
-        self, inputs: list[list[Interval]], errors: list[list[float]]
-    ) -> list[float] | None:
-        """Return how far the output can be from that of real arithmetic, in counts per value.
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return how far the output can be from what it stands for in real arithmetic.
 
-        The slot of the error rule. None: there is no rule yet, so that nothing is told of a model
-        with this node.
+        It holds for any codes and any number of steps since both were at rest under the same ones.
 
         Args:
-            inputs: what each input can be, as `prove` takes it.
-            errors: how far each input can be from its own value in real arithmetic, in its counts.
+            real: what a signal of this node stands for.
+            out: the signal's range and meaning.
+            inputs: what is known of the signals that `real` reads, with their errors.
+
+        Raises:
+            NoRuleError: there is no rule for this; nothing is told of a model with this node.
         """
-        return None
+        raise NoRuleError(f"'{self.kind}' has no error rule")
 
     def write_rest(self, w: Writer, values: Names) -> dict[str, str]:
         """Write the state at rest under the present inputs in ONNX."""

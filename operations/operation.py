@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from zerodrift.operations.arithmetic import Array
-from zerodrift.operations.formats import Signal
+from zerodrift.operations.signals import Signal
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,8 @@ TANH = RuntimePart("zd_network.h", "zd_tanh_is_sound")
 
 NODES = 513
 NODE_BITS = 19
+TABLE_BITS = 16
+"""Fractional bits of the table's argument."""
 STEP_BITS = 11  # 2**11 inputs between two nodes
 T_MAX = 2**19 - 1
 T_MIN = -(2**19)

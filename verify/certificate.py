@@ -10,20 +10,23 @@ import json
 from zerodrift import __version__
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import GeneratedCode
+from zerodrift.export.error_bound import ErrorBound
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.gru.cell import H_LIMIT_Q30
 from zerodrift.operations.tables import STEP_BITS, T_MAX, T_MIN, tanh_nodes
+from zerodrift.verify.certificate_bound import describe_bound
 
 FORMAT = 1
 FILE_NAME = "certificate.json"
 
 
-def certify(model: IntegerModel, code: GeneratedCode) -> str:
+def certify(model: IntegerModel, code: GeneratedCode, bound: ErrorBound | None = None) -> str:
     """Return the text of certificate.json, always the same for the same model and C.
 
     Args:
         model: the integer model.
         code: the C that was generated of it.
+        bound: what is proven of its distance from the float model; None: nothing is said of that.
 
     Raises:
         CheckError: a bound of the model does not hold.
@@ -60,14 +63,15 @@ def certify(model: IntegerModel, code: GeneratedCode) -> str:
         ],
         "bounds": [
             {
-                "where": bound.where,
-                "low": int(bound.interval.low),
-                "high": int(bound.interval.high),
-                "bits": bound.bits,
+                "where": line.where,
+                "low": int(line.interval.low),
+                "high": int(line.interval.high),
+                "bits": line.bits,
             }
-            for bound in model.prove()
-            if bound.where not in idle
+            for line in model.prove()
+            if line.where not in idle
         ],
+        **({} if bound is None else describe_bound(bound, model)),
     }
     return format_certificate(body)
 

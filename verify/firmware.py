@@ -21,13 +21,16 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.compose import (
     calibrate,
     compose_integer_model,
+    compose_quantized,
     encode_inputs,
 )
+from zerodrift.export.error_bound import ErrorBound, bound_errors
 from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.golden import GoldenVectors, compute_golden
 from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx
+from zerodrift.export.quantize import Quantized
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify
@@ -74,6 +77,8 @@ class Firmware:
     """On the emulated core; None where unicorn is not installed."""
     certificate: CertificateOutcome
     """What the independent check of the certificate says."""
+    bound: ErrorBound
+    """How far the answers can ever be from the float model's, as far as it is proven."""
     gate: GateVerdict
     """Whether the firmware is any good on held-out runs."""
     forced: tuple[str, ...]
@@ -112,7 +117,8 @@ def build_firmware(
             hold; nothing is written then.
     """
     progress("quantizing")
-    model, rounded = _compose(config, dataset, described, progress)
+    quantized, rounded = _compose(config, dataset, described, progress)
+    model = quantized.model
     code = generate(model)
     sequences = list_sequences(model, dataset)
     with make_scratch(config.directory) as scratch:
@@ -135,8 +141,10 @@ def build_firmware(
         plain_runs, plain = find_plain(replay, dataset)
         budget = measure_budget(described, calibration, check.observed, plain_runs, plain=plain)
         footprint = measure_footprint(code, CORE)
+        progress("proving how far the chip can be from the float model")
+        bound = bound_errors(quantized)
         progress("checking the certificate")
-        certificate = certify(model, code)
+        certificate = certify(model, code, bound)
         outcome = recheck(code, certificate, scratch)
     files: tuple[Path, ...] = ()
     if gate.passes or force:
@@ -158,6 +166,7 @@ def build_firmware(
         footprint=footprint,
         chip=chip,
         certificate=outcome,
+        bound=bound,
         gate=gate,
         forced=forced,
         files=files,
@@ -179,13 +188,13 @@ def _compose(
     dataset: Dataset,
     described: FloatModel,
     progress: Progress,
-) -> tuple[IntegerModel, IntegerModel | None]:
+) -> tuple[Quantized, IntegerModel | None]:
     """Return the integer model and, where it was fine-tuned, what only rounding would give."""
     tuned = load_or_tune(described, config, dataset.train, progress)
-    model = compose_integer_model(tuned, config, dataset)
+    quantized = compose_quantized(tuned, config, dataset)
     if tuned is described:
-        return model, None
-    return model, compose_integer_model(described, config, dataset)
+        return quantized, None
+    return quantized, compose_integer_model(described, config, dataset)
 
 
 def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> CertificateOutcome:

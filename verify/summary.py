@@ -29,6 +29,39 @@ class ChipError:
     """An operation, or a channel's code, stood at its limit."""
 
 
+@dataclass(frozen=True)
+class ErrorCauses:
+    """Shares of a proven error, in the output's unit."""
+
+    table: float
+    """Activation tables, and the polynomials of exp2 and powers."""
+    coefficients: float
+    """Gains, offsets, limits and slacks, rounded to integers."""
+    rounding: float
+    """Results of sums, products, powers and copies, each rounded once."""
+    lowpass: float
+    """Low-pass filters: the rounding of every step over all time, and their coefficients."""
+    weights: float
+    """Weights and biases of the network."""
+    output: float
+    """The answer, rounded to a count."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProvenError:
+    """How far the chip's answer can ever be from that of the float model in real arithmetic."""
+
+    value: float | None
+    """In the output's unit; null where nothing is proven."""
+    unit: str
+    holds: str = field(default="", metadata=OPTIONAL)
+    """Under what; there where something is proven."""
+    causes: ErrorCauses | None = field(default=None, metadata=OPTIONAL)
+    """They add up to the value."""
+    why: str = field(default="", metadata=OPTIONAL)
+    """Why nothing is proven."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Statement:
     """Something that the gate says."""
@@ -136,6 +169,8 @@ class FirmwareSummary(Shown):
     forced: bool
     written: bool
     files: tuple[str, ...]
+    error_bound: Mapping[str, ProvenError] | None = field(default=None, metadata=OPTIONAL)
+    """Output -> the proven largest distance from the float model."""
 
 
 REFUSED = "refused.json"

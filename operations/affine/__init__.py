@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from zerodrift.operations.arithmetic import Array
-from zerodrift.operations.formats import FormattedNodes, Signal
+from zerodrift.operations.formats import FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.operation import Operation
+from zerodrift.operations.signals import Signal, constant
 
 
 def affine(x: Array, gain: float, offset: float) -> Array:
@@ -19,8 +20,9 @@ def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
     """Return the same integers with another meaning: nothing is to be computed."""
     gain, offset = node.constants
     if gain == 0.0:
-        return Signal("", 0.0, offset)
-    return replace(x, scale=x.scale * gain, offset=x.offset * gain + offset)
+        return constant(offset)
+    out = replace(x, scale=x.scale * gain, offset=x.offset * gain + offset)
+    return out.standing_for("linear", (x, constant(offset)), gain, 1.0)
 
 
 OPERATION = Operation("affine", affine, lower, ("x",), ("gain", "offset"))

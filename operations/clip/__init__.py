@@ -1,5 +1,6 @@
 """Limits: a converter's rails, a calibrated range."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -7,11 +8,13 @@ import numpy as np
 
 from zerodrift.operations.arithmetic import Array, IntArray, saturate
 from zerodrift.operations.c_text import format_int32
-from zerodrift.operations.formats import FormattedNodes, Signal
+from zerodrift.operations.errors import Error, Known, bound_limit
+from zerodrift.operations.formats import FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, check_limits
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
+from zerodrift.operations.signals import Real, Signal
 
 
 def clip(x: Array, low: float, high: float) -> Array:
@@ -49,6 +52,10 @@ class IntegerClip(IntegerNode):
         low, high = format_int32(self.low), self.high
         return f"zd_clamp32({self.inputs[0]}, {low}, {high})"
 
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the error of x and that of a rounded limit (`bound_held`)."""
+        return bound_limit(real, out, inputs)
+
     @property
     def ends(self) -> tuple[int, int]:
         """The values at which the result stands at a limit."""
@@ -58,18 +65,20 @@ class IntegerClip(IntegerNode):
 def limit(nodes: FormattedNodes, x: Signal, low: float, high: float) -> Signal:
     """Return x limited to low .. high in its unit."""
     if not x.node:
-        return Signal("", 0.0, min(max(x.offset, low), high))
+        return Signal("", 0.0, min(max(x.offset, low), high)).standing_for("clip", (x,), low, high)
     interval = nodes.intervals[x.node][0]
     ends = sorted((end - x.offset) / x.scale for end in (low, high))
     if ends[0] <= interval.low and interval.high <= ends[1]:
-        return x
+        return x.standing_for("clip", (x,), low, high)
     if ends[1] <= interval.low or interval.high <= ends[0]:  # always at the same limit
         value = ends[1] if ends[1] <= interval.low else ends[0]
-        return Signal("", 0.0, value * x.scale + x.offset)
+        always = Signal("", 0.0, value * x.scale + x.offset)
+        return always.standing_for("clip", (x,), low, high)
     bottom = round(min(max(ends[0], interval.low), interval.high))
     top = round(min(max(ends[1], interval.low), interval.high))
     node = IntegerClip(nodes.new_name("clip"), (x.node,), bottom, top)
-    return Signal(nodes.append(node), x.scale, x.offset)
+    out = Signal(nodes.append(node), x.scale, x.offset)
+    return out.standing_for("clip", (x,), low, high)
 
 
 def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:

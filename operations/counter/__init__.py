@@ -1,5 +1,6 @@
 """Elapsed time: a counter of steps that stops at its limit instead of wrapping."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -8,8 +9,10 @@ import numpy as np
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.c_text import StateField
+from zerodrift.operations.errors import Error, Known, require
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import CODES, IntegerNode, Names, OnnxStep, State, Values, Writer
+from zerodrift.operations.signals import Real
 
 COUNTER_LIMIT = 2**27
 """Steps after which elapsed time stands still: 4 years at 1 s, 15 days at 10 ms."""
@@ -47,6 +50,13 @@ class IntegerCounter(IntegerNode):
             raise CheckError(f"{self.name}: a limit of {self.limit} steps. The model is refused.")
         out = Interval(0, self.limit)
         return [out], [Bound(f"{self.name}.count", Interval(0, self.limit + 1), 32).check()]
+
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return nothing: a step is counted, and stands for the sample period, in both models."""
+        require(
+            real.numbers == (float(out.scale),) and out.offset == 0, f"{self.name}: another unit"
+        )
+        return Error()
 
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write the count, and the next one up to the limit."""

@@ -1,7 +1,9 @@
 """Delay by a fixed time, also by a fraction of a sample."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
@@ -9,11 +11,13 @@ import numpy as np
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import INT32_MAX, Array, IntArray, round_shift
 from zerodrift.operations.c_text import StateField, list_ring
-from zerodrift.operations.formats import FormattedNodes, Signal
+from zerodrift.operations.errors import HALF, Error, Known
+from zerodrift.operations.formats import FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
+from zerodrift.operations.signals import Real, Signal
 
 
 def delay_taps(sample_period_s: float, delay_s: float) -> tuple[int, float]:
@@ -93,6 +97,20 @@ class IntegerDelay(IntegerNode):
             Bound(f"{self.name}.steps", Interval(1, self.steps), 16).check(),
         ]
 
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the error of x, of the age that it is read at, and of one rounding.
+
+        The result is a weighted mean of two samples. One that is read at another age, by some
+        share of a step, is off by that share of the signal's span at most.
+        """
+        (x,) = inputs
+        delay_s, period_s = map(Fraction, real.numbers)
+        age = self.steps - Fraction(self.newer_q31, 1 << 31)
+        wrong = abs(age - delay_s / period_s) * (x.high - x.low)
+        rounded = HALF if self.newer_q31 else Fraction(0)
+        unit = abs(out.scale)
+        return x.error + Error(coefficients=wrong * unit, rounding=rounded * unit)
+
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write older + (newer - older) newer_q31, and the line moved on by one."""
         x = w.op("Unsqueeze", values[self.inputs[0]], w.constant([1]))
@@ -126,14 +144,15 @@ def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
     if newer_q31 >= 2**31:  # a share below the resolution
         steps, newer_q31 = whole, 0
     if steps == 0 or not x.node:
-        return x
+        return x.standing_for("delay", (x,), delay_s, nodes.sample_period_s)
     if steps > 32767:
         raise CheckError(
             f"a delay of {delay_s:g} s is {steps} steps of {nodes.sample_period_s:g} s; the"
             " firmware's ring holds 32767. Use a shorter delay or a longer sample period."
         )
     late = IntegerDelay(nodes.new_name("delay"), (x.node,), steps, newer_q31)
-    return Signal(nodes.append(late), x.scale, x.offset)
+    out = Signal(nodes.append(late), x.scale, x.offset)
+    return out.standing_for("delay", (x,), delay_s, nodes.sample_period_s)
 
 
 OPERATION = Operation("delay", delay, lower, ("x",), ("delay_s",), timed=True)

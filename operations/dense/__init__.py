@@ -1,6 +1,8 @@
 """Dense layers: a network's, also one without any state."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import ClassVar
 
@@ -18,9 +20,20 @@ from zerodrift.operations.arithmetic import (
     saturate,
 )
 from zerodrift.operations.c_text import CTable, RuntimePart, make_table
+from zerodrift.operations.errors import (
+    HALF,
+    Error,
+    Known,
+    SumTerm,
+    bound_held,
+    bound_sum,
+    copy_known,
+)
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
-from zerodrift.operations.tables import NODE_MAX, STEP_BITS, TANH, tanh_q30, write_tanh
+from zerodrift.operations.signals import Real
+from zerodrift.operations.table_error import bound_tanh, bound_tanh_slope
+from zerodrift.operations.tables import NODE_MAX, STEP_BITS, TABLE_BITS, TANH, tanh_q30, write_tanh
 
 COPY_BITS = 15
 """Fractional bits that a layer's output has beyond its int16 copy."""
@@ -153,6 +166,43 @@ class IntegerDense(IntegerNode):
             out.append(shifted.saturate(limit.low, limit.high).scale(1 << COPY_BITS))
         return out, bounds
 
+    def _know_copies(self, inputs: Sequence[Known]) -> list[Known]:
+        """Return what is known of the int16 copies."""
+        return [copy_known(x, COPY_BITS) for x in inputs]
+
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the error of the sum, by the largest slope of the activation, and the table's.
+
+        The sum's error is that of its inputs, of rounded weights and bias, and of one rounding. A
+        real layer of "clip" is limited to its own limits, which are rounded here.
+        """
+        i, (low, high, bias, *gains) = real.place[1], real.numbers
+        of_copy = Fraction(1, 1 << TABLE_BITS)
+        if self.activation == "clip":
+            of_copy = out.scale * (1 << COPY_BITS)
+        unit = of_copy / (1 << self.shift[i])
+        below = self.inputs[0]
+        chip = {(below, j): int(w) * unit for j, w in enumerate(self.weights[i])}
+        terms = [
+            SumTerm(Fraction(gain), (below, j), x)
+            for j, (gain, x) in enumerate(zip(gains, self._know_copies(inputs), strict=True))
+        ]
+        constant = (int(self.bias[i]) - (1 << self.shift[i] >> 1)) * unit - Fraction(bias)
+        error = bound_sum(terms, chip, constant, "weights")
+        if self.shift[i]:
+            error += Error(rounding=of_copy * HALF)
+        total = Interval(int(self.bias[i]), int(self.bias[i]))
+        for weight, term in zip(self.weights[i].tolist(), terms, strict=True):
+            total = total + Interval(term.known.low, term.known.high).scale(weight)
+        reached = Known(
+            total.low >> self.shift[i], total.high >> self.shift[i], of_copy, Fraction(0), error
+        )
+        if self.activation == "clip":
+            scale, bits = out.scale * (1 << COPY_BITS), COPY_BITS
+            limited = Known(out.low >> bits, out.high >> bits, scale, Fraction(0))
+            return bound_held((low, high), limited, reached)
+        return error.scale(bound_tanh_slope(reached)) + Error(table=bound_tanh() * out.scale)
+
     def _write_copy(self, w: Writer, values: Names) -> str:
         return w.round_shift(values[self.inputs[0]], COPY_BITS)
 
@@ -197,6 +247,10 @@ class IntegerFeatureDense(IntegerDense):
     def _bound_copies(self, below: list[Interval]) -> list[Interval]:
         """Return the features' ranges."""
         return list(below)
+
+    def _know_copies(self, inputs: Sequence[Known]) -> list[Known]:
+        """Return what is known of the features."""
+        return list(inputs)
 
     def _write_copy(self, w: Writer, values: Names) -> str:
         return values[self.inputs[0]]

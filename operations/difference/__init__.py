@@ -1,16 +1,19 @@
 """Difference of two signals: what a sensor's own memory is made of."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from zerodrift.operations.arithmetic import Array, IntArray
-from zerodrift.operations.formats import EXACT_BITS, FormattedNodes, Signal
+from zerodrift.operations.errors import Error, Known, bound_sum, list_terms
+from zerodrift.operations.formats import EXACT_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
+from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import add
 
 
@@ -35,6 +38,12 @@ class IntegerDifference(IntegerNode):
         out = inputs[0][0] - inputs[1][0]
         return [out], [Bound(self.name, out, 32).check()]
 
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the errors of both; nothing is rounded."""
+        a, b = self.inputs
+        chip = {(a, 0): out.scale, (b, 0): -out.scale}
+        return bound_sum(list_terms(real, inputs), chip, out.offset, "coefficients")
+
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write a - b."""
         return {}, w.sub(values[self.inputs[0]], values[self.inputs[1]])
@@ -47,6 +56,12 @@ class IntegerDifference(IntegerNode):
 def combine(nodes: FormattedNodes, node: Node, a: Signal, b: Signal, sign: float) -> Signal:
     """Return a + sign * b, which needs a node only where both move."""
     offset = a.offset + sign * b.offset
+    return _combine(nodes, node, a, b, sign, offset).standing_for("linear", (a, b), 1.0, sign)
+
+
+def _combine(
+    nodes: FormattedNodes, node: Node, a: Signal, b: Signal, sign: float, offset: float
+) -> Signal:
     if not b.node:
         return replace(a, offset=offset)
     if not a.node:

@@ -1,6 +1,8 @@
 """The answer: the last node of every model."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import ClassVar
 
@@ -8,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.errors import HALF, Error, Known, bound_sum, gather, list_terms
 from zerodrift.operations.intervals import (
     Bound,
     Interval,
@@ -17,6 +20,7 @@ from zerodrift.operations.intervals import (
     check_shift,
 )
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
+from zerodrift.operations.signals import Real
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,20 @@ class IntegerDrift(IntegerNode):
             out.append(shifted.saturate(self.low[k], self.high[k]))
             bounds.append(bound)
         return out, bounds
+
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the errors of signals and head, those of the coefficients, and half a count.
+
+        The real drift is limited where this one is.
+        """
+        k = real.place[1]
+        unit = out.scale / (1 << self.shift[k])
+        chip = gather(self.signals, map(int, self.coefficients[k]), unit)
+        if self.head:
+            chip[self.inputs[-1], k] = int(self.head_coefficients[k]) * unit
+        constant = (int(self.bias[k]) - (1 << self.shift[k] >> 1)) * unit
+        error = bound_sum(list_terms(real, inputs), chip, constant, "coefficients")
+        return error + Error(output=out.scale * HALF if self.shift[k] else Fraction(0))
 
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write the drift, limited."""

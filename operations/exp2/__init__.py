@@ -1,7 +1,9 @@
 """Powers of two: a photo-transistor's dark current doubles every so many kelvin."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
@@ -9,12 +11,16 @@ import numpy as np
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import Array, IntArray, saturate
 from zerodrift.operations.c_text import RuntimePart, format_factor, format_int32, format_int64
-from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes, Signal
+from zerodrift.operations.enclosure import enclose_exp2
+from zerodrift.operations.errors import HALF, Error, Known, SumTerm, bound_sum, require
+from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
+from zerodrift.operations.octave import bound_exp2_octave
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.polynomial import bound_polynomial, evaluate_polynomial, write_polynomial
+from zerodrift.operations.signals import Real, Signal
 
 EXPONENT_LIMIT = 60.0
 """|x| beyond this is limited: 2**60 of anything is no longer a measurement."""
@@ -112,6 +118,29 @@ class IntegerExp2(IntegerNode):
             Bound(self.name, out, 32).check(),
         ]
 
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return what an exponent that is off by d makes of the largest result, and the octave's.
+
+        Both exponents are limited to low .. high, so that 2**e is off by 2**top (2**d - 1) at most.
+        """
+        unit = Fraction(1, 1 << (self.shift + EXPONENT_BITS))
+        chip = {(self.inputs[0], 0): self.coefficient * unit}
+        constant = (self.bias - (1 << self.shift >> 1)) * unit
+        terms = [SumTerm(Fraction(1), (self.inputs[0], 0), inputs[0])]
+        exponent = bound_sum(terms, chip, constant, "coefficients")
+        if self.shift:
+            exponent += Error(rounding=HALF / (1 << EXPONENT_BITS))
+        highest = Fraction(self.high, 1 << EXPONENT_BITS)
+        largest = enclose_exp2(highest).high
+        # 2**d - 1 <= d (2**d - 1) / d, the slope of a chord: causes keep their shares
+        require(exponent.total <= 1, f"{self.name}: its exponent is off by more than 1")
+        moved = enclose_exp2(exponent.total).high - 1
+        slope = moved / exponent.total if exponent.total else Fraction(0)
+        far = self.top + MANTISSA_SHIFT - (self.low >> EXPONENT_BITS) > 31
+        rounded = out.scale * (1 if far else HALF)  # smaller ones may become a whole count
+        table = bound_exp2_octave(OCTAVE_Q29, 29) * out.scale / (1 << MANTISSA_SHIFT)
+        return exponent.scale(largest * slope) + Error(rounding=rounded, table=table)
+
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write round_shift(octave(t mod 2**24), min(top + 2 - (t >> 24), 31))."""
         total = w.add(
@@ -146,7 +175,8 @@ class IntegerExp2(IntegerNode):
 def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
     """Return 2**x, limited to its range."""
     if not x.node:
-        return Signal("", 0.0, 2.0 ** min(max(x.offset, -EXPONENT_LIMIT), EXPONENT_LIMIT))
+        value = 2.0 ** min(max(x.offset, -EXPONENT_LIMIT), EXPONENT_LIMIT)
+        return Signal("", 0.0, value).standing_for("exp2", (x,))
     one = 2.0**EXPONENT_BITS
     name = nodes.new_name("exp2")
     coefficients, bias, shift = nodes.format_row(
@@ -160,7 +190,8 @@ def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
     low_q24 = min(round(-EXPONENT_LIMIT * one), high_q24)
     octave = high_q24 >> EXPONENT_BITS
     power = IntegerExp2(name, (x.node,), coefficients[0], bias, shift, low_q24, high_q24, octave)
-    return Signal(nodes.append(power), 2.0 ** (octave - SIGNAL_BITS))
+    out = Signal(nodes.append(power), 2.0 ** (octave - SIGNAL_BITS))
+    return out.standing_for("exp2", (x,))
 
 
 OPERATION = Operation("exp2", exp2, lower, ("x",))

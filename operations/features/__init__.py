@@ -1,6 +1,8 @@
 """The front end's whitening: what a network reads."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import ClassVar
 
@@ -9,8 +11,10 @@ from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray, saturate
 from zerodrift.operations.c_text import CTable, make_table
+from zerodrift.operations.errors import HALF, Error, Known, bound_sum, gather, list_terms
 from zerodrift.operations.intervals import Bound, Interval, Shift, bound_row, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
+from zerodrift.operations.signals import Real
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,18 @@ class IntegerFeatures(IntegerNode):
             out.append(shifted.saturate(INT16_MIN, INT16_MAX))
             bounds.append(bound)
         return out, bounds
+
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the signals' errors, those of the rounded matrix, and half a count.
+
+        The real feature is limited to the same values.
+        """
+        i = real.place[1]
+        unit = out.scale / (1 << self.shift[i])
+        chip = gather(self.inputs, map(int, self.matrix[i]), unit)
+        constant = (int(self.bias[i]) - (1 << self.shift[i] >> 1)) * unit + out.offset
+        error = bound_sum(list_terms(real, inputs), chip, constant, "coefficients")
+        return error + Error(rounding=out.scale * HALF if self.shift[i] else Fraction(0))
 
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write saturate((bias + matrix . signals) >> shift) to int16."""

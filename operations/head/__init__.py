@@ -1,5 +1,6 @@
 """A network's linear output layer."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -9,8 +10,12 @@ from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import IntArray, matmul_exact, round_shift
 from zerodrift.operations.c_text import CTable, make_table
+from zerodrift.operations.errors import Error, Known, bound_sum, copy_known, list_terms
 from zerodrift.operations.intervals import Bound, Interval, bound_row
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
+from zerodrift.operations.signals import Real
+
+COPY_SHIFT = 15
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,14 @@ class IntegerHead(IntegerNode):
             for k in range(self.width)
         ]
         return [total for total, _ in rows], [bound for _, bound in rows]
+
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the errors of the layer below and of its copies in Q0.15, and the weights'."""
+        k = real.place[1]
+        copies = [copy_known(x, COPY_SHIFT) for x in inputs]
+        below = self.inputs[0]
+        chip = {(below, j): int(w) * out.scale for j, w in enumerate(self.weights[k])}
+        return bound_sum(list_terms(real, copies), chip, out.offset, "weights")
 
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write weights . round_shift(h_q30, 15)."""

@@ -1,13 +1,17 @@
 """A raw code becomes a signal."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
 
 from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.errors import Error, Known, SumTerm, bound_sum
 from zerodrift.operations.intervals import Bound, Interval, check_limits, check_shift
 from zerodrift.operations.node import CODES, ChannelNode, Names, OnnxStep, State, Values, Writer
+from zerodrift.operations.signals import Real
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,14 @@ class IntegerInput(ChannelNode):
             Bound(f"{self.name}.code", code, 32).check(),
             Bound(self.name, out, 32).check(),
         ]
+
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return what the offset was rounded by: both models are given the same codes."""
+        lsb, offset, taken_off = map(Fraction, real.numbers)
+        chip = {(self.name, 0): out.scale}
+        code = Known(out.low, out.high, lsb / (1 << self.shift), self.origin * lsb + offset)
+        terms = [SumTerm(Fraction(1), (self.name, 0), code)]
+        return bound_sum(terms, chip, out.offset + taken_off, "coefficients")
 
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write (saturate(code, low, high) - origin) << shift."""

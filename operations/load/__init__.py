@@ -1,11 +1,14 @@
 """The load as the chip knows it: the raw output less the drift found one step before."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
 
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray, saturate
+from zerodrift.operations.errors import Error, Known, require
 from zerodrift.operations.intervals import Bound, Interval, check_limits, check_shift
 from zerodrift.operations.node import (
     CODES,
@@ -17,6 +20,7 @@ from zerodrift.operations.node import (
     Values,
     Writer,
 )
+from zerodrift.operations.signals import Real
 
 START_PASSES = 4
 """Times that the state of rest is computed with the drift that the time before gave.
@@ -52,6 +56,18 @@ class IntegerLoad(ChannelNode):
             Bound(f"{self.name}.limits", check_limits(self.name, self.low, self.high), 32).check(),
             Bound(self.name, out, 32).check(),
         ]
+
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the error of the drift one step before, which both models take off the same code.
+
+        The real load is limited where this one is.
+        """
+        (lsb,) = map(Fraction, real.numbers)
+        (drift,) = inputs  # in counts of the code
+        require(
+            out.scale * (1 << self.shift) == lsb and out.offset == 0, f"{self.name}: other counts"
+        )
+        return drift.error.scale(lsb)
 
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write saturate(code - drift of the step before, low, high) << shift."""

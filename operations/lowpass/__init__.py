@@ -1,7 +1,9 @@
 """First-order low-pass: what a thermal mass, a creeping polymer or a drying body does."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
@@ -10,11 +12,14 @@ from scipy.signal import lfilter
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import INT32_MAX, Array, IntArray, round_shift
 from zerodrift.operations.c_text import StateField
-from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes, Signal
+from zerodrift.operations.enclosure import Range, enclose_exp, furthest, shorten
+from zerodrift.operations.errors import HALF, Error, Known
+from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
+from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import fit
 
 LOWPASS_FRACTION = 24
@@ -139,6 +144,37 @@ class IntegerLowpass(IntegerNode):
             Bound(self.name, out, 32).check(),
         ]
 
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the error of x, of both coefficients, and of every step's rounding over all time.
+
+        In counts of x, with A and C the real coefficients, a = m_q31 2**-(shift + 22), c = c_q24
+        2**-24, and x = middle + s, |s| <= S for the real x (half its span, and its error):
+
+            v' = v + a (x - y) + rounding     |rounding| <= a / 8 + 2**-25, from the gap's and v's
+            V' = V + A (X - Y)                Y = V + C X, a mean of past X
+
+        d = v - V - (C - c) middle obeys, with V = (1 - C) (middle + w), |w| <= S,
+
+            d' = (1 - a) d + a (1 - c) (x - X) + (a - A) (1 - C) (s - w) + a (C - c) s + rounding
+
+        so |d| <= (1 - c) error + 2 |1 - A / a| (1 - C) S + |C - c| S + 1/8 + 2**-25 / a, as it is
+        at rest too. y - Y = d + c (x - X) + (c - C) s, and y is rounded once. x - X passes with a
+        gain of 1 - c and of c: of 1.
+        """
+        (x,) = inputs
+        tau_s, period_s = map(Fraction, real.numbers)
+        a = Fraction(self.m_q31, 1 << (self.shift + 22))
+        c = Fraction(self.c_q24, 1 << LOWPASS_FRACTION)
+        kept = enclose_exp(-period_s / tau_s)
+        steps = tau_s / period_s
+        ratio = max(abs(1 - (1 - end) / a) for end in kept)
+        straight = Range(1 - steps * (1 - kept.low), 1 - steps * (1 - kept.high))
+        share = furthest(c, straight)
+        span = Fraction(x.high - x.low, 2) + x.error.total / abs(x.scale)
+        memory = 2 * ratio * (1 - straight.low) * span + 2 * share * span
+        counts = memory + Fraction(1, 8) + Fraction(1, 1 << 25) / a + HALF
+        return x.error + Error(lowpass=shorten(counts * abs(out.scale)))
+
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write y = v + c x and v' = v + a (x - y)."""
         x = values[self.inputs[0]]
@@ -187,7 +223,8 @@ def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
         m_q31=min(round(share * 2.0 ** (31 + exponent)), 2**31 - 1),
         shift=31 + exponent - 22,
     )
-    return Signal(nodes.append(late), x.scale, x.offset)
+    out = Signal(nodes.append(late), x.scale, x.offset)
+    return out.standing_for("lowpass", (x,), tau_s, nodes.sample_period_s)
 
 
 OPERATION = Operation("lowpass", lowpass, lower, ("x",), ("tau_s",), timed=True)

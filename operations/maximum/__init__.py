@@ -1,6 +1,7 @@
 """The larger of two signals: a rectified rate, the hotter of two bodies."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -8,11 +9,13 @@ import numpy as np
 
 from zerodrift.operations.arithmetic import Array, IntArray
 from zerodrift.operations.clip import limit
-from zerodrift.operations.formats import FormattedNodes, Signal
+from zerodrift.operations.errors import Error, Known, larger
+from zerodrift.operations.formats import FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
+from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import align
 
 
@@ -42,6 +45,10 @@ class IntegerMaximum(IntegerNode):
         """Write the larger one."""
         return {}, w.maximum(*(values[name] for name in self.inputs))
 
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the larger error: no two numbers' maximum moves by more than one of them."""
+        return larger([x.error for x in inputs])
+
     def express(self) -> str:
         """Return the larger one in C."""
         a, b = self.inputs
@@ -51,13 +58,17 @@ class IntegerMaximum(IntegerNode):
 def lower(nodes: FormattedNodes, node: Node, a: Signal, b: Signal) -> Signal:
     """Return the larger of a and b; one that is constant is a limit of the other."""
     a, b = align(nodes, node, (a, b))
+    return _lower(nodes, a, b).standing_for("maximum", (a, b))
+
+
+def _lower(nodes: FormattedNodes, a: Signal, b: Signal) -> Signal:
     if a == b:
         return a
     if not (a.node and b.node):
         moving, constant = (a, b) if a.node else (b, a)
         return limit(nodes, moving, constant.offset, math.inf)
-    larger = IntegerMaximum(nodes.new_name("maximum"), (a.node, b.node))
-    return replace(a, node=nodes.append(larger))
+    node = IntegerMaximum(nodes.new_name("maximum"), (a.node, b.node))
+    return replace(a, node=nodes.append(node))
 
 
 OPERATION = Operation("maximum", maximum, lower, ("a", "b"))

@@ -1,7 +1,9 @@
 """Play (backlash): the rate-independent memory that hysteresis is made of."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
@@ -9,11 +11,13 @@ import numpy as np
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import Array, IntArray, saturate
 from zerodrift.operations.c_text import StateField
-from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes, Signal
+from zerodrift.operations.errors import Error, Known
+from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
+from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import fit
 
 
@@ -100,6 +104,21 @@ class IntegerPlay(IntegerNode):
             Bound(f"{self.name}.y", x, 32).check(),
         ]
 
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the error of x and of the slack: y is limited by x -+ r, and holds no error long.
+
+        y is the old y limited to x - r .. x + r. Two limits at most d apart leave two y at most d
+        apart, if they were before, as they are at rest. A slack wider than all that x can do never
+        moves y; the real x goes beyond its integers' range by its error on either side, and moves
+        its y by twice that at most.
+        """
+        (x,) = inputs
+        (half_width,) = map(Fraction, real.numbers)
+        wanted = min(half_width / abs(x.scale), Fraction(x.high - x.low))
+        gap = abs(self.half_width - wanted) * abs(out.scale)
+        wide = half_width >= (x.high - x.low) * abs(x.scale)
+        return x.error.scale(Fraction(3 if wide else 1)) + Error(coefficients=gap)
+
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write saturate(y, x - half_width, x + half_width)."""
         x, r = values[self.inputs[0]], w.constant(self.half_width)
@@ -130,7 +149,8 @@ def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
     span = interval.high - interval.low
     # A slack wider than everything that x can do is no other than one of that width.
     slack = IntegerPlay(nodes.new_name("play"), (x.node,), min(width, span))
-    return Signal(nodes.append(slack), x.scale, x.offset)
+    out = Signal(nodes.append(slack), x.scale, x.offset)
+    return out.standing_for("play", (x,), half_width)
 
 
 OPERATION = Operation("play", play, lower, ("x",), ("half_width",))

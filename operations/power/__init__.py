@@ -1,7 +1,9 @@
 """Powers: x**2, x**3 of polynomials, t**p of ageing."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
@@ -10,10 +12,13 @@ from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import Array, IntArray, saturate
 from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.clip import limit
-from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
+from zerodrift.operations.enclosure import Range, enclose_power, furthest, shorten
+from zerodrift.operations.errors import HALF, Error, Known, require
+from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
+from zerodrift.operations.octave import bound_power_octave
 from zerodrift.operations.offset import remove_offset
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.polynomial import (
@@ -23,6 +28,7 @@ from zerodrift.operations.polynomial import (
     write_polynomial,
 )
 from zerodrift.operations.product import multiply
+from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import fit, negate
 
 LARGEST_WHOLE_POWER = 16
@@ -100,6 +106,53 @@ class IntegerPower(IntegerNode):
             Bound(self.name, out, 32).check(),
         ]
 
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return x's error as the power passes it on, the octave's, the gains', and half a count.
+
+        With x = scale 2**n (1 + f), the wanted gain is scale**p 2**(n p) in the result's format.
+        """
+        (x,) = inputs
+        exponent = Fraction(real.numbers[0])
+        require(x.offset == 0 and x.scale > 0, f"{self.name}: x's zero is not 0")
+        bits = self.low.bit_length() - 1
+        largest = max(x.high, 1).bit_length()
+        octave = bound_power_octave(self.octave, exponent, bits)
+        top = enclose_power(Fraction(2), exponent).high * (1 << bits)
+        octave += max(top - self.high, Fraction(0)) + abs(self.low - (1 << bits))
+        unit = out.scale / (1 << self.shift)
+        of_scale = enclose_power(x.scale, exponent)
+        gaps, table = [], Fraction(0)
+        for n, gain in enumerate(self.gains[:largest]):
+            of_octave = enclose_power(Fraction(1 << n), exponent)
+            wanted = Range(of_scale.low * of_octave.low, of_scale.high * of_octave.high)
+            gaps.append(furthest(gain * unit * (1 << bits), wanted) * top / (1 << bits))
+            table = max(table, octave * gain * unit)
+        passed = self._pass_on(x, exponent)
+        rounded = out.scale * HALF if self.shift else Fraction(0)
+        return passed + Error(
+            coefficients=shorten(max(gaps)), table=shorten(table), rounding=rounded
+        )
+
+    @staticmethod
+    def _pass_on(x: Known, exponent: Fraction) -> Error:
+        """Return what x's error becomes: by the largest slope, or near 0 by what e itself becomes.
+
+        Below 1 the power is concave: numbers e apart have powers at most e**p apart.
+        """
+        e = x.error.total
+        if e == 0:
+            return x.error
+        lowest, highest = max(x.ends[0] - e, Fraction(0)), max(x.ends[1] + e, Fraction(0))
+        steepest = lowest if exponent < 1 else highest
+        slopes = []
+        if steepest > 0:
+            slopes.append(exponent * enclose_power(steepest, exponent - 1).high)
+        elif exponent > 1:
+            return x.error.scale(Fraction(0))
+        if exponent < 1:
+            slopes.append(enclose_power(e, exponent).high / e)
+        return x.error.scale(min(slopes))
+
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write round_shift(saturate(octave(f), low, high) gains[n], shift), x = 2**n (1 + f)."""
         x = values[self.inputs[0]]
@@ -142,10 +195,15 @@ def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
             f" {LARGEST_WHOLE_POWER} have. Write the effect with another exponent."
         )
     if not x.node:
-        return Signal("", 0.0, float(power(np.array(x.offset), exponent)))
+        return _raise_constant(x, exponent)
     if abs(exponent - whole) < 1e-12:
         return _raise_whole(nodes, node, x, whole)
     return _raise_fraction(nodes, node, x, exponent)
+
+
+def _raise_constant(x: Signal, exponent: float) -> Signal:
+    value = float(power(np.array(x.offset), exponent))
+    return Signal("", 0.0, value).standing_for("power", (x,), exponent)
 
 
 def _raise_whole(nodes: FormattedNodes, node: Node, x: Signal, whole: int) -> Signal:
@@ -170,7 +228,7 @@ def _raise_fraction(nodes: FormattedNodes, node: Node, x: Signal, exponent: floa
     top = nodes.find_limits(node, 0.0)[1] ** (1.0 / exponent)
     x = limit(nodes, x, -math.inf, top)
     if not x.node:
-        return Signal("", 0.0, float(power(np.array(x.offset), exponent)))
+        return _raise_constant(x, exponent)
     largest = max(nodes.intervals[x.node][0].high, 1)
     octaves = largest.bit_length() - 1
     bits = 29 - math.ceil(exponent)
@@ -188,7 +246,7 @@ def _raise_fraction(nodes: FormattedNodes, node: Node, x: Signal, exponent: floa
         shift=shift,
     )
     scale = float(x.scale**exponent * 2.0 ** (shift - bits - gain_bits))
-    return Signal(nodes.append(raised), scale)
+    return Signal(nodes.append(raised), scale).standing_for("power", (x,), exponent)
 
 
 OPERATION = Operation("power", power, lower, ("x",), ("exponent",))

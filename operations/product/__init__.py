@@ -1,6 +1,8 @@
 """Product of two signals: span shift is temperature times load."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
@@ -15,12 +17,15 @@ from zerodrift.operations.arithmetic import (
     saturate,
 )
 from zerodrift.operations.c_text import format_int32
-from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes, Signal
+from zerodrift.operations.enclosure import shorten
+from zerodrift.operations.errors import HALF, Error, Known, require
+from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_limits, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.offset import remove_offset
 from zerodrift.operations.operation import Operation
+from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import fit
 
 
@@ -62,6 +67,19 @@ class IntegerProduct(IntegerNode):
             Bound(self.name, out, 32).check(),
         ]
 
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return A eb + B ea + ea eb, what the result's scale was rounded by, and half a count.
+
+        Both factors have an offset of 0. The real product is limited where this one is.
+        """
+        a, b = inputs
+        require(a.offset == b.offset == 0, f"{self.name}: a factor's zero is not 0")
+        error = a.error.scale(b.magnitude) + b.error.scale(a.magnitude + a.error.total)
+        gap = abs(out.scale / (a.scale * b.scale * (1 << self.shift)) - 1)
+        wrong = shorten(gap * a.magnitude * b.magnitude + abs(out.offset))
+        rounded = abs(out.scale) * HALF if self.shift else Fraction(0)
+        return error + Error(coefficients=wrong, rounding=rounded)
+
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write saturate(round_shift(a * b, shift), low, high)."""
         a, b = (values[name] for name in self.inputs)
@@ -90,11 +108,12 @@ def multiply(nodes: FormattedNodes, a: Signal, b: Signal, node: Node | None = No
     if not a.node or not b.node:
         moving, factor = (b, a.offset) if not a.node else (a, b.offset)
         if factor == 0.0 or not moving.node:
-            return Signal("", 0.0, moving.offset * factor)
-        return replace(moving, scale=moving.scale * factor, offset=moving.offset * factor)
-    same = a == b
+            scaled = Signal("", 0.0, moving.offset * factor)
+        else:
+            scaled = replace(moving, scale=moving.scale * factor, offset=moving.offset * factor)
+        return scaled.standing_for("product", (a, b))
     a = fit(nodes, remove_offset(nodes, a), EXACT_BITS)
-    b = a if same else fit(nodes, remove_offset(nodes, b), EXACT_BITS)
+    b = fit(nodes, remove_offset(nodes, b), EXACT_BITS)  # that of a, if they are the same
     out = nodes.intervals[a.node][0] * nodes.intervals[b.node][0]
     scale = a.scale * b.scale
     ends = sorted(end / scale for end in nodes.find_limits(node, 0.0))
@@ -104,7 +123,8 @@ def multiply(nodes: FormattedNodes, a: Signal, b: Signal, node: Node | None = No
     if (low, high) != (out.low, out.high):
         limits = {"low": round(low / 2.0**shift), "high": round(high / 2.0**shift)}
     product = IntegerProduct(nodes.new_name("product"), (a.node, b.node), shift, **limits)
-    return Signal(nodes.append(product), scale * 2.0**shift)
+    result = Signal(nodes.append(product), scale * 2.0**shift)
+    return result.standing_for("product", (a, b))
 
 
 def lower(nodes: FormattedNodes, node: Node, a: Signal, b: Signal) -> Signal:

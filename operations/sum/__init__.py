@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import ClassVar
 
@@ -16,13 +17,8 @@ from zerodrift.operations.arithmetic import (
 )
 from zerodrift.operations.c_text import format_factor, format_int32, format_int64
 from zerodrift.operations.clip import limit
-from zerodrift.operations.formats import (
-    EXACT_BITS,
-    MOST_EXTRA_BITS,
-    SIGNAL_BITS,
-    FormattedNodes,
-    Signal,
-)
+from zerodrift.operations.errors import HALF, Error, Known, bound_sum, gather, list_terms
+from zerodrift.operations.formats import EXACT_BITS, MOST_EXTRA_BITS, SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import (
     Bound,
@@ -33,6 +29,7 @@ from zerodrift.operations.intervals import (
     check_shift,
 )
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
+from zerodrift.operations.signals import Real, Signal
 
 
 @dataclass(frozen=True)
@@ -77,6 +74,18 @@ class IntegerSum(IntegerNode):
         out = out.saturate(self.low, self.high)
         return [out], [bound, Bound(self.name, out, 32).check()]
 
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Return the inputs' errors, those of the rounded coefficients, and half a count.
+
+        The real sum is limited where this one is, which brings two numbers no further apart.
+        """
+        unit = out.scale / (1 << self.shift)
+        chip = gather(self.inputs, self.coefficients, unit)
+        constant = (self.bias - (1 << self.shift >> 1)) * unit + out.offset
+        error = bound_sum(list_terms(real, inputs), chip, constant, "coefficients")
+        rounded = abs(out.scale) * HALF if self.shift else Fraction(0)
+        return error + Error(rounding=rounded)
+
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write saturate((bias + coefficients . x) >> shift, low, high)."""
         total = w.constant(self.bias)
@@ -111,7 +120,8 @@ def fit(nodes: FormattedNodes, x: Signal, bits: int) -> Signal:
     if surplus <= 0:
         return x
     node = IntegerSum(nodes.new_name("sum"), (x.node,), (1,), 1 << surplus >> 1, surplus)
-    return Signal(nodes.append(node), x.scale * 2.0**surplus, x.offset)
+    out = Signal(nodes.append(node), x.scale * 2.0**surplus, x.offset)
+    return out.standing_for("same", (x,))
 
 
 def add(
@@ -142,7 +152,9 @@ def add(
     node = IntegerSum(
         name, tuple(t.node for t in terms), tuple(coefficients), bias, shift, **limits
     )
-    return Signal(nodes.append(node), scale, offset)
+    return Signal(
+        nodes.append(node), scale, offset
+    )  # whoever asks for it knows of what it is a sum
 
 
 def align(nodes: FormattedNodes, node: Node, signals: Sequence[Signal]) -> list[Signal]:
@@ -168,13 +180,13 @@ def rescale(nodes: FormattedNodes, x: Signal, scale: float, offset: float) -> Si
     row = np.array([x.scale / scale])
     coefficients, bias, shift = nodes.format_row([x], row, (x.offset - offset) / scale, name)
     node = IntegerSum(name, (x.node,), tuple(coefficients), bias, shift)
-    return Signal(nodes.append(node), scale, offset)
+    return Signal(nodes.append(node), scale, offset).standing_for("same", (x,))
 
 
 def negate(nodes: FormattedNodes, x: Signal) -> Signal:
     """Return the same physical signal with a scale of the other sign."""
     node = IntegerSum(nodes.new_name("sum"), (x.node,), (-1,), 0, 0)
-    return Signal(nodes.append(node), -x.scale, x.offset)
+    return Signal(nodes.append(node), -x.scale, x.offset).standing_for("same", (x,))
 
 
 NODES = (IntegerSum,)

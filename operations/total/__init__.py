@@ -4,9 +4,10 @@ import numpy as np
 
 from zerodrift.operations.arithmetic import Array
 from zerodrift.operations.difference import combine
-from zerodrift.operations.formats import FormattedNodes, Signal
+from zerodrift.operations.formats import FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.operation import Operation
+from zerodrift.operations.signals import Signal
 
 
 def total(a: Array, b: Array) -> Array:

@@ -11,7 +11,7 @@ def test_an_integer_node_has_all_of_its_meanings(kind: str) -> None:
     node = NODE_CLASSES[kind]
     assert node.kind == kind
     assert node.__module__.split(".")[2] == FOLDERS[kind]
-    for face in ("step", "prove", "write_step"):
+    for face in ("step", "prove", "write_step", "bound_error"):
         assert getattr(node, face) is not getattr(IntegerNode, face), face
     stateful = node.rest is not IntegerNode.rest
     for face in ("write_rest", "list_state"):

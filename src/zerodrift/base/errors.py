@@ -16,6 +16,10 @@ class InputError(ZerodriftError):
     exit_code = 2
 
 
+class NoRuleError(ZerodriftError):
+    """Nothing is proven of the errors of a model with this; the text says why."""
+
+
 class CheckError(ZerodriftError):
     """A check ran and failed: bits differ, a certificate was refused."""
 

@@ -30,10 +30,11 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     from zerodrift.base.journal import write_all
     from zerodrift.codegen.generate import generate
     from zerodrift.export.compose import (
-        compose_integer_model,
+        compose_quantized,
         describe_compensator,
         encode_inputs,
     )
+    from zerodrift.export.error_bound import bound_errors
     from zerodrift.export.fine_tune import load_or_tune
     from zerodrift.export.golden import compute_golden
     from zerodrift.export.integer_onnx import build_integer_onnx
@@ -48,15 +49,17 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     with console.status("quantizing"):
         described = describe_compensator(compensator, config, dataset.train)
         tuned = load_or_tune(described, config, dataset.train)
-        model = compose_integer_model(tuned, config, dataset)
+        quantized = compose_quantized(tuned, config, dataset)
+        model = quantized.model
         run = (dataset.test or dataset.train)[0]
         golden = compute_golden(model, draw_golden(model, encode_inputs(model, run)))
     build = config.build_directory
+    certificate = certify(model, generate(model), bound_errors(quantized))
     contents = {
         build / "model.json": model.to_text().encode(),
         build / "integer.onnx": build_integer_onnx(model),
         build / "golden.npz": golden.to_bytes(),
-        build / "certificate.json": certify(model, generate(model)).encode(),
+        build / "certificate.json": certificate.encode(),
     }
     write_all(config.directory, contents)
     files = ["build/network.onnx"] if compensator.network is not None else []

@@ -1,6 +1,6 @@
 """`zerodrift firmware`: logs in, host-checked C out."""
 
-from dataclasses import replace
+from dataclasses import astuple, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,8 +26,10 @@ from zerodrift.verify.summary import (
     REFUSED,
     BudgetSummary,
     Claims,
+    ErrorCauses,
     FirmwareSummary,
     NodeShare,
+    ProvenError,
     Refusal,
     StackSummary,
     StageErrors,
@@ -47,6 +49,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rich.console import Console
 
+    from zerodrift.export.error_bound import ErrorBound
+    from zerodrift.export.integer_model import IntegerModel
     from zerodrift.verify.errors_told import OutputError
     from zerodrift.verify.firmware import Firmware
 
@@ -194,7 +198,25 @@ def summarise(firmware: "Firmware", directory: Path) -> FirmwareSummary:
         forced=bool(firmware.forced),
         written=bool(firmware.files),
         files=tuple(show_path(path, directory) for path in firmware.files),
+        error_bound=summarise_bound(firmware.bound, firmware.model),
     )
+
+
+def summarise_bound(bound: "ErrorBound", model: "IntegerModel") -> dict[str, ProvenError]:
+    """Return what is proven of every output."""
+    from zerodrift.export.error_bound import round_up
+
+    if not bound.outputs:
+        return {o.name: ProvenError(value=None, unit=o.unit, why=bound.why) for o in model.outputs}
+    return {
+        output.name: ProvenError(
+            value=round_up(error.total),
+            unit=output.unit,
+            holds=bound.holds,
+            causes=ErrorCauses(*map(round_up, error.parts())),
+        )
+        for output, error in zip(model.outputs, bound.outputs, strict=True)
+    }
 
 
 def _is_learnt(firmware: "Firmware") -> bool:
@@ -342,9 +364,33 @@ def _print(firmware: "Firmware", told: FirmwareSummary, directory: Path) -> None
         f"no overflow for any input: {firmware.certificate.holds} claims of certificate.json, each"
         " derived again from the C"
     )
+    _print_bound(told, firmware, console)
     for folder in sorted({path.parent for path in firmware.files}):
         names = ", ".join(path.name for path in firmware.files if path.parent == folder)
         console.print(f"wrote {show_path(folder, directory)}/: {names}")
+
+
+def _print_bound(told: FirmwareSummary, firmware: "Firmware", console: "Console") -> None:
+    """Print how far the chip can ever be from the float model."""
+    found = told.error_bound or {}
+    proven = {name: bound for name, bound in found.items() if bound.value is not None}
+    if not proven:
+        why = next((bound.why for bound in found.values()), "")
+        console.print(f"no bound is proven on the chip's distance from the float model: {why}")
+        return
+    table = open_table(
+        "Proven: the chip is never further from the float model than this, by cause",
+        ("output", "unit"),
+        ("bound", "% FS", *(cause.name for cause in fields(ErrorCauses))),
+    )
+    scales = {output.name: output.full_scale for output in firmware.model.outputs}
+    for name, bound in proven.items():
+        assert bound.value is not None and bound.causes is not None
+        shares = (f"{share:.2g}" for share in astuple(bound.causes))
+        percent = 100.0 * bound.value / scales[name]
+        table.add_row(name, bound.unit, f"{bound.value:.3g}", f"{percent:.2g}", *shares)
+    console.print(table)
+    console.print(f"It holds for: {firmware.bound.holds}.")
 
 
 def _print_budget(firmware: "Firmware", console: "Console") -> None:

@@ -1,0 +1,145 @@
+"""How far the chip's answer can ever be from the float model in real arithmetic, output by output.
+
+The float model is the graph with the parameters as they were before rounding, limited where the
+chip is; both are given the same codes and were at rest under the same ones. The bound goes through
+what the answers stand for (`Real`) and asks each integer node for its error (`bound_error`).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+from zerodrift.base.errors import NoRuleError
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.quantize import Quantized
+from zerodrift.operations.enclosure import shorten
+from zerodrift.operations.errors import NONE, Error, Known, bound_in_place
+from zerodrift.operations.intervals import Interval
+from zerodrift.operations.load import IntegerLoad
+from zerodrift.operations.signals import Real, Signal
+
+HOLDS = "same start, any input, any run length; the float model is limited where the chip is"
+ROUNDS = 60
+"""Of the loop in which a load's error is that of the drift before; it closes, or no bound holds."""
+SPARE = Fraction(1, 1 << 20)
+"""By which an error of the loop is taken larger than found, so that it closes at all."""
+
+
+@dataclass(frozen=True)
+class ErrorBound:
+    """What is proven of the answers, or why nothing is."""
+
+    outputs: tuple[Error, ...]
+    """Per output in its unit; empty where nothing is proven."""
+    why: str = ""
+    """Why nothing is proven."""
+    answers: tuple[Signal, ...] = ()
+    """What the bound is about: the drifts' signals, and by `meaning` all that they stand for."""
+    holds: str = HOLDS
+    """Under what."""
+
+
+def bound_errors(quantized: Quantized) -> ErrorBound:
+    """Return the largest distance of the chip's drift from the float model's, for any codes.
+
+    Where effects read the load, its error is that of the drift of the step before. An error that
+    the rules give back no larger, put in its place, holds by induction over the steps.
+    """
+    known = _prove_intervals(quantized.model)
+    last = quantized.model.drift
+    spans = [
+        Fraction(high - low, output.lsb_per_unit)
+        for low, high, output in zip(last.low, last.high, quantized.model.outputs, strict=True)
+    ]
+    try:
+        drift = [NONE] * len(quantized.model.outputs)
+        for _ in range(ROUNDS):
+            found = _Pass(quantized.model, known, drift).bound(quantized.answers)
+            if all(a.covers(b) for a, b in zip(drift, found, strict=True)):
+                return ErrorBound(tuple(found), answers=quantized.answers)
+            if not quantized.model.feeds_back:
+                return ErrorBound(tuple(found), answers=quantized.answers)
+            if any(error.total > span for error, span in zip(found, spans, strict=True)):
+                break
+            drift = [error.scale(1 + SPARE) for error in found]
+    except NoRuleError as error:
+        return ErrorBound((), str(error))
+    return ErrorBound((), "effects of the load give an error of the drift back enlarged")
+
+
+def round_up(x: Fraction) -> float:
+    """Return the float at or just above x."""
+    near = float(x)
+    return near if Fraction(near) >= x else math.nextafter(near, math.inf)
+
+
+def _prove_intervals(model: IntegerModel) -> dict[str, list[Interval]]:
+    known: dict[str, list[Interval]] = {}
+    for node in model.nodes:
+        known[node.name], _ = node.prove([known[name] for name in node.inputs])
+    return known
+
+
+class _Pass:
+    """One way through what the answers stand for."""
+
+    def __init__(
+        self,
+        model: IntegerModel,
+        intervals: Mapping[str, Sequence[Interval]],
+        drift: Sequence[Error],
+    ) -> None:
+        self._nodes = {node.name: node for node in model.nodes}
+        self._model, self._intervals, self._drift = model, intervals, drift
+        self._errors: dict[int, Error] = {}
+
+    def bound(self, answers: Sequence[Signal]) -> list[Error]:
+        """Return the errors of the answers, each in its unit."""
+        return [self._bound(answer) for answer in answers]
+
+    def _know(self, signal: Signal) -> Known:
+        """Return a signal's range and meaning, without its error."""
+        if not signal.node:
+            return Known(0, 0, Fraction(0), Fraction(signal.offset))
+        scale = Fraction(signal.scale)
+        if signal.node == self._model.drift.name:
+            scale = Fraction(1, self._model.outputs[signal.index].lsb_per_unit)
+        interval = self._intervals[signal.node][signal.index]
+        return Known(interval.low, interval.high, scale, Fraction(signal.offset))
+
+    def _bound(self, signal: Signal) -> Error:
+        real = signal.meaning
+        if real is None:
+            raise NoRuleError(f"nothing is said of what '{signal.node}' stands for")
+        if id(real) not in self._errors:
+            self._errors[id(real)] = self._apply_rule(signal, real)
+        return self._errors[id(real)]
+
+    def _apply_rule(self, signal: Signal, real: Real) -> Error:
+        out = self._know(signal)
+        if real.operation == "constant":
+            return Error(coefficients=shorten(abs(out.offset - Fraction(real.numbers[0]))))
+        inputs = [self._know_with_error(x) for x in real.inputs]
+        moving = [x for x in real.inputs if x.node]
+        own = (signal.node, signal.index)
+        if (real.inputs and all((x.node, x.index) == own for x in moving)) or not signal.node:
+            return bound_in_place(signal, real, out, inputs)
+        if real.operation == "load":
+            inputs = [self._know_drift(signal)]
+        return self._nodes[signal.node].bound_error(real, out, inputs)
+
+    def _know_with_error(self, signal: Signal) -> Known:
+        known, error = self._know(signal), self._bound(signal)
+        return Known(known.low, known.high, known.scale, known.offset, error)
+
+    def _know_drift(self, load: Signal) -> Known:
+        """Return what is known of the drift of the step before, in counts, for a load."""
+        node = self._nodes[load.node]
+        assert isinstance(node, IntegerLoad)
+        k = node.output
+        counts = Fraction(self._model.outputs[k].lsb_per_unit)
+        interval = self._intervals[self._model.drift.name][k]
+        return Known(
+            interval.low, interval.high, Fraction(1), Fraction(0), self._drift[k].scale(counts)
+        )

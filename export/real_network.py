@@ -1,0 +1,84 @@
+"""What the network's integers stand for: the float network with its unrounded weights."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.export.float_model import FloatModel
+from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.quantize_layers import ReadOut
+from zerodrift.operations.dense import COPY_BITS, FloatDense
+from zerodrift.operations.signals import Signal, constant
+
+Array = NDArray[np.float64]
+STATE_BITS = 30
+
+
+def describe_features(
+    taps: Sequence[Signal], whitening: Array, tap_mean: Array, exponents: NDArray[np.int64]
+) -> list[Signal]:
+    """Return the features, which stand for whitening @ (taps - mean), limited to int16.
+
+    Args:
+        taps: J signals.
+        whitening: [I, J].
+        tap_mean: [J].
+        exponents: [I] f with feature = integer * 2**-f.
+    """
+    centres = [constant(-float(mean)) for mean in tap_mean]
+    features = []
+    for i, row in enumerate(whitening.tolist()):
+        feature = Signal("features", 2.0 ** -int(exponents[i]), index=i)
+        features.append(feature.standing_for("linear", (*taps, *centres), *row, *row))
+    return features
+
+
+def describe_network(
+    model: FloatModel, features: Sequence[Signal], read_out: ReadOut
+) -> list[Signal]:
+    """Return the head's signals [K] of a model with a network, without the head's bias."""
+    network = model.network
+    assert network is not None
+    below = list(features)
+    if isinstance(network, FloatNetwork):
+        hidden = network.layers[-1].w_h.shape[1]
+        states = [Signal("gru", 2.0**-STATE_BITS, index=j) for j in range(hidden)]
+        below = [state.standing_for("gru", features) for state in states]
+    for layer, node, exponents in zip(
+        network.dense, read_out.dense, read_out.dense_exponents, strict=True
+    ):
+        below = _describe_dense(layer, node.name, below, exponents)
+    heads = []
+    for k, row in enumerate(network.head.tolist()):
+        head = Signal("head", 2.0 ** -int(read_out.head_exponents[k]), index=k)
+        heads.append(head.standing_for("linear", below, *row))
+    return heads
+
+
+def _describe_dense(
+    layer: FloatDense, name: str, below: list[Signal], exponents: NDArray[np.int64]
+) -> list[Signal]:
+    signals = []
+    for i, row in enumerate(layer.weight.tolist()):
+        signal = Signal(name, 2.0 ** -(int(exponents[i]) + COPY_BITS), index=i)
+        numbers = (layer.low, layer.high, float(layer.bias[i]), *row)
+        signals.append(signal.standing_for(f"dense_{layer.activation}", below, *numbers))
+    return signals
+
+
+def describe_answers(
+    model: FloatModel, features: Sequence[Signal], heads: Sequence[Signal]
+) -> tuple[Signal, ...]:
+    """Return the drifts [K]: features . coefficients + offset, and the network's answer."""
+    answers = []
+    for k, output in enumerate(model.outputs):
+        terms, gains = [*features], model.coefficients[:, k].tolist()
+        terms.append(constant(float(model.offset[k])))
+        gains.append(1.0)
+        if model.network is not None:
+            terms += [heads[k], constant(float(model.network.head_bias[k]))]
+            gains += [1.0, 1.0]
+        answer = Signal("drift", 1.0 / output.lsb_per_unit, index=k)
+        answers.append(answer.standing_for("linear", terms, *gains))
+    return tuple(answers)

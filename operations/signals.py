@@ -1,0 +1,54 @@
+"""Integers with a meaning: what a signal stands for, in counts and in real arithmetic."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+
+@dataclass(frozen=True)
+class Signal:
+    """An integer signal q and its meaning: physical value = q * scale + offset.
+
+    A constant has no node (an empty name), scale 0 and its value as offset.
+    """
+
+    node: str
+    scale: float
+    offset: float = 0.0
+    index: int = 0
+    """Of the integer, where the node gives several."""
+    real: "Real | None" = field(default=None, compare=False, repr=False)
+    """What it stands for; see `meaning`."""
+
+    def standing_for(
+        self, operation: str, inputs: Sequence["Signal"] = (), *numbers: float
+    ) -> "Signal":
+        """Return the signal with what it stands for in real arithmetic; see `Real`."""
+        place = (self.node, self.index, self.scale, self.offset)
+        return replace(self, real=Real(operation, tuple(inputs), numbers, place))
+
+    @property
+    def meaning(self) -> "Real | None":
+        """What the signal stands for; None where nobody said, or it was said of another format."""
+        place = (self.node, self.index, self.scale, self.offset)
+        return self.real if self.real is not None and self.real.place == place else None
+
+
+@dataclass(frozen=True, eq=False)
+class Real:
+    """What a signal stands for in real arithmetic: an operation on others, with unrounded numbers.
+
+    The error rules (`bound_error`) are about this. `operation` is that of the float graph, or one
+    of "same" (its input in another format), "linear" (a sum with a gain for each input, limited
+    where the chip's is), "dense_tanh" and "dense_clip" (low, high, bias, weights), and "gru".
+    """
+
+    operation: str
+    inputs: tuple[Signal, ...]
+    numbers: tuple[float, ...]
+    place: tuple[str, int, float, float]
+    """Node, index, scale and offset of the signal that this was said of."""
+
+
+def constant(value: float) -> Signal:
+    """Return the signal that is always `value`."""
+    return Signal("", 0.0, value).standing_for("constant", (), value)
