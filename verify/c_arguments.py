@@ -5,16 +5,17 @@ Shares no code with the generator and needs the standard library only.
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TypeAlias
 
-from zerodrift.verify.c_intervals import IntervalMachine
-from zerodrift.verify.c_values import TYPES, Address, FaultError, Pointer, Value
+from zerodrift.verify.c_intervals import IntervalMachine, Rule
+from zerodrift.verify.c_values import TYPES, Address, FaultError, Found, Pointer, Struct, Value
 
-Action = Callable[..., Any]
-"""(machine, *arguments) -> what the function returns."""
+Action: TypeAlias = Callable[..., Value | None]
+"""(machine, *arguments) -> what the function returns. Each argument is of the kind that the types
+beside it name: a Value, a Pointer to a row of numbers or a Struct."""
 
 
-def typed(types: str, action: Action, result: str = "") -> Action:
+def typed(types: str, action: Action, result: str = "") -> Rule:
     """Return a rule that first holds the arguments against the function's parameters.
 
     Args:
@@ -25,29 +26,46 @@ def typed(types: str, action: Action, result: str = "") -> Action:
     """
     kinds = [kind.strip() for kind in types.split(",")] if types else []
 
-    def rule(machine: IntervalMachine, *arguments: Any) -> Any:
+    def rule(machine: IntervalMachine, *arguments: Found) -> Value | None:
         if len(arguments) != len(kinds):
             raise FaultError(f"{len(arguments)} arguments where {len(kinds)} are expected")
         given = [check(machine, k, a) for k, a in zip(kinds, arguments, strict=True)]
         found = action(machine, *given)
-        return replace(found, type=result, copy_of=None) if result else None
+        if not result:
+            return None
+        if found is None:
+            raise TypeError(f"{action} returns nothing; {result} is expected of it")
+        return replace(found, type=result, copy_of=None)
 
     return rule
 
 
-def check(machine: IntervalMachine, kind: str, argument: Any) -> Any:
+def check(machine: IntervalMachine, kind: str, argument: Found) -> Value | Pointer | Struct:
     """Return an argument as the parameter holds it.
 
     Raises:
         FaultError: it is of another type.
     """
     if kind in TYPES:
-        value = machine.as_number(argument)
-        return machine.keep(value, kind)
+        return check_number(machine, kind, argument)
     if kind[0] == "&":
         if not isinstance(argument, Address) or argument.struct.type != kind[1:] or argument.bytes:
             raise FaultError(f"another type than {kind[1:]} is given")
         return argument.struct
+    return check_row(kind, argument)
+
+
+def check_number(machine: IntervalMachine, kind: str, argument: Found) -> Value:
+    """Return an argument that has to be a number, in the type of its parameter."""
+    return machine.keep(machine.as_number(argument), kind)
+
+
+def check_row(kind: str, argument: Found) -> Pointer:
+    """Return an argument that has to be a row of numbers: of `const T *` or of `T *`.
+
+    Raises:
+        FaultError: it is of another type, or constant where it is written.
+    """
     base = kind.removeprefix("const ").removesuffix(" *")
     if not isinstance(argument, Pointer) or argument.block.type != base:
         raise FaultError(f"another type than {kind} is given")

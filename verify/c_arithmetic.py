@@ -4,7 +4,7 @@ C's own rules give every operation its type, which must hold the result. Shares 
 generator and needs the standard library only.
 """
 
-from zerodrift.verify.c_nodes import Program
+from zerodrift.verify.c_nodes import CInteger, Program
 from zerodrift.verify.c_values import (
     BITS,
     TYPES,
@@ -111,6 +111,22 @@ class Arithmetic:
         if BITS[a] != BITS[b]:
             return a if BITS[a] > BITS[b] else b
         return b if is_signed(a) else a
+
+    def type_literal(self, node: CInteger) -> Value:
+        """Return a literal in the first type of its list that holds it (C99 6.4.4.1)."""
+        number, unsigned, longs = node.number, node.unsigned, node.longs
+        kinds = [self.int, self.unsigned, "int32_t", "uint32_t", "int64_t", "uint64_t"]
+        if longs:  # long has 32 bits or 64; a literal must not rest on which
+            kinds = kinds[2:] if longs == 1 else kinds[4:]
+        decimal = node.token[0] != "0" or number == 0
+        for kind in kinds:
+            if unsigned and is_signed(kind):
+                continue
+            if not unsigned and decimal and not is_signed(kind):
+                continue
+            if number <= TYPES[kind][1]:
+                return Value(number, number, kind)
+        raise self.not_understood(f"{node.token} has no type")
 
     # --- operators
 

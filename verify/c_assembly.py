@@ -5,13 +5,13 @@ with, bit for bit; it is stated here a second time, and anything else is refused
 with the generator and needs the standard library only.
 """
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
 
-from zerodrift.verify.c_gru import PAIRS, run_packed
+from zerodrift.verify.c_gru import PAIRS, GruStep, run_packed
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_values import (
     FaultError,
+    Found,
     NotUnderstoodError,
     Pointer,
     Struct,
@@ -36,7 +36,9 @@ Text = tuple[Mapping[str, int], Mapping[str, tuple[str, ...]]]
 """What a build defines, and its functions of assembly."""
 
 
-def run_assembly(machine: IntervalMachine, name: str, given: list[Any], texts: list[Text]) -> None:
+def run_assembly(
+    machine: IntervalMachine, name: str, given: Sequence[Found], texts: list[Text]
+) -> None:
     """Step a layer by a function of assembly, which must be the text that is known for its shape.
 
     Args:
@@ -52,9 +54,10 @@ def run_assembly(machine: IntervalMachine, name: str, given: list[Any], texts: l
     layer = machine.constants.get(name.removesuffix("_assembly"))
     if not isinstance(layer, Struct) or layer.type != "zd_gru_pairs_t" or len(given) != 4:
         raise NotUnderstoodError(f"{name} belongs to no layer")
-    stream, h, x, u_keep = given
-    if not all(isinstance(p, Pointer) and len(p.sizes) == 1 for p in (stream, h, x)):
+    rows = [p for p in given[:3] if isinstance(p, Pointer) and len(p.sizes) == 1]
+    if len(rows) != 3:
         raise FaultError(f"{name} is given no arrays")
+    (stream, h, x), u_keep = rows, machine.as_number(given[3])
     if stream != layer.tables["stream"] or h.constant or h.block.constant:
         raise FaultError(f"{name} is given other weights than its layer's, or a constant state")
     if (h.block.type, x.block.type) != ("int32_t", "int16_t"):
@@ -67,9 +70,8 @@ def run_assembly(machine: IntervalMachine, name: str, given: list[Any], texts: l
         _require_known(name, inputs, hidden, shifts, defined, assembly.get(name, ()))
     scratch = make_block("scratch", "int32_t", [2 * (inputs + hidden + 2)], None)
     counts = (Value(inputs, inputs), Value(hidden, hidden))
-    run_packed(
-        machine, PAIRS, layer, *counts, x, h, Pointer(scratch, Value(0, 0), scratch.sizes), u_keep
-    )
+    scratches = (Pointer(scratch, Value(0, 0), scratch.sizes),)
+    run_packed(machine, PAIRS, layer, GruStep(*counts, x, h, scratches, u_keep))
 
 
 def _require_known(

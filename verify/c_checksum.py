@@ -6,9 +6,26 @@ and keep its sum. Shares no code with the generator and needs the standard libra
 """
 
 from itertools import product
+from typing import TypeGuard
 
 from zerodrift.verify.c_expressions import Expressions
-from zerodrift.verify.c_nodes import CNode, Variable
+from zerodrift.verify.c_nodes import (
+    CAssign,
+    CBinary,
+    CBlock,
+    CCall,
+    CCast,
+    CDeclare,
+    CField,
+    CFor,
+    CIndex,
+    CNode,
+    CReturn,
+    Expression,
+    Statement,
+    Variable,
+    is_name,
+)
 from zerodrift.verify.c_values import FaultError, NotUnderstoodError
 
 FIELD = "check"
@@ -63,54 +80,62 @@ class _ChecksumReader:
         place = self._machine.program.place(node.at)
         return NotUnderstoodError(f"{place}: no rule for this in a checksum of the state")
 
-    def read(self, body: CNode) -> None:
-        if len(body.parts) < 2:
+    def read(self, body: CBlock) -> None:
+        if len(body.statements) < 2:
             raise self._error(body)
-        first, *middle, last = body.parts
-        declared = first.parts[0] if first.kind == "declare" else None
+        first, *middle, last = body.statements
+        declared = first.variable if isinstance(first, CDeclare) else None
         if declared is None or declared.name != "check" or declared.type.name != "uint32_t":
             raise self._error(first)
-        if declared.first is None or declared.first.kind != "call":
+        begun = declared.first
+        if not isinstance(begun, CCall):
             raise self._error(first)
-        name, arguments = declared.first.parts
-        if name != "zd_check_word" or len(arguments) != 2:
+        if begun.name != "zd_check_word" or len(begun.arguments) != 2:
             raise self._error(first)
-        for argument in arguments:  # the first word is turned, the second added
-            self._take_number(name, argument)
+        for argument in begun.arguments:  # the first word is turned, the second added
+            self._take_number(begun.name, argument)
         for node in middle:
-            if node.kind == "for":
+            if isinstance(node, CFor):
                 self._read_rows(node)
             else:
                 self._take(node)
-        if last.kind != "return" or last.parts[0] is None or not _is_name(last.parts[0], "check"):
+        if not isinstance(last, CReturn) or not is_name(last.value, "check"):
             raise self._error(last)
         for (field, at), words in self._seen.items():
             if words != 1:
                 element = field + "".join(f"[{k}]" for k in at)
                 raise FaultError(f"s->{element} is in {words} words of its sum")
 
-    def _take(self, node: CNode, index: str = "", rounds: int = 0) -> None:
+    def _take(self, node: Statement, index: str = "", rounds: int = 0) -> None:
         """check = zd_check_...(check, s->x), or s->x[2], or of two halves; of rows (check, s->x, N)
         and (check, s->x[k], N)."""
-        if node.kind != "assign" or node.parts[0] != "=" or not _is_name(node.parts[1], "check"):
+        if (
+            not isinstance(node, CAssign)
+            or node.operator != "="
+            or not is_name(node.target, "check")
+        ):
             raise self._error(node)
-        call = node.parts[2]
-        if call.kind != "call" or not call.parts[1] or not _is_name(call.parts[1][0], "check"):
+        call = node.source
+        if not isinstance(call, CCall) or not call.arguments:
             raise self._error(node)
-        name, (_, *arguments) = call.parts
+        name, (check, *arguments) = call.name, call.arguments
+        if not is_name(check, "check"):
+            raise self._error(node)
         if name in NUMBERS and len(arguments) == 1 and not index:
-            half = arguments[0].kind in ("binary", "cast")
-            if half and name != "zd_check_word":
+            if not isinstance(arguments[0], CBinary | CCast):
+                self._take_number(name, arguments[0])
+            elif name == "zd_check_word":
+                self._take_halves(name, arguments[0])
+            else:
                 raise self._error(node)
-            (self._take_halves if half else self._take_number)(name, arguments[0])
             return
         if name not in ROWS or len(arguments) != 2:
             raise self._error(node)
         of, count = arguments
         if index:
-            if of.kind != "index" or not _is_name(of.parts[1], index):
+            if not isinstance(of, CIndex) or not is_name(of.index, index):
                 raise self._error(node)
-            of = of.parts[0]
+            of = of.of
         field = self._name_of(of)
         sizes = (
             [rounds, self._machine.constant(count)] if index else [self._machine.constant(count)]
@@ -120,32 +145,33 @@ class _ChecksumReader:
         for at in product(*map(range, sizes)):
             self._seen[field, at] += 1
 
-    def _take_number(self, name: str, node: CNode) -> None:
+    def _take_number(self, name: str, node: Expression) -> None:
         self._count(node, NUMBERS[name], name)
 
-    def _take_halves(self, name: str, node: CNode) -> None:
+    def _take_halves(self, name: str, node: Expression) -> None:
         """(uint16_t)a, or (uint16_t)a | ((uint32_t)(uint16_t)b << 16)."""
-        if node.kind == "binary":
-            operator, node, high = node.parts
-            if operator != "|" or high.kind != "binary" or high.parts[0] != "<<":
+        if isinstance(node, CBinary):
+            high = node.right
+            if node.operator != "|" or not isinstance(high, CBinary) or high.operator != "<<":
                 raise self._error(node)
-            _, wide, by = high.parts
-            if self._machine.constant(by) != 16 or not _is_cast(wide, "uint32_t"):
+            wide = high.left
+            if self._machine.constant(high.right) != 16 or not _is_cast(wide, "uint32_t"):
                 raise self._error(high)
-            self._take_half(name, wide.parts[1])
+            self._take_half(name, wide.of)
+            node = node.left
         self._take_half(name, node)
 
-    def _take_half(self, name: str, node: CNode) -> None:
+    def _take_half(self, name: str, node: Expression) -> None:
         if not _is_cast(node, "uint16_t"):
             raise self._error(node)
-        self._count(node.parts[1], HALVES, f"half of {name}")
+        self._count(node.of, HALVES, f"half of {name}")
 
-    def _count(self, node: CNode, types: tuple[str, ...], summed_as: str) -> None:
+    def _count(self, node: Expression, types: tuple[str, ...], summed_as: str) -> None:
         """Note that s->x, s->x[2] or s->x[1][2] is in a word."""
         indices: tuple[int, ...] = ()
-        while node.kind == "index":
-            node, index = node.parts
-            indices = (self._machine.constant(index), *indices)
+        while isinstance(node, CIndex):
+            indices = (self._machine.constant(node.index), *indices)
+            node = node.of
         field = self._name_of(node)
         if self._types[field] not in types or (field, indices) not in self._seen:
             raise FaultError(
@@ -154,27 +180,20 @@ class _ChecksumReader:
             )
         self._seen[field, indices] += 1
 
-    def _name_of(self, node: CNode) -> str:
-        known = node.kind == "field" and node.parts[1] == "->"
-        if not known or not _is_name(node.parts[0], self._state):
+    def _name_of(self, node: Expression) -> str:
+        if not isinstance(node, CField) or node.operator != "->":
             raise self._error(node)
-        field: str = node.parts[2]
-        if field not in self._types:
+        if not is_name(node.of, self._state) or node.name not in self._types:
             raise self._error(node)
-        return field
+        return node.name
 
-    def _read_rows(self, node: CNode) -> None:
+    def _read_rows(self, node: CFor) -> None:
         """for (uint32_t k = 0; k < N; k++) { check = zd_check_i16(check, s->x[k], I); }"""
-        _, name, first, operator, end, body = node.parts
-        if self._machine.constant(first) != 0 or operator != "<" or len(body.parts) != 1:
+        body = node.body.statements
+        if self._machine.constant(node.first) != 0 or node.operator != "<" or len(body) != 1:
             raise self._error(node)
-        self._take(body.parts[0], name, self._machine.constant(end))
+        self._take(body[0], node.name, self._machine.constant(node.end))
 
 
-def _is_name(node: CNode, name: str) -> bool:
-    return node.kind == "name" and bool(node.parts[0] == name)
-
-
-def _is_cast(node: CNode, type_: str) -> bool:
-    kind = node.parts[0] if node.kind == "cast" else None
-    return kind is not None and bool(kind.name == type_) and not kind.pointer
+def _is_cast(node: Expression, type_: str) -> TypeGuard[CCast]:
+    return isinstance(node, CCast) and node.type.name == type_ and not node.type.pointer

@@ -5,19 +5,38 @@ needs the standard library only.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from zerodrift.verify.c_arithmetic import MIRRORED, Arithmetic
-from zerodrift.verify.c_nodes import CNode, Program
+from zerodrift.verify.c_nodes import (
+    CBinary,
+    CCall,
+    CCast,
+    CChoose,
+    CField,
+    CIndex,
+    CInteger,
+    CName,
+    CNode,
+    CSizeof,
+    CUnary,
+    Expression,
+    Initialiser,
+    Program,
+    TypeName,
+    walk,
+)
 from zerodrift.verify.c_reader import LIMITS
 from zerodrift.verify.c_values import (
     BITS,
     TYPES,
     Address,
     Block,
+    Cell,
     FaultError,
+    Found,
+    Holder,
     Pointer,
     Struct,
     Value,
@@ -42,12 +61,12 @@ class Expressions(Arithmetic):
         self.known = known
         self.inputs: set[int] = set()
         """The blocks that hold codes of the inputs."""
-        self.variables: dict[str, Any] = {}
-        self.constants: dict[str, Any] = {}
+        self.variables: dict[str, Holder] = {}
+        self.constants: dict[str, Block | Struct] = {}
 
-    def size_of(self, of: Any) -> int:
+    def size_of(self, of: str) -> int:
         """Return a struct's or number's size: without gaps, or each field aligned to itself."""
-        if isinstance(of, str) and of in TYPES:
+        if of in TYPES:
             return BITS[of] // 8
         fields = self.program.structs.get(of)
         if fields is None:
@@ -62,7 +81,7 @@ class Expressions(Arithmetic):
             size += width * count
         return size if self.packed else -(-size // widest) * widest
 
-    def constant(self, node: CNode) -> int:
+    def constant(self, node: Initialiser) -> int:
         """Return the number of an expression that has to be one."""
         value = self.evaluate(node)
         if not isinstance(value, Value) or value.exact is None:
@@ -71,16 +90,41 @@ class Expressions(Arithmetic):
 
     # --- evaluation
 
-    def evaluate(self, node: CNode) -> Any:
-        """Return a Value, a Pointer or an Address; None for a call that returns nothing."""
+    def evaluate(self, node: Initialiser) -> Found:
+        """Return what an expression gives: of an array or a struct, where it lies."""
         self.stand_at(node.at)
-        found = getattr(self, f"_on_{node.kind}")(*node.parts)
+        found = self._on(node)
         if isinstance(found, Pointer) and not found.sizes:
             return self.load(found)
         self._at = node.at
         return found
 
-    def number(self, node: CNode) -> Value:
+    def _on(self, node: Initialiser) -> Found:
+        """Return what the rule for a kind of expression gives."""
+        match node:
+            case CName():
+                return self._on_name(node.name)
+            case CInteger():
+                return self.type_literal(node)
+            case CField():
+                return self._on_field(node)
+            case CIndex():
+                return self._on_index(node)
+            case CBinary():
+                return self._on_binary(node)
+            case CUnary():
+                return self._on_unary(node.operator, node.of)
+            case CCall():
+                return self._on_call(node.name, node.arguments)
+            case CCast():
+                return self._on_cast(node.type, node.of)
+            case CChoose():
+                return self._on_choose(node.condition, node.first, node.second)
+            case CSizeof():
+                return self._on_sizeof(node.of)
+        raise self.not_understood("a list where an expression is expected")
+
+    def number(self, node: Initialiser) -> Value:
         """Return the value of an expression that has to be a number."""
         value = self.evaluate(node)
         if not isinstance(value, Value):
@@ -100,38 +144,23 @@ class Expressions(Arithmetic):
             return value
         return Value(value.low, value.high, value.type, value.reach, copy_of)
 
-    def locate(self, node: CNode) -> Any:
+    def locate(self, node: Expression) -> Found:
         """Return where a variable, field or element lies: a Pointer; or a Struct or Address."""
         self.stand_at(node.at)
-        if node.kind == "name":
-            return self._on_name(*node.parts)
-        if node.kind == "field":
-            return self._on_field(*node.parts)
-        if node.kind == "index":
-            return self._on_index(*node.parts)
-        if node.kind == "unary" and node.parts[0] == "*":
-            found = self.evaluate(node.parts[1])
+        if isinstance(node, CName):
+            return self._on_name(node.name)
+        if isinstance(node, CField):
+            return self._on_field(node)
+        if isinstance(node, CIndex):
+            return self._on_index(node)
+        if isinstance(node, CUnary) and node.operator == "*":
+            found = self.evaluate(node.of)
             if isinstance(found, Address):
                 return found
         raise self.not_understood("this is not a variable, a field or an element")
 
-    def _on_integer(self, token: str, number: int, unsigned: bool, longs: int) -> Value:
-        """C99 6.4.4.1: the first type of its list that holds the literal."""
-        kinds = [self.int, self.unsigned, "int32_t", "uint32_t", "int64_t", "uint64_t"]
-        if longs:  # long has 32 bits or 64; a literal must not rest on which
-            kinds = kinds[2:] if longs == 1 else kinds[4:]
-        decimal = token[0] != "0" or number == 0
-        for kind in kinds:
-            if unsigned and is_signed(kind):
-                continue
-            if not unsigned and decimal and not is_signed(kind):
-                continue
-            if number <= TYPES[kind][1]:
-                return Value(number, number, kind)
-        raise self.not_understood(f"{token} has no type")
-
-    def _on_name(self, name: str) -> Any:
-        found = self.variables.get(name)
+    def _on_name(self, name: str) -> Found:
+        found: Holder | None = self.variables.get(name)
         if found is None:
             found = self.constants.get(name)
         if isinstance(found, Block):
@@ -145,10 +174,11 @@ class Expressions(Arithmetic):
         if name in LIMITS:
             kind = self.promote(f"{name.split('_', maxsplit=1)[0].lower()}_t")
         else:
-            kind = self._on_integer(str(number), number, False, 0).type
+            kind = self.type_literal(CInteger(self._at, str(number), number)).type
         return Value(number, number, kind)
 
-    def _on_field(self, of: CNode, operator: str, name: str) -> Pointer:
+    def _on_field(self, node: CField) -> Pointer:
+        of, operator, name = node.of, node.operator, node.name
         holder = self.evaluate(of) if operator == "->" else self.locate(of)
         if isinstance(holder, Address) and operator == "->" and not holder.bytes:
             struct, constant = holder.struct, holder.constant
@@ -163,8 +193,8 @@ class Expressions(Arithmetic):
         block = struct.fields[name]
         return Pointer(block, Value(0, 0), block.sizes, constant or block.constant)
 
-    def _on_index(self, of: CNode, at: CNode) -> Pointer:
-        array, index = self.evaluate(of), self.number(at)
+    def _on_index(self, node: CIndex) -> Pointer:
+        array, index = self.evaluate(node.of), self.number(node.index)
         if not isinstance(array, Pointer):
             raise self.not_understood("an index into something that is no array")
         size, *inner = array.sizes
@@ -183,7 +213,7 @@ class Expressions(Arithmetic):
         )
         return replace(array, first=first, sizes=tuple(inner), step=step)
 
-    def _on_unary(self, operator: str, of: CNode) -> Any:
+    def _on_unary(self, operator: str, of: Expression) -> Found:
         if operator == "&":
             return self._address(of)
         if operator == "*":
@@ -200,9 +230,9 @@ class Expressions(Arithmetic):
             return self.convert(Value(*ends, kind), kind)
         return self._truth(value.high == value.low == 0, not value.low <= 0 <= value.high)
 
-    def _address(self, of: CNode) -> Any:
-        if of.kind == "index":
-            array, index = self.evaluate(of.parts[0]), self.number(of.parts[1])
+    def _address(self, of: Expression) -> Pointer | Address:
+        if isinstance(of, CIndex):
+            array, index = self.evaluate(of.of), self.number(of.index)
             if not isinstance(array, Pointer) or len(array.sizes) != 1:
                 raise self.not_understood("an address in something that is no row of numbers")
             if index.low < 0 or index.high >= array.sizes[0]:
@@ -219,7 +249,7 @@ class Expressions(Arithmetic):
             return replace(found, sizes=(1,))
         raise self.not_understood("an address")
 
-    def _on_sizeof(self, of: Any) -> Value:
+    def _on_sizeof(self, of: str | Expression) -> Value:
         if not isinstance(of, str):
             found = self.locate(of)
             if not isinstance(found, Address | Struct):
@@ -228,7 +258,7 @@ class Expressions(Arithmetic):
         size = self.size_of(of)
         return Value(size, size, "uint64_t" if not self.packed else self.unsigned)
 
-    def _on_cast(self, kind: Any, of: CNode) -> Any:
+    def _on_cast(self, kind: TypeName, of: Expression) -> Value | Address:
         value = self.evaluate(of)
         if kind.pointer:
             if isinstance(value, Address) and kind.name == "uint8_t":
@@ -247,12 +277,12 @@ class Expressions(Arithmetic):
         if self.shift is None and not self.pending:
             self.pending["sum"] = (-value.reach, value.reach, 64)
 
-    def _on_binary(self, operator: str, left: CNode, right: CNode) -> Value:
-        if operator in ("&&", "||"):
-            return self._both(operator, left, right)
-        return self.combine(operator, self.number(left), self.number(right))
+    def _on_binary(self, node: CBinary) -> Value:
+        if node.operator in ("&&", "||"):
+            return self._both(node.operator, node.left, node.right)
+        return self.combine(node.operator, self.number(node.left), self.number(node.right))
 
-    def _both(self, operator: str, left: CNode, right: CNode) -> Value:
+    def _both(self, operator: str, left: Expression, right: Expression) -> Value:
         """&& and ||: the second is looked at only where the first does not decide."""
         value = self.number(left)
         decided = Value(int(operator == "||"), int(operator == "||"), self.int)
@@ -270,7 +300,7 @@ class Expressions(Arithmetic):
     def _as_truth(self, value: Value) -> Value:
         return self._truth(not value.low <= 0 <= value.high, value.exact == 0)
 
-    def _on_choose(self, condition: CNode, first: CNode, second: CNode) -> Value:
+    def _on_choose(self, condition: Expression, first: Expression, second: Expression) -> Value:
         extremum = self._find_extremum(condition, first, second)
         if extremum is not None:
             return extremum
@@ -288,27 +318,29 @@ class Expressions(Arithmetic):
             return self.convert(results[0], kind)
         return self.convert(results[0], kind).join(self.convert(results[1], kind))
 
-    def _find_extremum(self, condition: CNode, first: CNode, second: CNode) -> Value | None:
+    def _find_extremum(
+        self, condition: Expression, first: Expression, second: Expression
+    ) -> Value | None:
         """a > b ? a : b and its like: each end of it is the larger, or smaller, of two ends."""
-        if condition.kind != "binary" or condition.parts[0] not in ("<", "<=", ">", ">="):
+        if not isinstance(condition, CBinary) or condition.operator not in ("<", "<=", ">", ">="):
             return None
-        operator, *compared = condition.parts
-        names = [node.parts[0] for node in (*compared, first, second) if node.kind == "name"]
+        compared = (condition.left, condition.right)
+        names = [node.name for node in (*compared, first, second) if isinstance(node, CName)]
         if len(names) < 4 or names[0] == names[1] or {*names[:2]} != {*names[2:]}:
             return None
         a, b = map(self.number, compared)
         if a.type != b.type or b.type != "int32_t":
             return None
-        choose = max if operator.startswith(">") == (names[0] == names[2]) else min
+        choose = max if condition.operator.startswith(">") == (names[0] == names[2]) else min
         return Value(choose(a.low, b.low), choose(a.high, b.high), a.type)
 
     # --- what a condition says of variables
 
-    def assume(self, node: CNode, truth: bool) -> list[tuple[Block, list[Any]]]:
+    def assume(self, node: Expression, truth: bool) -> list[tuple[Block, list[Cell]]]:
         """Narrow the variables that a condition compares; return what they were."""
-        if node.kind != "binary":
+        if not isinstance(node, CBinary):
             return []
-        operator, left, right = node.parts
+        operator, left, right = node.operator, node.left, node.right
         if operator in ("&&", "||"):
             if truth != (operator == "&&"):
                 return []
@@ -318,8 +350,10 @@ class Expressions(Arithmetic):
         operator = operator if truth else OPPOSITE[operator]
         return self._narrow(left, operator, right) + self._narrow(right, MIRRORED[operator], left)
 
-    def _narrow(self, node: CNode, operator: str, other: CNode) -> list[tuple[Block, list[Any]]]:
-        if node.kind not in ("name", "field") or holds_call(other):
+    def _narrow(
+        self, node: Expression, operator: str, other: Expression
+    ) -> list[tuple[Block, list[Cell]]]:
+        if not isinstance(node, CName | CField) or holds_call(other):
             return []
         place = self.locate(node)
         if not isinstance(place, Pointer) or place.sizes or place.block.constant:
@@ -348,15 +382,10 @@ class Expressions(Arithmetic):
         """Return which of some ways to go; all are gone, one after the other."""
         raise NotImplementedError
 
-    def _on_call(self, name: str, arguments: tuple[CNode, ...]) -> Any:
+    def _on_call(self, name: str, nodes: tuple[Expression, ...]) -> Found:
         raise NotImplementedError
 
 
-def holds_call(node: Any) -> bool:
+def holds_call(node: CNode) -> bool:
     """Return whether an expression calls anything."""
-    if isinstance(node, tuple):
-        return any(map(holds_call, node))
-    return isinstance(node, CNode) and (node.kind == "call" or any(map(holds_call, node.parts)))
-
-
-Rule = Callable[..., Any]
+    return any(isinstance(part, CCall) for part in walk(node))

@@ -7,8 +7,9 @@ needs the standard library only.
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias
 
+from zerodrift.verify.c_arguments import Action
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_values import TYPES, FaultError, Pointer, Struct, Value
 
@@ -39,31 +40,43 @@ class Weights:
     """Whether the reset gate acts after the recurrent product."""
 
 
-def run_portable(machine: IntervalMachine, after: bool, layer: Struct, *given: Any) -> None:
+@dataclass(frozen=True)
+class GruStep:
+    """What a kernel is given beside its layer."""
+
+    inputs: Value
+    hidden: Value
+    features: Pointer
+    h: Pointer
+    scratches: tuple[Pointer, ...]
+    u_keep: Value
+
+
+def run_portable(machine: IntervalMachine, after: bool, layer: Struct, step: GruStep) -> None:
     """Step a layer whose weights lie unit by unit; `after` tells where the reset gate acts."""
-    _check_sizes(given[0], given[1], given[-1])
+    _check_sizes(step)
     names = ("w_x", "w_h16", "w_h8", "multiplier", "bias")
     w_x, w_16, w_8, multiplier, bias = (machine.table_of(layer, name) for name in names)
     if bool(w_16) == bool(w_8) or bool(multiplier) != bool(w_8):
         raise FaultError(f"{layer.name}: weights of 16 bits, or of 8 bits and their multipliers")
-    for scratch in given[4:-1]:
-        scratch.hold(given[1].low)
-    _require_apart(given[4:-1], given[3])
+    for scratch in step.scratches:
+        scratch.hold(step.hidden.low)
+    _require_apart(step)
     weights = Weights((w_x, w_16 or w_8, bias), multiplier, after)
-    _gru(machine, layer, weights, *given)
-    for scratch in given[4:-1]:
-        _leave_unknown(scratch, given[1].low)
+    _gru(machine, layer, weights, step)
+    for scratch in step.scratches:
+        _leave_unknown(scratch, step.hidden.low)
 
 
-def run_packed(machine: IntervalMachine, packing: "Packing", layer: Struct, *given: Any) -> None:
+def run_packed(machine: IntervalMachine, packing: "Packing", layer: Struct, step: GruStep) -> None:
     """Step a layer whose weights lie in another order."""
-    _check_sizes(given[0], given[1], given[-1])
+    _check_sizes(step)
     unpack, sizes = packing
-    inputs, hidden = given[0].low, given[1].low
-    for scratch, size in zip(given[4:-1], sizes(machine, inputs, hidden), strict=True):
+    inputs, hidden = step.inputs.low, step.hidden.low
+    for scratch, size in zip(step.scratches, sizes(machine, inputs, hidden), strict=True):
         scratch.hold(size)
         _leave_unknown(scratch, size)
-    _require_apart(given[4:-1], given[3])
+    _require_apart(step)
     tables = [
         machine.table_of(layer, n) for n in ("stream", "weights", "bias") if n in layer.tables
     ]
@@ -71,19 +84,20 @@ def run_packed(machine: IntervalMachine, packing: "Packing", layer: Struct, *giv
         rows = unpack(*tables, inputs, hidden)
     except (StopIteration, IndexError, ValueError) as error:
         raise FaultError(f"{layer.name}: its table is short or not filled up: {error}") from None
-    _gru(machine, layer, Weights(rows, [], after=True), *given)
+    _gru(machine, layer, Weights(rows, [], after=True), step)
 
 
-def _check_sizes(inputs: Value, hidden: Value, u_keep: Value) -> None:
-    for value, what in ((inputs, "inputs"), (hidden, "units")):
+def _check_sizes(step: GruStep) -> None:
+    for value, what in ((step.inputs, "inputs"), (step.hidden, "units")):
         if value.exact is None or not 0 < value.exact <= MOST:
             raise FaultError(f"{value.low} .. {value.high} {what}")
+    u_keep = step.u_keep
     if u_keep.exact not in (-1, 0):
         raise FaultError(f"u_keep is {u_keep.low} .. {u_keep.high}; -1 and 0 are allowed")
 
 
-def _require_apart(scratches: Any, state: Pointer) -> None:
-    blocks = [state.block, *(scratch.block for scratch in scratches)]
+def _require_apart(step: GruStep) -> None:
+    blocks = [step.h.block, *(scratch.block for scratch in step.scratches)]
     if len({id(block) for block in blocks}) != len(blocks):
         raise FaultError("state and scratch lie on each other")
 
@@ -165,20 +179,11 @@ def _trim(row: list[int], count: int) -> list[int]:
     return row[:count]
 
 
-def _gru(
-    machine: IntervalMachine,
-    layer: Struct,
-    weights: Weights,
-    inputs: Value,
-    hidden: Value,
-    features: Pointer,
-    h: Pointer,
-    *_: Any,
-) -> None:
+def _gru(machine: IntervalMachine, layer: Struct, weights: Weights, step: GruStep) -> None:
     """Every accumulator by the sum of its terms' sizes, hence in whatever order they are added."""
     (w_x, w_h, bias), multiplier, limit = weights.rows, weights.multiplier, machine.h_limit
-    n_x, n_h, h_q15 = inputs.low, hidden.low, (limit + (1 << 14)) >> 15
-    x = features.values(n_x)
+    n_x, n_h, h_q15 = step.inputs.low, step.hidden.low, (limit + (1 << 14)) >> 15
+    x, h = step.features.values(n_x), step.h
     name = re.sub(r"_(\d+)$", r".\1", layer.name)  # a layer of a stack
     if any(abs(v.low) > limit or abs(v.high) > limit for v in h.values(n_h)):
         machine.fail(f"{name}: the state is not known to be within {limit} before the step")
@@ -220,5 +225,32 @@ def _gru(
         machine.note(where, -total, total, 32)
     machine.shift = None
     machine.recurrent.add((name, tuple(x)))
-    step = machine.tanh_max + limit
-    machine.note(f"{name}.state_step", -step, step, 32)
+    most = machine.tanh_max + limit
+    machine.note(f"{name}.state_step", -most, most, 32)
+
+
+Given: TypeAlias = tuple[Value, Value, Pointer, Pointer, *tuple[Pointer, ...], Value]
+"""inputs, hidden, features, state, scratch arrays, u_keep."""
+
+
+def portable(after: bool) -> Action:
+    """Return the rule of a kernel whose weights lie unit by unit."""
+
+    def act(machine: IntervalMachine, layer: Struct, *given: *Given) -> None:
+        run_portable(machine, after, layer, _name_arguments(given))
+
+    return act
+
+
+def packed(packing: Packing) -> Action:
+    """Return the rule of a kernel whose weights lie in another order."""
+
+    def act(machine: IntervalMachine, layer: Struct, *given: *Given) -> None:
+        run_packed(machine, packing, layer, _name_arguments(given))
+
+    return act
+
+
+def _name_arguments(given: Given) -> GruStep:
+    inputs, hidden, features, h, *scratches, u_keep = given
+    return GruStep(inputs, hidden, features, h, tuple(scratches), u_keep)

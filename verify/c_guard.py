@@ -7,7 +7,22 @@ code with the generator and needs the standard library only.
 from dataclasses import dataclass
 
 from zerodrift.verify.c_expressions import Expressions
-from zerodrift.verify.c_nodes import CNode
+from zerodrift.verify.c_nodes import (
+    CAssign,
+    CBinary,
+    CCall,
+    CChoose,
+    CDeclare,
+    CField,
+    CFor,
+    CIf,
+    CIndex,
+    CNode,
+    CReturn,
+    Expression,
+    Statement,
+    is_name,
+)
 from zerodrift.verify.c_values import (
     BITS,
     TYPES,
@@ -111,24 +126,22 @@ class _GuardReader:
         return NotUnderstoodError(f"{place}: no rule for this in a test of the state")
 
     def read(self) -> Guard:
-        first, *middle, last = self._body.parts
+        first, *middle = self._body.statements
+        last = middle.pop() if middle else first
         identity = self._read_identity(first)
-        if last.kind != "return" or not _is_name(last.parts[0], "sound"):
+        if not isinstance(last, CReturn) or not is_name(last.value, "sound"):
             raise self._error(last)
         most_steps = None
         for node in middle:
-            if (
-                node.kind == "if"
-                and node.parts[1].parts
-                and node.parts[1].parts[0].kind == "return"
-            ):
-                self._read_early(node)
-                most_steps = self._steps()
-            elif node.kind == "if":
-                self._read_limit(node)
-            elif node.kind == "for":
+            if isinstance(node, CIf):
+                if node.then.statements and isinstance(node.then.statements[0], CReturn):
+                    self._read_early(node)
+                    most_steps = self._steps()
+                else:
+                    self._read_limit(node)
+            elif isinstance(node, CFor):
                 self._read_loop(node)
-            elif node.kind == "assign":
+            elif isinstance(node, CAssign):
                 self._read_recurrent(node)
             else:
                 raise self._error(node)
@@ -142,68 +155,71 @@ class _GuardReader:
             raise NotUnderstoodError("the state check does not look at s->steps")
         return self._limits["steps"][0][1]
 
-    def _read_identity(self, node: CNode) -> int:
+    def _read_identity(self, node: Statement) -> int:
         """uint32_t sound = (s->identity == N) ? 1u : 0u;"""
-        if node.kind != "declare" or node.parts[0].name != "sound" or node.parts[0].sizes:
+        variable = node.variable if isinstance(node, CDeclare) else None
+        if variable is None or variable.name != "sound" or variable.sizes:
             raise self._error(node)
-        first = node.parts[0].first
-        if node.parts[0].type.name != "uint32_t" or first is None or first.kind != "choose":
+        first = variable.first
+        if variable.type.name != "uint32_t" or not isinstance(first, CChoose):
             raise self._error(node)
-        condition, one, none = first.parts
-        if [self._number(n) for n in (one, none)] != [1, 0] or condition.kind != "binary":
+        condition = first.condition
+        ends = [self._number(n) for n in (first.first, first.second)]
+        if ends != [1, 0] or not isinstance(condition, CBinary):
             raise self._error(node)
-        operator, left, right = condition.parts
-        if operator != "==" or self._field(left)[:2] != ("identity", None):
+        if condition.operator != "==" or self._field(condition.left)[:2] != ("identity", None):
             raise self._error(node)
-        return self._number(right)
+        return self._number(condition.right)
 
-    def _number(self, node: CNode) -> int:
+    def _number(self, node: Expression) -> int:
         return self._machine.constant(node)
 
-    def _field(self, node: CNode) -> tuple[str, CNode | None]:
+    def _field(self, node: Expression) -> tuple[str, Expression | None]:
         """Return the field of s that is read, and at which index."""
         index = None
-        if node.kind == "index":
-            node, index = node.parts
+        if isinstance(node, CIndex):
+            index = node.index
+            node = node.of
         if (
-            node.kind != "field"
-            or node.parts[1] != "->"
-            or not _is_name(node.parts[0], self._state)
+            not isinstance(node, CField)
+            or node.operator != "->"
+            or not is_name(node.of, self._state)
         ):
             raise self._error(node)
-        name = node.parts[2]
+        name = node.name
         if name not in self._types or len(self._sizes[name]) != int(index is not None):
             raise self._error(node)
         return name, index
 
-    def _read_early(self, node: CNode) -> None:
+    def _read_early(self, node: CIf) -> None:
         """if (s->steps == 0u) { return sound; }"""
-        condition, then, other = node.parts
-        ok = condition.kind == "binary" and condition.parts[0] == "==" and other is None
-        if not ok or len(then.parts) != 1 or not _is_name(then.parts[0].parts[0], "sound"):
+        condition, then = node.condition, node.then.statements
+        if not isinstance(condition, CBinary) or condition.operator != "==" or node.other:
             raise self._error(node)
-        if self._field(condition.parts[1]) != ("steps", None) or self._number(condition.parts[2]):
+        returned = then[0].value if isinstance(then[0], CReturn) else None
+        if len(then) != 1 or not is_name(returned, "sound"):
+            raise self._error(node)
+        if self._field(condition.left) != ("steps", None) or self._number(condition.right):
             raise self._error(node)
         if self._early or set(self._limits) - {"steps"}:
             raise self._error(node)
         self._early = True
 
-    def _read_limit(self, node: CNode, count: int = 0, index: str = "") -> None:
+    def _read_limit(self, node: CIf, count: int = 0, index: str = "") -> None:
         """if (s->x < a || s->x > b) { sound = 0u; }, of one element or of `count` of them."""
-        condition, then, other = node.parts
-        if other is not None or len(then.parts) != 1:
+        if node.other is not None or len(node.then.statements) != 1:
             raise self._error(node)
-        assign = then.parts[0]
-        if assign.kind != "assign" or assign.parts[0] != "=" or self._number(assign.parts[2]) != 0:
+        assign = node.then.statements[0]
+        if not isinstance(assign, CAssign) or assign.operator != "=":
             raise self._error(node)
-        if not _is_name(assign.parts[1], "sound"):
+        if self._number(assign.source) != 0 or not is_name(assign.target, "sound"):
             raise self._error(node)
-        self._forbid(condition, count, index)
+        self._forbid(node.condition, count, index)
 
-    def _forbid(self, node: CNode, count: int, index: str) -> None:
-        if node.kind != "binary":
+    def _forbid(self, node: Expression, count: int, index: str) -> None:
+        if not isinstance(node, CBinary):
             raise self._error(node)
-        operator, left, right = node.parts
+        operator, left, right = node.operator, node.left, node.right
         if operator == "||":
             self._forbid(left, count, index)
             self._forbid(right, count, index)
@@ -221,14 +237,14 @@ class _GuardReader:
             low = limit.exact + (operator == "<=")
         else:
             high = limit.exact - (operator == ">=")
-        for element in self._elements(node, name, at, count, index):
+        for element in self._elements(name, at, count, index):
             self._admit(name, element, low, high)
 
-    def _elements(self, node: CNode, name: str, at: CNode | None, count: int, index: str) -> range:
+    def _elements(self, name: str, at: Expression | None, count: int, index: str) -> range:
         if at is None:
             return range(1)
         size = self._sizes[name][0]
-        if index and _is_name(at, index):
+        if index and is_name(at, index):
             if count > size:
                 raise FaultError(f"{count} elements of s->{name}, which has {size}")
             return range(count)
@@ -246,27 +262,26 @@ class _GuardReader:
         before = limits[element]
         limits[element] = (max(low, before[0]), min(high, before[1]))
 
-    def _read_loop(self, node: CNode) -> None:
+    def _read_loop(self, node: CFor) -> None:
         """for (uint32_t k = 0; k < N; k++) { if (...) { sound = 0u; } }"""
-        _, name, first, operator, end, body = node.parts
-        if self._number(first) != 0 or operator != "<" or len(body.parts) != 1:
+        body = node.body.statements
+        if self._number(node.first) != 0 or node.operator != "<" or len(body) != 1:
             raise self._error(node)
-        if body.parts[0].kind != "if":
+        if not isinstance(body[0], CIf):
             raise self._error(node)
-        self._read_limit(body.parts[0], self._number(end), name)
+        self._read_limit(body[0], self._number(node.end), node.name)
 
-    def _read_recurrent(self, node: CNode) -> None:
+    def _read_recurrent(self, node: CAssign) -> None:
         """sound &= zd_gru_state_is_sound(s->x, N);"""
-        operator, target, call = node.parts
-        if operator != "&=" or not _is_name(target, "sound") or call.kind != "call":
+        call = node.source
+        if node.operator != "&=" or not is_name(node.target, "sound"):
             raise self._error(node)
-        name, arguments = call.parts
-        if name != "zd_gru_state_is_sound" or len(arguments) != 2:
+        if not isinstance(call, CCall) or call.name != "zd_gru_state_is_sound":
             raise self._error(node)
-        field = arguments[0]
-        if field.kind != "field" or not _is_name(field.parts[0], self._state):
+        field = call.arguments[0] if len(call.arguments) == 2 else None
+        if not isinstance(field, CField) or not is_name(field.of, self._state):
             raise self._error(node)
-        of, count = field.parts[2], self._number(arguments[1])
+        of, count = field.name, self._number(call.arguments[1])
         if self._types.get(of) != "int32_t" or len(self._sizes[of]) != 1:
             raise self._error(node)
         if count > self._sizes[of][0]:
@@ -287,7 +302,3 @@ class _GuardReader:
             if last in ("line", "window") and self._sizes[name]:  # an input may be called so
                 where = f"{stem}.{'steps' if last == 'line' else last}"
                 self._machine.note(where, 1, self._sizes[name][0], 16)
-
-
-def _is_name(node: CNode | None, name: str) -> bool:
-    return node is not None and node.kind == "name" and node.parts[0] == name

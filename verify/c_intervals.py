@@ -6,18 +6,29 @@ tests (`c_guard`); that each step leaves it so closes the induction. Shares no c
 generator and needs the standard library only.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TypeAlias
 
 from zerodrift.verify.c_checksum import FIELD as SUM
 from zerodrift.verify.c_guard import Guard
-from zerodrift.verify.c_nodes import CNode, Program, TypeName, Variable
+from zerodrift.verify.c_nodes import (
+    CBinary,
+    CField,
+    CInteger,
+    CUnary,
+    Expression,
+    Program,
+    TypeName,
+    Variable,
+)
 from zerodrift.verify.c_statements import Statements
 from zerodrift.verify.c_values import (
     TYPES,
     Address,
     FaultError,
+    Found,
+    Holder,
     Pointer,
     Struct,
     Value,
@@ -27,6 +38,9 @@ from zerodrift.verify.c_values import (
 
 MOST_PATHS = 64
 DEEPEST = 20
+Rule: TypeAlias = Callable[..., Found]
+"""(machine, *arguments) -> what a function of the runtime returns. A rule holds what it is given
+against the parameters of that function (`c_arguments`)."""
 
 
 class IntervalMachine(Statements):
@@ -37,7 +51,7 @@ class IntervalMachine(Statements):
         program: Program,
         prefix: str,
         known: Mapping[str, int],
-        rules: Mapping[str, Callable[..., Any]],
+        rules: Mapping[str, Rule],
         int_bits: int = 32,
     ) -> None:
         """Stand before the first function; `run` runs them all.
@@ -102,7 +116,7 @@ class IntervalMachine(Statements):
 
     # --- functions
 
-    def call(self, name: str, arguments: list[Any]) -> Any:
+    def call(self, name: str, arguments: Sequence[Found]) -> Found:
         """Run a function of the model."""
         function = self.program.functions[name]
         if self._depth >= DEEPEST or len(arguments) != len(function.parameters):
@@ -125,7 +139,7 @@ class IntervalMachine(Statements):
         del self._live[live:]
         return result
 
-    def _bind(self, parameter: Variable, argument: Any) -> Any:
+    def _bind(self, parameter: Variable, argument: Found) -> Holder:
         """Return what a parameter is of an argument, which must be of its type."""
         kind = parameter.type
         if parameter.sizes or kind.pointer:
@@ -146,13 +160,15 @@ class IntervalMachine(Statements):
         self._live.append(block)
         return block
 
-    def _as_constant(self, argument: Any, kind: TypeName, name: str) -> Any:
+    def _as_constant(
+        self, argument: Address | Pointer, kind: TypeName, name: str
+    ) -> Address | Pointer:
         constant = argument.constant or (isinstance(argument, Pointer) and argument.block.constant)
         if constant and not kind.constant:
             raise FaultError(f"something constant is given for {name}, which is not")
         return replace(argument, constant=kind.constant)
 
-    def _on_call(self, name: str, nodes: tuple[CNode, ...]) -> Any:
+    def _on_call(self, name: str, nodes: tuple[Expression, ...]) -> Found:
         if name in ("UINT32_C", "INT64_C", "UINT64_C", "INT32_C"):
             return self._literal(name, nodes)
         at = self._at
@@ -180,19 +196,19 @@ class IntervalMachine(Statements):
             return self._rules[name](self, *arguments)
         raise self.not_understood(f"there is no rule for {name}")
 
-    def run_assembly(self, name: str, arguments: list[Any]) -> None:
+    def run_assembly(self, name: str, arguments: Sequence[Found]) -> None:
         """Step a layer by assembly that is known."""
         raise NotImplementedError
 
-    def _literal(self, name: str, nodes: tuple[CNode, ...]) -> Value:
+    def _literal(self, name: str, nodes: tuple[Expression, ...]) -> Value:
         """INT64_C(-5) and its kind."""
         if len(nodes) != 1:
             raise self.not_understood(name)
         kind = f"{name[:-2].lower()}_t"
         inside = nodes[0]
-        while inside.kind == "unary" and inside.parts[0] == "-":
-            inside = inside.parts[1]
-        plain = inside.kind == "integer" and inside.parts[0].isdigit()
+        while isinstance(inside, CUnary) and inside.operator == "-":
+            inside = inside.of
+        plain = isinstance(inside, CInteger) and inside.token.isdigit()
         value = self.number(nodes[0])
         if not plain or not TYPES[kind][0] <= value.low <= TYPES[kind][1]:
             raise self.not_understood(f"{name} of this")
@@ -200,7 +216,7 @@ class IntervalMachine(Statements):
 
     # --- the state
 
-    def _ask_guard(self, state: Any) -> Value:
+    def _ask_guard(self, state: Found) -> Value:
         """Go on with a state that is not sound, one that was never stepped, or any other."""
         if not isinstance(state, Address) or state.struct.type != f"{self.prefix}_state_t":
             raise self.not_understood("state_is_sound of something else")
@@ -232,7 +248,7 @@ class IntervalMachine(Statements):
         """Return what the checksum of a state is taken over."""
         return tuple((id(b), b.version) for name, b in state.fields.items() if name != SUM)
 
-    def _sum_up(self, state: Any) -> Value:
+    def _sum_up(self, state: Found) -> Value:
         """Return the checksum of what the state holds now (`c_checksum` tells what it reads)."""
         if not isinstance(state, Address) or state.struct.type != f"{self.prefix}_state_t":
             raise self.not_understood("sum_up of something else")
@@ -241,14 +257,15 @@ class IntervalMachine(Statements):
                 Pointer(block, Value(0, 0), (block.count,)).values(block.count)
         return replace(anything("uint32_t"), sum_of=self._fields_of(state.struct))
 
-    def _on_binary(self, operator: str, left: CNode, right: CNode) -> Value:
-        if left.kind == "field" and left.parts[2] == SUM and operator in ("==", "!="):
-            holder = self.evaluate(left.parts[0])
+    def _on_binary(self, node: CBinary) -> Value:
+        operator, left, right = node.operator, node.left, node.right
+        if isinstance(left, CField) and left.name == SUM and operator in ("==", "!="):
+            holder = self.evaluate(left.of)
             found = self.number(right)
             if self.summed and isinstance(holder, Address) and found.sum_of:
                 return self._compare_sum(operator, holder.struct, found)
             return self.combine(operator, self.number(left), found)
-        return super()._on_binary(operator, left, right)
+        return super()._on_binary(node)
 
     def _compare_sum(self, operator: str, state: Struct, found: Value) -> Value:
         """Go on with a state that was changed, of which nothing may then be read, and with one
@@ -288,7 +305,7 @@ class IntervalMachine(Statements):
         if self.summed and not (self._compared or self._refused):
             self.fail("step does not compare the checksum of its state")
 
-    def _replay(self, name: str, arguments: list[Any]) -> Any:
+    def _replay(self, name: str, arguments: Sequence[Found]) -> Value | None:
         """The self-test's calls of functions that were shown for any state and input."""
         state, codes = arguments[:2]
         if not (isinstance(state, Address) and isinstance(codes, Address)):

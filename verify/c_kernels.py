@@ -7,15 +7,22 @@ needs the standard library only.
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
-from zerodrift.verify.c_arguments import Action, check, number, typed
-from zerodrift.verify.c_gru import COLUMNS, PAIRS, ROWS, run_packed, run_portable, shift_right
-from zerodrift.verify.c_intervals import IntervalMachine
+from zerodrift.verify.c_arguments import check_number, check_row, number, typed
+from zerodrift.verify.c_gru import (
+    COLUMNS,
+    PAIRS,
+    ROWS,
+    packed,
+    portable,
+    shift_right,
+)
+from zerodrift.verify.c_intervals import IntervalMachine, Rule
 from zerodrift.verify.c_values import (
     TYPES,
     Address,
     FaultError,
+    Found,
     Pointer,
     Struct,
     Value,
@@ -211,7 +218,7 @@ def _crc_word(machine: IntervalMachine, crc: Value, word: Value) -> Value:
     return Value(after, after, "uint32_t")
 
 
-def _bytes_of(machine: IntervalMachine, state: Any, written: bool) -> Struct:
+def _bytes_of(machine: IntervalMachine, state: Found, written: bool) -> Struct:
     own = f"{machine.prefix}_state_t"
     if not isinstance(state, Address) or not state.bytes or state.struct.type != own:
         raise FaultError("what is saved or restored is not the bytes of the state")
@@ -221,25 +228,29 @@ def _bytes_of(machine: IntervalMachine, state: Any, written: bool) -> Struct:
 
 
 def _hold_saved(
-    machine: IntervalMachine, saved: Any, struct: Struct, size: Any, identity: Any
+    machine: IntervalMachine, saved: Found, struct: Struct, size: Found, identity: Found
 ) -> None:
     own = machine.size_of(struct.type)
-    wide = check(machine, "uint32_t", size)
+    wide = check_number(machine, "uint32_t", size)
     if wide.exact != own:
         raise FaultError(f"{wide.low} .. {wide.high} bytes of a state that has {own}")
-    check(machine, "const uint8_t *", saved).hold(own + SAVED_EXTRA)
-    if check(machine, "uint32_t", identity).exact != machine.guard.identity:
+    check_row("const uint8_t *", saved).hold(own + SAVED_EXTRA)
+    if check_number(machine, "uint32_t", identity).exact != machine.guard.identity:
         raise FaultError("a state is saved or restored as another model's")
 
 
-def _save(machine: IntervalMachine, saved: Any, state: Any, size: Any, identity: Any) -> None:
+def _save(
+    machine: IntervalMachine, saved: Found, state: Found, size: Found, identity: Found
+) -> None:
     struct = _bytes_of(machine, state, written=False)
     _hold_saved(machine, saved, struct, size, identity)
-    target = check(machine, "uint8_t *", saved)
+    target = check_row("uint8_t *", saved)
     target.fill([anything("uint8_t")] * (machine.size_of(struct.type) + SAVED_EXTRA))
 
 
-def _restore(machine: IntervalMachine, state: Any, saved: Any, size: Any, identity: Any) -> Value:
+def _restore(
+    machine: IntervalMachine, state: Found, saved: Found, size: Found, identity: Found
+) -> Value:
     """0: the state holds any bits, those of the copy; otherwise it is as it was."""
     struct = _bytes_of(machine, state, written=True)
     _hold_saved(machine, saved, struct, size, identity)
@@ -251,26 +262,27 @@ def _restore(machine: IntervalMachine, state: Any, saved: Any, size: Any, identi
     return Value(0, 0, "uint32_t")
 
 
-def _observe(machine: IntervalMachine, values: Any, count: Value) -> None:
+def _observe(machine: IntervalMachine, values: Found, count: Found) -> None:
     """What the test harness reads; nothing on a chip."""
-    n = number(count, 0, TYPES["uint32_t"][1], "the length")
+    n = number(machine.as_number(count), 0, TYPES["uint32_t"][1], "the length")
     if not isinstance(values, Pointer):
         raise FaultError("no numbers are observed")
     values.values(n)
 
 
-def _size(of: Callable[..., int]) -> Action:
+def _size(of: Callable[..., int]) -> Rule:
     """A macro that is the size of an array, in unsigned numbers."""
 
-    def rule(machine: IntervalMachine, *given: Value) -> Value:
-        n = of(machine, *(number(v, 0, 1 << 16, "a size") for v in given))
-        return Value(n, n, machine.common(machine.unsigned, given[0].type))
+    def rule(machine: IntervalMachine, *given: Found) -> Value:
+        sizes = [machine.as_number(one) for one in given]
+        n = of(machine, *(number(v, 0, 1 << 16, "a size") for v in sizes))
+        return Value(n, n, machine.common(machine.unsigned, sizes[0].type))
 
     return rule
 
 
 GRU = "uint32_t, uint32_t, const int16_t *, int32_t *"
-RULES: dict[str, Action] = {
+RULES: dict[str, Rule] = {
     "zd_clamp32": typed("int32_t, int32_t, int32_t", _clamp, "int32_t"),
     "zd_clamp64": typed("int64_t, int64_t, int64_t", _clamp_wide, "int64_t"),
     "zd_asr32": typed(
@@ -292,23 +304,23 @@ RULES: dict[str, Action] = {
     "zd_gru_copy_state": typed("const int32_t *, int16_t *, uint32_t", _copy_state),
     "zd_gru_step_after": typed(
         f"&zd_gru_t, {GRU}, int16_t *, int32_t",
-        lambda machine, *given: run_portable(machine, True, *given),
+        portable(after=True),
     ),
     "zd_gru_step_before": typed(
         f"&zd_gru_t, {GRU}, int16_t *, int16_t *, int32_t",
-        lambda machine, *given: run_portable(machine, False, *given),
+        portable(after=False),
     ),
     "zd_gru_step_pairs": typed(
         f"&zd_gru_pairs_t, {GRU}, int32_t *, int32_t",
-        lambda machine, *given: run_packed(machine, PAIRS, *given),
+        packed(PAIRS),
     ),
     "zd_gru_step_columns": typed(
         f"&zd_gru_columns_t, {GRU}, int32_t *, int32_t *, int32_t",
-        lambda machine, *given: run_packed(machine, COLUMNS, *given),
+        packed(COLUMNS),
     ),
     "zd_gru_step_rows": typed(
         f"&zd_gru_rows_t, {GRU}, int16_t *, int32_t",
-        lambda machine, *given: run_packed(machine, ROWS, *given),
+        packed(ROWS),
     ),
     "zd_crc32_i16": typed("uint32_t, const int16_t *, uint32_t", _crc, "uint32_t"),
     "zd_crc32_i32": typed("uint32_t, const int32_t *, uint32_t", _crc, "uint32_t"),

@@ -5,15 +5,14 @@ Shares no code with the generator and needs the standard library only.
 
 import itertools
 import re
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 from zerodrift.verify.c_assembly import NAMES, run_assembly
 from zerodrift.verify.c_checksum import is_summed
 from zerodrift.verify.c_guard import read_guard
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_kernels import RULES, STRUCTS
-from zerodrift.verify.c_nodes import CNode, Variable
+from zerodrift.verify.c_nodes import CInteger, CList, CName, CNumbers, Initialiser, Variable
 from zerodrift.verify.c_parser import parse
 from zerodrift.verify.c_reader import WAYS, PreprocessorWay, Tokens, read_ways
 from zerodrift.verify.c_values import (
@@ -21,6 +20,7 @@ from zerodrift.verify.c_values import (
     Address,
     Block,
     FaultError,
+    Found,
     NotUnderstoodError,
     Pointer,
     Struct,
@@ -156,16 +156,16 @@ class Model(IntervalMachine):
         if left and not self.failures:
             raise NotUnderstoodError(f"{min(left)} is never called, and was not looked at")
 
-    def run_assembly(self, name: str, arguments: list[Any]) -> None:
+    def run_assembly(self, name: str, arguments: Sequence[Found]) -> None:
         """Step a layer by assembly that is known."""
         texts = [(self.defined, self.program.assembly), *self.others]
         run_assembly(self, name, arguments, texts)
 
-    def _expand(self, macro: str) -> CNode:
+    def _expand(self, macro: str) -> CInteger:
         words = self.program.tokens.macros.get(f"{self.prefix.upper()}_{macro}")
         if words is None or len(words) != 1:
             raise NotUnderstoodError(f"{self.prefix}.h: no {macro}")
-        return CNode("integer", 0, (words[0], int(words[0]), False, 0))
+        return CInteger(0, words[0], int(words[0]))
 
     # --- constants
 
@@ -175,8 +175,8 @@ class Model(IntervalMachine):
         if name in self.constants or name in self.known or variable.first is None:
             raise self.not_understood(f"{name} stands here twice")
         sizes = [self._size(size) for size in variable.sizes]
-        if kind in STRUCTS and not sizes and variable.first.kind == "list":
-            self.constants[name] = self._read_struct(name, kind, variable.first.parts)
+        if kind in STRUCTS and not sizes and isinstance(variable.first, CList):
+            self.constants[name] = self._read_struct(name, kind, variable.first.items)
             return
         if kind not in TYPES:
             raise self.not_understood(f"a constant of {kind}")
@@ -184,38 +184,38 @@ class Model(IntervalMachine):
         block.cells = list(self._read_numbers(variable.first, kind, sizes, name))
         self.constants[name] = block
 
-    def _read_numbers(self, node: CNode, kind: str, sizes: list[int], name: str) -> list[int]:
+    def _read_numbers(self, node: Initialiser, kind: str, sizes: list[int], name: str) -> list[int]:
         if not sizes:
-            if node.kind == "list":
+            if isinstance(node, CList):
                 raise self.not_understood(f"{name}: a list where a number is expected")
             return [self._read_number(node, kind, name)]
-        if node.kind == "numbers" and len(sizes) == 1:
-            found: list[int] = node.parts[0]
+        if isinstance(node, CNumbers) and len(sizes) == 1:
+            found = node.numbers
             if len(found) > sizes[0]:
                 raise FaultError(f"{name}: {len(found)} values for {sizes[0]}")
             for number in (min(found), max(found)):
                 self._require_fit(number, kind, name, node)
             return found + [0] * (sizes[0] - len(found))
-        if node.kind != "list" or len(node.parts) > sizes[0]:
+        if not isinstance(node, CList) or len(node.items) > sizes[0]:
             raise FaultError(f"{name}: more than {sizes[0]} values, or no list of them")
         inner = 1
         for size in sizes[1:]:
             inner *= size
-        numbers = [n for p in node.parts for n in self._read_numbers(p, kind, sizes[1:], name)]
+        numbers = [n for p in node.items for n in self._read_numbers(p, kind, sizes[1:], name)]
         return numbers + [0] * (inner * sizes[0] - len(numbers))
 
-    def _read_number(self, node: CNode, kind: str, name: str) -> int:
+    def _read_number(self, node: Initialiser, kind: str, name: str) -> int:
         number = self.constant(node)
         self._require_fit(number, kind, name, node)
         return number
 
-    def _require_fit(self, number: int, kind: str, name: str, node: CNode) -> None:
+    def _require_fit(self, number: int, kind: str, name: str, node: Initialiser) -> None:
         low, high = TYPES[kind]
         if not low <= number <= high:
             self._at = node.at
             raise FaultError(f"{name}: {number} does not fit {kind}")
 
-    def _read_struct(self, name: str, kind: str, items: tuple[CNode, ...]) -> Struct:
+    def _read_struct(self, name: str, kind: str, items: tuple[Initialiser, ...]) -> Struct:
         struct = Struct(name, kind)
         if len(items) != len(STRUCTS[kind]):
             raise FaultError(f"{name}: {len(items)} values for {len(STRUCTS[kind])} fields")
@@ -229,9 +229,9 @@ class Model(IntervalMachine):
                 )
                 continue
             struct.tables[field] = None
-            if item.kind == "integer" and item.parts[1] == 0:
+            if isinstance(item, CInteger) and item.number == 0:
                 continue
-            found = self.evaluate(item) if item.kind == "name" else None
+            found = self.evaluate(item) if isinstance(item, CName) else None
             wanted = of.removeprefix("const ").removesuffix(" *")
             if not isinstance(found, Pointer) or found.block.type != wanted:
                 raise FaultError(f"{name}.{field}: no table of {wanted}")
@@ -242,8 +242,8 @@ class Model(IntervalMachine):
 
     # --- entries: what anyone may call, with any state and any input
 
-    def _call_entry(self, name: str, *arguments: object) -> None:
-        self.call(f"{self.prefix}_{name}", list(arguments))
+    def _call_entry(self, name: str, *arguments: Found) -> None:
+        self.call(f"{self.prefix}_{name}", arguments)
 
     def _saved(self, any_bits: bool, entry: str) -> Pointer:
         sizes = self.program.functions[f"{self.prefix}_{entry}"].parameters[-1].sizes

@@ -3,19 +3,19 @@
 Shares no code with the generator and needs the standard library only.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TypeAlias
 
 from zerodrift.verify.c_reader import Tokens
 
 
 @dataclass(frozen=True)
 class CNode:
-    """An expression or statement: its kind, where it stands, and its parts."""
+    """An expression, an initialiser or a statement."""
 
-    kind: str
     at: int
-    parts: tuple[Any, ...]
+    """The token with which it begins."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,194 @@ class Variable:
 
     type: TypeName
     name: str
-    sizes: tuple[CNode, ...]
+    sizes: "tuple[Expression, ...]"
     at: int
-    first: CNode | None = None
-    """Its initialiser."""
+    first: "Initialiser | None" = None
+
+
+@dataclass(frozen=True)
+class CInteger(CNode):
+    """A literal."""
+
+    token: str
+    number: int
+    unsigned: bool = False
+    longs: int = 0
+    """How many l it ends with."""
+
+
+@dataclass(frozen=True)
+class CName(CNode):
+    """A variable, a constant or a macro of the runtime."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class CField(CNode):
+    """of->name or of.name."""
+
+    of: "Expression"
+    operator: str
+    name: str
+
+
+@dataclass(frozen=True)
+class CIndex(CNode):
+    """of[index]."""
+
+    of: "Expression"
+    index: "Expression"
+
+
+@dataclass(frozen=True)
+class CCall(CNode):
+    """name(arguments)."""
+
+    name: str
+    arguments: "tuple[Expression, ...]"
+
+
+@dataclass(frozen=True)
+class CUnary(CNode):
+    """One of - + ~ ! & * before an expression."""
+
+    operator: str
+    of: "Expression"
+
+
+@dataclass(frozen=True)
+class CSizeof(CNode):
+    """sizeof(of), a type's name or an expression."""
+
+    of: "str | Expression"
+
+
+@dataclass(frozen=True)
+class CCast(CNode):
+    """(type)of."""
+
+    type: TypeName
+    of: "Expression"
+
+
+@dataclass(frozen=True)
+class CBinary(CNode):
+    """left operator right."""
+
+    operator: str
+    left: "Expression"
+    right: "Expression"
+
+
+@dataclass(frozen=True)
+class CChoose(CNode):
+    """condition ? first : second."""
+
+    condition: "Expression"
+    first: "Expression"
+    second: "Expression"
+
+
+@dataclass(frozen=True)
+class CNumbers(CNode):
+    """An initialiser that is nothing but decimal numbers."""
+
+    numbers: list[int]
+
+
+@dataclass(frozen=True)
+class CList(CNode):
+    """An initialiser of other things."""
+
+    items: "tuple[Initialiser, ...]"
+
+
+@dataclass(frozen=True)
+class CBlock(CNode):
+    """Statements in braces."""
+
+    statements: "tuple[Statement, ...]"
+
+
+@dataclass(frozen=True)
+class CReturn(CNode):
+    """Return, of a value or of nothing."""
+
+    value: "Expression | None"
+
+
+@dataclass(frozen=True)
+class CIf(CNode):
+    """A branch; `other` is what follows else."""
+
+    condition: "Expression"
+    then: CBlock
+    other: "CBlock | CIf | None"
+
+
+@dataclass(frozen=True)
+class CFor(CNode):
+    """for (type name = first; name operator end; name++) body."""
+
+    type: str
+    name: str
+    first: "Expression"
+    operator: str
+    end: "Expression"
+    body: CBlock
+
+
+@dataclass(frozen=True)
+class CDeclare(CNode):
+    """A variable of a function."""
+
+    variable: Variable
+
+
+@dataclass(frozen=True)
+class CAssign(CNode):
+    """target operator source, such as += ."""
+
+    operator: str
+    target: "Expression"
+    source: "Expression"
+
+
+@dataclass(frozen=True)
+class CAlone(CNode):
+    """A call whose result nobody takes, or (void)of."""
+
+    of: "Expression"
+
+
+Expression: TypeAlias = (
+    CInteger | CName | CField | CIndex | CCall | CUnary | CSizeof | CCast | CBinary | CChoose
+)
+Initialiser: TypeAlias = Expression | CNumbers | CList
+Statement: TypeAlias = CBlock | CReturn | CIf | CFor | CDeclare | CAssign | CAlone
+
+
+def list_parts(node: CNode | Variable) -> Iterator[CNode]:
+    """Yield the nodes that a node is made of, those of a variable that it declares too."""
+    for part in vars(node).values():
+        for one in part if isinstance(part, tuple) else (part,):
+            if isinstance(one, CNode):
+                yield one
+            elif isinstance(one, Variable):
+                yield from list_parts(one)
+
+
+def walk(node: CNode) -> Iterator[CNode]:
+    """Yield a node and all that is inside it."""
+    yield node
+    for part in list_parts(node):
+        yield from walk(part)
+
+
+def is_name(node: CNode | None, name: str) -> bool:
+    """Return whether a node is nothing but this name."""
+    return isinstance(node, CName) and node.name == name
 
 
 @dataclass(frozen=True)
@@ -47,7 +231,7 @@ class Function:
     name: str
     result: str
     parameters: tuple[Variable, ...]
-    body: CNode
+    body: CBlock
 
 
 @dataclass
@@ -58,7 +242,7 @@ class Program:
     structs: dict[str, tuple[Variable, ...]] = field(default_factory=dict)
     constants: list[Variable] = field(default_factory=list)
     functions: dict[str, Function] = field(default_factory=dict)
-    claims: list[CNode] = field(default_factory=list)
+    claims: list[Expression] = field(default_factory=list)
     assembly: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """Function -> its lines of assembly."""
 

@@ -6,15 +6,37 @@ where its ends are not. Shares no code with the generator and needs the standard
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from zerodrift.verify.c_expressions import Expressions
-from zerodrift.verify.c_nodes import CNode, Program, Variable
+from zerodrift.verify.c_nodes import (
+    CAlone,
+    CAssign,
+    CBinary,
+    CBlock,
+    CChoose,
+    CDeclare,
+    CFor,
+    CIf,
+    CIndex,
+    CInteger,
+    CList,
+    CName,
+    CNumbers,
+    CReturn,
+    Expression,
+    Program,
+    Statement,
+    Variable,
+    is_name,
+    walk,
+)
 from zerodrift.verify.c_values import (
     TYPES,
     Address,
     Block,
+    Cell,
     FaultError,
+    Found,
     Pointer,
     Struct,
     Value,
@@ -43,9 +65,9 @@ class Statements(Expressions):
         self.prefix = prefix
         self._live: list[Block] = []
         self._inputs: list[Struct] = []
-        self._returned: Any = None
+        self._returned: Found = None
 
-    def as_number(self, value: Any) -> Value:
+    def as_number(self, value: Found) -> Value:
         """Return a value that has to be a number."""
         if not isinstance(value, Value):
             raise self.not_understood("something that is no number")
@@ -70,12 +92,12 @@ class Statements(Expressions):
             self._inputs.append(struct)  # an id is no other's while the block lives
         return struct
 
-    def _run_block(self, block: CNode) -> bool:
+    def _run_block(self, block: CBlock) -> bool:
         """Run a block in braces; tell whether it returns. Its own variables end with it."""
         outer, live = self.variables, len(self._live)
         self.variables = dict(outer)
         returned = False
-        for statement in block.parts:
+        for statement in block.statements:
             returned = self._run(statement)
             if returned:
                 break
@@ -83,33 +105,33 @@ class Statements(Expressions):
         del self._live[live:]
         return returned
 
-    def _run(self, node: CNode) -> bool:
+    def _run(self, node: Statement) -> bool:
         """Run a statement; tell whether it returns."""
         self.stand_at(node.at)
-        if node.kind == "block":
-            return self._run_block(node)
-        if node.kind == "return":
-            value = None if node.parts[0] is None else self.evaluate(node.parts[0])
-            self._returned = value
-            return True
-        if node.kind == "if":
-            return self._run_branch(*node.parts)
-        if node.kind == "for":
-            self._run_loop(*node.parts)
-        elif node.kind == "declare":
-            self._declare(node.parts[0])
-        elif node.kind == "assign":
-            self._assign(*node.parts)
-        else:  # a call, or (void)x
-            self.evaluate(node.parts[0])
+        match node:
+            case CBlock():
+                return self._run_block(node)
+            case CReturn():
+                self._returned = None if node.value is None else self.evaluate(node.value)
+                return True
+            case CIf():
+                return self._run_branch(node.condition, node.then, node.other)
+            case CFor():
+                self._run_loop(node)
+            case CDeclare():
+                self._declare(node.variable)
+            case CAssign():
+                self._assign(node.operator, node.target, node.source)
+            case CAlone():
+                self.evaluate(node.of)
         return False
 
-    def _run_branch(self, condition: CNode, then: CNode, other: CNode | None) -> bool:
+    def _run_branch(self, condition: Expression, then: CBlock, other: CBlock | CIf | None) -> bool:
         test = self._as_truth(self.number(condition))
         if test.exact is not None:
             branch = then if test.exact else other
             return self._run(branch) if branch is not None else False
-        if any(map(holds_return, (then, other))):
+        if holds_return(then) or (other is not None and holds_return(other)):
             truth = self.choose(2) == 0
             self.assume(condition, truth)
             branch = then if truth else other
@@ -125,14 +147,14 @@ class Statements(Expressions):
         self._join(after)
         return False
 
-    def _keep(self) -> list[tuple[Block, list[Any], int]]:
+    def _keep(self) -> list[tuple[Block, list[Cell], int]]:
         return [(block, list(block.cells), block.version) for block in self._live]
 
-    def _restore(self, kept: list[tuple[Block, list[Any], int]]) -> None:
+    def _restore(self, kept: list[tuple[Block, list[Cell], int]]) -> None:
         for block, cells, _ in kept:
             block.cells = list(cells)
 
-    def _join(self, kept: list[tuple[Block, list[Any], int]]) -> bool:
+    def _join(self, kept: list[tuple[Block, list[Cell], int]]) -> bool:
         """Let every cell be what it is or what it was then; tell whether any changed."""
         changed = False
         for block, cells, _ in kept:
@@ -141,26 +163,19 @@ class Statements(Expressions):
                 if now is before or now == before:
                     continue
                 changed = True
-                if now is None or before is None:
-                    block.cells[at] = None
+                if isinstance(now, Value) and isinstance(before, Value):
+                    block.cells[at] = now.join(before)
                 else:
-                    block.cells[at] = now.join(before)  # type: ignore[union-attr]
+                    block.cells[at] = None
         return changed
 
-    def _run_loop(
-        self,
-        kind: str,
-        name: str,
-        first: CNode,
-        operator: str,
-        end: CNode,
-        body: CNode,
-    ) -> None:
+    def _run_loop(self, loop: CFor) -> None:
         """Run a counting loop step by step; where its ends are not known, for any index at once."""
-        start, stop = self.convert(self.number(first), kind), self.number(end)
+        kind, name, body = loop.type, loop.name, loop.body
+        start, stop = self.convert(self.number(loop.first), kind), self.number(loop.end)
         if self.common(stop.type, kind) != kind or name in self.variables or assigns(body, name):
             raise self.not_understood("a loop that is not counted by its own variable")
-        extra = int(operator == "<=")
+        extra = int(loop.operator == "<=")
         if start.exact is not None and stop.exact is not None:
             rounds = stop.exact + extra - start.exact
             if rounds > MOST_ROUNDS:
@@ -182,7 +197,7 @@ class Statements(Expressions):
                 return
         raise self.not_understood("a loop that goes on growing")
 
-    def _run_round(self, kind: str, name: str, index: Value, body: CNode) -> bool:
+    def _run_round(self, kind: str, name: str, index: Value, body: CBlock) -> bool:
         self.variables[name] = Block(name, kind, (), [index], constant=True)
         returned = self._run_block(body)
         del self.variables[name]
@@ -195,11 +210,7 @@ class Statements(Expressions):
         if kind.pointer:
             self._declare_pointer(variable)
             return
-        zero = (
-            variable.first is not None
-            and variable.first.kind == "numbers"
-            and variable.first.parts[0] == [0]
-        )
+        zero = isinstance(variable.first, CNumbers) and variable.first.numbers == [0]
         if kind.name in self.program.structs:
             if variable.sizes or (variable.first is not None and not zero):
                 raise self.not_understood(f"how {name} begins")
@@ -215,7 +226,7 @@ class Statements(Expressions):
             self.pending, self.shift = {}, None
         sizes = [self._size(size) for size in variable.sizes]
         block = make_block(name, kind.name, sizes, None)
-        if variable.first is not None and variable.first.kind in ("list", "numbers"):
+        if isinstance(variable.first, CList | CNumbers):
             self._fill_list(block, variable.first)
         elif variable.first is not None:
             if sizes:
@@ -232,17 +243,17 @@ class Statements(Expressions):
         self.variables[name] = block
         self._live.append(block)
 
-    def _size(self, node: CNode) -> int:
+    def _size(self, node: Expression) -> int:
         size = self.constant(node)
         if not 0 < size <= MOST_ROUNDS:
             raise FaultError(f"an array of {size}")
         return size
 
-    def _fill_list(self, block: Block, items: CNode) -> None:
-        if items.kind == "numbers":
-            found = [Value(n, n, "int64_t") for n in items.parts[0]]
+    def _fill_list(self, block: Block, first: CList | CNumbers) -> None:
+        if isinstance(first, CNumbers):
+            found = [Value(n, n, "int64_t") for n in first.numbers]
         else:
-            found = [self.number(n) for n in items.parts]
+            found = [self.number(n) for n in first.items]
         if len(block.sizes) != 1 or len(found) > block.count or not found:
             raise FaultError(f"{len(found)} values for {block.name} of {block.sizes}")
         cells = [self.as_plain(self.keep(v, block.type)) for v in found]
@@ -265,7 +276,7 @@ class Statements(Expressions):
             self.note_shift(f"{name}.shift", self.shift)
         self.pending, self.shift = {}, None
 
-    def _assign(self, operator: str, target: CNode, source: CNode) -> None:
+    def _assign(self, operator: str, target: Expression, source: Expression) -> None:
         """x = e; x op= e; where x is a variable, a field, an element, or a whole struct."""
         place = self.locate(target)
         if isinstance(place, Address):
@@ -282,10 +293,9 @@ class Statements(Expressions):
         self.stand_at(target.at)
         kind = place.block.type
         value = self.keep(found, kind)
-        if target.kind == "index" and target.parts[0].kind == "name":
-            self._note_element(target.parts[0].parts[0], place, value)
-        is_sum = target.kind == "name" and target.parts[0] == "sum"
-        place.fill([value if is_sum else self.as_plain(value)])
+        if isinstance(target, CIndex) and isinstance(target.of, CName):
+            self._note_element(target.of.name, place, value)
+        place.fill([value if is_name(target, "sum") else self.as_plain(value)])
 
     def _note_element(self, name: str, place: Pointer, value: Value) -> None:
         """Note what is stored in an element of a local array: a row of a node."""
@@ -301,16 +311,16 @@ class Statements(Expressions):
         self.pending.clear()
         self._note_pending(where)
 
-    def _counts_up(self, operator: str, place: Pointer, source: CNode) -> bool:
+    def _counts_up(self, operator: str, place: Pointer, source: Expression) -> bool:
         """s->x += (copy < limit) ? 1 : 0; where `copy` is what the field holds."""
-        if operator != "+=" or source.kind != "choose" or "->" not in place.block.name:
+        if operator != "+=" or not isinstance(source, CChoose) or "->" not in place.block.name:
             return False
-        condition, one, none = source.parts
-        plain = [n.parts[1] for n in (one, none) if n.kind == "integer"]
-        if condition.kind != "binary" or condition.parts[0] != "<" or plain != [1, 0]:
+        condition, ends = source.condition, (source.first, source.second)
+        plain = [n.number for n in ends if isinstance(n, CInteger)]
+        if not isinstance(condition, CBinary) or condition.operator != "<" or plain != [1, 0]:
             return False
-        copied = self.locate(condition.parts[1]) if condition.parts[1].kind == "name" else None
-        limit = self.constant(condition.parts[2])
+        copied = self.locate(condition.left) if isinstance(condition.left, CName) else None
+        limit = self.constant(condition.right)
         before = place.block.value(0)
         held = copied.block.value(0) if isinstance(copied, Pointer) and not copied.sizes else None
         if held is None or held.copy_of != (id(place.block), place.block.version):
@@ -330,10 +340,10 @@ class Statements(Expressions):
         stem, _, last = block.name.rpartition("->")[2].rpartition("_")
         return f"{stem}.{last}"
 
-    def _assign_struct(self, operator: str, place: Address, source: CNode) -> None:
+    def _assign_struct(self, operator: str, place: Address, source: Expression) -> None:
         found = self.locate(source)
-        same = isinstance(found, Struct) and found.type == place.struct.type
-        if operator != "=" or not same or place.constant or place.bytes:
+        free = operator == "=" and not place.constant and not place.bytes
+        if not free or not isinstance(found, Struct) or found.type != place.struct.type:
             raise self.not_understood("this cannot be assigned")
         for name, block in found.fields.items():
             values = Pointer(block, Value(0, 0), (block.count,)).values(block.count)
@@ -341,26 +351,16 @@ class Statements(Expressions):
             Pointer(target, Value(0, 0), (target.count,)).fill(values)
 
 
-def holds_return(node: Any) -> bool:
+def holds_return(node: Statement) -> bool:
     """Return whether a statement returns anywhere inside."""
-    return isinstance(node, CNode) and (node.kind == "return" or any(map(holds_return, node.parts)))
+    return any(isinstance(part, CReturn) for part in walk(node))
 
 
-def mentions(node: Any, name: str) -> bool:
+def mentions(node: Statement, name: str) -> bool:
     """Return whether a variable stands anywhere in a statement."""
-    if isinstance(node, Variable):
-        return any(mentions(part, name) for part in (node.first, *node.sizes))
-    if isinstance(node, tuple):
-        return any(mentions(part, name) for part in node)
-    if not isinstance(node, CNode):
-        return False
-    return node == CNode("name", node.at, (name,)) or mentions(node.parts, name)
+    return any(is_name(part, name) for part in walk(node))
 
 
-def assigns(node: Any, name: str) -> bool:
+def assigns(node: Statement, name: str) -> bool:
     """Return whether a statement changes a variable."""
-    if not isinstance(node, CNode):
-        return False
-    if node.kind == "assign" and node.parts[1].kind == "name" and node.parts[1].parts[0] == name:
-        return True
-    return any(assigns(part, name) for part in node.parts)
+    return any(isinstance(part, CAssign) and is_name(part.target, name) for part in walk(node))

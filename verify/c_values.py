@@ -5,6 +5,7 @@ Shares no code with the generator and needs the standard library only.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 TYPES = {f"int{n}_t": (-(2 ** (n - 1)), 2 ** (n - 1) - 1) for n in (8, 16, 32, 64)}
 TYPES |= {f"uint{n}_t": (0, 2**n - 1) for n in (8, 16, 32, 64)}
@@ -178,6 +179,12 @@ class Address:
     struct: Struct
     constant: bool = False
     bytes: bool = False
+
+
+Found: TypeAlias = Value | Pointer | Address | Struct | None
+"""What an expression gives; None where a function returns nothing."""
+Holder: TypeAlias = Block | Struct | Pointer | Address
+"""What a variable is: pointers and addresses are parameters, or point to constants."""
 
 
 def make_block(
