@@ -270,6 +270,33 @@ def _refine_leaders(
     return refined
 
 
+def fit_leaders_again(
+    campaign: Campaign, candidates: Sequence[Candidate], weights: Array, base_score: float
+) -> list[Candidate]:
+    """Return the candidates judged with other weights, the leading ones fitted with them too.
+
+    Args:
+        campaign: the runs.
+        candidates: as fitted with other weights.
+        weights: [L, K].
+        base_score: of the model as it is, with these weights.
+    """
+    errors = [judge_again(campaign, candidate, weights) for candidate in candidates]
+    gains = [base_score - float(each.score(weights).sum()) for each in errors]
+    judged = []
+    for candidate, held_out, gain in zip(candidates, errors, gains, strict=True):
+        if not candidate.exact or gain < LEADING * max(gains):
+            judged.append(replace(candidate, held_out=held_out))
+            continue
+        place = candidate.proposal.place
+        found = search(campaign, candidate.found.terms, weights, vary=(place,), refined_starts=1)
+        again = _judge(
+            campaign, candidate.proposal, found, weights, candidate.excitation, exact=True
+        )
+        judged.append(replace(again, distinct=candidate.distinct))
+    return judged
+
+
 def _compare_with_ends(
     campaign: Campaign, base: Found, candidate: Candidate, weights: Array
 ) -> Candidate:

@@ -20,6 +20,7 @@ from zerodrift.diagnosis.rail_gain import count_rails, look_at_rails, place_rail
 from zerodrift.diagnosis.revision import try_extension
 from zerodrift.diagnosis.rules import (
     EXPLAINED,
+    EXPLAINED_WITHOUT_DWELL,
     LEFT_WITHOUT_DWELL,
     Finding,
     helps,
@@ -124,6 +125,7 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
     if not case.dataset.dwell:
         # A floor that is a lower bound cannot refuse; a large held-out gain must do.
         explained = explained or findings[0].judged.rmse_ratio ** 2 <= LEFT_WITHOUT_DWELL
+        explained = explained or share >= EXPLAINED_WITHOUT_DWELL
     if not explained:
         return report(case, "unknown", first, findings[0], ()), terms
     refusal = foresee_refusal(case, findings[0])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from zerodrift.physics.campaign import Sums
+from zerodrift.physics.octaves import MEANS
 from zerodrift.physics.projection import Coordinate, invert_scaled, solve, step_values, weigh
 
 Array = NDArray[np.float64]
@@ -21,6 +22,11 @@ FOLD_STEPS = 2
 """Gauss-Newton steps of the shared values within each fold, from the optimum over all runs."""
 MOST_MOVE = 0.5
 """Largest move of a coordinate within a fold; the slopes hold no further."""
+SURE_NATS = 25.0
+"""Gain in likelihood of an effect that follows a signal, above which few runs are enough, or one
+(`python -m benchmarks.study_evidence` prints what chance gains)."""
+FEWEST_COEFFICIENTS = 8
+"""Octaves whose coefficients are fewer share a variance with the next faster one."""
 MOST_FLIPS = 4096
 """All sign patterns up to twelve runs; beyond, as many drawn at random."""
 
@@ -103,6 +109,43 @@ def _square(residual: Array, products: Array) -> Array:
     """Return the squares [G, L, K] of residuals [K, C], from sums of products [G, L, C, C]."""
     moved = residual @ products
     return np.asarray(np.maximum(np.einsum("glkc,kc->glk", moved, residual), 0.0))
+
+
+def compare_likelihoods(
+    before: Errors, after: Errors, levels: NDArray[np.int64], unjudged: NDArray[np.bool_]
+) -> float:
+    """Return the gain in log-likelihood, nats, with the noise of each octave its own either time.
+
+    A missing effect and slow noise both swell the slow octaves. So neither model's noise is given:
+    each octave's variance is what that model leaves there, and what counts is by how much the
+    variances fall, coefficient by coefficient. A wandering that an effect follows by chance leaves
+    most of what it was; an effect that is there leaves the fast octaves' noise. The slowest
+    octaves have few coefficients and share one variance.
+
+    Args:
+        before: held-out errors of the model as it is.
+        after: those with the effect.
+        levels: [L] octaves' numbers.
+        unjudged: [L] octaves that do not count.
+    """
+    counts = before.counts.sum(axis=0)
+    old, new = before.squares.sum(axis=0), after.squares.sum(axis=0)
+    # From slow to fast: the pieces' means are the slowest.
+    order = sorted(
+        np.flatnonzero(~unjudged & (counts > 0.0)).tolist(),
+        key=lambda i: (levels[i] != MEANS, -levels[i]),
+    )
+    gain, start = 0.0, 0
+    for stop in range(1, len(order) + 1):
+        band = order[start:stop]
+        count = float(counts[band].sum())
+        if count < FEWEST_COEFFICIENTS and stop < len(order):
+            continue
+        was, now = old[band].sum(axis=0), new[band].sum(axis=0)
+        alive = (was > 0.0) & (now > 0.0)
+        gain += 0.5 * count * float(np.log(was[alive] / now[alive]).sum())
+        start = stop
+    return gain
 
 
 def flip_signs(gains: Array) -> Array:

@@ -11,11 +11,18 @@ from zerodrift.diagnosis.candidates import (
     Candidate,
     Untested,
     are_sound,
+    fit_leaders_again,
     judge_again,
     propose,
     try_candidates,
 )
-from zerodrift.diagnosis.evidence import Errors, flip_signs, hold_in, hold_out
+from zerodrift.diagnosis.evidence import (
+    Errors,
+    compare_likelihoods,
+    flip_signs,
+    hold_in,
+    hold_out,
+)
 from zerodrift.diagnosis.floor import estimate_fast_noise
 from zerodrift.diagnosis.noise import Noise, measure_noise
 from zerodrift.physics.campaign import Campaign
@@ -32,10 +39,14 @@ PRIOR_COUNT = 8.0
 """The dwell counts as this many coefficients per octave beside those that the runs leave over."""
 WARMED_UP_S = 1e6
 """Time since power-on at which nothing warms up any more."""
+TIME_ALONE = frozenset({"elapsed", "clock"})
+"""Needs of an effect that follows the time and no other signal."""
 LIKE_BEST = 0.01
 """Of an effect's forms, the simplest within this share of the best form's gain is taken."""
 LIKE_BEST_UNITS = 10.0
 """The same in noise units."""
+LIKE_BEST_NATS = 3.0
+"""The same in likelihood, where no dwell tells the noise: odds of 20 to 1 on runs left out."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +80,11 @@ class Judged:
     """Share of the squared error above the floor that it takes away, fitted."""
     errors: Array
     """[K] held-out mean squares with it."""
+    nats: float
+    """Held-out gain in log-likelihood, the noise of each octave refitted beside either model: what
+    slow noise explains as well is no gain."""
+    follows_signal: bool
+    """Whether it follows more than the time: a trend and slow noise look alike in one run."""
 
     @property
     def gain(self) -> float:
@@ -149,13 +165,28 @@ def examine(
     base_out = judge_base(weights)
     judged_by = {id(c): c.held_out for c in candidates}
     if candidates:
-        best = min(candidates, key=lambda c: float(c.held_out.score(weights).sum()))
+        best = _choose_best(campaign, candidates, base_out, weights, bool(dwell))
         noise, floor = measure_rest(campaign, dwell, best.found)
         weights = _weigh_by_rest(campaign, noise, hold_in(best.sums, weights), bool(dwell))
         base_out = judge_base(weights)
-        judged_by = {id(c): judge_again(campaign, c, weights) for c in candidates}
+        if not dwell:
+            # What hid the slow effects was the noise that they themselves had swollen.
+            candidates = fit_leaders_again(
+                campaign, candidates, weights, float(base_out.score(weights).sum())
+            )
+            judged_by = {id(c): c.held_out for c in candidates}
+        else:
+            judged_by = {id(c): judge_again(campaign, c, weights) for c in candidates}
     base_in = hold_in(sums, weights)
-    judged = _judge(campaign, candidates, judged_by, (base_out, base_in), weights, floor)
+    judged = _judge(
+        campaign,
+        candidates,
+        judged_by,
+        (base_out, base_in),
+        weights,
+        floor,
+        has_dwell=bool(dwell),
+    )
     return Examination(
         tuple(base.terms),
         base,
@@ -167,6 +198,27 @@ def examine(
         tuple(judged),
         tuple(untested),
         len(campaign.groups),
+    )
+
+
+def _choose_best(
+    campaign: Campaign,
+    candidates: Sequence[Candidate],
+    base_out: Errors,
+    weights: Array,
+    has_dwell: bool,
+) -> Candidate:
+    """Return the candidate whose remainder comes nearest to noise.
+
+    Without a dwell the weights still hold what is missing for noise: there likelihoods are
+    compared, each with a noise of its own.
+    """
+    if has_dwell:
+        return min(candidates, key=lambda c: float(c.held_out.score(weights).sum()))
+    unjudged = campaign.means & (not campaign.uses_means)
+    return max(
+        candidates,
+        key=lambda c: compare_likelihoods(base_out, c.held_out, campaign.levels, unjudged),
     )
 
 
@@ -269,6 +321,8 @@ def _judge(
     base: tuple[Errors, Errors],
     weights: Array,
     floor: Array,
+    *,
+    has_dwell: bool,
 ) -> list[Judged]:
     """Return every effect in its best form, best gain first.
 
@@ -280,15 +334,25 @@ def _judge(
     gains = {
         id(c): base_score - _per_unit(judged_by[id(c)].score(weights), units) for c in candidates
     }
-    chosen = [_choose_form(forms, gains) for forms in _group_by_kind(candidates)]
+    # Runs that share an offset are compared by their means too; the floor is within runs.
+    unjudged = campaign.means & (not campaign.uses_means)
+    nats = {
+        id(c): compare_likelihoods(base_out, judged_by[id(c)], campaign.levels, unjudged)
+        for c in candidates
+    }
+    units_gained = {id(c): float(gains[id(c)].sum()) for c in candidates}
+    measure, enough = (units_gained, LIKE_BEST_UNITS) if has_dwell else (nats, LIKE_BEST_NATS)
+    shortest_s, longest_s = measure_span(campaign)
+    sound = {id(c) for c in candidates if are_sound(c.term, shortest_s, longest_s)}
+    chosen = [
+        _choose_form([f for f in forms if id(f) in sound] or forms, measure, enough)
+        for forms in _group_by_kind(candidates)
+    ]
     if not chosen:
         return []
     p_values = flip_signs(np.stack([gains[id(c)] for c in chosen]))
-    # Runs that share an offset are compared by their means too; the floor is within runs.
-    unjudged = campaign.means & (not campaign.uses_means)
     before = base_out.mean_squares(unjudged)
     base_left = float(np.mean(base_in.mean_squares(campaign.means) / floor**2))
-    shortest_s, longest_s = measure_span(campaign)
     judged = []
     for candidate, p_value in zip(chosen, p_values.tolist(), strict=True):
         ratios = judged_by[id(candidate)].mean_squares(unjudged) / before
@@ -301,7 +365,7 @@ def _judge(
                 candidate.parameters,
                 candidate.found,
                 candidate.excitation,
-                are_sound(candidate.term, shortest_s, longest_s),
+                id(candidate) in sound,
                 candidate.is_plausible,
                 gains[id(candidate)],
                 p_value,
@@ -311,6 +375,8 @@ def _judge(
                 float(np.sqrt(np.mean(left))),
                 share_explained(base_left, float(np.mean(left))),
                 errors * floor**2,
+                nats[id(candidate)],
+                not set(candidate.proposal.effect.needs) <= TIME_ALONE,
             )
         )
     return sorted(judged, key=lambda j: -j.gain)
@@ -343,8 +409,16 @@ def _group_by_kind(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
     return list(grouped.values())
 
 
-def _choose_form(forms: Sequence[Candidate], gains: Mapping[int, Array]) -> Candidate:
-    """Return the simplest form that gains about as much as the best one."""
-    best = max(float(gains[id(form)].sum()) for form in forms)
-    enough = best - max(LIKE_BEST * abs(best), LIKE_BEST_UNITS)
-    return next(form for form in forms if float(gains[id(form)].sum()) >= enough)
+def _choose_form(
+    forms: Sequence[Candidate], gains: Mapping[int, float], enough: float
+) -> Candidate:
+    """Return the simplest form that gains about as much as the best one.
+
+    Args:
+        forms: of one effect, simplest first.
+        gains: of each form.
+        enough: a simpler form may gain this much less, and a share of the gain.
+    """
+    best = max(gains[id(form)] for form in forms)
+    least = best - max(LIKE_BEST * abs(best), enough)
+    return next(form for form in forms if gains[id(form)] >= least)

@@ -58,6 +58,8 @@ def look_at_rails(case: Case, first: Examination) -> Judged | None:
         fitted_ratio=float(np.sqrt(left[1])),
         share=share_explained(left[0], left[1]),
         errors=errors[1] * first.floor**2,
+        nats=0.5 * float((scores[0] - scores[1]).sum()),
+        follows_signal=True,
     )
 
 

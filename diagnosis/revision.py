@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.changes import REMOVE, Change, name_effect
+from zerodrift.diagnosis.evidence import SURE_NATS, Errors, compare_likelihoods
 from zerodrift.diagnosis.floor import NoiseFloor, measure_floor
 from zerodrift.diagnosis.held_out import BLOCKS, BLOCKS_OF_ONE_RUN, HeldOut, hold_out
 from zerodrift.diagnosis.run_errors import RunError, collect_errors, pool_rmse, pool_steady_rmse
@@ -16,9 +17,11 @@ from zerodrift.diagnosis.summary import HeldOutErrors, RevisionSummary, sort_err
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit, fit_config
 from zerodrift.physics.model import FittedTerm, PhysicalModel
+from zerodrift.physics.octaves import MEANS, cut_octaves
 from zerodrift.physics.summary import describe_coefficients, describe_parameters
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 WORTHWHILE = 0.985
 """A change must bring the held-out RMSE, over all outputs, below this share of what it was, ..."""
@@ -253,6 +256,29 @@ def _measure_change(before: Fitted, after: Fitted) -> _Change:
     return _Change(ratio, overall, ((old - new) / scale).sum(axis=1))
 
 
+def measure_nats(before: Fitted, after: Fitted) -> float:
+    """Return the gain in log-likelihood on held-out data, each octave's noise refitted."""
+    old, new = _take_apart(before), _take_apart(after)
+    levels = np.unique(old[1])
+    unjudged = levels == MEANS
+
+    def sort(squares: Array, of_level: IntArray) -> Errors:
+        rows = np.stack([squares[of_level == level].sum(axis=0) for level in levels])
+        counts = np.array([float((of_level == level).sum()) for level in levels])
+        return Errors(rows[None], counts[None])
+
+    return compare_likelihoods(sort(*old), sort(*new), levels, unjudged)
+
+
+def _take_apart(fitted: Fitted) -> tuple[Array, IntArray]:
+    """Return the squares [M, K] of the held-out errors' octaves, and each one's octave [M]."""
+    errors = [np.sqrt(e.weights) * e.error for e in fitted.errors.values()]
+    octaves = cut_octaves(np.array([error.shape[0] for error in errors], dtype=np.int64), 1)
+    joined = np.concatenate(errors)
+    details = [octaves.transform(joined[:, k]) for k in range(joined.shape[1])]
+    return np.stack(details, axis=1) ** 2, octaves.octave
+
+
 def measure_overall(before: Fitted, after: Fitted) -> float:
     """Return the held-out RMSE after over before, geometric mean over the outputs."""
     return _measure_change(before, after).overall
@@ -279,6 +305,9 @@ def judge(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[bool, st
             f"outputs, at best {told}"
         )
     one = before.is_one_run
+    if one and measure_nats(before, after) >= SURE_NATS:
+        # Where slow noise hides a large fall, neither a small one nor a bad stretch is chance.
+        return True, f"the held-out error falls by more than slow noise explains: {told}"
     if (runs < MANY_RUNS or one) and ratio[best] > WORTHWHILE_ON_FEW:
         count = (
             "stretches of one run" if one else f"{runs} held-out {'run' if runs == 1 else 'runs'}"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zerodrift.diagnosis.case import Case
-from zerodrift.diagnosis.evidence import compare_runs
+from zerodrift.diagnosis.evidence import SURE_NATS, compare_runs
 from zerodrift.diagnosis.examination import Examination, Judged
 from zerodrift.diagnosis.floor import DWELL
 
@@ -22,12 +22,14 @@ AT_ESTIMATED_FLOOR = 1.4
 EXPLAINED = 0.95
 """Share of the excess over the floor that an effect of nearly the right form explains."""
 LEFT_WITHOUT_DWELL = 0.5
-"""Share of the held-out squared error that an effect may leave where no dwell tells the floor."""
+"""Share of the held-out squared error that an effect may leave where no dwell tells the floor,"""
+EXPLAINED_WITHOUT_DWELL = 0.7
+"""or else it must explain this share of the excess; the floor being a lower bound, it explains more
+of what is no noise."""
 ENOUGH_RUNS = 6
 """Fewer runs than this are thin evidence, and said to be: there an effect that is named ..."""
 SURE_UNITS = 300.0
-"""... must gain this in noise units, where a complete model's best effect gained at most 118 by
-chance (58 simulated models of 2 to 5 runs), ..."""
+"""... must gain this in noise units, or SURE_NATS where it follows more than the time, ..."""
 SURE_SHARE = 0.9
 """... and lose next to nothing in any run or piece of one."""
 CONCENTRATED = 0.8
@@ -83,14 +85,18 @@ def lead(examination: Examination, *, beside: bool = False) -> Judged | None:
 def helps(judged: Judged, examination: Examination, *, beside: bool = False) -> bool:
     """Return whether an effect's held-out gain is real and worth having.
 
-    With few runs chance alone gains in all of them, now and then: there the gain must be large in
-    noise units too. At the floor there is no excess that an effect could explain.
+    With few runs chance alone gains in all of them, now and then: there the gain must also be
+    larger than what slow noise explains. At the floor there is no excess that an effect could
+    explain.
     """
     worthwhile = judged.rmse_ratio <= WORTHWHILE or judged.best_output_ratio <= WORTHWHILE_ON_ONE
     reachable = 2.0 ** -float(judged.gains.size)
     sure = judged.p_value <= max(SIGNIFICANT, reachable)
     if examination.runs < ENOUGH_RUNS and not beside:
-        sure = sure and judged.gain >= SURE_UNITS and judged.positive_share >= SURE_SHARE
+        large = judged.gain >= SURE_UNITS
+        if judged.follows_signal:
+            large = large or judged.nats >= SURE_NATS
+        sure = sure and large and judged.positive_share >= SURE_SHARE
     # Seen in a few runs only, sign flips cannot be sure; reaching the floor by one effect can.
     clear = judged.share >= CONCENTRATED and judged.positive_share >= ALL_GAIN
     clear = clear and not is_at_floor(examination, examination.fitted_ratio)

@@ -125,7 +125,7 @@ def test_unknown_parameter_names_the_nearest():
 
 
 def test_held_value_out_of_bounds_is_refused():
-    with pytest.raises(InputError, match=r"tau_s = -3 s; expected 1 \.\. 7200"):
+    with pytest.raises(InputError, match=r"tau_s = -3 s; expected 1 \.\. 100000"):
         start_term(load_catalogue(), EffectConfig("thermal_lag", {"tau_s": -3.0}))
     with pytest.raises(InputError, match=r"order = 4; expected one of 1, 2, 3"):
         start_term(load_catalogue(), EffectConfig("zero_tempco", {"order": 4.0}))

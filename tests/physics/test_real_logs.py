@@ -114,11 +114,12 @@ def test_slow_memory_of_the_divider_is_found(tmp_path):
     assert 1800.0 < diagnosis.parameters["slow_tau_s"] < 7200.0
 
 
-def test_one_run_of_the_load_cell_is_called_thin(tmp_path):
+def test_lag_of_the_load_cell_is_named_from_one_run_and_called_thin(tmp_path):
     config, dataset = open_logs(tmp_path, "loadcell_h40a_22kg.csv", LOAD_CELL)
     diagnosis = diagnose(config.effects, dataset)
     assert diagnosis.evidence.startswith("thin: 1 run was cut")
-    assert diagnosis.candidates[0].effect == "thermal_lag"
+    assert (diagnosis.verdict, diagnosis.effect) == ("missing", "thermal_lag")
+    assert 900.0 < diagnosis.parameters["tau_s"] < 2400.0
     why = {untested.effect: untested.why for untested in diagnosis.not_testable}
     assert "load is unknown" in why["creep"]
     assert why["humidity"] == "no input 'humidity'"
