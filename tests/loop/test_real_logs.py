@@ -103,13 +103,12 @@ def test_one_run_of_the_load_cell_says_what_it_cannot_show(open_real, zerodrift)
     said = zerodrift("diagnose", "-C", directory)
     assert said.code == 0
     words = " ".join(said.out.split())
-    # One run gains too little for a name; the lag is the first candidate all the same.
-    assert "UNKNOWN (thin evidence)" in words
+    assert "MISSING (thin evidence): thermal_lag" in words
     assert "Evidence: thin: 1 run was cut into 8 pieces" in words
     assert "one run cannot show what differs from run to run" in said.err
     told = json.loads(zerodrift("diagnose", "-C", directory, "--json").out)
-    lag = told["candidates"][0]
-    assert lag["effect"] == "thermal_lag"
+    assert (told["verdict"], told["effect"]) == ("missing", "thermal_lag")
+    lag = next(c for c in told["candidates"] if c["effect"] == "thermal_lag")
     assert 600.0 < lag["parameters"]["tau_s"] < 2400.0
     # A static load moves nothing that depends on the load.
     silent = {entry["effect"] for entry in told["not_testable"]}
