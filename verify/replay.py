@@ -21,7 +21,7 @@ from zerodrift.verify.manifest import ManifestCheck, ManifestFinding, NotChecked
 from zerodrift.verify.mismatch import find_mismatch
 from zerodrift.verify.records import check_records
 from zerodrift.verify.summary import VerifySummary
-from zerodrift.verify.vectors import draw_sequences
+from zerodrift.verify.vectors import draw_sequences, draw_starts
 from zerodrift.verify.ways import HOST
 
 RANDOM_STEPS = 20_000
@@ -138,9 +138,11 @@ def replay(
     if failure is not None:
         return _conclude(files, FolderCheck(), model.hash, (str(failure),))
     cold = expect(model, golden.codes[:COLD_STEPS], settled=False)
+    starts = [expect(model, codes) for codes in draw_starts(model)]
     sequences = draw_sequences(model, RANDOM_STEPS)
     with make_scratch(config.directory) as scratch:
-        check = check_folder(model, code, (expected, cold), sequences, onnx, scratch, progress)
+        vectors = (expected, cold, *starts)
+        check = check_folder(model, code, vectors, sequences, onnx, scratch, progress)
     records = check_records(config, model.hash)
     files = replace(files, findings=(*files.findings, *records))
     return _conclude(files, check, model.hash)

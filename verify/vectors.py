@@ -81,6 +81,27 @@ def _list_edges(channel: Channel) -> set[int]:
     return edges
 
 
+def draw_starts(model: IntegerModel) -> list[CodeArray]:
+    """Return short sequences [3, C] whose first readings are at their ends or lacking.
+
+    `settle` is given a first reading once per power-on; a long sequence shows one of them. Each
+    channel alone is at the ends of its type and of what the model uses, and lacks its reading
+    where a code says so; then all channels together.
+
+    Args:
+        model: gives the channels and their calibrated range.
+    """
+    low, high = (np.array(x, dtype=np.int64) for x in limits_of(model))
+    middle = (low + high) // 2
+    least, most = _list_ends(model)
+    firsts = [least, most]
+    for k, channel in enumerate(model.channels):
+        codes = {x for x in _list_edges(channel) if channel.raw_least <= x <= channel.raw_most}
+        codes |= {int(low[k]), int(high[k]), *channel.raw_lacks}
+        firsts += [np.where(np.arange(middle.size) == k, code, middle) for code in sorted(codes)]
+    return [np.stack([first, first, middle]).astype(model.code_type) for first in firsts]
+
+
 GOLDEN_LOG_STEPS = 2000
 """Of a log, at the beginning of the golden vectors."""
 _RAMP_STEPS = 128

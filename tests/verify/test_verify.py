@@ -508,3 +508,23 @@ def test_inputs_in_another_order_and_another_manifest_are_told(
     assert outcome.code == 1
     names = {f["name"] for f in outcome.json["header"]}
     assert "FRONT_END_MANIFEST" in names and any(n.startswith("place of") for n in names)
+
+
+@pytest.mark.parametrize("function", ["rest", "relax"])
+@pytest.mark.parametrize("end", ["(-12000 - 1), 12000", "-12000, (12000 - 1)"])
+@pytest.mark.parametrize("channel", ["temperature", "humidity"])
+def test_what_settle_makes_of_a_first_reading_at_its_end_is_compared(
+    channel: str, end: str, function: str, project: Path, few_ways: object
+) -> None:
+    """`settle` sees one reading; one end of one channel alone may be read otherwise there."""
+    path = project / SOURCE
+    before, begin, after = path.read_text().partition(f"static void front_end_{function}(")
+    assert begin
+    clamp = rf"(zd_clamp32\(in->{channel}), -12000, 12000\)"
+    changed, count = re.subn(clamp, rf"\g<1>, {end})", after, count=1)
+    assert count == 1
+    path.write_text(before + begin + changed)
+    make_another_version(project)
+    forge(project)
+    outcome = Outcome(project)
+    assert outcome.code == 1 and "sequence 'golden', step 0" in outcome.told
