@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,14 +10,12 @@ from zerodrift.base.column_config import RAW_CODES, CodesConfig
 from zerodrift.base.config import Config, locate_key
 from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.checks import guess_temperature_unit
+from zerodrift.dataset.code_format import AS_LOGGED, CLOCK, MEASURED, TEMPERATURE, ChipCodes
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.logs import read_log
-from zerodrift.dataset.raw_codes import RawCover, RawRange, cover_range, find_linear, find_range
+from zerodrift.dataset.raw_codes import RawCover, cover_range, find_linear, find_range
 from zerodrift.dataset.runs import Array, Dataset, Run
 
-TEMPERATURE, MEASURED, CLOCK = "temperature_degC", "measured:", "clock"
-"""Sources of codes: the thermometer, `measured:Fz` of an output, or an input; one is the clock."""
 TEMPERATURE_LSB_DEGC = 0.0078125
 """One count of the TMP117, 2**-7 K (Texas Instruments, TMP117 data sheet, temperature register)."""
 FLAG_MARGIN_K = 2.0
@@ -25,91 +23,8 @@ FLAG_MARGIN_K = 2.0
 RANGE_MARGIN = 0.25
 """Share of the calibrated span by which other inputs may go beyond it before they are flagged, and
 all inputs before they are limited. A little extrapolation beats none; a lot is worth nothing."""
-AS_LOGGED = "as logged"
-"""Unit of an input that has none of its own."""
 FILLED = {16: 2.0**14, 32: 2.0**30}
 """Bits of a code -> the code that the largest logged value is given, at most; twice it is held."""
-
-
-@dataclass(frozen=True)
-class ChipCodes:
-    """The codes of one input: value = offset + code * lsb; or raw codes that become such codes."""
-
-    name: str
-    """`temperature`, `measured_Fz`, or the input's name."""
-    source: str
-    """`temperature_degC`, `measured:Fz`, or the input's name."""
-    column: str
-    """Of the logs."""
-    unit: str
-    bits: int
-    lsb: float
-    no_reading: int | None
-    """The code that means that there is none."""
-    remedy: str
-    """What a user changes where a log leaves these codes."""
-    offset: float = 0.0
-    cover: RawCover | None = None
-    """What the chip is given where that is not these codes."""
-    by: ConversionConfig | None = None
-    """From raw code to value."""
-    held: RawRange | None = None
-    """Raw codes that have a value, where a table converts them."""
-
-    @property
-    def codes(self) -> tuple[int, int]:
-        """The lowest and highest code that is a reading."""
-        low, high = -(1 << (self.bits - 1)), (1 << (self.bits - 1)) - 1
-        if self.cover is not None and self.cover.is_plain:
-            low, high = self.cover.least, self.cover.most
-        return low + (self.no_reading == low), high - (self.no_reading == high)
-
-    def holds(self, low: float, high: float) -> bool:
-        """Tell whether codes stand for both values, with one to spare on either side."""
-        lowest, highest = self.codes
-        return lowest < self._round(low) and self._round(high) < highest
-
-    def _round(self, value: float) -> int:
-        return round((value - self.offset) / self.lsb)
-
-    def find_outside(self, values: Array) -> int | None:
-        """Return the first position of values [n] that no code stands for; None: there is none."""
-        if self.held is not None:
-            low, high = sorted(self.held.values)
-            beyond = ~((values >= low) & (values <= high))
-            return int(beyond.argmax()) if beyond.any() else None
-        codes = np.round((values - self.offset) / self.lsb)
-        lowest, highest = self.codes
-        outside = ~((codes >= lowest) & (codes <= highest)) | (codes == self.no_reading)
-        return int(outside.argmax()) if outside.any() else None
-
-    def explain(self, place: str, run: Run, value: float) -> InputError:
-        """Return the error about a value of a run that no code stands for."""
-        held = hint = ""
-        if self.source == TEMPERATURE:
-            hint = guess_temperature_unit(self.column, run.temperature_degC)
-        if self.held is None and self._round(value) == self.no_reading:
-            held = f", and {self.no_reading} means no reading"
-        return InputError(
-            f"{place}: run '{run.name}': {self.column} is {self.show(value)}; {self.describe()}"
-            f"{held}.{hint} {self.remedy}"
-        )
-
-    def describe(self) -> str:
-        """Return in words what the codes hold."""
-        if self.held is not None and self.cover is not None and self.by is not None:
-            low, high = (self.show(value) for value in sorted(self.held.values))
-            codes = f"{self.cover.begin} .. {self.cover.end} of {self.cover.raw}"
-            kind = self.by.kind or "scaled"
-            return f"the raw codes of '{self.name}' ({codes}, {kind}) hold {low} to {high}"
-        low, high = (self.show(code * self.lsb + self.offset) for code in self.codes)
-        kind = f"int{self.bits}" if self.cover is None else self.cover.raw
-        kind = f"{kind}, {self.show(self.lsb)} each"
-        return f"the codes of '{self.name}' ({kind}) hold {low} to {high}"
-
-    def show(self, value: float) -> str:
-        """Return a value with its unit."""
-        return f"{value:.10g}" if self.unit == AS_LOGGED else f"{value:.10g} {self.unit}"
 
 
 def choose_codes(config: Config, source: str, runs: Sequence[Run], lsb: float) -> ChipCodes:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.bridges import plan_spans
-from zerodrift.dataset.chip_codes import MEASURED, TEMPERATURE
+from zerodrift.dataset.code_format import MEASURED, TEMPERATURE
 from zerodrift.dataset.open_log import open_log
 from zerodrift.dataset.resample import KEPT_TOLERANCE, Stretch, plan_stretches
 from zerodrift.dataset.runs import Array

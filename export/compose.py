@@ -12,16 +12,13 @@ from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.chip_codes import (
-    CLOCK,
     FLAG_MARGIN_K,
-    MEASURED,
     RANGE_MARGIN,
-    TEMPERATURE,
-    ChipCodes,
     choose_codes,
     read_source,
     refuse_outside,
 )
+from zerodrift.dataset.code_format import CLOCK, MEASURED, TEMPERATURE, ChipCodes
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.conversions import design_conversion
 from zerodrift.export.encoding import encode_channel, find_held
@@ -174,7 +171,7 @@ def list_channels(
     outputs: Sequence[OutputFormat],
 ) -> tuple[tuple[Channel, ...], dict[str, int]]:
     """Return the raw inputs that the graph needs; the temperature is always the first."""
-    channels = [_make_channel(0, choose_codes(config, TEMPERATURE, runs, 0.0))]
+    channels = [make_channel(0, choose_codes(config, TEMPERATURE, runs, 0.0))]
     sources = {TEMPERATURE: 0}
     places = {TEMPERATURE: 0}
     for node in list_nodes(roots):
@@ -185,7 +182,7 @@ def list_channels(
             continue
         if codes.source not in places:
             places[codes.source] = len(channels)
-            channels.append(_make_channel(len(channels), codes))
+            channels.append(make_channel(len(channels), codes))
         sources[node.source] = places[codes.source]
     return tuple(channels), sources
 
@@ -205,7 +202,7 @@ def _find_codes(
     return choose_codes(config, name, runs, 0.0)
 
 
-def _make_channel(index: int, codes: ChipCodes) -> Channel:
+def make_channel(index: int, codes: ChipCodes) -> Channel:
     """Return a channel of the model.
 
     Raises:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.bridges import predict_all, predict_along
-from zerodrift.dataset.chip_codes import TEMPERATURE
+from zerodrift.dataset.code_format import TEMPERATURE
 from zerodrift.dataset.runs import Run
 from zerodrift.export.feedback import predict_fed_back
 from zerodrift.export.float_network import FloatNetwork

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.chip_codes import MEASURED
+from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.runs import Run
 from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.verify.chip_error import RATE, ChipReplay

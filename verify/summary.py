@@ -132,6 +132,26 @@ class Claims:
 
 
 @dataclass(frozen=True)
+class ConversionSummary:
+    """How the chip converts the raw codes of one input."""
+
+    raw: str
+    """uint16, int16 or int32."""
+    unit: str
+    covers: tuple[float, float]
+    """What the table covers, in the unit; beyond it the nearest end is taken."""
+    readings: tuple[int, int]
+    """Raw codes beyond these are no readings."""
+    table_bytes: int
+    lsb: float
+    """One code of the result, in the unit."""
+    error: float
+    """Largest distance to the formula, rounding included, in the unit."""
+    code_worth: tuple[float, float]
+    """What one raw code is worth where it is worth least and most, in the unit."""
+
+
+@dataclass(frozen=True)
 class FirmwareSummary(Shown):
     """A firmware: what it needs of a chip, how it was checked, and its error stage by stage."""
 
@@ -171,6 +191,8 @@ class FirmwareSummary(Shown):
     files: tuple[str, ...]
     error_bound: Mapping[str, ProvenError] | None = field(default=None, metadata=OPTIONAL)
     """Output -> the proven largest distance from the float model."""
+    conversions: Mapping[str, ConversionSummary] | None = field(default=None, metadata=OPTIONAL)
+    """Input -> how its raw codes are converted, where the chip does."""
 
 
 REFUSED = "refused.json"

@@ -10,7 +10,10 @@ from tests.main_job.conftest import invoke
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.chip_codes import choose_codes
 from zerodrift.dataset.load import load_dataset
+from zerodrift.export.compose import make_channel
+from zerodrift.export.encoding import encode_channel
 from zerodrift.export.integer_model import (
     FLAG_NO_READING,
     FLAG_TEMPERATURE_RANGE,
@@ -93,13 +96,41 @@ def read_model(folder: Path) -> IntegerModel:
 
 
 @pytest.mark.parametrize("holds", LOGS)
-def test_firmware_of_a_thermistor_is_given_its_counts(holds: str, tmp_path: Path) -> None:
-    supply = ', log_is = "quantity"' if holds == "ohm" else ""
-    folder = write_project(tmp_path / "cell", holds, supply)
+def test_whatever_the_log_holds_the_chip_is_given_the_same_counts(
+    holds: str, tmp_path: Path
+) -> None:
+    folder = write_project(tmp_path / "cell", holds, ', log_is = "quantity"')
+    config = load_config(folder)
+    dataset = load_dataset(config)
+    channels = tuple(
+        make_channel(index, choose_codes(config, source, dataset.train, 0.0))
+        for index, source in enumerate(("temperature_degC", "supply"))
+    )
+    assert [channel.raw_type for channel in channels] == ["uint16", "uint16"]
+    for run in dataset.train:
+        found, beyond = encode_channel(channels[0], run.temperature_degC)
+        assert not beyond.any()
+        counts = make_counts(5.0 + 55.0 * (0.5 - 0.5 * np.cos(_turn(run.name) * run.time_s)))
+        np.testing.assert_array_equal(found, counts)
+        volts, _ = encode_channel(channels[1], run.inputs["supply"])
+        assert 3800 < volts.min() < volts.max() < 4400
+
+
+def _turn(name: str) -> float:
+    k = ("train_1", "train_2", "test").index(name)
+    return float(2.0 * np.pi * (1.0 + 0.3 * k) / STEPS)
+
+
+def test_firmware_of_a_thermistor_is_given_its_counts(tmp_path: Path) -> None:
+    folder = write_project(tmp_path / "cell", "ohm", ', log_is = "quantity"')
     result = invoke("firmware", "-C", str(folder), "--json")
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
     assert told["bit_exact"] is True
+    conversion = told["conversions"]["temperature"]
+    assert (conversion["raw"], conversion["readings"]) == ("uint16", [64, 65471])
+    assert conversion["error"] <= 0.0078125 and conversion["table_bytes"] <= 1024
+    assert list(told["conversions"]) == ["temperature"]
     rmse = told["rmse"]
     assert abs(rmse["integer"]["P"] - rmse["float"]["P"]) < 2e-5 < 0.01 * rmse["float"]["P"]
     assert rmse["integer"]["P"] < 0.01 * rmse["uncompensated"]["P"]
@@ -115,15 +146,23 @@ def test_firmware_of_a_thermistor_is_given_its_counts(holds: str, tmp_path: Path
     codes = np.stack(
         [make_counts(np.array([20.0, 40.0])), np.full(2, round(3.3 / VOLT_PER_COUNT))], axis=1
     )
+    packed = invoke("package", "arduino", "-C", str(folder))
+    assert packed.exit_code == 0, packed.output
     drift = Reference(model).run(codes.astype(np.int64)[None]).drift[0, :, 0]
     rise = (drift[1] - drift[0]) / model.outputs[0].lsb_per_unit
     assert rise == pytest.approx(0.4, abs=0.005)  # 0.02 bar/K over 20 K
 
 
-def test_flags_trip_on_both_sides_and_at_both_rails(tmp_path: Path) -> None:
-    folder = write_project(tmp_path / "cell", "degC")
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a project whose logs hold counts, with its firmware."""
+    folder = write_project(tmp_path_factory.mktemp("raw") / "cell", "counts")
     assert invoke("firmware", "-C", str(folder)).exit_code == 0
-    model, volt = read_model(folder), round(3.3 / VOLT_PER_COUNT)
+    return folder
+
+
+def test_flags_trip_on_both_sides_and_at_both_rails(built: Path) -> None:
+    model, volt = read_model(built), round(3.3 / VOLT_PER_COUNT)
 
     def flag(count: float) -> int:
         return int(Reference(model).run(np.array([[[int(count), volt]]])).flags[0, 0])
@@ -138,9 +177,8 @@ def test_flags_trip_on_both_sides_and_at_both_rails(tmp_path: Path) -> None:
         assert flag(count) & FLAG_TEMPERATURE_RANGE and not flag(count) & FLAG_NO_READING
 
 
-def test_apply_encodes_the_log_as_the_hardware_would(tmp_path: Path) -> None:
-    folder = write_project(tmp_path / "cell", "counts")
-    assert invoke("firmware", "-C", str(folder)).exit_code == 0
+def test_apply_encodes_the_log_as_the_hardware_would(built: Path) -> None:
+    folder = built
     log = pl.read_csv(folder / "logs" / "test.csv")
     opened = log.with_columns(
         pl.when(pl.int_range(STEPS).is_between(100, 109))
@@ -159,13 +197,6 @@ def test_apply_encodes_the_log_as_the_hardware_would(tmp_path: Path) -> None:
     codes = opened.select("ntc", "supply").to_numpy().astype(np.int64)
     drift = Reference(model).run(codes[None]).drift[0, :, 0] / model.outputs[0].lsb_per_unit
     np.testing.assert_allclose(found["P_drift"].to_numpy(), drift, atol=1e-9)
-
-
-def test_package_of_raw_codes_builds(tmp_path: Path) -> None:
-    folder = write_project(tmp_path / "cell", "ohm", ', log_is = "quantity"')
-    assert invoke("firmware", "-C", str(folder)).exit_code == 0
-    result = invoke("package", "arduino", "-C", str(folder))
-    assert result.exit_code == 0, result.output
 
 
 def test_a_range_that_no_code_stands_for_is_refused_with_its_line(tmp_path: Path) -> None:
@@ -188,10 +219,8 @@ def test_a_conversion_that_turns_is_refused_with_its_line(tmp_path: Path) -> Non
     text[3] = f"temperature = {table}"
     path.write_text("\n".join(text) + "\n")
     with pytest.raises(InputError) as caught:
-        from zerodrift.dataset.chip_codes import choose_temperature_codes
-
         config = load_config(folder)
-        choose_temperature_codes(config, load_dataset(config).train)
+        choose_codes(config, "temperature_degC", load_dataset(config).train, 0.0)
     told = str(caught.value)
     assert told.startswith(f"{path}:4: temperature is converted from raw codes, but")
 

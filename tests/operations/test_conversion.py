@@ -268,3 +268,34 @@ def test_a_table_that_no_quantizer_made_is_refused(change: dict[str, object]) ->
     channels = (replace(model.channels[0], conversion=by), *model.channels[1:])
     with pytest.raises((InputError, CheckError)):
         check_model("model.json", replace(model, channels=channels, guards=Guards(0, 0, -9, 9, 9)))
+
+
+def test_an_unsigned_code_without_a_table_is_taken_as_it_is(tmp_path: Path) -> None:
+    linear = ConversionConfig(scale=0.01, offset=-40.0)
+    cover = RawCover("uint16", 0, 65535, None, 0, 65535, is_plain=True)
+    by = design_conversion(0, cover, linear, 0.01, -40.0, 65535)
+    model = make_model("ntc")
+    first = Channel("x0", "degC", 0.01, -40.0, bits=32, no_reading=65535, conversion=by)
+    nodes = (replace(model.nodes[0], low=2000, high=16000), *model.nodes[1:])
+    guards = replace(model.guards, temperature_low=1800, temperature_high=16200)
+    model = replace(model, channels=(first, model.channels[1]), nodes=nodes, guards=guards)
+    check_again(model, tmp_path, ("uint16_t x0; /* x0: -40 + 0.01 degC per count; 65535 = no",))
+
+
+def test_a_guarded_state_goes_with_a_conversion(tmp_path: Path) -> None:
+    check_again(replace(make_model("pt100"), guarded=True), tmp_path, ("uint32_t check;",))
+
+
+def check_again(model: IntegerModel, folder: Path, in_header: tuple[str, ...]) -> None:
+    """Hold C, ONNX and the certificate's checker against the reference."""
+    model.save(folder / "model.json")
+    assert load_model(folder / "model.json").hash == model.hash
+    code = generate(model)
+    for text in in_header:
+        assert text in code.header
+    host, onnx = HostModel(model, code, folder / "host", flags=("-O1",)), OnnxModel(model)
+    for codes in draw_sequences(model, 1000).values():
+        for check in (check_host(host, codes), check_onnx(onnx, host, codes)):
+            assert check.mismatch is None, check.mismatch
+    outcome = derive_again(model, code)
+    assert outcome.understood and not outcome.failures, outcome.failures

@@ -13,7 +13,7 @@ from polars.io.plugins import register_io_source
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import explain_write
-from zerodrift.dataset.chip_codes import MEASURED
+from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.log_steps import LogSteps, find_column
 from zerodrift.dataset.selectors import PARQUET_SUFFIXES
 from zerodrift.export.integer_model import (

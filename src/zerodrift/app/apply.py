@@ -20,7 +20,7 @@ from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.dataset.chip_codes import MEASURED
+from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.log_steps import (
     LogSteps,
     StepStretch,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from zerodrift.app.apply import Chip, answer, encode_values
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.chip_codes import MEASURED
+from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.log_steps import LogSteps, name_columns, read_log_steps
 from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.export.model_files import load_model

@@ -22,6 +22,7 @@ from zerodrift.base.journal import change_together, write_all
 from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
 from zerodrift.dataset.chip_codes import RANGE_MARGIN
+from zerodrift.verify.conversions_told import summarise_conversions, tell_conversions
 from zerodrift.verify.summary import (
     REFUSED,
     BudgetSummary,
@@ -199,6 +200,7 @@ def summarise(firmware: "Firmware", directory: Path) -> FirmwareSummary:
         written=bool(firmware.files),
         files=tuple(show_path(path, directory) for path in firmware.files),
         error_bound=summarise_bound(firmware.bound, firmware.model),
+        conversions=summarise_conversions(firmware.model) or None,
     )
 
 
@@ -349,6 +351,8 @@ def _print(firmware: "Firmware", told: FirmwareSummary, directory: Path) -> None
         f"flash {size.flash_bytes} B, RAM {size.ram_bytes} B, stack {size.stack_bytes} B"
         f" ({size.stacks[0][0]}) on {size.core}, by {size.compiler} {' '.join(size.flags)}"
     )
+    for line in tell_conversions(firmware.model):
+        console.print(line)
     console.print(
         f"bit-exact: {firmware.check.vectors} steps on {' = '.join(firmware.check.backends)}, every"
         " node, state and flag, 0 LSB"
@@ -403,15 +407,16 @@ def _print_budget(firmware: "Firmware", console: "Console") -> None:
         [f"{e.name} {e.unit}" for e in firmware.errors],
     )
     inputs = {
-        node.name: firmware.model.channels[node.channel].name
+        node.name: f"input {channel.name}{', converted' if channel.conversion else ''}"
         for node in firmware.model.nodes
         if isinstance(node, IntegerInput)
+        for channel in (firmware.model.channels[node.channel],)
     }
     budget = firmware.budget
     table.add_row("whole model", *(f"{x:.2g}" for x in budget.total), end_section=True)
     for node in budget.largest[:BUDGET_ROWS]:
         label = node.node if node.kind in node.node else f"{node.node} ({node.kind})"
-        label = f"input {inputs[node.node]}" if node.node in inputs else label
+        label = inputs.get(node.node, label)
         table.add_row(f"of it {label}", *(f"{x:.2g}" for x in node.rms))
     table.add_section()
     for span in budget.over_time:

@@ -1,0 +1,192 @@
+"""The chip's conversion of raw codes against the equations of the sensors, code by code."""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.base.conversion_config import ConversionConfig, DividerConfig
+from zerodrift.base.errors import InputError
+from zerodrift.codegen.generate import generate
+from zerodrift.dataset.raw_codes import RawRange, cover_range, find_range
+from zerodrift.export.conversions import design_conversion
+from zerodrift.export.float_model import Calibration, FloatModel
+from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
+from zerodrift.export.quantize import quantize
+from zerodrift.operations.backend import GraphOperations
+from zerodrift.operations.conversion import IntegerConversion
+
+Array = NDArray[np.float64]
+
+LSB_K, NONE, KELVIN = 2.0**-7, -(2**15), 273.15
+MARK_K, MARK_BYTES, MARK_INSTRUCTIONS = 0.01, 1024, 80
+BEYOND_K = 3.0
+"""How far from its range a table goes: 2 K to the flag, and one more."""
+MOST_CODES = 1 << 18
+COUNTED = 200
+CORES = ("cortex-m4", "cortex-m0plus")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A thermometer: what zerodrift is told of it, and its own equation."""
+
+    name: str
+    formula: ConversionConfig
+    raw: str
+    range_degC: tuple[float, float]
+    to_code: Callable[[Array], Array]
+    """Temperature -> the code, not rounded, written here from the sensor's equation."""
+    is_marked: bool = False
+
+
+def divide(ohm: Array, counts: float, series_ohm: float = 1e4) -> Array:
+    """Return the counts of a divider with the sensor on the low side."""
+    return counts * ohm / (ohm + series_ohm)
+
+
+def resist_ntc(degc: Array) -> Array:
+    """Return a thermistor of 10 kohm and beta 3950 K in ohm."""
+    return np.asarray(1e4 * np.exp(3950.0 / (degc + KELVIN) - 3950.0 / 298.15))
+
+
+def resist_platinum(degc: Array) -> Array:
+    """Return a Pt100 in ohm (IEC 60751:2022, equations 1 and 2)."""
+    cold = np.where(degc < 0.0, -4.183e-12 * (degc - 100.0) * degc**3, 0.0)
+    return np.asarray(100.0 * (1.0 + 3.9083e-3 * degc - 5.775e-7 * degc**2 + cold))
+
+
+def make_ntc(counts: float) -> ConversionConfig:
+    """Return the conversion of the thermistor in its divider."""
+    divider = DividerConfig(1e4, True, counts, max(counts // 1024, 1.0))
+    return ConversionConfig(kind="ntc", r25_ohm=1e4, beta_K=3950.0, divider=divider)
+
+
+CASES = (
+    *(
+        Case(
+            f"NTC 10k/3950, divider of 10k, {bits} bits",
+            make_ntc(2.0**bits),
+            "uint16" if bits <= 16 else "int32",
+            (-40.0, 150.0),
+            lambda degc, counts=2.0**bits: divide(resist_ntc(degc), counts),
+            is_marked=bits == 16,
+        )
+        for bits in (16, 12, 24)
+    ),
+    Case(
+        "Pt100, 15 bits of 400 ohm",
+        ConversionConfig(kind="pt100", scale=400.0 / 2**15),
+        "uint16",
+        (-195.0, 600.0),
+        lambda degc: resist_platinum(degc) * 2**15 / 400.0,
+    ),
+    Case(
+        "Pt1000, 1 mohm a code",
+        ConversionConfig(kind="pt1000", scale=1e-3),
+        "int32",
+        (-50.0, 200.0),
+        lambda degc: resist_platinum(degc) * 1e4,
+    ),
+    Case(
+        "polynomial, LM135-like with a bend",
+        ConversionConfig(kind="polynomial", coefficients=(-60.0, 4e-3, -1e-8)),
+        "uint16",
+        (-40.0, 120.0),
+        lambda degc: (4e-3 - np.sqrt(16e-6 - 4e-8 * (degc + 60.0))) / 2e-8,
+    ),
+)
+
+
+def main(quick: bool) -> None:
+    """Print error, table, instructions and the worth of a code of each thermometer."""
+    for case in CASES[: 2 if quick else None]:
+        measure(case)
+
+
+def measure(case: Case) -> None:
+    """Print what becomes of one thermometer."""
+    low, high = case.range_degC
+    found = find_range(case.formula, case.raw, case.range_degC)
+    assert isinstance(found, RawRange), found
+    cover = cover_range(case.formula, found, case.raw, (low - BEYOND_K, high + BEYOND_K), None)
+    by = design_conversion(0, cover, case.formula, LSB_K, 0.0, NONE)
+    degc = np.linspace(low, high, 4_000_001)
+    codes, degc = sort(case.to_code(degc), degc)
+    every = np.arange(np.ceil(codes[0]), np.floor(codes[-1]) + 1.0)
+    if every.size > MOST_CODES:
+        every = np.unique(np.linspace(every[0], every[-1], MOST_CODES).round())
+    exact = np.interp(every, codes, degc)
+    off = np.abs(by.convert(every.astype(np.int64)) * LSB_K - exact)
+    worth = np.abs(np.diff(exact)) / np.diff(every)
+    model = make_model(by)
+    counted = every[np.linspace(0, every.size - 1, COUNTED).astype(int)].astype(np.int64)
+    spent = [count(model, by, core, counted) for core in CORES]
+    told = ", ".join(
+        f"{n} instructions on {core}" if n is not None else f"no compiler or emulator for {core}"
+        for n, core in zip(spent, CORES, strict=True)
+    )
+    print(f"{case.name}, {low:g} to {high:g} degC, {every.size} codes:")
+    print(
+        f"  off by {off.max():.5f} K at most (it says {by.error:.5f}),"
+        f" {np.sqrt(np.mean(off**2)):.5f} K RMS, the rounding to {LSB_K:g} K included; table"
+        f" {by.table_bytes} B ({by.lines} lines in {len(by.first) - 1} blocks); {told}"
+    )
+    print(f"  one code is worth {worth.min():.5f} to {worth.max():.5f} K")
+    if case.is_marked:
+        held = off.max() <= MARK_K and by.table_bytes <= MARK_BYTES
+        held = held and spent[0] is not None and spent[0] <= MARK_INSTRUCTIONS
+        print(
+            f"  mark: {MARK_K:g} K, {MARK_BYTES} B, {MARK_INSTRUCTIONS} instructions on"
+            f" {CORES[0]}: {'held' if held else 'NOT held'}"
+        )
+
+
+def sort(codes: Array, degc: Array) -> tuple[Array, Array]:
+    """Return both with rising codes."""
+    return (codes, degc) if codes[-1] > codes[0] else (codes[::-1], degc[::-1])
+
+
+def make_model(by: IntegerConversion) -> IntegerModel:
+    """Return a small model whose thermometer is converted."""
+    ops = GraphOperations(1.0)
+    feature = ops.lowpass(ops.input("temperature_degC"), 60.0)
+    channel = Channel("temperature", "degC", LSB_K, no_reading=NONE, conversion=by)
+    floating = FloatModel(
+        name="bench",
+        sample_period_s=1.0,
+        channels=(channel,),
+        sources={"temperature_degC": 0},
+        outputs=(OutputFormat("Fz", "N", 1000, 1000.0),),
+        features=(feature,),
+        coefficients=np.array([[0.5]]),
+        offset=np.zeros(1),
+    )
+    limits = (by.lowest + 100, by.highest - 100)
+    drift = (np.array([-200.0]), np.array([200.0]))
+    return quantize(floating, Calibration((limits,), np.zeros(0), *drift, 2000, 0))
+
+
+def count(
+    model: IntegerModel, by: IntegerConversion, core: str, codes: NDArray[np.int64]
+) -> int | None:
+    """Return the most instructions that the conversion adds to a step; None: cannot be counted."""
+    plain = replace(model, channels=(replace(model.channels[0], conversion=None),))
+    with tempfile.TemporaryDirectory() as scratch:
+        try:
+            from zerodrift.c_runtime.emulator import EmulatedModel
+
+            given = ((model, codes), (plain, by.convert(codes)))
+            counts = []
+            for number, (one, raw) in enumerate(given):
+                folder = Path(scratch) / str(number)
+                folder.mkdir()
+                chip = EmulatedModel(one, generate(one), core, folder, ("-O2",))
+                rows = raw[:, None].astype(one.code_type)
+                counts.append(np.array(chip.count_instructions(rows)))
+        except (ImportError, InputError):
+            return None
+    return int((counts[0] - counts[1]).max())
