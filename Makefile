@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: test-faults setup-formats mutated-logs test-wheel bench-paper bench-foreign setup-browser setup-page test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: test-faults setup-formats mutated-logs test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -49,15 +49,6 @@ setup-browser: $(READY) ## what the browser tests need: Playwright, and Chromium
 	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || { \
 	  SUDO=$$([ "$$(id -u)" = 0 ] || echo sudo); \
 	  $$SUDO apt-get update -q && $$SUDO apt-get install -y -q --no-install-recommends chromium; }
-
-PLOTLY_BASIC := plotly.js-basic-dist-min@4.1.1
-PLOTLY_BASIC_SHA256 := ea907f854b6cec4f6a2fa71540ec019a21ed2c61e6a109ddd5c072103a96eed0
-setup-page: $(READY) ## optional, by npm: the small Plotly, with which the workbench's page is ready sooner
-	@mkdir -p build/page $(VENV)/share/zerodrift
-	npm pack --silent --pack-destination build/page $(PLOTLY_BASIC) >/dev/null
-	echo "$(PLOTLY_BASIC_SHA256)  build/page/$(subst @,-,$(PLOTLY_BASIC)).tgz" | sha256sum --check --quiet
-	tar -xzf build/page/$(subst @,-,$(PLOTLY_BASIC)).tgz -C build/page package/plotly-basic.min.js
-	mv build/page/package/plotly-basic.min.js $(VENV)/share/zerodrift/
 
 docs: $(READY) ## the manual as a site, in build/site
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-docs.lock

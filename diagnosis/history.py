@@ -99,6 +99,8 @@ class Step:
     """How the errors were measured: test logs | leave one run out | blocks of one run."""
     settings: tuple[EffectSettings, ...] = ()
     """What zerodrift.toml said of each effect; empty where it was not kept."""
+    is_return: bool = False
+    """Whether it is a return to an earlier step (`history --restore`)."""
 
     def ratio(self) -> float | None:
         """Return the error over the floor, root mean square over the outputs; None without one."""
@@ -272,6 +274,7 @@ def list_steps(entries: Sequence[Entry]) -> tuple[Step, ...]:
                 entry.reason,
                 entry.held_out,
                 entry.settings,
+                entry.action == RESTORE,
             )
         )
     return tuple(steps)

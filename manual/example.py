@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from click.testing import CliRunner
 
 from zerodrift.app.cli import cli
-from zerodrift.app.commands.survey import preview_effects, survey_project
+from zerodrift.app.commands.survey import list_contributions, survey_project
 from zerodrift.report.figures import draw_candidates, draw_staircase
 from zerodrift.report.figures_runs import Window, draw_run
 
@@ -31,8 +31,8 @@ def draw_example() -> dict[str, tuple[go.Figure, str]]:
         diagnosis = before.diagnosed.diagnosis
         assert diagnosis.effect is not None
         config, dataset = open_project(directory)
-        previews = preview_effects(config, dataset, load_catalogue(), diagnosis, 1)
-        ((effect, curves),) = previews.items()
+        (told,) = list_contributions(config, dataset, load_catalogue(), diagnosis, 1)
+        effect, curves = told.effect, told.curves
         worst = next(s for s in before.comparison.worst if s.output == OUTPUT)
         _run("add", diagnosis.effect, "--json", "-C", str(directory))
         steps = survey_project(directory, wants_diagnosis=False).steps

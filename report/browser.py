@@ -7,19 +7,23 @@ import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-
-import plotly.graph_objects as go
+from typing import TYPE_CHECKING
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
 from zerodrift.base.scratch import make_scratch
 from zerodrift.report.page import render_template
+from zerodrift.report.plot import Picture
+from zerodrift.report.svg import render_svg
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 VARIABLE = "ZERODRIFT_BROWSER"
 PATIENCE_S = 180
 WIDTH = 1000
-"""Pixels of a figure, of which each is drawn as 2 x 2."""
+"""Pixels of a Plotly figure, of which each is drawn as 2 x 2."""
 
 
 def find_browser() -> str:
@@ -58,8 +62,8 @@ def print_page(text: str, target: Path, project: Path) -> None:
         write_all(project, {target: made.read_bytes()})
 
 
-def picture_pages(figures: Mapping[str, go.Figure], directory: Path, project: Path) -> list[Path]:
-    """Write each figure as a PNG of its own, all of them as one change.
+def picture_pages(figures: "Mapping[str, go.Figure]", directory: Path, project: Path) -> list[Path]:
+    """Write each Plotly figure as a PNG of its own, all of them as one change.
 
     Args:
         figures: by the name of the file.
@@ -89,6 +93,46 @@ def picture_pages(figures: Mapping[str, go.Figure], directory: Path, project: Pa
             )
             name = re.sub(r"[^A-Za-z0-9_.-]", "_", label)
             contents[directory / f"{name}.png"] = picture.read_bytes()
+        write_all(project, contents)
+    return list(contents)
+
+
+def write_pictures(
+    pictures: Mapping[str, Picture], directory: Path, project: Path, kind: str
+) -> list[Path]:
+    """Write each picture as a file of its own, all of them as one change.
+
+    Args:
+        pictures: by the name of the file.
+        directory: made if missing.
+        project: the folder of zerodrift.toml.
+        kind: svg | png.
+
+    Raises:
+        InputError: as `print_page`, for PNG.
+    """
+    contents: dict[Path, bytes | None] = {}
+    with make_scratch(project) as scratch:
+        for number, (label, picture) in enumerate(pictures.items()):
+            name = re.sub(r"[^A-Za-z0-9_.-]", "_", label)
+            text = render_svg(picture, alone=True)
+            if kind == "svg":
+                contents[directory / f"{name}.svg"] = text.encode()
+                continue
+            page, made = scratch / "picture.svg", scratch / f"{number}.png"
+            page.write_text(text, encoding="utf-8")
+            size = f"--window-size={int(picture.width)},{int(picture.height)}"
+            _run(
+                [
+                    f"--screenshot={made}",
+                    size,
+                    "--force-device-scale-factor=2",
+                    "--hide-scrollbars",
+                    page.as_uri(),
+                ],
+                made,
+            )
+            contents[directory / f"{name}.png"] = made.read_bytes()
         write_all(project, contents)
     return list(contents)
 

@@ -6,18 +6,20 @@ and read back with the arrays left on disk, so that a page of many million sampl
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.records import from_json, to_dict
+from zerodrift.base.records import UNWRITTEN, from_json, to_dict
 from zerodrift.dataset.outliers import COUNTED
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.advice import Advice
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
+from zerodrift.diagnosis.contribution import Contribution
 from zerodrift.diagnosis.data_notes import DataNote
+from zerodrift.diagnosis.drivers import measure_slope
 from zerodrift.diagnosis.explained import ExplainedDiagnosis
 from zerodrift.diagnosis.history import Step
 from zerodrift.diagnosis.run_errors import RunError
@@ -27,8 +29,6 @@ from zerodrift.verify.summary import CertificateSummary, FirmwareSummary
 
 Array = NDArray[np.float64]
 
-RATE_SPAN_S = 60.0
-"""Time over which rates are taken, so that the thermometer's steps do not show."""
 FILE_NAME = "findings.json"
 
 
@@ -56,6 +56,18 @@ class Trace:
     """[K] what was taken off as the run's own offset; zeros where logs are not tared."""
     outliers: NDArray[np.int64]
     """[M, 2] row and output of each outlier: a sample far off from its neighbours."""
+    inputs: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """[C, n] the channels of `Findings.inputs`, in their units."""
+
+
+@dataclass(frozen=True)
+class LoggedInput:
+    """A channel of [inputs]."""
+
+    name: str
+    """As effects name it."""
+    unit: str
+    """As the column's name ends; empty where it says none."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +129,10 @@ class Findings:
     traces: tuple[Trace, ...]
     reviewed: tuple[DataNote, ...] = ()
     """What looks wrong with the logs; the same in words is among the notes."""
+    inputs: tuple[LoggedInput, ...] = ()
+    """Further channels that every run has."""
+    contribution: Contribution | None = field(default=None, metadata=UNWRITTEN)
+    """Of the effect that the verdict names, where it was asked for."""
 
     @property
     def titles(self) -> dict[str, str]:
@@ -150,6 +166,7 @@ ARRAYS = (
     "error",
     "offset",
     "outliers",
+    "inputs",
 )
 
 
@@ -161,20 +178,18 @@ def measure_rate(time_s: Array, temperature_degC: Array, period_s: float) -> Arr
         temperature_degC: [n].
         period_s: from sample to sample.
     """
-    reach = min(max(1, round(0.5 * RATE_SPAN_S / period_s)), max(time_s.size - 1, 1))
-    rows = np.arange(time_s.size)
-    late = np.minimum(rows + reach, time_s.size - 1)
-    early = np.maximum(rows - reach, 0)
-    span_s = np.maximum(time_s[late] - time_s[early], period_s)
-    return np.asarray(60.0 * (temperature_degC[late] - temperature_degC[early]) / span_s)
+    return measure_slope(time_s, temperature_degC, period_s)
 
 
-def trace_runs(errors: Mapping[str, RunError], held_out: Sequence[str]) -> tuple[Trace, ...]:
+def trace_runs(
+    errors: Mapping[str, RunError], held_out: Sequence[str], inputs: Sequence[str] = ()
+) -> tuple[Trace, ...]:
     """Return the traces of runs, given what the model leaves of them.
 
     Args:
         errors: run -> its errors.
         held_out: runs whose prediction comes from a model that did not learn from them.
+        inputs: channels that every run has.
     """
     return tuple(
         Trace(
@@ -192,9 +207,17 @@ def trace_runs(errors: Mapping[str, RunError], held_out: Sequence[str]) -> tuple
             error=np.ascontiguousarray(error.error.T),
             offset=error.offset,
             outliers=np.argwhere((error.weights < COUNTED) & error.usable),
+            inputs=_join_inputs(error.runs, inputs),
         )
         for error in errors.values()
     )
+
+
+def _join_inputs(runs: Sequence[Run], names: Sequence[str]) -> Array:
+    """Return channels [C, n] of a run's stretches."""
+    if not names:
+        return np.zeros((0, 0))
+    return np.stack([np.concatenate([run.inputs[name] for run in runs]) for name in names])
 
 
 def _join(runs: Sequence[Run], read: Callable[[Run], Array]) -> Array:

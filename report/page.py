@@ -1,16 +1,20 @@
-"""Pages that stand on their own: styles, plotting code and data inside, nothing fetched."""
+"""Pages that stand on their own: styles, pictures and data inside, nothing fetched."""
 
 import html
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
+from typing import TYPE_CHECKING
 
-import plotly.graph_objects as go
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
+from zerodrift.report.plot import Picture
+from zerodrift.report.svg import render_svg, write_colours, write_dark_colours
 from zerodrift.report.tables import Table
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 TEMPLATES = files("zerodrift.report") / "templates"
 
@@ -22,6 +26,7 @@ def _environment() -> Environment:
     )
     environment.filters["figure"] = embed_figure
     environment.filters["table"] = render_table
+    environment.filters["picture"] = embed_picture
     return environment
 
 
@@ -30,7 +35,7 @@ def read_asset(name: str) -> str:
     return (TEMPLATES / name).read_text(encoding="utf-8")
 
 
-def embed_figure(figure: go.Figure, label: str = "") -> Markup:
+def embed_figure(figure: "go.Figure", label: str = "") -> Markup:
     """Return a figure's place in a page, with its data; the page's script draws it."""
     data = figure.to_json(remove_uids=True, validate=False)
     height = int(figure.layout.height or 400)
@@ -40,6 +45,11 @@ def embed_figure(figure: go.Figure, label: str = "") -> Markup:
         f'<script type="application/json">{data.replace("</", "<" + chr(92) + "/")}</script>'
         "</figure>"
     )
+
+
+def embed_picture(picture: Picture) -> Markup:
+    """Return a picture as the page holds it."""
+    return Markup(f'<figure class="picture">{render_svg(picture)}</figure>')
 
 
 def render_table(table: Table, *, folded: bool = False) -> Markup:
@@ -66,15 +76,22 @@ def render_table(table: Table, *, folded: bool = False) -> Markup:
 
 def render_template(name: str, values: Mapping[str, object]) -> str:
     """Return a page from one of the templates, with style and scripts inside it."""
+    template = read_asset(name)
+    dark = f"@media screen and (prefers-color-scheme: dark) {{{write_dark_colours('')}}}"
     assets = {
         "style": Markup(read_asset("page.css")),
+        "report_style": Markup(read_asset("report.css")),
+        "pictures": Markup(write_colours() + dark),
         "script": Markup(read_asset("page.js")),
-        "plotly": Markup(get_plotlyjs()),
     }
-    return _environment().from_string(read_asset(name)).render(**assets, **values) + "\n"
+    if "plotly" in template:
+        from plotly.offline import get_plotlyjs
+
+        assets["plotly"] = Markup(get_plotlyjs())
+    return _environment().from_string(template).render(**assets, **values) + "\n"
 
 
-def render_page(title: str, figures: Sequence[go.Figure], notes: Sequence[str] = ()) -> str:
+def render_page(title: str, figures: "Sequence[go.Figure]", notes: Sequence[str] = ()) -> str:
     """Return one HTML page with all figures and the plotting code inside it."""
     return render_template(
         "figures.html.j2", {"title": title, "figures": list(figures), "notes": list(notes)}

@@ -1,28 +1,46 @@
-"""The report: one self-contained page that says what is known about a sensor and its model."""
+"""The report: one self-contained page that says what is known about a sensor and its model.
+
+Its pictures are drawn here, as SVG: no script, no browser. What does not fit ten pages is in the
+tables that it carries as CSV.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import plotly.graph_objects as go
-
+from zerodrift.diagnosis.drivers import DriftDriver
 from zerodrift.diagnosis.explained import HEADLINE
-from zerodrift.report import tables
+from zerodrift.diagnosis.run_spread import measure_spread
+from zerodrift.report import cause, tables
+from zerodrift.report.annex import list_annex
 from zerodrift.report.datasheet import DatasheetRow
-from zerodrift.report.figures import (
-    draw_autocorrelation,
-    draw_budget,
-    draw_candidates,
-    draw_staircase,
-)
-from zerodrift.report.figures_runs import draw_output, draw_residual, list_means
-from zerodrift.report.findings import Findings, find_threshold
+from zerodrift.report.findings import Findings
 from zerodrift.report.page import render_template
-from zerodrift.report.parts import list_parts
-from zerodrift.report.verdict import write_headline
+from zerodrift.report.pictures import draw_error_budget, draw_ranking, draw_stairs
+from zerodrift.report.plot import Picture
+from zerodrift.report.verdict import explain_candidate, write_headline
+from zerodrift.report.window import Window
 
-POINTS_OF_ALL_LINES = 60_000
-"""Points of the lines of all runs and outputs together, which keeps the file small."""
-FEWEST_POINTS, MOST_POINTS = 160, 900
+WIDTH = 900.0
+"""Pixels of a picture, which a printed page shows at about three quarters."""
+MOST_OUTPUTS = 6
+"""Outputs that have a picture; the worst in %FS come first."""
+MOST_RUNS = 20
+"""Runs of a table in the report; more are in the annex alone."""
+MOST_WORST = 6
+MOST_WHY = 4
+"""Candidates of which it is told why they are, or are not, what is missing."""
+MOST_COEFFICIENTS = 24
+
+
+@dataclass(frozen=True)
+class OutputSection:
+    """The cause picture of one output."""
+
+    name: str
+    unit: str
+    run: str
+    held_out: bool
+    picture: Picture
 
 
 def render_report(findings: Findings, datasheet: Sequence[DatasheetRow] | None = None) -> str:
@@ -36,6 +54,8 @@ def render_report(findings: Findings, datasheet: Sequence[DatasheetRow] | None =
     diagnosis = explained.diagnosis if explained is not None else None
     firmware, certificate = findings.firmware, findings.certificate
     files, versions = tables.tabulate_provenance(findings.provenance)
+    told = tables.tabulate_datasheet(datasheet) if datasheet is not None else None
+    runs = tables.tabulate_runs(compared)
     values: dict[str, object] = {
         "findings": findings,
         "title": f"{findings.sensor}: drift and its compensation",
@@ -43,86 +63,95 @@ def render_report(findings: Findings, datasheet: Sequence[DatasheetRow] | None =
         "details": [s.text for s in explained.sentences if s.role != HEADLINE] if explained else [],
         "notes": list_notes(findings),
         "tiles": list_tiles(findings),
-        "staircase": draw_staircase(steps) if steps else None,
-        "steps": tables.tabulate_steps(steps),
-        "outputs": tables.tabulate_outputs(compared),
-        "runs": tables.tabulate_runs(compared),
-        "worst": tables.tabulate_worst(compared),
-        "candidates": draw_candidates(diagnosis) if diagnosis and diagnosis.candidates else None,
-        "candidates_table": tables.tabulate_candidates(diagnosis, findings.titles)
-        if diagnosis
-        else None,
+        "outputs": tables.tabulate_errors(compared, measure_spread(compared)),
+        "runs": runs if len(runs.rows) <= MOST_RUNS else None,
         "sections": list_sections(findings),
-        "moving": find_threshold([t for t in findings.traces if t.held_out] or findings.traces),
+        "staircase": draw_stairs(steps, WIDTH) if steps else None,
+        "steps": tables.tabulate_steps(steps),
+        "worst": tables.take_rows(tables.tabulate_worst(compared), MOST_WORST),
+        "ranking": draw_ranking(diagnosis, WIDTH) if diagnosis and diagnosis.candidates else None,
+        "why": [
+            (c.effect, findings.titles.get(c.effect, ""), explain_candidate(diagnosis, c))
+            for c in diagnosis.candidates[:MOST_WHY]
+        ]
+        if diagnosis
+        else [],
         "parameters": tables.tabulate_parameters(findings.model),
-        "coefficients": tables.tabulate_coefficients(findings.model),
-        "budget": draw_budget(firmware, compared) if firmware else None,
+        "coefficients": tables.take_rows(
+            tables.tabulate_coefficients(findings.model), MOST_COEFFICIENTS
+        ),
+        "budget": draw_error_budget(firmware, compared, WIDTH) if firmware else None,
         "budget_table": tables.tabulate_budget(firmware, compared) if firmware else None,
         "chip_error": tables.tabulate_chip_error(firmware) if firmware else None,
         "firmware": tables.tabulate_firmware(firmware) if firmware else None,
         "certificate": tables.tabulate_certificate(certificate) if certificate else None,
-        "datasheet": tables.tabulate_datasheet(datasheet) if datasheet is not None else None,
+        "datasheet": told,
+        "annex": list_annex(findings, {"datasheet": told} if told is not None else None),
         "files": files,
         "versions": versions,
     }
     return render_template("report.html.j2", values)
 
 
-@dataclass(frozen=True)
-class Section:
-    """The figures and tables of one output."""
-
-    name: str
-    unit: str
-    runs: go.Figure
-    parts: tables.Table
-    residual: go.Figure
-    means: tables.Table
-    correlation: go.Figure
-    shares: tables.Table
-
-
-def list_sections(findings: Findings) -> list[Section]:
-    """Return the figures of each output."""
-    lines = len(findings.traces) * len(findings.outputs) * 3
-    most = min(max(POINTS_OF_ALL_LINES // max(lines, 1), FEWEST_POINTS), MOST_POINTS)
+def list_sections(findings: Findings) -> list[OutputSection]:
+    """Return the cause pictures: of the worst output in full, of the others what tells most."""
     compared = findings.comparison
+    ranked = sorted(findings.outputs, key=lambda name: -compared.outputs[name].rmse_pct_fs)
+    channels = cause.list_channels(findings)
     sections = []
-    for k, name in enumerate(findings.outputs):
-        unit = findings.units[k]
-        residual = draw_residual(findings.traces, compared, name)
-        correlation = draw_autocorrelation(findings.traces, compared, name)
-        (bars,) = correlation.data
-        sections.append(
-            Section(
-                name=name,
-                unit=unit,
-                runs=draw_output(findings.traces, compared, name, most=most),
-                parts=tables.tabulate_parts(list_parts(findings.traces, k), unit),
-                residual=residual,
-                means=tables.tabulate_means(list_means(residual), unit),
-                correlation=correlation,
-                shares=tables.tabulate_autocorrelation(bars.x, bars.y),
-            )
+    for number, name in enumerate(ranked[:MOST_OUTPUTS]):
+        k = findings.outputs.index(name)
+        run = choose_run(findings, name)
+        trace = findings.find_trace(run)
+        effect = cause.name_effect(findings)
+        suspects = cause.find_suspects(findings, effect, name)
+        curves = findings.contribution.curves if findings.contribution is not None else {}
+        panes = cause.choose_panes(suspects, channels)
+        if number:
+            panes = (cause.LEFT, *panes[3:4]) if len(panes) > 3 else (cause.LEFT, *panes[2:3])
+        view = cause.CauseView(
+            trace=trace,
+            output=name,
+            window=Window(run),
+            panes=panes,
+            against=cause.choose_against(suspects),
+            effect=effect if run in curves else "",
+            contribution=curves[run][k] if run in curves else None,
+            width=WIDTH,
         )
+
+        def read(driver: DriftDriver, of: str = run) -> cause.Array:
+            return cause.read_driven(findings, findings.find_trace(of), driver)
+
+        drawn = cause.draw_cause(view, compared, channels, read)
+        sections.append(OutputSection(name, findings.units[k], run, trace.held_out, drawn.picture))
     return sections
 
 
-def list_figures(findings: Findings) -> dict[str, go.Figure]:
-    """Return every figure of the report by a name for its file."""
+def choose_run(findings: Findings, output: str) -> str:
+    """Return the run that shows an output's error best: that of its worst segment, or the worst."""
+    compared = findings.comparison
+    worst = next((s.run for s in compared.worst if s.output == output), None)
+    if worst is not None:
+        return worst
+    names = [trace.run for trace in findings.traces]
+    told = [name for name in names if output in compared.runs.get(name, {})]
+    return max(told, key=lambda name: compared.runs[name][output].rmse, default=names[0])
+
+
+def list_pictures(findings: Findings) -> dict[str, Picture]:
+    """Return every picture of the report by a name for its file."""
     firmware, explained = findings.firmware, findings.diagnosed
-    figures: dict[str, go.Figure] = {}
+    pictures: dict[str, Picture] = {}
     if findings.steps:
-        figures["staircase"] = draw_staircase(findings.steps)
+        pictures["staircase"] = draw_stairs(findings.steps, WIDTH)
     if explained is not None and explained.diagnosis.candidates:
-        figures["candidates"] = draw_candidates(explained.diagnosis)
+        pictures["candidates"] = draw_ranking(explained.diagnosis, WIDTH)
     for section in list_sections(findings):
-        figures[f"{section.name}_runs"] = section.runs
-        figures[f"{section.name}_residual"] = section.residual
-        figures[f"{section.name}_correlation"] = section.correlation
+        pictures[f"{section.name}_cause"] = section.picture
     if firmware is not None:
-        figures["error_budget"] = draw_budget(firmware, findings.comparison)
-    return figures
+        pictures["error_budget"] = draw_error_budget(firmware, findings.comparison, WIDTH)
+    return pictures
 
 
 def list_notes(findings: Findings) -> list[str]:

@@ -1,11 +1,12 @@
 """Tables of the report and the page: what the commands found, with units, written for people."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.history import Step
+from zerodrift.diagnosis.run_spread import RmseSpread
 from zerodrift.physics.summary import ModelSummary
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Provenance
@@ -58,6 +59,63 @@ def tabulate_outputs(compared: ComparisonSummary) -> Table:
         *("RMSE, %FS", "largest error", "largest, %FS", "noise floor", "× floor"),
     )
     return Table("Errors per output", headings, tuple(rows), texts=2)
+
+
+def tabulate_errors(compared: ComparisonSummary, spread: Mapping[str, RmseSpread]) -> Table:
+    """Return the errors that count, with their uncertainty.
+
+    Args:
+        compared: what `compare` found.
+        spread: output -> how sure its RMSE is.
+    """
+    rows = []
+    for name, told in compared.outputs.items():
+        one = spread[name]
+        percent = 100.0 / told.full_scale
+        error = "–" if one.std_error is None else f"{write_number(one.std_error, 2)}"
+        ratio = one.rmse / told.noise_floor if told.noise_floor > 0.0 else None
+        rows.append(
+            (
+                name,
+                told.unit,
+                write_number(told.full_scale),
+                write_number(told.rmse_uncompensated),
+                write_number(one.rmse),
+                error,
+                write_number(percent * one.rmse, 3),
+                write_number(told.max_abs, 3),
+                write_number(told.noise_floor),
+                "–" if ratio is None else f"{ratio:.2f}",
+            )
+        )
+    some = next(iter(spread.values()))
+    where = describe_held_out(compared)
+    headings = (
+        *("output", "unit", "full scale", "uncompensated", f"RMSE, {where}", "±"),
+        *("%FS", "largest error", "noise floor", "× floor"),
+    )
+    note = (
+        f"RMSE over {some.runs} runs ({where}); ± is one standard error, from how the runs differ. "
+        "Noise floor: what no compensation takes away."
+    )
+    return Table("Errors per output", headings, tuple(rows), texts=2, note=note)
+
+
+def describe_held_out(compared: ComparisonSummary) -> str:
+    """Return on which runs the errors are told: test logs, runs left out, or those learnt from."""
+    told = next(iter(compared.outputs.values()))
+    if told.rmse_test is not None:
+        return "test logs"
+    return "runs left out" if told.rmse_left_out is not None else "runs learnt from"
+
+
+def take_rows(table: Table, most: int) -> Table:
+    """Return the first rows of a table, and a note where there are more."""
+    if len(table.rows) <= most:
+        return table
+    more = f"The first {most} of {len(table.rows)}; all are in the annex."
+    note = f"{table.note} {more}".strip()
+    return replace(table, rows=table.rows[:most], note=note)
 
 
 def tabulate_runs(compared: ComparisonSummary) -> Table:
@@ -147,30 +205,6 @@ def tabulate_parts(parts: Sequence[ReportPart], unit: str) -> Table:
         *(f"mean of model, {unit}", f"mean of what is left, {unit}", f"its RMS, {unit}"),
     )
     return Table("Along the runs, as a table", headings, rows, note="Equal parts of each run.")
-
-
-def tabulate_means(means: Sequence[tuple[str, str, float, float]], unit: str) -> Table:
-    """Return the means of bins of what is left, as drawn against what may drive it.
-
-    Args:
-        means: against what, branch, bin's centre, mean.
-        unit: of the mean.
-    """
-    rows = tuple(
-        (against, branch, write_number(centre, 3), write_number(mean, 3))
-        for against, branch, centre, mean in means
-    )
-    headings = ("against", "branch", "bin's centre", f"mean of what is left, {unit}")
-    return Table("What is left, as a table", headings, rows, texts=2)
-
-
-def tabulate_autocorrelation(lags_s: Sequence[float], shares: Sequence[float]) -> Table:
-    """Return the autocorrelation of what is left, lag by lag."""
-    rows = tuple(
-        (f"{lag:g}", f"{share:.3f}".replace("-", "−"))
-        for lag, share in zip(lags_s, shares, strict=True)
-    )
-    return Table("Autocorrelation, as a table", ("lag, s", "share"), rows, texts=0)
 
 
 def tabulate_steps(steps: Sequence[Step]) -> Table:

@@ -7,7 +7,11 @@ from zerodrift.workbench.uploads import list_logs
 from zerodrift.workbench.workplace import Workplace
 
 PRACTICE_EFFECT = "zero_tempco"
+MOST_DIGITS = 9
+APPLIED = "applied"
+"""Folder for what `apply` writes from the page."""
 TITLES = {
+    "propose": "Looking for a formula",
     "train": "Training",
     "firmware": "Building firmware",
     "verify": "Verifying",
@@ -47,6 +51,7 @@ def press(place: Workplace, button: str, chosen: Mapping[str, object]) -> None:
     force = bool(chosen.get("force"))
     simple: dict[str, Callable[[], object]] = {
         "undo": place.undo,
+        "redo": place.redo,
         "look": place.look,
         "cancel": place.cancel,
         "dismiss": place.dismiss,
@@ -65,14 +70,33 @@ def press(place: Workplace, button: str, chosen: Mapping[str, object]) -> None:
             kind, _, signal = str(present).partition("[")
             options = ["--set", f"signal={signal.rstrip(']')}"] if signal else []
             place.run("remove", f"Removing {present}", ["remove", kind, "--json", *options])
+    elif button == "restore":
+        step = str(chosen.get("step", ""))
+        place.restore(int(step) if step.isdigit() and len(step) < MOST_DIGITS else -1)
+    elif button == "apply":
+        apply(place)
     elif button in TITLES:
         options = ["--no-diagnose"] if button == "report" else []
         place.run(button, TITLES[button], [button, "--json", *options])
     elif button in simple:
         simple[button]()
     else:
-        expected = ", ".join(("add", "add-chosen", "remove", *TITLES, *simple))
+        known = ("add", "add-chosen", "remove", "restore", "apply", *TITLES, *simple)
+        expected = ", ".join(known)
         raise InputError(f"{button!r}: is no button of the page; expected one of {expected}.")
+
+
+def apply(place: Workplace) -> None:
+    """Run the finished model over the test logs, or those it learnt from, as the chip would."""
+    findings = place.findings
+    files = findings.provenance.files if findings is not None else ()
+    logs = [f.file for f in files if f.use == "test"] or [f.file for f in files if "train" in f.use]
+    if not logs:
+        place.tell("There is no log to apply the model to.", is_error=False)
+        return
+    paths = [str(place.directory / log) for log in logs]
+    out = str(place.directory / "build" / APPLIED)
+    place.run("apply", "Applying the model", ["apply", *paths, "--out", out, "--json"])
 
 
 def begin(place: Workplace) -> None:

@@ -2,18 +2,13 @@
 
 import dash
 from dash import Dash, Input, Output, State
-from flask import send_file
 
 from zerodrift.report.page import read_asset
+from zerodrift.report.svg import write_style
 from zerodrift.workbench import views
-from zerodrift.workbench.bundle import find_bundle
-from zerodrift.workbench.chart import MOVES, draw_main
 from zerodrift.workbench.first import CHART, CHOICES, FRAME, TOP, Places, lay_out_first
-from zerodrift.workbench.layout import PAGE, PLOTLY
+from zerodrift.workbench.layout import EARLY, PAGE
 from zerodrift.workbench.workplace import Workplace
-
-BASIC = "/plotly-basic.min.js"
-SCRIPT = "text/javascript"
 
 
 def make_app(workplace: Workplace) -> Dash:
@@ -25,23 +20,14 @@ def make_app(workplace: Workplace) -> Dash:
         serve_locally=True,
         suppress_callback_exceptions=True,
     )
-    app.index_string = PAGE.replace("PLOTLY", _serve_plotly(app)).replace(
-        "STYLE", read_asset("page.css")
+    app.index_string = PAGE.replace("EARLY", EARLY).replace(
+        "STYLE", read_asset("page.css") + write_style()
     )
     app.layout = lambda: lay_out_first(workplace)
     _connect_frame(app, workplace)
     _connect_findings(app, workplace)
     _connect_chart(app, workplace)
     return app
-
-
-def _serve_plotly(app: Dash) -> str:
-    """Return where the page finds Plotly."""
-    bundle = find_bundle()
-    if bundle is None:
-        return PLOTLY
-    app.server.add_url_rule(BASIC, view_func=lambda: send_file(bundle, mimetype=SCRIPT))
-    return BASIC
 
 
 def _list(places: Places) -> list[Output]:
@@ -114,20 +100,13 @@ def _connect_findings(app: Dash, place: Workplace) -> None:
 
 
 def _connect_chart(app: Dash, place: Workplace) -> None:
-    """Connect the chart with what chooses its part."""
+    """Connect the chart's place with what it is of; the page's script draws it."""
     app.callback(
         *_list(CHART),
         Input("version", "data"),
-        Input("view", "data"),
-        *[Input(name, "n_clicks") for name in MOVES],
-        Input("main", "relayoutData"),
-        State("drawn", "data"),
+        Input("guess", "data"),
         prevent_initial_call=True,
-    )(
-        lambda _, view, *now: draw_main(
-            place, view, dict(zip(MOVES, now, strict=False)), *now[len(MOVES) :]
-        )
-    )
+    )(lambda _, told: views.show_chart(place, told))
     app.callback(
         Output("guess", "data"),
         Input("tell", "n_clicks"),

@@ -1,19 +1,22 @@
-"""The chart of one run: what part of it is shown, and what went on there."""
+"""The cause picture of the page: what it shows of which run, and what can be chosen."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
-from dash import no_update
+import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.records import from_json, to_dict
-from zerodrift.report import tables
-from zerodrift.report.figures_runs import Window, choose_clock, draw_run, find_rows
+from zerodrift.base.errors import InputError
+from zerodrift.diagnosis.drivers import LAG, TAU_S, TEMPERATURE, read_driver
+from zerodrift.report import cause, tables
 from zerodrift.report.findings import Findings, Trace
+from zerodrift.report.plot import Picture
+from zerodrift.report.svg import render_svg
 from zerodrift.report.thin import pick_spread
-from zerodrift.workbench import panels
-from zerodrift.workbench.state import Chart, Drawn, RunPart, View
-from zerodrift.workbench.views import Shown, choose_first
+from zerodrift.report.window import Window, choose_clock, find_rows
+from zerodrift.workbench.state import DrawnPicture, PageChoice, PictureWish, Sheet
 from zerodrift.workbench.workplace import Workplace
+
+Array = NDArray[np.float64]
 
 MOST_ROWS = 100
 """Rows of the table beside the chart."""
@@ -22,98 +25,97 @@ MOVES = ("earlier", "later", "closer", "wider", "whole")
 CLOSER = 0.5
 STEP = 0.5
 """Of the width that is shown, for one press of earlier or later."""
-MOST_PRESSES = 50
-"""Presses of one button that are answered at once; no run is longer than that."""
+NARROWEST, WIDEST = 240.0, 2400.0
+"""Pixels of a picture."""
+HEADING = 236.0
+"""Pixels that the page's list of a pane is wide."""
 
 
-def draw_main(
-    place: Workplace,
-    view: Mapping[str, object] | None,
-    presses: Mapping[str, int | None],
-    moved: Mapping[str, object] | None,
-    drawn: Mapping[str, object] | None,
-) -> Shown:
-    """Return the chart of one run, refined to the part that is shown, and what went on there.
-
-    A request may be answered by a later one of the same chart, and two may be made as one. So what
-    is asked for is told from what was drawn last, and not from what changed last.
+def draw_wish(place: Workplace, wish: PictureWish, *, hides: bool) -> DrawnPicture:
+    """Return the picture that was asked for.
 
     Args:
         place: the project.
-        view: a `View` as the page's script writes it; None where it has told nothing yet.
-        presses: how often each of `MOVES` was pressed.
-        moved: what the chart tells of a zoom.
-        drawn: a `Drawn` as it was returned last: what is drawn now.
+        wish: what is chosen.
+        hides: whether the verdict waits for a guess, so that nothing is drawn that tells it.
+
+    Raises:
+        InputError: nothing was found yet.
     """
     findings = place.findings
     if findings is None:
-        return tuple([no_update] * 4)
-    chosen = View(*choose_first(findings)) if view is None else from_json(View, view)
-    output, run, ghost, part = chosen.output, chosen.run, chosen.ghost, chosen.part
-    runs = [trace.run for trace in findings.traces]
-    if output is None or output not in findings.outputs or run is None or run not in runs:
-        return tuple([no_update] * 4)
+        raise InputError("nothing was found yet; the page draws as soon as the errors are known.")
+    output, run = choose_first(findings)
+    if wish.output in findings.outputs and wish.output is not None:
+        output = wish.output
+    if wish.run in [trace.run for trace in findings.traces] and wish.run is not None:
+        run = wish.run
     trace = findings.find_trace(run)
-    k = findings.outputs.index(output)
-    curve = place.preview(ghost, run) if ghost else None
-    wanted = Drawn(
-        chart=Chart(place.shown, output, run, ghost if curve is not None else None),
-        part=part.number if part else 0,
-        presses={name: presses.get(name) or 0 for name in MOVES},
-        moved=moved,
+    named = "" if hides else cause.name_effect(findings)
+    effect = named if wish.effect is None else wish.effect
+    curve = place.preview(effect, run) if effect and not hides else None
+    channels = cause.list_channels(findings)
+    suspects = cause.find_suspects(findings, effect, output) if not hides else ()
+    against = read_driver(wish.against) or cause.choose_against(suspects)
+    if against.channel not in channels:
+        against = cause.choose_against(suspects)
+    width = min(max(wish.width, NARROWEST), WIDEST)
+    view = cause.CauseView(
+        trace=trace,
+        output=output,
+        window=choose_window(trace, wish),
+        panes=wish.panes or cause.choose_panes(suspects, channels),
+        against=against,
+        effect=effect if curve is not None else "",
+        contribution=None if curve is None else curve[findings.outputs.index(output)],
+        width=width,
+        heading=HEADING,
     )
-    last = None if drawn is None else from_json(Drawn, drawn)
-    is_same_but_moved = last is not None and replace(wanted, moved=last.moved) == last
-    if is_same_but_moved and (wanted == last or read_zoom(trace, moved or {}) is None):
-        return tuple([no_update] * 4)
-    window = choose_window(trace, part, wanted, last)
-    figure = draw_run(
-        trace,
-        findings.comparison,
-        output,
-        window,
-        ghost=None if curve is None else curve[k],
-        ghost_name=ghost or "",
+    picture = cause.draw_cause(
+        view, findings.comparison, channels, lambda driver: place.read(trace, driver)
     )
-    return (
-        figure,
-        panels.show_segments(findings, run, output),
-        panels.show_table(tabulate_part(findings, k, window)),
-        to_dict(replace(wanted, window=(window.from_s, window.to_s))),
+    tau_s = next((d.tau_s for d in suspects if d.form == LAG), TAU_S)
+    choices = cause.list_choices(channels, tau_s, view.effect)
+    clock = choose_clock(trace)
+    table = tabulate_part(findings, findings.outputs.index(output), view.window)
+    return DrawnPicture(
+        shown=place.shown,
+        svg=render_svg(picture.picture),
+        # The script has the text; the parts that it was made of would only be sent twice.
+        cause=replace(picture, picture=Picture(width, picture.picture.height, (), "")),
+        output=output,
+        run=run,
+        effect=view.effect,
+        panes=tuple(PageChoice(key, words) for key, words in choices),
+        drivers=tuple(
+            PageChoice(key, words) for key, words in choices if read_driver(key) is not None
+        ),
+        against=against.key,
+        is_whole=view.window.from_s is None,
+        seconds=clock.seconds,
+        clock=clock.unit,
+        sheet=Sheet(table.headings, table.rows, table.texts),
     )
 
 
-def choose_window(trace: Trace, part: RunPart | None, wanted: Drawn, drawn: Drawn | None) -> Window:
-    """Return the part of a run to be shown: what was shown of it, and moved as was asked since.
-
-    Args:
-        trace: the run.
-        part: the worst segment that was asked for last.
-        wanted: what is to be drawn.
-        drawn: what was drawn last.
-    """
-    is_new = wanted.part != (drawn.part if drawn else 0)
-    if part is not None and is_new and (part.run, part.output) == (trace.run, wanted.chart.output):
-        return Window(trace.run, part.from_s, part.to_s)
-    if drawn is None or drawn.chart.run != trace.run:
-        return Window(trace.run)
-    window = Window(trace.run, *drawn.window)
-    if wanted.moved != drawn.moved:
-        window = read_zoom(trace, wanted.moved or {}) or window
-    for move in MOVES:
-        for _ in range(min(wanted.presses[move] - drawn.presses[move], MOST_PRESSES)):
-            window = move_window(trace, window, move)
-    return window
+def choose_first(findings: Findings) -> tuple[str, str]:
+    """Return the output and the run that are shown at first: those of the worst segment."""
+    worst = findings.comparison.worst
+    if worst:
+        return worst[0].output, worst[0].run
+    return findings.outputs[0], findings.traces[0].run
 
 
-def read_zoom(trace: Trace, moved: Mapping[str, object]) -> Window | None:
-    """Return the part that was zoomed to; None where nothing of the time axis changed."""
-    both = moved.get("xaxis2.range")
-    ends = both if isinstance(both, list) else [moved.get(f"xaxis2.range[{i}]") for i in (0, 1)]
-    if ends[0] is not None and ends[1] is not None:
-        clock = choose_clock(trace)
-        return Window(trace.run, *sorted(clock.seconds * float(str(end)) for end in ends))
-    return Window(trace.run) if moved.get("xaxis2.autorange") else None
+def choose_window(trace: Trace, wish: PictureWish) -> Window:
+    """Return the part of a run to be shown: what was shown of it, moved as was asked."""
+    window = Window(trace.run)
+    first, last = float(trace.time_s[0]), float(trace.time_s[-1])
+    if wish.from_s is not None and wish.to_s is not None:
+        low, high = sorted((wish.from_s, wish.to_s))
+        low, high = max(low, first), min(high, last)
+        if high - low >= 2.0 * trace.sample_period_s and (low > first or high < last):
+            window = Window(trace.run, low, high)
+    return move_window(trace, window, wish.move) if wish.move in MOVES else window
 
 
 def move_window(trace: Trace, window: Window, move: str) -> Window:
@@ -162,7 +164,7 @@ def tabulate_part(findings: Findings, k: int, window: Window) -> tables.Table:
     )
     unit = findings.units[k]
     headings = (
-        *("time, s", "temperature, degC", f"drift as measured, {unit}"),
+        *("time, s", f"{TEMPERATURE}, degC", f"drift as measured, {unit}"),
         *(f"model, {unit}", f"what is left, {unit}"),
     )
     note = "Samples, evenly spread over the part that is shown; zoom for more."

@@ -10,7 +10,6 @@ from dash import no_update
 from dash.development.base_component import Component
 
 from zerodrift.workbench import views
-from zerodrift.workbench.chart import draw_main
 from zerodrift.workbench.layout import lay_out
 from zerodrift.workbench.views import Shown
 from zerodrift.workbench.workplace import Workplace
@@ -36,18 +35,15 @@ TOP: Places = (
     ("guess-choice", "data-choices"),
     ("guess-told", "children"),
     ("actions", "hidden"),
-    ("adds", "children"),
+    ("way", "children"),
     ("undo", "disabled"),
+    ("redo", "disabled"),
+    ("bench", "data-stale"),
 )
 CHOICES: Places = tuple(
     (name, "data-choices") for name in ("output", "run", "ghost", "effect", "present")
 )
-CHART: Places = (
-    ("main", "figure"),
-    ("cause", "children"),
-    ("main-table", "children"),
-    ("drawn", "data"),
-)
+CHART: Places = (("main", "data-shown"), ("cause", "children"))
 
 
 def lay_out_first(place: Workplace) -> Component:
@@ -59,7 +55,7 @@ def lay_out_first(place: Workplace) -> Component:
         (FRAME, lambda: views.show_frame(place)),
         (TOP, lambda: views.show_top(place, None, None)),
         (CHOICES, lambda: views.list_choices(place, None)),
-        (CHART, lambda: draw_main(place, None, {}, None, None)),
+        (CHART, lambda: views.show_chart(place, None)),
     )
     for places, show in shown:
         for (name, attribute), value in zip(places, show(), strict=True):

@@ -3,8 +3,6 @@
 from dash import dcc, html
 from dash.development.base_component import Component
 
-from zerodrift.workbench import panels
-
 POLL_MS = 500
 CONTENTS = (
     ("top", "Verdict"),
@@ -22,27 +20,35 @@ MOVES = (
     ("wider", "Wider"),
     ("whole", "Whole run"),
 )
-PLOTLY = "/_dash-component-suites/plotly/package_data/plotly.min.js"
-"""Of Dash's own routes. Asked for at once, it is compiled while the other scripts run; left to
-Dash, it would be asked for when the page is there, and the page would wait for it."""
-STORES = ("guess", "drawn", "view", "picks", "below")
-"""Of them `view` and `picks` are written by the page's script: what is chosen now."""
+STORES = ("guess", "picks", "below")
+"""Of them `picks` is written by the page's script: what is chosen now."""
+EARLY = """\
+window.zdFirst = (function () {
+  const inner = document.documentElement.clientWidth, em = 16;
+  const page = Math.min(inner, 94 * em);
+  const width = inner <= 68 * em ? inner - 2.2 * em : page - 4 * em - 15.5 * em;
+  const wish = JSON.stringify({ width: Math.max(width - 15, 240) });
+  return fetch("/picture?wish=" + encodeURIComponent(wish))
+    .then((answer) => (answer.ok ? answer.json() : null))
+    .catch(() => null);
+})();
+"""
+"""Asks for the chart while the page's other scripts are still being read."""
 PAGE = """<!doctype html>
 <html lang="en">
 <head>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 {%metas%}
-<link rel="preload" as="script" href="PLOTLY">
-<link rel="preload" as="script" href="/_dash-component-suites/dash/dcc/async-graph.js">
 <link rel="preload" as="fetch" href="/_dash-layout" crossorigin>
 <link rel="preload" as="fetch" href="/_dash-dependencies" crossorigin>
 <title>{%title%}</title>
+<script>EARLY</script>
 <style>STYLE</style>
 {%css%}
 </head>
 <body>
 {%app_entry%}
-<footer class="scripts">{%config%}{%scripts%}<script src="PLOTLY"></script>{%renderer%}</footer>
+<footer class="scripts">{%config%}{%scripts%}{%renderer%}</footer>
 </body>
 </html>
 """
@@ -105,7 +111,6 @@ def _press(words: str, button: str, **options: object) -> Component:
 
 def _lay_out_top() -> list[Component]:
     """Return the head: verdict, guess, actions, and what the last change brought."""
-    force = dcc.Checklist(["keep it even if it does not help"], [], id="force")
     return [
         html.P(id="kicker", className="kicker"),
         html.H1(id="sensor"),
@@ -121,22 +126,34 @@ def _lay_out_top() -> list[Component]:
             hidden=True,
         ),
         html.P(id="guess-told", className="note"),
-        html.Div(
+        html.Section(id="way", **{"aria-label": "The way from logs to a report"}),
+        html.Details(
             [
-                html.Div(id="adds", className="adds"),
+                html.Summary("Other steps: another effect, undo, redo, look again"),
                 html.Div(
                     [
-                        _choose("another effect", "effect"),
-                        _press("Add it", "add-chosen"),
+                        html.Div(
+                            [
+                                _choose("another effect", "effect"),
+                                _press("Add it", "add-chosen"),
+                            ],
+                            className="pair",
+                        ),
+                        html.Label(
+                            className="check",
+                            **{
+                                "data-check": "force",
+                                "data-words": "keep it even if it does not help",
+                            },
+                        ),
+                        _press("Undo", "undo"),
+                        _press("Redo", "redo"),
+                        _press("Look again", "look"),
                     ],
-                    className="pair",
+                    className="actions",
                 ),
-                html.Label(force),
-                _press("Undo", "undo"),
-                _press("Look again", "look"),
             ],
             id="actions",
-            className="actions",
         ),
         html.Div(id="effect-told", className="card", hidden=True),
         html.Section(id="revision", className="card", hidden=True),
@@ -146,13 +163,19 @@ def _lay_out_top() -> list[Component]:
 
 def _lay_out_sections() -> list[Component]:
     """Return the sections below the head."""
-    ghost = "an effect, drawn over what is left"
+    ghost = "the one that the verdict names"
     choices = [
         _choose("Output", "output", store="view", empty=None),
         _choose("Run", "run", store="view", empty=None),
-        _choose("What would it look like", "ghost", store="view", empty=ghost),
+        _choose("Drawn over what is left", "ghost", store="view", empty=ghost),
+        html.Label(["What is left, against", html.Select(id="against")], className="wide"),
     ]
-    chart = dcc.Graph(id="main", config=panels.GRAPH, style={"height": "520px"})
+    chart = html.Div(
+        id="main",
+        tabIndex="0",
+        role="group",
+        **{"aria-label": "The chart: arrow keys read it, with Shift they mark, Enter zooms there"},
+    )
     table = [
         html.Summary("What is drawn, as a table", id="main-summary"),
         html.Div(id="main-table"),
@@ -161,11 +184,14 @@ def _lay_out_sections() -> list[Component]:
     return [
         _section(
             "measured",
-            "Measured, model, and what is left",
+            "The cause: measured, model, what is left, and what it follows",
             html.Div(choices, className="choices"),
             html.Figure(chart),
             html.Div(
-                [html.Button(words, id=name) for name, words in MOVES],
+                [
+                    *(html.Button(w, id=name, **{"data-move": name}) for name, w in MOVES),
+                    html.Button("Zoom to what is marked", id="to-mark", disabled=True),
+                ],
                 className="actions moves",
                 role="group",
                 **{"aria-label": "Part of the run that is shown"},
@@ -195,6 +221,7 @@ def _lay_out_sections() -> list[Component]:
             html.Div(
                 [
                     *(_press(words, name) for words, name in buttons),
+                    _press("Apply to the test logs", "apply"),
                     _press("Write report", "report"),
                 ],
                 className="actions",

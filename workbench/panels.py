@@ -3,33 +3,27 @@
 import json
 from collections.abc import Sequence
 
-from dash import dcc, html
+from dash import html
 from dash.development.base_component import Component
-from plotly.graph_objects import Figure
 
 from zerodrift.base.records import to_dict
 from zerodrift.diagnosis.comparison_summary import WorstSegment
+from zerodrift.diagnosis.held_out import TEST_LOGS
+from zerodrift.diagnosis.history import Step
+from zerodrift.diagnosis.timeline import find_timeline
 from zerodrift.report import tables
-from zerodrift.report.figures import draw_budget, draw_revision, draw_staircase
 from zerodrift.report.findings import Findings
+from zerodrift.report.pictures import draw_change, draw_stairs
+from zerodrift.report.plot import Picture
 from zerodrift.report.report import list_tiles
 from zerodrift.report.results import (
     AddResult,
     RemoveResult,
-    ReportResult,
-    TrainResult,
     is_done,
 )
+from zerodrift.report.svg import render_svg
 from zerodrift.report.tables import Table
-from zerodrift.verify.summary import FirmwareSummary, VerifySummary
 from zerodrift.workbench.state import RunPart
-
-GRAPH = {
-    "displaylogo": False,
-    "responsive": True,
-    "showSendToCloud": False,
-    "modeBarButtons": [["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"]],
-}
 
 
 def show_table(table: Table, *, folded: bool = False) -> Component:
@@ -47,14 +41,9 @@ def show_table(table: Table, *, folded: bool = False) -> Component:
     return html.Div([html.H3(table.title), *inner], className="table")
 
 
-def show_figure(figure: Figure, label: str) -> Component:
-    """Return a figure with words for those who cannot see it."""
-    return html.Figure(
-        [
-            dcc.Graph(figure=figure, config=GRAPH, style={"height": figure.layout.height}),
-            html.Figcaption(label, className="hidden"),
-        ]
-    )
+def show_picture(picture: Picture) -> Component:
+    """Return a picture; it is one attribute, which the page's script puts in as it is."""
+    return html.Figure(className="picture", **{"data-picture": render_svg(picture)})
 
 
 def show_tiles(findings: Findings) -> list[Component]:
@@ -65,21 +54,22 @@ def show_tiles(findings: Findings) -> list[Component]:
     ]
 
 
-def show_segments(findings: Findings, run: str, output: str) -> list[Component]:
+def show_segments(findings: Findings, *, hides: bool = False) -> list[Component]:
     """Return the worst segments as a list, each of which can be gone to.
 
     Args:
         findings: what was found.
-        run: which one is shown.
-        output: which one is shown.
+        hides: whether a guess is asked for first, so that no pattern is told.
     """
     compared = findings.comparison
-    legend = "Dotted lines: ± noise floor. Drag to zoom, double-click to go back."
+    legend = (
+        "Dotted lines: ± noise floor. Drag over a stretch to mark it everywhere; double-click for "
+        "the whole run."
+    )
     if not compared.worst:
         return [html.P(f"No segment stands out of the noise. {legend}", className="note")]
     items = []
     for number, segment in enumerate(compared.worst, 1):
-        is_here = (segment.run, segment.output) == (run, output)
         unit = compared.outputs[segment.output].unit
         words = (
             f"{number}. {segment.run}, {segment.output}, {segment.from_s:.6g} to "
@@ -90,8 +80,7 @@ def show_segments(findings: Findings, run: str, output: str) -> list[Component]:
             html.Li(
                 [
                     html.Button(words, **{"data-choose": json.dumps(part)}),
-                    f" {segment.pattern}, RMSE {segment.rmse:.3g} {unit}"
-                    + (" (shaded above)" if is_here else ""),
+                    f" {'' if hides else f'{segment.pattern}, '}RMSE {segment.rmse:.3g} {unit}",
                 ]
             )
         )
@@ -115,6 +104,8 @@ def find_part(findings: Findings, segment: WorstSegment) -> RunPart:
         run=segment.run,
         from_s=max(segment.from_s - beside, float(time_s[0])),
         to_s=min(segment.to_s + beside, float(time_s[-1])),
+        mark_from_s=segment.from_s,
+        mark_to_s=segment.to_s,
     )
 
 
@@ -147,29 +138,64 @@ def show_revision(revision: AddResult | RemoveResult) -> list[Component]:
     if values:
         parts.append(html.P(f"Fitted: {values}.", className="note"))
     if any(level > 0.0 for level in floor.values()):
-        words = "Held-out error of each output before and after, in noise floors."
-        parts.append(show_figure(draw_revision(before, after, floor), words))
+        parts.append(show_picture(draw_change(before, after, floor)))
     table = Table(f"Held-out RMSE ({revision.held_out})", headings, rows, texts=2)
     return [*parts, show_table(table)]
 
 
 def show_staircase(findings: Findings) -> list[Component]:
-    """Return the staircase of errors, once there is a step."""
-    if not findings.steps:
+    """Return the staircase of errors, once there is a step; each step can be gone back to."""
+    steps = findings.steps
+    if not steps:
         return [html.P("No step yet: adding an effect makes the first.", className="note")]
-    words = "Held-out error over the noise floor, step by step."
+    current = find_timeline(steps).current
+    items = []
+    for number, step in enumerate(steps):
+        is_now = number == current
+        is_kept = bool(step.settings) or not step.effects
+        back = html.Button(
+            "Go back to this",
+            disabled=is_now or not is_kept,
+            **{"data-press": "restore", "data-step": str(number)},
+        )
+        items.append(
+            html.Li(
+                [
+                    html.B(f"{number} {step.label}"),
+                    " (the model now) " if is_now else " ",
+                    html.Span(_tell_step(step)),
+                    " " if is_now else back,
+                    html.Span(f" {step.reason}." if step.reason else "", className="note"),
+                ],
+                className="now" if is_now else "",
+            )
+        )
     return [
-        show_figure(draw_staircase(findings.steps), words),
-        show_table(tables.tabulate_steps(findings.steps), folded=True),
+        show_picture(draw_stairs(steps)),
+        html.Ol(items, className="timeline"),
+        show_table(tables.tabulate_steps(steps), folded=True),
     ]
 
 
-def show_errors(findings: Findings) -> list[Component]:
+def _tell_step(step: Step) -> str:
+    """Return a step's errors with their floors, and on which runs they are told."""
+    where = "test logs" if step.held_out == TEST_LOGS else "runs left out"
+    errors = ", ".join(
+        f"{name} {tables.write_number(error)} {step.units.get(name, '')} (floor "
+        f"{tables.write_number(step.noise_floor.get(name))})"
+        for name, error in step.errors.items()
+    )
+    return f"RMSE on {where}: {errors}."
+
+
+def show_errors(findings: Findings, *, hides: bool = False) -> list[Component]:
     """Return the errors per output and run, and where the model fails."""
     compared = findings.comparison
     parts: list[Component] = [html.P(s, className="note") for s in findings.comparison_sentences]
     parts.append(show_table(tables.tabulate_outputs(compared)))
     parts.append(show_table(tables.tabulate_runs(compared), folded=True))
+    if hides:
+        return parts
     parts.append(html.H3("Where the model fails"))
     parts += [html.P(s) for s in findings.patterns] or [
         html.P("No pattern was found that holds on runs left out.")
@@ -185,69 +211,6 @@ def show_model(findings: Findings) -> list[Component]:
     return [
         show_table(tables.tabulate_parameters(model)),
         show_table(tables.tabulate_coefficients(model), folded=True),
-    ]
-
-
-def show_firmware(findings: Findings) -> list[Component]:
-    """Return error budget, sizes and certificate of the last firmware, where it is current."""
-    firmware, certificate = findings.firmware, findings.certificate
-    if firmware is None:
-        return [html.P(findings.firmware_note, className="note")]
-    compared = findings.comparison
-    note = [html.P(findings.firmware_note, className="note")] if findings.firmware_note else []
-    return [
-        *note,
-        show_figure(draw_budget(firmware, compared), "Error budget in percent of full scale."),
-        show_table(tables.tabulate_budget(firmware, compared), folded=True),
-        show_table(tables.tabulate_chip_error(firmware)),
-        show_table(tables.tabulate_firmware(firmware)),
-        *(
-            [show_table(tables.tabulate_certificate(certificate), folded=True)]
-            if certificate
-            else []
-        ),
-    ]
-
-
-def show_outcome(
-    outcome: TrainResult | FirmwareSummary | VerifySummary | ReportResult,
-) -> list[Component]:
-    """Return what the last `train`, `firmware`, `verify` or `report` found, in a sentence."""
-    if isinstance(outcome, VerifySummary):
-        equal = "equal in every bit" if outcome.bit_exact else "DIFFERENT"
-        backends = " = ".join(outcome.backends)
-        lines = [f"Verified: {equal} over {outcome.vectors} steps on {backends}."]
-        lines += [finding.text for finding in (*outcome.changed, *outcome.stale)]
-        lines += [f"{f.name} in the header is not the model's." for f in outcome.header]
-        lines += outcome.failures
-        lines += [f"Not checked: {n.what} ({n.why})." for n in outcome.not_checked]
-        return [html.P(line) for line in lines]
-    if isinstance(outcome, FirmwareSummary):
-        return [
-            html.P(
-                f"Built: flash {outcome.flash_bytes} B, RAM {outcome.ram_bytes} B, stack "
-                f"{outcome.stack_bytes} B on {outcome.core}; "
-                f"{'bit-exact' if outcome.bit_exact else 'DIFFERENT'} over {outcome.vectors} "
-                f"steps. Files: {', '.join(outcome.files)}."
-            )
-        ]
-    if isinstance(outcome, TrainResult):
-        rmse = ", ".join(
-            f"{n} {tables.write_number(o.held_out.rmse)} {o.unit}"
-            for n, o in outcome.outputs.items()
-        )
-        kept = "with a network" if outcome.network else "without a network"
-        return [html.P(f"Trained {kept}; held-out RMSE: {rmse}.")]
-    return [
-        html.P(
-            [
-                "Report written: ",
-                html.A("open report.html", href="/report.html", target="_blank"),
-                " or ",
-                html.A("download it", href="/report.html", download="report.html"),
-                ".",
-            ]
-        )
     ]
 
 

@@ -1,5 +1,7 @@
 """Serves the page to this machine alone."""
 
+import io
+import json
 import socket
 from pathlib import Path
 
@@ -7,10 +9,16 @@ from flask import Flask, Response, jsonify, request, send_file
 from werkzeug.serving import WSGIRequestHandler, make_server
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import from_json, to_dict
 from zerodrift.workbench.actions import press
+from zerodrift.workbench.address import PageAddress, find_address, keep_address
 from zerodrift.workbench.app import make_app
-from zerodrift.workbench.security import guard, make_token
+from zerodrift.workbench.chart import draw_wish
+from zerodrift.workbench.packing import pack_files
+from zerodrift.workbench.security import guard
+from zerodrift.workbench.state import PictureWish
 from zerodrift.workbench.uploads import place_upload, receive
+from zerodrift.workbench.views import hides
 from zerodrift.workbench.workplace import Workplace
 
 HOST = "127.0.0.1"
@@ -21,6 +29,29 @@ class _Quiet(WSGIRequestHandler):  # type: ignore[misc,unused-ignore]
 
     def log(self, type: str, message: str, *args: object) -> None:  # noqa: A002 - the base's name
         """Say nothing."""
+
+
+def _listen(port: int, *, is_wish: bool) -> socket.socket:
+    """Return a listening socket.
+
+    Args:
+        port: to listen on; 0 for any that is free.
+        is_wish: whether another port will do where this one is taken.
+
+    Raises:
+        OSError: the port is taken.
+    """
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((HOST, port))
+    except OSError:
+        if not is_wish or port == 0:
+            listener.close()
+            raise
+        listener.bind((HOST, 0))
+    listener.listen()
+    return listener
 
 
 class Workbench:
@@ -38,20 +69,18 @@ class Workbench:
             InputError: another workbench is open there, or the port is taken.
         """
         self.place = Workplace(directory, skip_invalid=skip_invalid)
-        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        known = find_address(self.place.directory)
         try:
-            listener.bind((HOST, port))
+            listener = _listen(port or known.port, is_wish=not port)
         except OSError as error:
-            listener.close()
             self.place.close()
             raise InputError(
                 f"port {port} of {HOST} cannot be had ({error.strerror}); expected a free one. "
                 "Name another by --port, or leave it out."
             ) from error
-        listener.listen()
         self.port = int(listener.getsockname()[1])
-        self.token = make_token()
+        self.token = known.token
+        keep_address(self.place.directory, PageAddress(self.port, self.token))
         app = make_app(self.place)
         guard(app.server, self.token, self.port)
         add_routes(app.server, self.place)
@@ -128,6 +157,26 @@ def add_routes(server: Flask, place: Workplace) -> None:
             return jsonify({"error": str(error)}), 400
         return jsonify({}), 200
 
+    def picture() -> tuple[Response, int]:
+        if place.findings is None:  # the page asks again as soon as there is something
+            return jsonify(None), 200
+        try:
+            wish = from_json(PictureWish, json.loads(request.args.get("wish", "{}")))
+            drawn = draw_wish(place, wish, hides=hides(place, bool(request.args.get("told"))))
+        except (ValueError, RecursionError, InputError) as error:
+            return jsonify({"error": str(error)}), 400
+        return jsonify(to_dict(drawn)), 200
+
+    def firmware() -> Response:
+        findings = place.findings
+        if findings is None or findings.firmware is None:
+            return Response("There is no current firmware.", 404, mimetype="text/plain")
+        text = pack_files(place.directory, findings.firmware.files)
+        name = f"{place.directory.name}_firmware.zip"
+        return send_file(
+            io.BytesIO(text), mimetype="application/zip", as_attachment=True, download_name=name
+        )
+
     def report() -> Response:
         path = place.directory / "report.html"
         if not path.is_file():
@@ -137,4 +186,7 @@ def add_routes(server: Flask, place: Workplace) -> None:
     server.add_url_rule("/upload", view_func=upload, methods=["POST"])
     server.add_url_rule("/upload/refused", view_func=refuse, methods=["POST"])
     server.add_url_rule("/press", view_func=pressed, methods=["POST"])
+    server.add_url_rule("/alive", view_func=lambda: ("", 204))
+    server.add_url_rule("/picture", view_func=picture)
+    server.add_url_rule("/firmware.zip", view_func=firmware)
     server.add_url_rule("/report.html", view_func=report)

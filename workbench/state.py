@@ -1,57 +1,83 @@
-"""What the page's own script and its stores tell: what is chosen, and what is drawn."""
+"""What the page's own script tells: what is to be drawn; and what it is told."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+from zerodrift.report.cause import CausePicture
 
 
 @dataclass(frozen=True)
 class RunPart:
-    """A part of a run that was asked for: a worst segment with as much on either side."""
+    """A part of a run that was asked for: a worst segment, shown with as much on either side."""
 
     output: str
     run: str
     from_s: float
     """On the log's own clock."""
     to_s: float
-    number: int = 0
-    """Among such requests; the page's script counts them."""
+    mark_from_s: float
+    """The segment itself, which is marked everywhere."""
+    mark_to_s: float
 
 
 @dataclass(frozen=True)
-class View:
-    """What is chosen of the chart."""
+class PictureWish:
+    """What is to be drawn; what is left out is the page's own choice."""
 
-    output: str | None
-    run: str | None
-    ghost: str | None = None
-    """The effect to draw over what is left."""
-    part: RunPart | None = None
-    """The worst segment that was asked for last."""
+    output: str | None = None
+    run: str | None = None
+    effect: str | None = None
+    """Whose contribution is drawn; empty: none; null: that of the verdict."""
+    panes: tuple[str, ...] = ()
+    """From top to bottom; empty: those that the diagnosis suspects."""
+    against: str = ""
+    """A driver's key; empty: the one that the diagnosis suspects."""
+    from_s: float | None = None
+    to_s: float | None = None
+    move: str = ""
+    """earlier | later | closer | wider | whole: to be done to the part that is shown."""
+    width: float = 1000.0
+    """Pixels that there are."""
 
 
 @dataclass(frozen=True)
-class Chart:
-    """Which chart it is; `shown` counts up when there are new errors."""
+class PageChoice:
+    """One that can be chosen."""
+
+    key: str
+    words: str
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table as the page's script writes it."""
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    texts: int
+
+
+@dataclass(frozen=True)
+class DrawnPicture:
+    """A picture with what is needed to read it, and what was chosen in the end."""
 
     shown: int
+    """Which findings it is of."""
+    svg: str
+    cause: CausePicture
     output: str
     run: str
-    ghost: str | None
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """What is drawn, and what had been asked for until then."""
-
-    chart: Chart
-    part: int
-    """Number of the last request for a part; 0 without one."""
-    presses: Mapping[str, int]
-    """Button -> how often it was pressed."""
-    moved: Mapping[str, object] | None
-    """What the chart told of a zoom."""
-    window: tuple[float | None, float | None] = field(default=(None, None), compare=False)
-    """From and to in seconds on the log's own clock; null: the run's own end."""
+    effect: str
+    panes: tuple[PageChoice, ...]
+    """What can be put into a pane."""
+    drivers: tuple[PageChoice, ...]
+    """What what is left can be held against."""
+    against: str
+    is_whole: bool
+    seconds: float
+    """One unit of the time axis."""
+    clock: str
+    sheet: Sheet
+    note: str = field(default="")
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,10 @@ LARGEST_UPLOAD = 1 << 30
 """Bytes; larger logs are put into the project's folder by other means."""
 SUFFIXES = (".csv", ".parquet")
 CHUNK = 1 << 20
+LONGEST_NAME = 255
+"""Bytes of a file's name that every usual file system takes."""
+PART = "..part"
+"""What the name of a file has more while it arrives."""
 
 
 def place_upload(directory: Path, name: str, size: int | None) -> Path:
@@ -34,6 +38,12 @@ def place_upload(directory: Path, name: str, size: int | None) -> Path:
         raise InputError(f"{name!r}: is no plain file name; expected one without folders.")
     if Path(plain).suffix.lower() not in SUFFIXES:
         raise InputError(f"{plain}: is no log; expected {' or '.join(SUFFIXES)}.")
+    longest = LONGEST_NAME - len(PART)
+    if len(plain.encode()) > longest:
+        raise InputError(
+            f"{plain[:40]}…: its name has {len(plain.encode())} bytes; expected at most {longest}. "
+            "Rename the file."
+        )
     target = directory / LOGS / plain
     if target.exists():
         raise InputError(f"{LOGS}/{plain}: exists already; rename the one that you drop.")

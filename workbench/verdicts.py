@@ -8,12 +8,13 @@ from dash.development.base_component import Component
 
 from zerodrift.diagnosis.diagnosis import CandidateReport
 from zerodrift.diagnosis.explained import DETAIL, ExplainedDiagnosis
+from zerodrift.diagnosis.strength import WEAK, rate_strength
 from zerodrift.report import tables
-from zerodrift.report.figures import draw_candidates
 from zerodrift.report.findings import Findings
+from zerodrift.report.pictures import draw_ranking
 from zerodrift.report.report import list_notes
 from zerodrift.report.verdict import explain_candidate, write_headline
-from zerodrift.workbench.panels import show_figure, show_table
+from zerodrift.workbench.panels import show_picture, show_table
 
 MOST_CARDS = 4
 """Candidates that are told in full; the table has all."""
@@ -36,44 +37,27 @@ def show_verdict(
     if explained is None and diagnosing:
         return "verdict none", [html.P("Diagnosing …", className="sentence")]
     headline = write_headline(explained.diagnosis if explained else None, findings.titles)
+    strength = rate_strength(explained.diagnosis) if explained else None
+    is_weak = strength is not None and strength.level == WEAK
+    label = f"{headline.label}, on weak evidence" if is_weak else headline.label
     parts: list[Component] = [
-        html.P(headline.label, className="kicker"),
+        html.P(label, className="kicker"),
         html.P(headline.sentence, className="sentence", id="verdict-sentence"),
     ]
     sentences = explained.sentences if explained else ()
-    parts += [html.P(s.text, className="note") for s in sentences if s.role == DETAIL]
-    parts += [html.P(f"Note: {note}", className="note") for note in list_notes(findings)]
-    return f"verdict {headline.kind.replace(' ', '-')}", parts
+    notes = [html.P(s.text, className="note") for s in sentences if s.role == DETAIL]
+    notes += [html.P(f"Note: {note}", className="note") for note in list_notes(findings)]
+    if notes:
+        parts.append(
+            html.Details([html.Summary("What it rests on, and what to record next"), *notes])
+        )
+    kind = f"verdict {headline.kind.replace(' ', '-')}"
+    return f"{kind} weak" if is_weak else kind, parts
 
 
-def make_add(effect: str, *, words: str = "", primary: bool = False) -> Component:
-    """Return a button that adds an effect.
-
-    Args:
-        effect: its kind.
-        words: on it; left out, `Add EFFECT`.
-        primary: whether it is what the page proposes.
-    """
-    return html.Button(
-        words or f"Add {effect}",
-        className="primary" if primary else "",
-        **{"data-press": "add", "data-effect": effect},
-    )
-
-
-def show_adds(findings: Findings) -> list[Component]:
-    """Return a button for each effect that the verdict names, its look-alikes included."""
-    explained = findings.diagnosed
-    if explained is None:
-        return []
-    alike = [
-        make_add(name, words=f"Add look-alike {name}" if number else "", primary=not number)
-        for number, name in enumerate(explained.named)
-    ]
-    for other in explained.thermometers[:1]:
-        kind = other.command.kind
-        alike.append(make_add(kind, words=f"Add {kind} after {other.signal}", primary=True))
-    return alike
+def make_add(effect: str) -> Component:
+    """Return a button that adds an effect; what the page proposes is at the way's next step."""
+    return html.Button(f"Add {effect}", **{"data-press": "add", "data-effect": effect})
 
 
 def show_candidates(findings: Findings, previews: Sequence[str]) -> list[Component]:
@@ -93,10 +77,15 @@ def show_candidates(findings: Findings, previews: Sequence[str]) -> list[Compone
     ]
     parts: list[Component] = [html.Ol(cards, className="ranking")] if cards else []
     if diagnosis.candidates:
-        words = "Held-out error with each candidate; shorter is better. Hatched: not named."
-        parts.append(show_figure(draw_candidates(diagnosis), words))
+        parts.append(show_picture(draw_ranking(diagnosis)))
+        words = "Full bars: named by the verdict; hatched: not named. Shorter is better."
+        parts.append(html.P(words, className="note"))
     table = tables.tabulate_candidates(diagnosis, findings.titles)
-    return [*parts, show_table(table, folded=True)]
+    parts.append(show_table(table, folded=True))
+    if diagnosis.verdict == "complete":
+        words = "None of them helps: why not, one by one"
+        return [html.Details([html.Summary(words), *parts])]
+    return parts
 
 
 def _show_candidate(
@@ -113,7 +102,7 @@ def _show_candidate(
         f"{name} {value:.4g} {units.get(name, '').removeprefix('1')}".rstrip()
         for name, value in candidate.parameters.items()
     )
-    buttons = [make_add(kind, primary=is_named)]
+    buttons = [make_add(kind)]
     if kind in previews:
         draw = html.Button(
             "Draw it over what is left",

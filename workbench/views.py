@@ -6,12 +6,16 @@ from collections.abc import Mapping, Sequence
 from dash import html, no_update
 from dash.development.base_component import Component
 
-from zerodrift.report.findings import Findings
-from zerodrift.workbench import panels, verdicts
+from zerodrift.diagnosis.timeline import find_timeline
+from zerodrift.report.cause import name_effect
+from zerodrift.workbench import outcomes, panels, verdicts, way
+from zerodrift.workbench.chart import choose_first
 from zerodrift.workbench.uploads import list_logs
 from zerodrift.workbench.workplace import Workplace
 
 NOTHING = "nothing is missing"
+NO_EFFECT = "none"
+"""Chosen to have no effect drawn over what is left."""
 PREDICTORS = {"physics": "the effects alone"}
 
 
@@ -45,18 +49,19 @@ def show_frame(place: Workplace) -> Shown:
 
 def hides(place: Workplace, told: bool | None) -> bool:
     """Return whether the verdict waits for a guess."""
-    return place.is_practice and not told and not place.undo_stack and place.revision is None
+    return place.is_practice and not told and place.revision is None
 
 
 def show_top(place: Workplace, told: bool | None, picks: Mapping[str, str] | None) -> Shown:
     """Return the head of the page: the verdict, and what can be done about it."""
     findings, guess = place.findings, (picks or {}).get("guess-choice")
     if findings is None:
-        return tuple([no_update] * 11)
+        return tuple([no_update] * 13)
     waits = hides(place, told)
     kind, parts = verdicts.show_verdict(findings, diagnosing=place.diagnosing, hides=waits)
     addable = list(findings.diagnosed.named) if findings.diagnosed is not None else []
     badge = [html.Span("Simulated data", className="badge")] if findings.simulated else []
+    timeline = find_timeline(findings.steps)
     effects = ", ".join(findings.comparison.effects) or "a constant only"
     guessed = ""
     explained = findings.diagnosed
@@ -75,8 +80,10 @@ def show_top(place: Workplace, told: bool | None, picks: Mapping[str, str] | Non
         write_choices([NOTHING, *findings.catalogue]),
         guessed,
         waits,
-        verdicts.show_adds(findings),
-        not place.undo_stack,
+        [] if waits else way.show_way(place),
+        timeline.undo is None,
+        timeline.redo is None,
+        "1" if place.outdated else "",
     )
 
 
@@ -96,18 +103,20 @@ def list_choices(place: Workplace, told: bool | None) -> Shown:
     return (
         write_choices(findings.outputs, first_output),
         json.dumps({"choices": runs, "first": first_run}),
-        write_choices(ghosts),
+        json.dumps({"choices": [(name, name) for name in [*ghosts, NO_EFFECT]], "first": ""}),
         write_choices(list(findings.catalogue)),
         write_choices(kinds),
     )
 
 
-def choose_first(findings: Findings) -> tuple[str, str]:
-    """Return the output and the run that are shown at first: those of the worst segment."""
-    worst = findings.comparison.worst
-    if worst:
-        return worst[0].output, worst[0].run
-    return findings.outputs[0], findings.traces[0].run
+def show_chart(place: Workplace, told: bool | None) -> Shown:
+    """Return what the chart is of, so that the page's script asks for it anew; and the segments."""
+    findings = place.findings
+    if findings is None:
+        return no_update, no_update
+    effect = name_effect(findings)
+    mark = f"{place.shown} {effect} {' '.join(place.previews)}"
+    return mark, panels.show_segments(findings, hides=hides(place, told))
 
 
 def write_choices(names: Sequence[str], first: str = "") -> str:
@@ -126,7 +135,8 @@ def show_sections(place: Workplace, told: bool | None) -> Shown:
     if findings is None:
         return tuple([no_update] * 9)
     candidates: Component | list[Component] = html.P("Guess first.", className="note")
-    if not hides(place, told):
+    waits = hides(place, told)
+    if not waits:
         candidates = verdicts.show_candidates(findings, place.previews)
     revision, outcome = place.revision, place.outcome
     return (
@@ -135,10 +145,10 @@ def show_sections(place: Workplace, told: bool | None) -> Shown:
         panels.show_tiles(findings),
         candidates,
         panels.show_staircase(findings),
-        panels.show_errors(findings),
+        panels.show_errors(findings, hides=waits),
         panels.show_model(findings),
-        panels.show_outcome(outcome) if outcome is not None else [],
-        panels.show_firmware(findings),
+        outcomes.show_outcome(outcome) if outcome is not None else [],
+        outcomes.show_firmware(findings),
     )
 
 

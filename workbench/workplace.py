@@ -16,14 +16,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.config import FILE_NAME
+from zerodrift.base.config import FILE_NAME, load_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json
+from zerodrift.diagnosis.drivers import DriftDriver
 from zerodrift.diagnosis.explained import ExplainedDiagnosis
-from zerodrift.report.findings import Findings, load_findings
+from zerodrift.diagnosis.history import Step, list_settings
+from zerodrift.diagnosis.timeline import find_timeline
+from zerodrift.report.cause import read_driven
+from zerodrift.report.findings import Findings, Trace, load_findings
 from zerodrift.report.results import (
     AddResult,
+    ApplyResult,
+    HistoryResult,
     InitResult,
+    ProposeResult,
     RemoveResult,
     ReportResult,
     TrainResult,
@@ -44,12 +51,19 @@ from zerodrift.workbench.jobs import Job
 from zerodrift.workbench.marks import Marks, mark_files
 from zerodrift.workbench.messages import Message, explain_guess
 from zerodrift.workbench.state import JobState, PageState
-from zerodrift.workbench.undo import Snapshot, Undo, take_back, take_snapshot
 
 Array = NDArray[np.float64]
 
 CHILD = "zerodrift.app.page"
-READS_LOGS = ("add", "remove", "train", "firmware", "report")
+LOOKS_AT = ("verify", "report", "apply", "propose")
+"""Commands after which the project is as it was."""
+CHANGES = ("add", "remove", "restore")
+"""Commands that change the model, so that what was found of it is out of date."""
+Outcome = TrainResult | FirmwareSummary | VerifySummary | ReportResult | ProposeResult | ApplyResult
+OUTCOMES = (TrainResult, FirmwareSummary, VerifySummary, ReportResult, ProposeResult, ApplyResult)
+MOST_READ = 12
+"""Drivers of runs that are kept in memory."""
+READS_LOGS = ("add", "remove", "propose", "train", "firmware", "report")
 """Commands that the page runs and that can drop invalid rows."""
 
 
@@ -72,17 +86,22 @@ class Workplace:
         self._hold = hold_directory(self.directory)
         self._scratch = tempfile.TemporaryDirectory(prefix="zerodrift-workbench-")
         self._looks = 0
+        self._is_anew = False
         self._result: Path | None = None
         self._marks: Marks = {}
+        self._read: dict[tuple[int, str, DriftDriver], Array] = {}
         self.findings: Findings | None = None
         self.previews: tuple[str, ...] = ()
         self.job: Job | None = None
         self.message: Message | None = None
         self.revision: AddResult | RemoveResult | None = None
         """What the last `add` or `remove` found."""
-        self.outcome: TrainResult | FirmwareSummary | VerifySummary | ReportResult | None = None
-        """What the last `train`, `firmware`, `verify` or `report` found."""
-        self.undo_stack: list[Undo] = []
+        self.outcome: Outcome | None = None
+        """What the last `train`, `firmware`, `verify`, `apply`, `propose` or `report` found."""
+        self.refused: dict[str, str] = {}
+        """Effect -> why `add` refused it, of this model on these logs."""
+        self.done: set[str] = set()
+        """What was done with the firmware as it is: verify | apply | report | propose."""
         self.version = 0
         """Counts up whenever there is something new to show."""
         self.shown = 0
@@ -111,6 +130,14 @@ class Workplace:
         return (self.directory / "truth.json").exists()
 
     @property
+    def outdated(self) -> bool:
+        """Whether what is shown is of a model that is being changed, or was."""
+        job = self.job
+        if job is None or not job.running:
+            return False
+        return job.name in CHANGES or (job.name == "look" and self._is_anew)
+
+    @property
     def diagnosing(self) -> bool:
         """Whether the verdict is still being found."""
         job = self.job
@@ -123,6 +150,21 @@ class Workplace:
                 return None
             path = name_preview(self._result, effect, run)
         return np.load(path, mmap_mode="r", allow_pickle=False) if path.exists() else None
+
+    def read(self, trace: Trace, driver: DriftDriver) -> Array:
+        """Return a driver [n] of a run; the last few are kept, since each zoom asks again."""
+        findings = self.findings
+        assert findings is not None
+        key = (self.shown, trace.run, driver)
+        with self._lock:
+            known = self._read.get(key)
+        if known is None:
+            known = read_driven(findings, trace, driver)
+            with self._lock:
+                while len(self._read) >= MOST_READ:
+                    self._read.pop(next(iter(self._read)))
+                self._read[key] = known
+        return known
 
     # --- looking --------------------------------------------------------------------------------
 
@@ -168,6 +210,8 @@ class Workplace:
                     for name in {*marks, *self._marks}
                     if marks.get(name) != self._marks.get(name)
                 )
+                if any(not name.startswith("build/") for name in changed):
+                    self._begin_anew()
                 if self._marks:
                     self.message = Message(
                         f"{', '.join(changed[:3])} changed outside of this page; looking again.",
@@ -208,6 +252,7 @@ class Workplace:
                 self._result, self.previews = result, ()
             self._read_diagnosis(result)
             self.shown += 1
+            self._is_anew = False
         elif event == DIAGNOSED and self._result == result:
             self._read_diagnosis(result)
         elif event == PREVIEWED:
@@ -242,19 +287,13 @@ class Workplace:
                 self.message = Message("Something is being done already; wait, or cancel it.")
                 self._touch()
                 return False
-            try:
-                before = take_snapshot(self.directory) if name in ("add", "remove") else None
-            except InputError as error:
-                self.message = Message(str(error))
-                self._touch()
-                return False
             self.message = None
             options = self._skip_invalid if name in READS_LOGS else []
             self.job = Job(
                 name,
                 title,
                 [["zerodrift", *arguments, *options, "-C", str(self.directory)]],
-                on_end=lambda job: self._end(job, before),
+                on_end=self._end,
             )
             self._touch()
             return True
@@ -272,7 +311,7 @@ class Workplace:
         if job is not None and job.running:
             job.cancel()
 
-    def _end(self, job: Job, before: Snapshot | None = None) -> None:
+    def _end(self, job: Job) -> None:
         """Take over what a command printed, or tell why it failed."""
         with self._lock:
             told = self._read_result(job)
@@ -287,58 +326,72 @@ class Workplace:
                 self.message = Message(f"{job.title}: " + "\n".join(reasons))
             if isinstance(told, AddResult | RemoveResult):
                 self.revision = told
-                if is_done(told) and before is not None:
-                    self._keep_undo(job.title, before)
-                if not is_done(told):
+                if is_done(told):
+                    self._begin_anew()
+                else:
+                    self.refused[told.effect] = told.reason
                     text = f"{told.effect} was not added: {told.reason}."
                     self.message = Message(text, is_error=False)
-            elif isinstance(told, TrainResult | FirmwareSummary | VerifySummary | ReportResult):
+            elif isinstance(told, HistoryResult):
+                self.revision = None
+                self._begin_anew()
+                self.message = Message(f"{job.title}: done.", is_error=False)
+            elif isinstance(told, OUTCOMES):
                 self.outcome = told
+                if isinstance(told, FirmwareSummary):
+                    self.done.clear()
+                if not isinstance(told, VerifySummary) or told.bit_exact:
+                    self.done.add(job.name)
             elif isinstance(told, InitResult):
                 self.message = Message(explain_guess(told), is_error=False)
             self._touch()
             succeeded = not job.cancelled and not job.failures
-            if succeeded and job.name not in ("look", "verify", "report"):
+            if succeeded and job.name not in ("look", *LOOKS_AT):
                 self.look()
 
-    def _keep_undo(self, title: str, before: Snapshot) -> None:
-        """Remember how to take a change back."""
-        try:
-            after = take_snapshot(self.directory).text
-        except InputError:
-            return  # deleted since; there is nothing to go back from
-        self.undo_stack.append(Undo(title, before, after))
+    def _begin_anew(self) -> None:
+        """Forget what was found out about a model that is another one now."""
+        self.refused.clear()
+        self.done.clear()
+        self._is_anew = True
 
     def _read_result(self, job: Job) -> object | None:
         """Return what a command found; None where it printed no such record."""
         return None if job.name == "look" else read_result("".join(job.children[0].out))
 
     def undo(self) -> None:
-        """Put zerodrift.toml and the history back as they were before the last change.
+        """Go back to the step before the last change, by the history."""
+        self._return(find_timeline(self._list_steps()).undo, "undo")
 
-        A file that was edited since by somebody else is not touched.
-        """
-        self._stop_looking()
-        with self._lock:
-            if self.busy:
-                self.message = Message("Something is being done; wait, or cancel it, then undo.")
-            elif not self.undo_stack:
-                self.message = Message("There is nothing to undo.", is_error=False)
-            else:
-                self._undo_last()
-            self._touch()
+    def redo(self) -> None:
+        """Go forward again to the step that the last undo left."""
+        self._return(find_timeline(self._list_steps()).redo, "redo")
 
-    def _undo_last(self) -> None:
-        last = self.undo_stack[-1]
-        try:
-            take_back(self.directory, last)
-        except InputError as error:
-            self.message = Message(str(error))
+    def restore(self, number: int) -> None:
+        """Go to a step of the history; all but the effects stays as it is in zerodrift.toml."""
+        self._return(number, "restore")
+
+    def _list_steps(self) -> tuple[Step, ...]:
+        return self.findings.steps if self.findings is not None else ()
+
+    def _return(self, number: int | None, what: str) -> None:
+        steps = self._list_steps()
+        if number is None or not 0 <= number < len(steps):
+            self.tell(f"There is nothing to {what}.", is_error=False)
             return
-        self.undo_stack.pop()
-        self.revision = None
-        self.message = Message(f"Undone: {last.title}.", is_error=False)
-        self.look()
+        try:
+            now = list_settings(load_config(self.directory).effects)
+        except InputError as error:
+            self.tell(str(error))
+            return
+        if sorted(now, key=repr) != sorted(steps[-1].settings, key=repr):
+            self.tell(
+                f"{FILE_NAME} was edited since; going back would lose that. Edit it by hand, or "
+                "use Remove."
+            )
+            return
+        title = f"{what.capitalize()}: step {number}, {steps[number].label}"
+        self.run("restore", title, ["history", "--restore", str(number), "--json"])
 
     def tell(self, text: str, *, is_error: bool = True) -> None:
         """Show a message."""

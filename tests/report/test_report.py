@@ -1,27 +1,34 @@
 """The report says what the commands say, stands on its own, and is written whole or not at all."""
 
+import base64
+import csv
+import io
 import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from tests.report.conftest import make_comparison
 
 from zerodrift.app.commands.built import read_certificate
 from zerodrift.app.commands.survey import summarise_survey, survey_project
 from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
-from zerodrift.report.figures_runs import bin_means, draw_residual, list_means
+from zerodrift.diagnosis.comparison_summary import RunSummary
+from zerodrift.diagnosis.run_spread import measure_spread
+from zerodrift.report.annex import list_annex
 from zerodrift.report.findings import (
     ARRAYS,
-    find_threshold,
     load_findings,
     measure_rate,
     save_findings,
 )
 from zerodrift.report.parts import MOST_PARTS, list_parts
-from zerodrift.report.report import list_figures, render_report
+from zerodrift.report.report import MOST_WORST, list_pictures, render_report
 
 
 class Reader(HTMLParser):
@@ -59,10 +66,11 @@ def read(page):
 def test_report_fetches_nothing_and_its_policy_forbids_it(surveyed):
     page = render_report(surveyed[1])
     reader = read(page)
-    assert all(target.startswith("#") for target in reader.fetched)
-    assert reader.tags.count("link") == 0
+    assert all(t.startswith(("#", "data:text/csv;")) for t in reader.fetched)
+    assert reader.tags.count("link") == reader.tags.count("script") == 0
     assert "default-src 'none'" in page
-    assert len(page) < 8_000_000
+    assert "script-src" not in page
+    assert len(page) < 1_500_000
 
 
 def test_report_shows_the_numbers_of_the_commands(surveyed, zerodrift):
@@ -81,7 +89,7 @@ def test_report_shows_the_numbers_of_the_commands(surveyed, zerodrift):
     for told in compared["outputs"].values():
         assert f"{told['rmse_heldout']:.4g}" in text
         assert f"{told['noise_floor']:.4g}" in text
-    for segment in compared["worst"]:
+    for segment in compared["worst"][:MOST_WORST]:
         assert segment["pattern"] in text
 
 
@@ -90,15 +98,11 @@ def test_report_is_the_same_bytes_each_time(surveyed):
     assert render_report(findings) == render_report(survey_project(project.directory))
 
 
-def test_report_has_a_table_beside_every_figure_and_a_word_for_it(surveyed):
+def test_every_picture_of_the_report_has_words(surveyed):
     page = render_report(surveyed[1])
-    figures = re.findall(r'role="img" aria-label="([^"]*)"', page)
-    assert len(figures) == len(read(page).data)
-    assert all(figures)
-    for label, behind in re.findall(
-        r'aria-label="([^"]*)".*?</figure>(.*?)(?=<figure|</main>)', page, re.DOTALL
-    ):
-        assert "<table" in behind, label
+    labels = re.findall(r'<svg [^>]*role="img" aria-label="([^"]*)"', page)
+    assert len(labels) == len(list_pictures(surveyed[1])) == page.count("<svg")
+    assert all(len(label) > 20 for label in labels)
 
 
 def test_parts_in_the_table_cover_each_run_and_are_those_of_the_samples(surveyed):
@@ -119,30 +123,64 @@ def test_parts_in_the_table_cover_each_run_and_are_those_of_the_samples(surveyed
     assert len(many) == 100 * len(traces)
 
 
-def test_means_in_the_table_are_those_of_the_samples(surveyed):
-    findings = surveyed[1]
-    figure = draw_residual(findings.traces, findings.comparison, "Fz")
-    means = [row for row in list_means(figure) if row[:2] == ("temperature, degC", "heating")]
-    shown = [trace for trace in findings.traces if trace.held_out]
-    moving = find_threshold(shown)
-    rate = np.concatenate([trace.rate_K_per_min for trace in shown])
-    heating = rate > moving
-    temperature = np.concatenate([trace.temperature_degC for trace in shown])[heating]
-    error = np.concatenate([trace.error[0] for trace in shown])[heating]
-    centres, values = bin_means(temperature, error)
-    assert [row[2] for row in means] == list(centres)
-    assert [row[3] for row in means] == list(values)
+def test_lines_of_a_picture_differ_in_more_than_colour(surveyed):
+    for name, picture in list_pictures(surveyed[1]).items():
+        for panel in picture.panels:
+            drawn = [(c.dash, c.width, c.mark) for c in panel.curves if c.name]
+            drawn += [(c.mark, c.size) for c in panel.clouds if c.name]
+            assert len(set(drawn)) == len(drawn), name
 
 
-def test_lines_of_a_figure_differ_in_more_than_colour(surveyed):
-    for name, figure in list_figures(surveyed[1]).items():
-        shown = {}
-        for trace in figure.data:
-            if trace.type != "scatter" or trace.name is None or trace.mode == "markers":
-                continue
-            kind = (trace.mode, trace.line.dash, trace.line.width, trace.marker.symbol)
-            shown.setdefault(trace.name, kind)
-        assert len(set(shown.values())) == len(shown), name
+def test_annex_holds_every_table_and_its_numbers_are_plain(surveyed):
+    files = {one.name: one for one in list_annex(surveyed[1])}
+    assert {"errors.csv", "errors_per_run.csv", "candidates.csv", "files.csv"} <= set(files)
+    for one in files.values():
+        rows = list(csv.reader(io.StringIO(one.text)))
+        assert len(rows) == one.rows + 1
+        assert len({len(row) for row in rows}) == 1
+        assert "−" not in one.text
+    page = render_report(surveyed[1])
+    for name, one in files.items():
+        link = re.search(rf'href="data:[^,]*,([^"]*)" download="{re.escape(name)}"', page)
+        assert base64.b64decode(link.group(1)).decode() == one.text
+
+
+def test_annex_and_pictures_are_written_as_files(project, zerodrift):
+    done = zerodrift(
+        *("report", "-C", project.directory, "--no-diagnose", "--format", "svg"),
+        *("--annex", project.directory / "tables", "--json"),
+    )
+    assert done.code == 0
+    files = [Path(name) for name in json.loads(done.out)["files"]]
+    assert {"Fz_cause.svg", "errors.csv"} <= {path.name for path in files}
+    for path in files:
+        text = path.read_text()
+        assert text
+        if path.suffix == ".svg":
+            ElementTree.fromstring(text)
+            assert "prefers-color-scheme: dark" in text
+
+
+def test_errors_have_an_uncertainty_from_how_runs_differ():
+    def run(rmse, use):
+        return {"Fz": RunSummary(rmse, 5.0, 3.0, 0.9, 0.0, None, True, use)}
+
+    runs = {"a": run(3.0, "test"), "b": run(4.0, "test"), "c": run(50.0, "train")}
+    output = replace(make_comparison().outputs["Fz"], rmse_test=np.sqrt(12.5))
+    compared = replace(make_comparison(), outputs={"Fz": output}, runs=runs)
+    told = measure_spread(compared)["Fz"]
+    scatter = np.std([9.0, 16.0], ddof=1) / np.sqrt(2.0)
+    assert (told.runs, told.held_out) == (2, True)
+    assert told.std_error == pytest.approx(scatter / (2.0 * np.sqrt(12.5)))
+    alone = replace(compared, runs={"a": run(3.0, "test")})
+    assert measure_spread(alone)["Fz"].std_error is None
+
+
+def test_cause_is_in_the_report_with_what_the_named_effect_would_explain(surveyed):
+    findings = survey_project(surveyed[0].directory, wants_contribution=True)
+    page = render_report(findings)
+    assert "thermal_lag would explain" in page
+    assert "lag of temperature" in page
 
 
 def test_text_of_the_user_cannot_become_markup(project, zerodrift):

@@ -16,6 +16,12 @@ pytest.importorskip("dash", reason="dash is not installed; `make setup` installs
 SCREENSHOTS = Path(__file__).parents[2] / "build" / "screenshots"
 
 
+@pytest.fixture(autouse=True)
+def _addresses_of_their_own(tmp_path_factory: pytest.TempPathFactory, monkeypatch: Any) -> None:
+    """Keep the pages' addresses out of the user's own folder."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+
+
 @pytest.fixture
 def project(tmp_path: Path) -> Project:
     """Return a project of five runs and a dwell, whose model lacks a lag."""

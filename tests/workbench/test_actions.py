@@ -32,7 +32,7 @@ def place(tmp_path):
         findings=SimpleNamespace(diagnosed=DIAGNOSED),
         run=lambda name, title, arguments: ran.append((name, title, arguments)),
         tell=lambda text, **_: ran.append(text),
-        **dict.fromkeys(("undo", "look", "cancel", "dismiss")),
+        **dict.fromkeys(("undo", "redo", "look", "cancel", "dismiss")),
         ran=ran,
     )
 
@@ -78,3 +78,23 @@ def test_logs_of_a_new_project_are_named_in_full(place):
     (place.directory / "-x.csv").write_text("time_s\n0\n")
     actions.press(place, "begin", {})
     assert place.ran[0][2] == ["init", str(place.directory / "-x.csv"), "--json"]
+
+
+@pytest.mark.parametrize(
+    ("step", "number"), [("3", 3), ("", -1), ("-1", -1), ("x", -1), ("9" * 20, -1)]
+)
+def test_step_of_the_history_is_gone_to_by_its_number(place, step, number):
+    place.restore = place.ran.append
+    actions.press(place, "restore", {"step": step})
+    assert place.ran == [number]
+
+
+def test_model_is_applied_to_test_logs_or_else_to_those_it_learnt_from(place):
+    def source(file, use):
+        return SimpleNamespace(file=file, use=use)
+
+    files = [source("a.csv", "train"), source("b.csv", "test"), source("zerodrift.toml", "x")]
+    for left, log in ((files, "b.csv"), (files[:1], "a.csv")):
+        place.findings.provenance = SimpleNamespace(files=left)
+        actions.press(place, "apply", {})
+        assert place.ran.pop()[2][:2] == ["apply", str(place.directory / log)]

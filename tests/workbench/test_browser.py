@@ -20,7 +20,7 @@ expect = pytest.importorskip(
 ).expect
 expect.set_options(timeout=120_000)
 
-DRAWN = "#main .js-plotly-plot:not(.dash-graph--pending) .scatterlayer .trace"
+DRAWN = "#main svg .line"
 """The chart, drawn and listening."""
 
 
@@ -98,12 +98,12 @@ def test_loop_in_the_browser(page, bench, project, tmp_path, keep):
     shutil.copytree(project.directory, copy)
     open_page(page, bench)
     tells(page, "The model lacks thermal_lag")
-    expect(page.locator("#adds")).to_have_text("Add thermal_lag")
+    expect(page.locator("#adds button.primary")).to_have_text("Add thermal_lag")
     wait_for_job(page, bench)
     keep(page, "1_named")
 
     _, told = run_command(copy, "add", "thermal_lag", "--json")
-    page.locator("#adds button").focus()
+    page.locator("#adds button").first.focus()
     page.keyboard.press("Enter")
     page.wait_for_selector("#revision table")
     rows = {row[0]: row for row in read_numbers(page, "#revision")}
@@ -112,13 +112,14 @@ def test_loop_in_the_browser(page, bench, project, tmp_path, keep):
         assert rows[name][2:4] == [f"{before:.4g}", f"{after:.4g}"]
         assert float(rows[name][3]) < float(rows[name][2])
     assert project.toml.read_bytes() == (copy / "zerodrift.toml").read_bytes()
-    page.wait_for_selector("#staircase .js-plotly-plot")
+    page.wait_for_selector("#staircase .picture svg")
     expect(page.locator("#verdict-sentence")).to_have_text(re.compile("^Nothing is missing"))
     wait_for_job(page, bench)
     keep(page, "2_added")
     _, diagnosed = run_command(copy, "diagnose", "--json")
     tells(page, f"{diagnosed['floor_ratio_before']:.2f} times")
 
+    page.click("#actions summary")
     page.click("#undo")
     tells(page, "lacks thermal_lag")
     assert "thermal_lag" not in project.toml.read_text()
@@ -127,39 +128,98 @@ def test_loop_in_the_browser(page, bench, project, tmp_path, keep):
     assert asked == {f"127.0.0.1:{bench.port}"}
 
 
-@pytest.mark.slow
-def test_zoom_shows_more_of_less(page, bench):
-    open_page(page, bench)
-    settle(bench.place)
-    read = (
-        "() => { const x = document.querySelector('#main .js-plotly-plot').calcdata[0];"
-        " return [x.length, x[0].x, x[x.length - 1].x]; }"
-    )
-    count, first, last = page.evaluate(read)
-    middle, reach = (first + last) / 2, (last - first) / 20
-    page.evaluate(
-        "([a, b]) => Plotly.relayout(document.querySelector('#main .js-plotly-plot'),"
-        " {'xaxis2.range[0]': a, 'xaxis2.range[1]': b})",
-        [middle - reach, middle + reach],
-    )
-    page.wait_for_function(
-        f"() => {{ const x = document.querySelector('#main .js-plotly-plot').calcdata[0];"
-        f" return x[0].x > {first} && x[x.length - 1].x < {last}; }}"
-    )
-    _, low, high = page.evaluate(read)
-    assert low >= middle - 1.2 * reach
-    assert high <= middle + 1.2 * reach
-    assert count > 0
+def read_window(page):
+    """Return from and to of what the chart shows, in seconds."""
+    told = page.locator("#main").get_attribute("data-drawn").split()
+    return float(told[-2]), float(told[-1])
+
+
+def drag(page, low, high, *, pane=0):
+    """Drag over a share of the time axis."""
+    box = page.locator("#main svg").bounding_box()
+    first, last = 62.0, 0.6 * box["width"] - 12.0
+    y = box["y"] + 60.0 + 150.0 * pane
+    page.mouse.move(box["x"] + first + low * (last - first), y)
+    page.mouse.down()
+    page.mouse.move(box["x"] + first + high * (last - first), y, steps=5)
+    page.mouse.up()
+
+
+def wait_for_window(page, is_so):
+    """Wait until the chart shows such a part."""
+    deadline = time.monotonic() + 60.0
+    while not is_so(*read_window(page)):
+        assert time.monotonic() < deadline, read_window(page)
+        page.wait_for_timeout(50)
 
 
 @pytest.mark.slow
-def test_cursor_is_shared_by_measurement_and_residual(page, bench):
+def test_marked_stretch_lights_up_everywhere_and_is_zoomed_to(page, bench, keep):
     open_page(page, bench)
     wait_for_job(page, bench)
-    for panel in ("x2y", "x2y2"):
-        page.hover(f"#main .nsewdrag[data-subplot='{panel}']")
-        for line in ("drift as measured", "model", "what is left"):
-            tells(page, line, "#main .hoverlayer")
+    first, last = read_window(page)
+    drag(page, 0.4, 0.6)
+    panes = page.locator("#main .head:visible").count()
+    assert page.locator("#main .over .mark").count() == panes >= 4
+    lit = page.locator("#main .over .lit").get_attribute("d")
+    assert lit.count("M") > 20
+    keep(page, "10_marked")
+    page.click("#to-mark")
+    wait_for_window(page, lambda low, high: low > first and high < last)
+    low, high = read_window(page)
+    assert low == pytest.approx(first + 0.4 * (last - first), abs=0.02 * (last - first))
+    assert high == pytest.approx(first + 0.6 * (last - first), abs=0.02 * (last - first))
+    assert page.locator("#main .over .lit").get_attribute("d").count("M") > lit.count("M")
+    page.dblclick("#main svg", position={"x": 300, "y": 80})
+    wait_for_window(page, lambda low, high: (low, high) == (first, last))
+
+
+@pytest.mark.slow
+def test_points_marked_in_the_scatter_light_up_in_the_panes(page, bench):
+    open_page(page, bench)
+    wait_for_job(page, bench)
+    box = page.locator("#main svg").bounding_box()
+    page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 60.0)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.95 * box["width"], box["y"] + box["height"] - 60.0, steps=4)
+    page.mouse.up()
+    assert page.locator("#main .over .lines").get_attribute("d").count("M") > 20
+
+
+@pytest.mark.slow
+def test_cursor_reads_every_pane_with_its_unit(page, bench):
+    open_page(page, bench)
+    wait_for_job(page, bench)
+    box = page.locator("#main svg").bounding_box()
+    page.mouse.move(box["x"] + 200.0, box["y"] + 80.0)
+    expect(page.locator("#main .readout")).to_be_visible()
+    text = page.inner_text("#main .readout")
+    unit = bench.place.findings.units[0]
+    for words in ("time", "min", "drift as measured", "model", "what is left", "degC", unit):
+        assert words in text
+    # The same sample, read from the findings.
+    left = float(re.search(r"what is left\s+(\S+)", text).group(1).replace("−", "-"))
+    shown = page.locator("#output").input_value()
+    trace = bench.place.findings.find_trace(page.locator("#run").input_value())
+    errors = trace.error[bench.place.findings.outputs.index(shown)]
+    assert min(abs(errors - left)) <= 1e-4 * max(abs(errors))
+    page.locator("#main").focus()
+    for _ in range(3):
+        page.keyboard.press("Shift+ArrowRight")
+    assert page.locator("#main .over .mark").count() >= 4
+    page.keyboard.press("Escape")
+    assert page.locator("#main .over .mark").count() == 0
+
+
+@pytest.mark.slow
+def test_any_channel_goes_into_any_pane_and_to_the_scatter(page, bench):
+    open_page(page, bench)
+    wait_for_job(page, bench)
+    page.locator("#main .head").nth(3).select_option("value:60:load Fz")
+    tells(page, "load Fz", "#main .sheet svg")
+    page.locator("#against").select_option("rate:60:temperature")
+    tells(page, "against rate of temperature", "#main .sheet svg")
+    assert page.wrong == []
 
 
 @pytest.mark.slow
@@ -167,7 +227,8 @@ def test_effect_is_drawn_over_what_is_left_and_explained(page, bench, keep):
     open_page(page, bench)
     settle(bench.place)
     choose(page, "ghost", "thermal_lag")
-    tells(page, "would look like", "#main .legend")
+    tells(page, "thermal_lag would explain", "#main .sheet svg")
+    page.click("#actions summary")
     choose(page, "effect", "thermal_gradient")
     tells(page, "provoke", "#effect-told")
     tells(page, "Not it:", "#effect-told")
@@ -181,6 +242,7 @@ def test_answer_that_comes_late_takes_back_no_choice(page, bench, project, monke
     """While the server is asked what there is to choose, the user chooses."""
     open_page(page, bench)
     wait_for_job(page, bench)
+    page.click("#actions summary")
     asked, may_answer, list_choices = threading.Event(), threading.Event(), views.list_choices
 
     def answer_late(*arguments):
@@ -208,7 +270,7 @@ def test_answer_that_comes_late_takes_back_no_choice(page, bench, project, monke
     bench.place.previews = ("thermal_lag",)
     bench.place.tell("There it is again.", is_error=False)
     expect(page.locator("#ghost")).to_have_value("thermal_lag")
-    tells(page, "would look like", "#main .legend")
+    tells(page, "thermal_lag would explain", "#main .sheet svg")
 
 
 @pytest.mark.slow
@@ -226,7 +288,7 @@ def test_add_pressed_while_the_page_is_drawn_anew_is_done(page, bench, project, 
     monkeypatch.setattr(views, "show_top", answer_late)
     bench.place.tell("Draw it anew.", is_error=False)
     assert asked.wait(120.0)
-    page.locator("#adds button").press("Enter")
+    page.locator("#adds button.primary").press("Enter")
     may_answer.set()
     page.wait_for_selector("#revision table")
     assert 'kind = "thermal_lag"' in project.toml.read_text()
@@ -259,25 +321,19 @@ def test_worst_segment_is_gone_to_and_walked_away_from_by_keyboard(page, bench):
     open_page(page, bench)
     wait_for_job(page, bench)
     segment = bench.place.findings.comparison.worst[-1]
-    read = (
-        "() => { const plot = document.querySelector('#main .js-plotly-plot');"
-        " const x = plot.calcdata[0]; return [60 * x[0].x, 60 * x[x.length - 1].x,"
-        " plot.layout.yaxis2.title.text]; }"
-    )
     page.locator(".segments button").last.focus()
     page.keyboard.press("Enter")
-    page.wait_for_function(
-        "() => document.querySelector('#main .js-plotly-plot').calcdata[0][0].x > 0"
+    whole = bench.place.findings.find_trace(segment.run).time_s[-1]
+    wait_for_window(
+        page,
+        lambda low, high: low <= segment.from_s < segment.to_s <= high < low + 0.9 * whole,
     )
-    low, high, title = page.evaluate(read)
-    assert low <= segment.from_s < segment.to_s <= high
-    assert bench.place.findings.comparison.outputs[segment.output].unit in title
+    assert page.locator("#output").input_value() == segment.output
+    assert page.locator("#run").input_value() == segment.run
+    assert page.locator("#main .over .mark").count() >= 4
     page.locator("#whole").focus()
     page.keyboard.press("Enter")
-    page.wait_for_function(
-        "() => { const x = document.querySelector('#main .js-plotly-plot').calcdata[0];"
-        " return x[0].x === 0 && 60 * x[x.length - 1].x > 890; }"
-    )
+    wait_for_window(page, lambda low, high: low == 0.0 and high > 890.0)
 
 
 @pytest.mark.slow
@@ -412,7 +468,7 @@ def test_train_firmware_verify_and_report_from_the_page(page, bench, project, ke
     keep(page, "7_firmware")
     with page.context.expect_page() as opened:
         page.click("#outcome a")
-    opened.value.wait_for_selector("figure .plot .plotly")
+    opened.value.wait_for_selector("#verdict")
     assert "The model lacks thermal_lag" in opened.value.inner_text("#verdict")
 
 
@@ -422,7 +478,7 @@ def test_page_is_dark_where_the_reader_wants_it(page, bench, keep):
     open_page(page, bench)
     ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert sum(int(part) for part in re.findall(r"\d+", ground)[:3]) < 150
-    tick = page.locator("#main .xtick text, #main .x2tick text").first
+    tick = page.locator("#main svg text").first
     ink = tick.evaluate("t => getComputedStyle(t).fill")
     assert sum(int(part) for part in re.findall(r"\d+", ink)[:3]) > 450
     keep(page, "8_dark")
@@ -442,6 +498,7 @@ def test_everything_that_can_be_used_has_a_name_and_takes_the_keyboard(page, ben
         ".map(e => e.outerHTML.slice(0, 200))"
     )
     assert unnamed == []
+    page.eval_on_selector_all("#bench details", "all => all.forEach((one) => { one.open = true; })")
     page.evaluate("document.activeElement.blur()")
     reached = set()
     for _ in range(150):
@@ -454,5 +511,16 @@ def test_everything_that_can_be_used_has_a_name_and_takes_the_keyboard(page, ben
     assert "add" in reached
     assert any('"from_s"' in (name or "") for name in reached)
     named = ("theme", "effect", "look", "output", "run", "ghost", "main-summary", "present")
-    wanted = {*named, *MOVES, "add-chosen", "remove", "train", "firmware", "verify", "report"}
+    wanted = {
+        *named,
+        "main",
+        "against",
+        *MOVES,
+        "add-chosen",
+        "remove",
+        "train",
+        "firmware",
+        "verify",
+        "report",
+    }
     assert wanted - reached == set()

@@ -10,12 +10,11 @@ import numpy as np
 from tests.report.conftest import make_findings, make_trace
 from tests.report.test_verdict import rate, told
 
-from zerodrift.diagnosis.changes import AddCommand
 from zerodrift.diagnosis.explained import HEADLINE, ExplainedDiagnosis, Sentence
-from zerodrift.diagnosis.thermometers import OtherThermometer
-from zerodrift.report.figures_runs import Window
-from zerodrift.workbench.chart import MOVES, move_window, read_zoom
-from zerodrift.workbench.verdicts import show_adds, show_candidates, show_verdict
+from zerodrift.report.window import Window
+from zerodrift.workbench.chart import MOVES, choose_window, move_window
+from zerodrift.workbench.state import PictureWish
+from zerodrift.workbench.verdicts import show_candidates, show_verdict
 
 
 def find(diagnosis, thermometers=()):
@@ -60,29 +59,6 @@ def test_guess_comes_before_the_verdict():
     assert "creep" not in read(parts)
 
 
-def test_each_look_alike_has_a_button_of_its_own():
-    diagnosed = told("missing", "creep", lookalikes=("ageing", "warm_up"))
-    buttons = show_adds(find(diagnosed))
-    assert [b.to_plotly_json()["props"]["data-effect"] for b in buttons] == [
-        "creep",
-        "ageing",
-        "warm_up",
-    ]
-    assert [b.children for b in buttons[1:]] == ["Add look-alike ageing", "Add look-alike warm_up"]
-
-
-def test_other_thermometer_can_be_added():
-    command = AddCommand("zero_tempco", ("--set", "signal=body_temperature"))
-    other = OtherThermometer("body_temperature", 0.5, "it helps", command)
-    (button,) = show_adds(find(told("unknown"), (other,)))
-    assert button.children == "Add zero_tempco after body_temperature"
-
-
-@pytest.mark.parametrize("verdict", ["complete", "unknown"])
-def test_nothing_is_proposed_where_nothing_is_named(verdict):
-    assert show_adds(find(told(verdict))) == []
-
-
 def test_candidates_say_why_and_why_not():
     candidates = (rate("creep", 0.1), rate("ageing", 0.5, 0.3), rate("warm_up", 1.01, 1.0))
     diagnosed = told("missing", "creep", candidates=candidates)
@@ -114,8 +90,8 @@ def test_buttons_move_what_is_shown_and_stay_inside_the_run(trace):
     assert set(MOVES) == {"earlier", "later", "closer", "wider", "whole"}
 
 
-def test_zoom_is_read_in_the_unit_of_the_axis(trace):
-    zoomed = read_zoom(trace, {"xaxis2.range[0]": 2.0, "xaxis2.range[1]": 1.0})
-    assert zoomed == Window("run", 60.0, 120.0)
-    assert read_zoom(trace, {"xaxis2.autorange": True}) == Window("run")
-    assert read_zoom(trace, {"autosize": True}) is None
+def test_part_that_is_asked_for_stays_inside_the_run_and_is_no_point(trace):
+    wish = PictureWish(from_s=900.0, to_s=5000.0)
+    assert choose_window(trace, wish) == Window("run", 900.0, 999.0)
+    assert choose_window(trace, PictureWish(from_s=500.0, to_s=500.5)) == Window("run")
+    assert choose_window(trace, PictureWish(from_s=-5.0, to_s=2000.0)) == Window("run")

@@ -16,7 +16,7 @@ from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.description import describe_effect
 from zerodrift.physics.summary import EffectSummary, ModelSummary
 from zerodrift.workbench.state import JobState, PageState
-from zerodrift.workbench.views import list_choices, poll, show_frame
+from zerodrift.workbench.views import list_choices, poll, show_chart, show_frame
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def place():
         traces=traces,
     )
     return SimpleNamespace(
-        findings=findings, is_practice=False, undo_stack=[], revision=None, previews=("ageing",)
+        findings=findings, is_practice=False, revision=None, previews=("ageing",), shown=1
     )
 
 
@@ -47,8 +47,11 @@ def test_first_choice_is_the_worst_segment(place):
 
 def test_nothing_is_drawn_over_before_the_guess(place):
     place.is_practice = True
-    assert json.loads(list_choices(place, None)[2])["choices"] == []
-    assert json.loads(list_choices(place, True)[2])["choices"] == [["ageing", "ageing"]]
+    assert json.loads(list_choices(place, None)[2])["choices"] == [["none", "none"]]
+    assert json.loads(list_choices(place, True)[2])["choices"] == [
+        ["ageing", "ageing"],
+        ["none", "none"],
+    ]
 
 
 @pytest.mark.parametrize(("busy", "words"), [(True, "Reading the logs"), (False, "says why")])
@@ -67,3 +70,9 @@ def test_progress_is_told_while_something_runs():
     assert poll(place, 7) == (no_update, "Adding creep: fitting (3 s)", False)
     place.describe = lambda: PageState(8, None)
     assert poll(place, 7) == (8, "", True)
+
+
+def test_worst_segments_tell_no_pattern_before_the_guess(place):
+    place.is_practice = True
+    assert "cooling" not in str(show_chart(place, None)[1])
+    assert "cooling" in str(show_chart(place, True)[1])

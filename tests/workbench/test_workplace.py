@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from zerodrift.base.records import from_json
+from zerodrift.diagnosis.timeline import find_timeline
 from zerodrift.report.results import AddResult
 from zerodrift.workbench.workplace import Workplace
 
@@ -67,17 +68,35 @@ def test_add_does_what_the_command_does_and_undo_takes_it_back(place, project, t
     place.undo()
     settle(place)
     assert project.toml.read_bytes() == before
-    assert not project.history.exists()
     assert place.findings.comparison.effects == ("zero_tempco",)
+    place.close()
+    later = Workplace(project.directory)
+    later.look()
+    settle(later)
+    assert find_timeline(later.findings.steps).redo == 1
+    later.redo()
+    settle(later)
+    assert project.toml.read_bytes() == (copy / "zerodrift.toml").read_bytes()
+    assert [s.label for s in later.findings.steps] == [
+        *("start", "+ thermal_lag", "as step 0", "as step 1"),
+    ]
+    later.close()
 
 
 @pytest.mark.slow
-def test_undo_refuses_a_file_that_was_edited_since(place, project):
+def test_undo_keeps_what_else_was_edited_and_refuses_other_effects(place, project):
     place.run("add", "Adding thermal_lag", ["add", "thermal_lag", "--json"])
     settle(place)
-    edited = project.toml.read_text() + "# mine\n"
-    project.toml.write_text(edited)
+    project.toml.write_text(project.toml.read_text() + "# mine\n")
+    place.poll()
+    settle(place)
     place.undo()
+    settle(place)
+    assert "# mine" in project.toml.read_text()
+    assert "thermal_lag" not in project.toml.read_text()
+    edited = project.toml.read_text() + '[[effect]]\nkind = "ageing"\n'
+    project.toml.write_text(edited)
+    place.redo()
     settle(place)
     assert project.toml.read_text() == edited
     assert "was edited since" in place.message.text
@@ -90,7 +109,7 @@ def test_effect_that_does_not_help_is_told_and_not_kept(place, project):
     settle(place)
     assert project.toml.read_bytes() == before
     assert "was not added" in place.message.text
-    assert place.undo_stack == []
+    assert place.refused == {"ageing": place.revision.reason}
 
 
 @pytest.mark.slow
@@ -208,7 +227,6 @@ def test_full_disk_is_a_message_and_nothing_is_half_written(place, project):
     assert "cannot be written (File too large)" in place.message.text
     assert "nobody foresaw" not in place.message.text
     assert project.read_all() == before
-    assert place.undo_stack == []
     with let_no_file_grow():
         place.look()
     settle(place)

@@ -19,7 +19,7 @@
       waitForChart: async function (version) {
         const begun = performance.now();
         while (performance.now() - begun < 5000) {
-          if (document.querySelector("#main .scatterlayer .trace")) { break; }
+          if (document.querySelector("#main svg .line")) { break; }
           await new Promise((resolve) => setTimeout(resolve, 30));
         }
         return version;
@@ -34,28 +34,37 @@
       row.append(cell);
     });
   }
-  function fill(place) {
-    const told = JSON.parse(place.dataset.table);
+  function fill(place) { fillTable(place, JSON.parse(place.dataset.table)); }
+  function fillTable(place, told) {
     const table = document.createElement("table");
     write(table.createTHead().insertRow(), "th", told.head, told.texts);
     const body = table.createTBody();
     told.rows.forEach((row) => write(body.insertRow(), "td", row, told.texts));
     place.replaceChildren(table);
   }
+  const zd = (window.zd = window.zd || {});
+  zd.fillTable = (place, told) => { if (place) { fillTable(place, told); } };
+  function check(label) {
+    const box = Object.assign(document.createElement("input"), { type: "checkbox", id: label.dataset.check });
+    label.replaceChildren(box, " " + label.dataset.words);
+  }
+  // Pictures are drawn by the server, as text that holds no script.
+  function show(place) { place.innerHTML = place.dataset.picture; }
   // What is chosen is kept here, in the lists themselves: the server says what there is to choose,
   // and no answer of it, however late, can take back what the user chose meanwhile.
   const wished = {};
   const sent = {};
-  let part = null;
   function tell(store) {
     const told = {};
     document.querySelectorAll("select[data-store=" + store + "]").forEach((list) => {
       told[list.id] = list.value || null;
     });
-    if (store === "view") { told.part = part; }
     const text = JSON.stringify(told);
-    if (text !== sent[store]) {
-      sent[store] = text;
+    if (text === sent[store]) { return; }
+    sent[store] = text;
+    if (store === "view") {
+      zd.wish({ output: told.output, run: told.run, effect: told.ghost });
+    } else {
       window.dash_clientside.set_props(store, { data: told });
     }
   }
@@ -69,13 +78,13 @@
     list.value = kept === undefined ? values[0] : kept;
   }
   function choose(told) {
-    if ("from_s" in told) { part = Object.assign({}, told, { number: (part ? part.number : 0) + 1 }); }
     ["output", "run", "ghost"].filter((name) => name in told).forEach((name) => {
       const list = document.getElementById(name);
       const isThere = Array.from(list.options).some((option) => option.value === told[name]);
       if (!isThere) { list.append(new Option(told[name], told[name])); }
       wished[name] = list.value = told[name];
     });
+    if ("from_s" in told) { sent.view = null; zd.go(told); }
     tell("view");
     document.getElementById("measured").scrollIntoView();
   }
@@ -88,9 +97,17 @@
     const told = {
       button: button.dataset.press,
       effect: button.dataset.effect || document.getElementById("effect").value,
+      step: button.dataset.step || "",
       present: document.getElementById("present").value,
-      force: Boolean(document.querySelector("#force input")?.checked),
+      force: Boolean(document.getElementById("force")?.checked),
     };
+    const changes = ["add", "add-chosen", "remove", "undo", "redo", "restore"];
+    if (changes.includes(told.button)) {
+      // What is shown is out of date from now on; the server's own word follows within a second.
+      const bench = document.getElementById("bench");
+      bench.classList.add("pressed");
+      setTimeout(() => bench.classList.remove("pressed"), 2500);
+    }
     await fetch("/press", {
       method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(told),
     });
@@ -109,11 +126,13 @@
   }
   new MutationObserver((changes) => {
     find(changes, "data-table").forEach(fill);
+    find(changes, "data-picture").forEach(show);
+    find(changes, "data-check").forEach(check);
     const lists = find(changes, "data-choices");
     lists.forEach(offer);
     new Set(lists.map((list) => list.dataset.store)).forEach(tell);
   }).observe(root, {
-    childList: true, subtree: true, attributes: true, attributeFilter: ["data-table", "data-choices"],
+    childList: true, subtree: true, attributes: true, attributeFilter: ["data-table", "data-choices", "data-picture", "data-check"],
   });
   async function send(files) {
     for (const file of files) {
@@ -142,6 +161,11 @@
   document.addEventListener("click", (event) => {
     const chooser = event.target.closest("[data-choose]");
     if (chooser) { choose(JSON.parse(chooser.dataset.choose)); }
+    const copied = event.target.closest("[data-copy]");
+    if (copied) {
+      navigator.clipboard.writeText(document.getElementById(copied.dataset.copy).textContent)
+        .then(() => { copied.textContent = "Copied"; });
+    }
     const button = event.target.closest("[data-press]");
     if (button) { press(button); }
     if (event.target.id !== "choose") { return; }

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.app.commands.survey import diagnose_once, preview_effects, survey_project
+from zerodrift.app.commands.survey import diagnose_once, list_contributions, survey_project
 from zerodrift.base.errors import ZerodriftError
 from zerodrift.base.progress import print_progress
 from zerodrift.base.records import to_json
@@ -57,13 +57,12 @@ def diagnose(directory: Path, result: Path, skip_invalid: bool) -> None:
         return
     if hasattr(os, "nice"):  # not on Windows
         os.nice(10)  # the verdict is on the page; what is drawn with it comes before further curves
-    previews = preview_effects(
+    for told in list_contributions(
         config, dataset, catalogue, found.diagnosis, PREVIEWS, print_progress
-    )
-    for effect, curves in previews.items():
-        for run, curve in curves.items():
-            np.save(name_preview(result, effect, run), curve, allow_pickle=False)
-    _tell(PREVIEWED)
+    ):
+        for run, curve in told.curves.items():
+            np.save(name_preview(result, told.effect, run), curve, allow_pickle=False)
+        _tell(PREVIEWED)
 
 
 def _tell(event: str) -> None:

@@ -113,11 +113,17 @@ def restore_step(config: Config, number: int) -> None:
             f"{', '.join(step.effects)}: write them into {config.path} by hand."
         )
     text = read_text(config.path)
-    for _ in config.effects:
-        text = remove_effect(text, 0, path=config.path)
-    for effect in step.settings:
+    # What the step has as well stays as it is written, its comments and all.
+    missing = list(step.settings)
+    for place, settings in reversed(list(enumerate(list_settings(config.effects)))):
+        if settings in missing:
+            missing.remove(settings)
+        else:
+            text = remove_effect(text, place, path=config.path)
+    for effect in missing:
         text = add_effect(text, effect.kind, effect.held, effect.options, path=config.path)
-    if list_settings(parse_config(text, config.path).effects) != step.settings:
+    written = list(list_settings(parse_config(text, config.path).effects))
+    if sorted(written, key=repr) != sorted(step.settings, key=repr):
         raise InputError(
             f"{config.path}: its layout is not understood well enough to edit it; expected "
             "[[effect]] tables with one key to a line. Edit the effects by hand."

@@ -1,5 +1,6 @@
 """`zerodrift report`: all that is known about a sensor and its model in one file."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +9,7 @@ import click
 from zerodrift.app.commands.common import (
     directory_option,
     json_option,
+    packed,
     print_notes,
     print_result,
     skip_invalid_option,
@@ -15,7 +17,6 @@ from zerodrift.app.commands.common import (
 )
 from zerodrift.app.commands.console import show_progress
 from zerodrift.base.errors import InputError
-from zerodrift.base.extras import PAGE, require
 from zerodrift.base.journal import write_text
 
 if TYPE_CHECKING:
@@ -24,7 +25,23 @@ if TYPE_CHECKING:
     from zerodrift.report.datasheet import DatasheetRow
     from zerodrift.report.findings import Findings
 
-FORMATS = ("html", "pdf", "png")
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """What is written, and where."""
+
+    kind: str
+    """One of `FORMATS`."""
+    out: Path | None
+    datasheet: bool
+    annex: Path | None
+    """Folder for the tables as CSV."""
+    no_diagnose: bool
+
+
+FORMATS = ("html", "pdf", "svg", "png")
+FOLDERS = ("svg", "png")
+"""Formats of which each picture is a file of its own."""
 
 
 @click.command()
@@ -35,8 +52,8 @@ FORMATS = ("html", "pdf", "png")
     type=click.Choice(FORMATS),
     default="html",
     show_default=True,
-    help="One HTML file; the same printed to PDF; or a folder of figures as PNG. PDF and PNG need "
-    "Chromium or Chrome on this machine.",
+    help="One HTML file; the same printed to PDF; or a folder of pictures as SVG or PNG. PDF and "
+    "PNG need Chromium or Chrome on this machine.",
 )
 @click.option(
     "-o",
@@ -51,6 +68,12 @@ FORMATS = ("html", "pdf", "png")
     help="Add TK0, TKC, creep and hysteresis before and after compensation.",
 )
 @click.option(
+    "--annex",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=None,
+    help="Write the report's tables as CSV files into this folder, too.",
+)
+@click.option(
     "--no-diagnose",
     is_flag=True,
     help="Do not diagnose; a diagnosis of these very logs that is kept in build/ is shown.",
@@ -58,22 +81,19 @@ FORMATS = ("html", "pdf", "png")
 @trust_option
 @json_option
 @skip_invalid_option
+@packed(ReportOptions)
 def command(
     directory: Path,
-    kind: str,
-    out: Path | None,
-    datasheet: bool,
-    no_diagnose: bool,
+    options: ReportOptions,
     trust: bool,
     as_json: bool,
     skip_invalid: bool,
 ) -> None:
-    """Write a report: verdict, staircase, errors, residuals, effects, firmware, provenance.
+    """Write a report: verdict, errors, causes, staircase, effects, firmware, provenance.
 
     The HTML file holds everything it needs, so it opens without a network, and prints. The same
     files give the same bytes.
     """
-    require(PAGE, "zerodrift report")
     from zerodrift.app.commands.survey import summarise_survey, survey_project
     from zerodrift.app.trust import require_trust
     from zerodrift.base.config import load_config
@@ -81,29 +101,41 @@ def command(
     from zerodrift.report.datasheet import measure_datasheet
 
     require_trust(load_config(directory).plugin_files, trusted=trust)
-    target = out or directory / {"html": "report.html", "pdf": "report.pdf"}.get(
+    kind, annex = options.kind, options.annex
+    target = options.out or directory / {"html": "report.html", "pdf": "report.pdf"}.get(
         kind, "report_figures"
     )
     _check_target(target, kind)
-    if kind != "html":
+    if kind in ("pdf", "png"):
         find_browser()
     with show_progress("reading logs") as say:
         findings = survey_project(
-            directory, skip_invalid=skip_invalid, wants_diagnosis=not no_diagnose, say=say
+            directory,
+            skip_invalid=skip_invalid,
+            wants_diagnosis=not options.no_diagnose,
+            wants_contribution=True,
+            say=say,
         )
         rows = None
-        if datasheet:
+        if options.datasheet:
             say("measuring the datasheet's figures")
             rows = measure_datasheet(findings.traces, findings.comparison)
         say("drawing")
         files = _write(findings, rows, target, kind, directory)
+        if annex is not None:
+            files += _write_annex(findings, rows, annex, directory)
     print_notes(findings.notes)
     if as_json:
         print_result(summarise_survey(findings, files, rows))
         return
     if findings.diagnosed is None:
         click.echo("Not diagnosed.")
-    click.echo(f"Wrote {files[0]}" if len(files) == 1 else f"Wrote {len(files)} figures: {target}")
+    if kind in FOLDERS:
+        click.echo(f"Wrote pictures: {target}")
+    else:
+        click.echo(f"Wrote {files[0]}")
+    if annex is not None:
+        click.echo(f"Wrote tables: {annex}")
 
 
 def _check_target(target: Path, kind: str) -> None:
@@ -117,9 +149,9 @@ def _check_target(target: Path, kind: str) -> None:
             f"{target.parent}: is no directory; expected one for the report. Make it, or name "
             "another place by --out."
         )
-    if kind == "png" and target.exists() and not target.is_dir():
+    if kind in FOLDERS and target.exists() and not target.is_dir():
         raise InputError(f"{target}: is a file; expected a directory for the figures (--out).")
-    if kind != "png" and target.is_dir():
+    if kind not in FOLDERS and target.is_dir():
         raise InputError(f"{target}: is a directory; expected the name of a file (--out).")
 
 
@@ -135,12 +167,12 @@ def _write(
     Raises:
         InputError: a file cannot be written; nothing of it is kept.
     """
-    from zerodrift.report.browser import picture_pages, print_page
-    from zerodrift.report.report import list_figures, render_report
+    from zerodrift.report.browser import print_page, write_pictures
+    from zerodrift.report.report import list_pictures, render_report
 
     try:
-        if kind == "png":
-            return picture_pages(list_figures(findings), target, directory)
+        if kind in FOLDERS:
+            return write_pictures(list_pictures(findings), target, directory, kind)
         text = render_report(findings, rows)
         if kind == "pdf":
             print_page(text, target, directory)
@@ -152,3 +184,17 @@ def _write(
             "or name another place by --out."
         ) from error
     return [target]
+
+
+def _write_annex(
+    findings: "Findings", rows: "Sequence[DatasheetRow] | None", annex: Path, directory: Path
+) -> list[Path]:
+    """Write the report's tables as CSV files, all as one change; return the files."""
+    from zerodrift.base.journal import write_all
+    from zerodrift.report.annex import list_annex
+    from zerodrift.report.tables import tabulate_datasheet
+
+    further = {"datasheet": tabulate_datasheet(rows)} if rows is not None else None
+    files = {annex / one.name: one.text.encode() for one in list_annex(findings, further)}
+    write_all(directory, dict(files))
+    return list(files)

@@ -2,14 +2,10 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift import __version__
 from zerodrift.app.commands.built import read_firmware, read_kept
@@ -24,13 +20,15 @@ from zerodrift.app.commands.verdict import (
     list_commands,
     summarise_diagnosis,
 )
-from zerodrift.base.config import Config, EffectConfig
+from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
 from zerodrift.base.records import from_json, to_dict
 from zerodrift.base.sealed import render_sealed
-from zerodrift.dataset.runs import Dataset
+from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.dataset.units import read_unit
 from zerodrift.diagnosis.advice import advise
+from zerodrift.diagnosis.contribution import Contribution, find_contribution, open_baseline
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.explained import ExplainedDiagnosis
 from zerodrift.diagnosis.history import list_steps
@@ -42,10 +40,9 @@ from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.physics.summary import summarise_model
 from zerodrift.report.datasheet import DatasheetRow
-from zerodrift.report.findings import Findings, Provenance, SourceFile, trace_runs
+from zerodrift.report.findings import Findings, LoggedInput, Provenance, SourceFile, trace_runs
 from zerodrift.report.results import CompareResult, HistoryResult, ReportResult
 
-Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 DIAGNOSIS = "diagnosis.json"
@@ -60,6 +57,7 @@ def survey_project(
     *,
     skip_invalid: bool = False,
     wants_diagnosis: bool = True,
+    wants_contribution: bool = False,
     say: Say = lambda _: None,
 ) -> Findings:
     """Return what `compare`, `diagnose`, `history`, `firmware` and `export` say about a project.
@@ -70,6 +68,7 @@ def survey_project(
         directory: of zerodrift.toml.
         skip_invalid: drop invalid rows of the logs.
         wants_diagnosis: whether to diagnose where no diagnosis of these logs is kept.
+        wants_contribution: whether to compute what the named effect would explain.
         say: is told what is being done.
 
     Raises:
@@ -91,6 +90,11 @@ def survey_project(
     errors = collect_errors(runs, predictions, comparison.tared, comparison.find_usable)
     provenance = trace_provenance(config, dataset)
     diagnosed = diagnose_once(config, dataset, catalogue, provenance.mark, wants_diagnosis, say)
+    contribution = None
+    if wants_contribution and diagnosed is not None and diagnosed.diagnosis.effect is not None:
+        told = list_contributions(config, dataset, catalogue, diagnosed.diagnosis, 1, say)
+        contribution = next(told, None)
+    inputs = list_inputs(config, runs)
     say("looking at the firmware")
     firmware, certificate, note = read_firmware(config)
     _, entries = open_history(config)
@@ -127,8 +131,21 @@ def survey_project(
         reviewed=reviewed,
         skip_invalid=skip_invalid,
         traces=trace_runs(
-            errors, [run.name for run in comparison.runs if run.held_out is not None]
+            errors,
+            [run.name for run in comparison.runs if run.held_out is not None],
+            [one.name for one in inputs],
         ),
+        inputs=inputs,
+        contribution=contribution,
+    )
+
+
+def list_inputs(config: Config, runs: Sequence[Run]) -> tuple[LoggedInput, ...]:
+    """Return the channels of [inputs] that every run has, with the units of their columns."""
+    return tuple(
+        LoggedInput(name, read_unit(column))
+        for name, column in config.inputs.items()
+        if all(name in run.inputs for run in runs)
     )
 
 
@@ -208,15 +225,15 @@ def diagnose_once(
     return found
 
 
-def preview_effects(
+def list_contributions(
     config: Config,
     dataset: Dataset,
     catalogue: Catalogue,
     diagnosis: Diagnosis,
     most: int,
     say: Say = lambda _: None,
-) -> dict[str, dict[str, Array]]:
-    """Return what the likeliest candidates would explain of what is left, if they were added.
+) -> Iterator[Contribution]:
+    """Yield what the likeliest candidates would explain of what is left, the named one first.
 
     Args:
         config: the project.
@@ -225,40 +242,18 @@ def preview_effects(
         diagnosis: what was found.
         most: how many candidates.
         say: is told what is being done.
-
-    Returns:
-        Effect -> run -> [K, n], the prediction with the effect less that without it, each run's
-        mean taken off where logs are tared.
     """
-    now = fit_config(config, dataset, catalogue)
-    runs = [*dataset.train, *dataset.test]
-    before = {run.name: now.predict(run) for run in runs}
     kinds = [effect.kind for effect in config.effects]
-    previews: dict[str, dict[str, Array]] = {}
     wanted = [c for c in diagnosis.candidates if c.effect not in kinds]
+    wanted.sort(key=lambda candidate: candidate.effect != diagnosis.effect)
+    if not wanted:
+        return
+    baseline = open_baseline(config, dataset, catalogue)
     for candidate in wanted[:most]:
-        effect = catalogue[candidate.effect]
-        say(f"drawing {effect.kind}")
-        held = {
-            p.name: candidate.parameters[p.name]
-            for p in effect.parameters
-            if p.choices and p.name in candidate.parameters
-        }
-        changed = replace(config, effects=(*config.effects, EffectConfig(effect.kind, held)))
-        try:
-            model = fit_config(changed, dataset, catalogue)
-        except InputError:
-            continue  # not every candidate can stand beside the others
-        gains: dict[str, list[Array]] = {}
-        for run in runs:
-            gains.setdefault(run.group, []).append(model.predict(run) - before[run.name])
-        joined = {group: np.concatenate(parts).T for group, parts in gains.items()}
-        tared = model.tared or now.tared
-        previews[effect.kind] = {
-            group: curve - curve.mean(axis=1, keepdims=True) if tared else curve
-            for group, curve in joined.items()
-        }
-    return previews
+        say(f"drawing {candidate.effect}")
+        found = find_contribution(baseline, candidate.effect, candidate.parameters)
+        if found is not None:
+            yield found
 
 
 def summarise_survey(

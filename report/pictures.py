@@ -1,0 +1,184 @@
+"""The loop's pictures for page and report: staircase, ranking, change, and error budget."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from zerodrift.diagnosis.comparison_summary import ComparisonSummary
+from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.history import Step
+from zerodrift.report.plot import (
+    DASH_ORDER,
+    MARK_ORDER,
+    AxisScale,
+    Bar,
+    Cloud,
+    Curve,
+    Level,
+    Panel,
+    Picture,
+)
+from zerodrift.verify.summary import FirmwareSummary
+
+LETTER = 6.6
+"""Pixels of a letter."""
+LEAST = 1e-9
+INKS = ("s0", "s1", "s2", "s3", "s4", "s5")
+MOST_BARS = 10
+
+
+def draw_stairs(steps: Sequence[Step], width: float = 760.0) -> Picture:
+    """Return each output's error of each step over that step's noise floor, as stairs.
+
+    Full marks are errors of runs left out, rings those of test logs.
+    """
+    outputs = list(dict.fromkeys(name for step in steps for name in step.errors))
+    curves, clouds, all_ratios = [], [], [1.0]
+    for number, name in enumerate(outputs):
+        ink, dash = INKS[number % len(INKS)], DASH_ORDER[number % len(DASH_ORDER)]
+        ratios = np.array(
+            [_divide(step.errors.get(name), step.noise_floor.get(name)) for step in steps]
+        )
+        all_ratios += [float(r) for r in ratios if np.isfinite(r)]
+        # Each stair is one wide, so that the only one is as well seen as the last of many.
+        edges = np.concatenate([[i, i + 1.0] for i in range(len(steps))])
+        curves.append(Curve(edges, np.repeat(ratios, 2), ink, "", dash, 2.0, steps=True))
+        middles = np.arange(len(steps), dtype=np.float64) + 0.5
+        mark = MARK_ORDER[number % len(MARK_ORDER)]
+        clouds.append(Cloud(middles, ratios, ink, name, mark, 4.5))
+    low, high = min(all_ratios), max(all_ratios)
+    labels = tuple(
+        (i + 0.5, _shorten(f"{i} {step.label}", width, len(steps))) for i, step in enumerate(steps)
+    )
+    panel = Panel(
+        left=58.0,
+        top=30.0,
+        width=width - 70.0,
+        height=210.0,
+        x=AxisScale(0.0, float(len(steps)), "step", ticks=labels),
+        y=AxisScale(0.8 * low, 1.35 * max(high, 1.5), log=True),
+        title="error / noise floor",
+        curves=tuple(curves),
+        clouds=tuple(clouds),
+        levels=(Level(1.0, "noise floor"),),
+    )
+    words = "Error of each output over the noise floor, step by step of the model's history."
+    return Picture(width, 290.0, (panel,), words, "staircase")
+
+
+def _shorten(label: str, width: float, count: int) -> str:
+    most = max(int((width - 70.0) / (LETTER * max(count, 1))) - 1, 4)
+    return label if len(label) <= most else f"{label[: most - 1]}…"
+
+
+def _divide(error: float | None, floor: float | None) -> float:
+    return error / floor if error is not None and floor else float("nan")
+
+
+def draw_ranking(diagnosis: Diagnosis, width: float = 760.0) -> Picture:
+    """Return the error on runs left out with each candidate, as a share of that without it.
+
+    Full bars are named by the verdict, hatched ones are not.
+    """
+    named = {diagnosis.effect, *diagnosis.lookalikes, *diagnosis.also}
+    shown = diagnosis.candidates[:MOST_BARS]
+    bars = tuple(
+        Bar(
+            c.effect,
+            c.rmse_left_out_ratio,
+            f"{c.rmse_left_out_ratio:.3f}, p {c.p_value:.2g}",
+            "model",
+            hatched=c.effect not in named,
+        )
+        for c in shown
+    )
+    left = 16.0 + LETTER * max((len(c.effect) for c in shown), default=4)
+    height = 26.0 * max(len(bars), 1)
+    most = max([1.0, *(min(c.rmse_left_out_ratio, 1.5) for c in shown)])
+    panel = Panel(
+        left=left,
+        top=22.0,
+        width=max(width - left - 120.0, 80.0),
+        height=height,
+        x=AxisScale(0.0, 1.02 * most, "RMSE on runs left out: with the effect / without it"),
+        y=AxisScale(0.0, 1.0),
+        bars=bars,
+        levels=(Level(1.0, "no gain", upright=True),),
+    )
+    words = "Error on runs left out with each candidate over that without it; shorter is better."
+    return Picture(width, height + 66.0, (panel,), words, "candidates")
+
+
+def draw_change(
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+    floor: Mapping[str, float],
+    width: float = 760.0,
+) -> Picture:
+    """Return each output's error before and after a change, in noise floors."""
+    outputs = [name for name in after if floor[name] > 0.0]
+    series = (("before", before, "measured", "ring"), ("after", after, "model", "circle"))
+    told = tuple(
+        (name, {n: values[n] / floor[n] for n in outputs}, ink, mark)
+        for name, values, ink, mark in series
+    )
+    label = "error / noise floor"
+    return _draw_rows(outputs, told, 1.0, "noise floor", label, "change", width)
+
+
+def draw_error_budget(
+    firmware: FirmwareSummary, compared: ComparisonSummary, width: float = 760.0
+) -> Picture:
+    """Return each output's error in %FS: uncompensated, float, integer, and the noise floor."""
+    outputs = list(firmware.units)
+    scale = {name: 100.0 / compared.outputs[name].full_scale for name in outputs}
+    series = (
+        ("uncompensated", firmware.rmse.uncompensated, "measured", "diamond"),
+        ("float model", firmware.rmse.float, "left", "ring"),
+        ("chip", firmware.rmse.integer, "model", "circle"),
+        ("chip − float", firmware.rmse_integer_to_float, "effect", "cross"),
+        ("noise floor", {n: compared.outputs[n].noise_floor for n in outputs}, "floor", "square"),
+    )
+    told = tuple(
+        (name, {n: scale[n] * values[n] for n in outputs}, ink, mark)
+        for name, values, ink, mark in series
+    )
+    return _draw_rows(outputs, told, None, "", "RMSE, % of full scale", "error_budget", width)
+
+
+Series = tuple[str, Mapping[str, float], str, str]
+
+
+def _draw_rows(
+    outputs: Sequence[str],
+    series: Sequence[Series],
+    level: float | None,
+    level_words: str,
+    title: str,
+    name: str,
+    width: float,
+) -> Picture:
+    """Return one row of marks per output on a logarithmic axis."""
+    count = max(len(outputs), 1)
+    values = [v for _, told, _, _ in series for v in told.values() if v > LEAST]
+    values += [level] if level is not None else []
+    low, high = (min(values), max(values)) if values else (0.1, 1.0)
+    places = np.arange(len(outputs), dtype=np.float64)[::-1] + 0.5
+    clouds = tuple(
+        Cloud(np.array([told[n] for n in outputs]), places, ink, words, mark, 5.0)
+        for words, told, ink, mark in series
+    )
+    left = 20.0 + LETTER * max((len(n) for n in outputs), default=4)
+    height = 28.0 * count
+    panel = Panel(
+        left=left,
+        top=30.0,
+        width=width - left - 16.0,
+        height=height,
+        x=AxisScale(0.8 * low, 1.3 * high, title, log=True),
+        y=AxisScale(0.0, float(count), ticks=tuple(zip(places.tolist(), outputs, strict=True))),
+        clouds=clouds,
+        levels=(Level(level, "", upright=True),) if level is not None else (),
+    )
+    words = f"{title} of each output: {', '.join(one[0] for one in series)}."
+    return Picture(width, height + 76.0, (panel,), words, name)

@@ -1,0 +1,149 @@
+"""What a command that leaves the model as it is found: training, firmware, formula, report."""
+
+from dash import html
+from dash.development.base_component import Component
+
+from zerodrift.codegen.snippet import write_snippet
+from zerodrift.report import tables
+from zerodrift.report.findings import Findings
+from zerodrift.report.pictures import draw_error_budget
+from zerodrift.report.results import ApplyResult, ProposeResult, TrainResult
+from zerodrift.verify.summary import FirmwareSummary, VerifySummary
+from zerodrift.workbench.panels import show_picture, show_table
+from zerodrift.workbench.workplace import Outcome
+
+
+def show_outcome(outcome: Outcome) -> list[Component]:
+    """Return what the last command found, in a sentence or a few."""
+    if isinstance(outcome, VerifySummary):
+        return _show_verified(outcome)
+    if isinstance(outcome, FirmwareSummary):
+        return _show_built(outcome)
+    if isinstance(outcome, ProposeResult):
+        return _show_proposed(outcome)
+    if isinstance(outcome, ApplyResult):
+        return _show_applied(outcome)
+    if isinstance(outcome, TrainResult):
+        rmse = ", ".join(
+            f"{n} {tables.write_number(o.held_out.rmse)} {o.unit}"
+            for n, o in outcome.outputs.items()
+        )
+        kept = "with a network" if outcome.network else "without a network"
+        return [html.P(f"Trained {kept}; held-out RMSE: {rmse}.")]
+    return [
+        html.P(
+            [
+                "Report written: ",
+                html.A("open report.html", href="/report.html", target="_blank"),
+                " or ",
+                html.A("download it", href="/report.html", download="report.html"),
+                ".",
+            ]
+        )
+    ]
+
+
+def _show_applied(outcome: ApplyResult) -> list[Component]:
+    lines = []
+    for log in outcome.logs:
+        drifts = ", ".join(
+            f"{name} {tables.write_number(o.rms_drift)} {o.unit}" for name, o in log.outputs.items()
+        )
+        lines.append(
+            f"Applied to {log.log}, {log.steps} steps, into {log.file}. RMS drift: {drifts}."
+        )
+    return [html.P(line) for line in lines]
+
+
+def _show_verified(outcome: VerifySummary) -> list[Component]:
+    equal = "equal in every bit" if outcome.bit_exact else "DIFFERENT"
+    backends = " = ".join(outcome.backends)
+    lines = [f"Verified: {equal} over {outcome.vectors} steps on {backends}."]
+    lines += [finding.text for finding in (*outcome.changed, *outcome.stale)]
+    lines += [f"{f.name} in the header is not the model's." for f in outcome.header]
+    lines += outcome.failures
+    lines += [f"Not checked: {n.what} ({n.why})." for n in outcome.not_checked]
+    return [html.P(line) for line in lines]
+
+
+def _show_built(outcome: FirmwareSummary) -> list[Component]:
+    if not outcome.written:
+        lines = [f"Refused, nothing was written: {one.text}" for one in outcome.refused]
+        return [html.P(line, className="standing") for line in lines]
+    equal = "bit-exact" if outcome.bit_exact else "DIFFERENT"
+    return [
+        html.P(
+            f"Built: flash {outcome.flash_bytes} B, RAM {outcome.ram_bytes} B, stack "
+            f"{outcome.stack_bytes} B on {outcome.core}; {equal} over {outcome.vectors} steps."
+        )
+    ]
+
+
+def _show_proposed(outcome: ProposeResult) -> list[Component]:
+    if not outcome.found:
+        nearest = f" Nearest: {outcome.nearest}." if outcome.nearest else ""
+        return [html.P(f"No formula was found: {outcome.reason}.{nearest}")]
+    errors = ", ".join(
+        f"{name} {tables.write_number(e.before)} to {tables.write_number(e.after)} {e.unit}"
+        for name, e in outcome.rmse_left_out.items()
+    )
+    command = f"zerodrift propose --write {outcome.kind}.py"
+    return [
+        html.P([html.Code(outcome.formula), f" ({outcome.physics})"], className="standing"),
+        html.P(f"RMSE on runs left out: {errors}."),
+        html.P(f"To confirm it: {outcome.next_experiment}", className="note"),
+        html.P(["To use it as an effect of your own: ", html.Code(command)], className="note"),
+    ]
+
+
+def show_firmware(findings: Findings) -> list[Component]:
+    """Return the last firmware where it is current: to take away, to use, and what it rests on."""
+    firmware, certificate = findings.firmware, findings.certificate
+    if firmware is None:
+        return [html.P(findings.firmware_note, className="note")]
+    compared = findings.comparison
+    note = [html.P(findings.firmware_note, className="note")] if findings.firmware_note else []
+    return [
+        *note,
+        *_show_delivery(firmware),
+        show_picture(draw_error_budget(firmware, compared)),
+        show_table(tables.tabulate_budget(firmware, compared), folded=True),
+        show_table(tables.tabulate_chip_error(firmware), folded=True),
+        show_table(tables.tabulate_firmware(firmware)),
+        *(
+            [show_table(tables.tabulate_certificate(certificate), folded=True)]
+            if certificate
+            else []
+        ),
+    ]
+
+
+def _show_delivery(firmware: FirmwareSummary) -> list[Component]:
+    """Return the download, what to add to a build, and the lines that call it."""
+    sources = [name for name in firmware.files if name.endswith(".c")]
+    headers = [name for name in firmware.files if name.endswith(".h")]
+    download = html.A(
+        "Download the firmware (zip)",
+        href="/firmware.zip",
+        download="",
+        className="button primary",
+        id="download",
+    )
+    return [
+        html.P([download]),
+        html.P(
+            f"To flash: add {', '.join(sources)} to the build of your own program, with the "
+            f"folder of {', '.join(headers)} on its include path (C99, no heap, no libm). It needs "
+            f"{firmware.flash_bytes} B of flash, {firmware.ram_bytes} B of RAM for each sensor and "
+            f"{firmware.stack_bytes} B of stack on {firmware.core}."
+        ),
+        html.Div(
+            [
+                html.Pre(
+                    write_snippet(firmware.files, tuple(firmware.units)), id="snippet", tabIndex="0"
+                ),
+                html.Button("Copy", **{"data-copy": "snippet"}),
+            ],
+            className="snippet",
+        ),
+    ]
