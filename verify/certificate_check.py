@@ -17,6 +17,7 @@ from pathlib import Path
 
 from zerodrift.verify.c_checksum import FIELD as SUM
 from zerodrift.verify.c_claims import CertificateClaims, read_claims
+from zerodrift.verify.c_header import find_wrong_indices
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_model import Model, read_models
 from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError
@@ -79,6 +80,7 @@ def judge_each(claims: Mapping[str, object], texts: dict[str, str]) -> Iterator[
             failures.append(f"{name}: its hash is {found[:12]}, the certificate's {digest[:12]}")
     if f'_MODEL_HASH "{read.model}"' not in texts[f"{prefix}.h"]:
         failures.append(f"{prefix}.h: does not name the certificate's model {read.model[:12]}")
+    failures += [f"{prefix}.h: {text}" for text in find_wrong_indices(texts[f"{prefix}.h"], prefix)]
     if not is_known(texts):
         what = "the runtime (zd_*.h, zd_*.c) is no text that was compared with the reference"
         yield _refuse(failures, what)
