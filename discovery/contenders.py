@@ -20,7 +20,13 @@ from zerodrift.diagnosis.noise import Noise
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Effect
 from zerodrift.physics.fit import estimate_errors
-from zerodrift.physics.projection import get_coordinates, list_coordinates, set_coordinates
+from zerodrift.physics.projection import (
+    get_coordinates,
+    list_coordinates,
+    set_coordinates,
+    solve,
+    weigh,
+)
 from zerodrift.physics.search import Found, assess, search, sum_with_slopes
 from zerodrift.physics.signals import SignalPlan, explain_missing
 from zerodrift.physics.terms import Term, start_term
@@ -247,7 +253,8 @@ def _draw_fitted(case: Case, found: Found, weights: Array, rng: np.random.Genera
         return truths
     u = get_coordinates(found.terms, coordinates)
     sums = sum_with_slopes(case.campaign, found.terms, coordinates)
-    errors, _ = estimate_errors(case.campaign, sums, weights, found.solution, len(coordinates))
+    solution = solve(sums, weigh(sums, weights).sum(axis=0))
+    errors, _ = estimate_errors(case.campaign, sums, weights, solution, len(coordinates))
     spread = np.minimum(errors, MOST_SPREAD)
     bounds = np.array([c.bounds for c in coordinates])
     for _ in range(DRAWS - 1):

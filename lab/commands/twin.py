@@ -7,6 +7,8 @@ import click
 
 from zerodrift.app.commands.common import json_option, packed, print_json
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import to_dict
+from zerodrift.lab.commands.loop import describe_loop, run_loop
 from zerodrift.lab.commands.six_axis import (
     CampaignRequest,
     describe_campaign,
@@ -145,6 +147,7 @@ class TwinOptions:
     protocols: tuple[str, ...]
     level: str
     specimen: int
+    loop: float | None
 
 
 @click.command(
@@ -246,6 +249,13 @@ class TwinOptions:
     show_default=True,
     help="Six-axis: which specimen.",
 )
+@click.option(
+    "--loop",
+    type=click.FloatRange(0.5, 1000.0),
+    metavar="HOURS",
+    help="Plan, record and diagnose until the verdict is sure or so many hours are spent; "
+    "writes nothing.",
+)
 @json_option
 @click.pass_context
 @packed(TwinOptions)
@@ -262,6 +272,18 @@ def command(context: click.Context, directory: Path, as_json: bool, options: Twi
     if options.example:
         refuse_foreign_options(given - {"example"})
         write_example(directory, as_json=as_json)
+        return
+    if options.loop is not None:
+        if options.six_axis:
+            raise InputError("twin: --loop is for the plain twin; leave --six-axis out.")
+        from zerodrift.app.commands.console import show_progress
+
+        with show_progress("simulating logs") as say:
+            looped = run_loop(ask_recipe(options), options.loop, say)
+        if as_json:
+            print_json({"simulated": True, **to_dict(looped)})
+        else:
+            click.echo(describe_loop(looped))
         return
     if options.six_axis:
         refuse_foreign_options(given)

@@ -216,6 +216,10 @@ def explain_verdict(
     sentences.append(Sentence(f"Evidence: {diagnosis.evidence}."))
     if diagnosis.next_experiment:
         sentences.append(Sentence(f"Next experiment: {diagnosis.next_experiment}."))
+    if diagnosis.lookalikes:
+        sentences.append(
+            Sentence("To compute the experiment that tells them apart: zerodrift plan", STEP)
+        )
     if diagnosis.effect is not None:
         sentences.append(Sentence(f"To add it: {command}", STEP))
         if thin:
