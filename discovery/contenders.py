@@ -230,7 +230,7 @@ def look_back(
             chosen = next(one for one in found if one.cost <= least + 0.02 * abs(least) + 1e-3)
             if best is None or chosen.cost < best.cost:
                 best = chosen
-            truths = _draw_fitted(case, chosen, weights, rng)
+            truths = draw_fitted(case, chosen, weights, rng)
         contenders.append(Contender(kind, tuple(truths), nodes))
     noise, floor = measure_rest(case.campaign, case.dataset.dwell, best or base)
     order = tuple(case.campaign.order)
@@ -245,7 +245,7 @@ def look_back(
     return scene, floor
 
 
-def _draw_fitted(case: Case, found: Found, weights: Array, rng: np.random.Generator) -> list[Truth]:
+def draw_fitted(case: Case, found: Found, weights: Array, rng: np.random.Generator) -> list[Truth]:
     """Return truths drawn around a fit; the coefficients are solved anew at each."""
     coordinates = list_coordinates(found.terms)
     truths = [Truth(found.terms, found.solution.coefficients, True)]

@@ -155,7 +155,7 @@ class Judge:
             logs: a programme that moves everything.
             sizes: [K] RMS of what is beyond the model there, in each output's unit.
         """
-        stage = self._stage(logs, np.ones(len(logs)))
+        stage = self.stage(logs, np.ones(len(logs)))
         contenders = tuple(
             replace(
                 c,
@@ -198,7 +198,7 @@ class Judge:
 
     def judge_logs(self, logs: Sequence[Log], repeats: Array) -> Told:
         """Return what logs of one length are expected to tell, each done so many times."""
-        stage = self._stage(logs, repeats[: len(logs)])
+        stage = self.stage(logs, repeats[: len(logs)])
         return self._compare(stage, round(float(repeats.sum())))
 
     def _whiten(self, rows: int, block: int) -> Array:
@@ -206,7 +206,8 @@ class Judge:
             self._white[rows, block] = _whiten(self.scene, rows, block, self.outputs)
         return self._white[rows, block]
 
-    def _stage(self, logs: Sequence[Log], repeats: Array) -> Staged:
+    def stage(self, logs: Sequence[Log], repeats: Array) -> Staged:
+        """Return logs of one length, each done so many times."""
         period_s = self.scene.plan.sample_period_s
         block = max(1, round(logs[0].lasts_s / ROWS / period_s))
         step_s = block * period_s
@@ -215,7 +216,7 @@ class Judge:
         rows = signals.elapsed_s.shape[1]
         return Staged(signals, step_s, self._whiten(rows, block), np.sqrt(repeats))
 
-    def _stage_run(self, run: Run) -> Staged:
+    def stage_run(self, run: Run) -> Staged:
         """Return a log that there is, its signals averaged over blocks."""
         block = max(1, len(run) // ROWS_BEFORE)
         rows = len(run) // block
@@ -236,8 +237,20 @@ class Judge:
         period_s = block * self.scene.plan.sample_period_s
         return Staged(signals, period_s, self._whiten(rows, block), np.ones(1))
 
-    def _columns(self, stage: Staged, terms: Sequence[Term]) -> list[Array]:
-        """Return, per output, the whitened columns [rows, J'] that it sees."""
+    def list_seen(self, stage: Staged, terms: Sequence[Term]) -> list[list[int]]:
+        """Return, per output, the indices of the features that it sees."""
+        ops = NumpyOperations(stage.period_s, stage.signals.temperature_degC.shape)
+        features = build_features(ops, stage.signals, terms, self.scene.order)[1:]
+        names = [self.scene.plan.outputs[place] for place in self.outputs]
+        return [[j for j, f in enumerate(features) if f.output in (None, name)] for name in names]
+
+    def lay_columns(
+        self, stage: Staged, terms: Sequence[Term], *, whiten: bool = True
+    ) -> list[Array]:
+        """Return, per output, the columns [rows, J'] that it sees, whitened or as they are.
+
+        As they are, each log's mean is taken off, as a tare does.
+        """
         shape = stage.signals.temperature_degC.shape
         ops = NumpyOperations(stage.period_s, shape)
         features = build_features(ops, stage.signals, terms, self.scene.order)[1:]
@@ -247,7 +260,9 @@ class Judge:
         for k, place in enumerate(self.outputs):
             name = self.scene.plan.outputs[place]
             seen = [j for j, f in enumerate(features) if f.output in (None, name)]
-            found.append((stage.whiten[k] @ columns[..., seen]).reshape(-1, len(seen)))
+            mine = columns[..., seen]
+            mine = stage.whiten[k] @ mine if whiten else mine - mine.mean(axis=1, keepdims=True)
+            found.append(mine.reshape(-1, len(seen)))
         return found
 
     def _truth(self, stage: Staged, truth: Truth) -> list[Array]:
@@ -270,7 +285,7 @@ class Judge:
         contenders = self.scene.contenders
         truths = [self._truth(stage, t) for c in contenders for t in c.truths]
         models = [self.scene.base, *(m for c in contenders for form in c.forms for m in form)]
-        columns = [self._columns(stage, terms) for terms in models]
+        columns = [self.lay_columns(stage, terms) for terms in models]
         return [
             _Laid(np.stack([t[k] for t in truths], axis=1), [c[k] for c in columns])
             for k in range(len(self.outputs))
@@ -278,7 +293,7 @@ class Judge:
 
     def _look_back(self, runs: Sequence[Run]) -> list[_Laid]:
         """Return the logs that there are, made as short as their sums of products allow."""
-        laid = [self._lay_out(self._stage_run(run)) for run in runs]
+        laid = [self._lay_out(self.stage_run(run)) for run in runs]
         shortened = []
         for k in range(len(self.outputs) if laid else 0):
             truths = np.concatenate([one[k].truths for one in laid])

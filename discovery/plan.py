@@ -64,6 +64,12 @@ class Question:
     """Share of full scale from which on an effect has to be named; None: 3 times the noise."""
     budget_s: float = BUDGET_S
     """Processor seconds of the search."""
+    criterion: str = "discrimination"
+    """discrimination | precision | error."""
+    profile: str | None = None
+    """For `error`: the run that the sensor is used as; None: all that the limits allow."""
+    units: int = 0
+    """Further units of the design, for which few hours are wanted; 0: no such question."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +150,7 @@ def plan_experiment(
     limits = resolve_limits(config, runs, question.hours)
     notes = list(limits.notes)
     if dataset is None:
-        scene, floor = _open_blank(config, catalogue, limits, question, notes)
+        scene, floor = open_blank(config, catalogue, limits, question, notes)
         before: Sequence[Run] = ()
         outputs = _choose_blank(scene.plan)
     else:
@@ -152,7 +158,7 @@ def plan_experiment(
         scene, floor = _open_logs(config, dataset, catalogue, limits, question, notes)
         before = [replace(run, before=None) for run in runs]
         outputs = tuple(np.argsort(-_rank_outputs(scene, floor))[:3].tolist())
-    limits = _leave_alone(limits, scene, catalogue)
+    limits = leave_alone(limits, [c.kind for c in scene.contenders], catalogue)
     spaces = choose_spaces(limits, question.hours, scene.runs)
     full_scale = np.array([output.full_scale for output in config.outputs])
     size = SIZE_IN_NOISE * floor if question.target is None else question.target * full_scale
@@ -192,9 +198,9 @@ def _weigh(judge: Judge, space: Space, point: Array) -> float:
     return weigh(judge.judge(space, point)) - LINE * lines
 
 
-def _leave_alone(limits: Limits, scene: Scene, catalogue: Catalogue) -> Limits:
-    """Return the limits without the loads and inputs that no open effect follows."""
-    needs = {need for c in scene.contenders for need in catalogue[c.kind].needs}
+def leave_alone(limits: Limits, kinds: Sequence[str], catalogue: Catalogue) -> Limits:
+    """Return the limits without the loads and inputs that none of these effects follows."""
+    needs = {need for kind in kinds for need in catalogue[kind].needs}
     named = {name for need in needs for name in need.split("|")}
     loads = limits.loads if "load" in named else {}
     inputs = {name: reach for name, reach in limits.inputs.items() if name in named}
@@ -210,7 +216,7 @@ def _refuse_single(kinds: Sequence[str], said: str) -> None:
         )
 
 
-def _open_blank(
+def open_blank(
     config: Config,
     catalogue: Catalogue,
     limits: Limits,

@@ -7,6 +7,8 @@ from pathlib import Path
 from zerodrift.base.records import OPTIONAL
 from zerodrift.discovery.likely import MOST, expect_pairs, expect_verdicts
 from zerodrift.discovery.plan import Planned
+from zerodrift.discovery.precise import PlannedPrecisely, Width
+from zerodrift.discovery.programme import SetProgramme
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,8 @@ class PlanSummary:
     hours: float
     """What it takes, rests included."""
     criterion: str
-    """discrimination: the mean probability of the right verdict."""
+    """discrimination: the mean probability of the right verdict; precision: the width of the
+    model's values; error: its error in a use profile."""
     programme: tuple[PlannedSetting, ...]
     logs: tuple[PlannedLog, ...]
     rest_s: float
@@ -90,8 +93,8 @@ class PlanSummary:
     """Where each log begins and ends."""
     separates: tuple[Separation, ...]
     outlooks: tuple[Outlook, ...]
-    probability: float
-    """Of the right verdict, over the open effects and their draws."""
+    probability: float | None
+    """Of the right verdict, over the open effects and their draws; null by other criteria."""
     units: Mapping[str, str]
     """Output -> unit of its loads."""
     programmes_tried: int
@@ -107,6 +110,10 @@ class PlanSummary:
     """All files that were written."""
     before: PastPlan | None = field(default=None, metadata=OPTIONAL)
     """Where logs followed an earlier plan."""
+    widths: tuple[Width, ...] = field(default=(), metadata=OPTIONAL)
+    """By precision or error: what each shared value of the model will be known to."""
+    errors: Mapping[str, float] | None = field(default=None, metadata=OPTIONAL)
+    """By precision or error: output -> RMS error of the model in the use profile, its unit."""
 
 
 def summarise_plan(
@@ -117,27 +124,12 @@ def summarise_plan(
     verdicts = expect_verdicts(planned.told)
     pairs = expect_pairs(planned.told)
     apart = planned.told.apart.mean(axis=1)
-    settings, logs = [], []
-    at_s = 0.0
-    for number, log in enumerate(planned.programme.logs, start=1):
-        logs.append(PlannedLog(number, at_s, log.lasts_s, log.power_on))
-        settings += [
-            PlannedSetting(
-                number,
-                at_s + setting.from_s,
-                setting.temperature_degC,
-                setting.rate_K_per_min,
-                dict(setting.loads),
-                dict(setting.inputs),
-            )
-            for setting in log.settings
-        ]
-        at_s += log.lasts_s + planned.programme.rest_s
+    settings, logs = _lay_out(planned.programme)
     return PlanSummary(
         hours=round(planned.programme.hours, 4),
         criterion="discrimination",
-        programme=tuple(settings),
-        logs=tuple(logs),
+        programme=settings,
+        logs=logs,
         rest_s=planned.programme.rest_s,
         start_degC=planned.programme.start_degC,
         separates=tuple(
@@ -166,6 +158,56 @@ def summarise_plan(
     )
 
 
+def summarise_precise(planned: PlannedPrecisely, units: Mapping[str, str]) -> PlanSummary:
+    """Return what the command prints of a plan by precision, before any file is written."""
+    settings, logs = _lay_out(planned.programme)
+    best = planned.found.best
+    question = planned.question
+    return PlanSummary(
+        hours=round(planned.programme.hours, 4),
+        criterion="error" if question.units else question.criterion,
+        programme=settings,
+        logs=logs,
+        rest_s=planned.programme.rest_s,
+        start_degC=planned.programme.start_degC,
+        separates=(),
+        outlooks=(),
+        probability=None,
+        units=dict(units),
+        programmes_tried=best.tried,
+        cpu_s=round(planned.cpu_s, 2),
+        first_answer_cpu_s=round(planned.cpu_s, 2),
+        interrupted=best.interrupted,
+        notes=planned.notes,
+        file=None,
+        widths=planned.widths,
+        errors=planned.errors,
+    )
+
+
+def _lay_out(
+    programme: SetProgramme,
+) -> tuple[tuple[PlannedSetting, ...], tuple[PlannedLog, ...]]:
+    """Return the lines and the logs of a programme, times counted from its beginning."""
+    settings, logs = [], []
+    at_s = 0.0
+    for number, log in enumerate(programme.logs, start=1):
+        logs.append(PlannedLog(number, at_s, log.lasts_s, log.power_on))
+        settings += [
+            PlannedSetting(
+                number,
+                at_s + setting.from_s,
+                setting.temperature_degC,
+                setting.rate_K_per_min,
+                dict(setting.loads),
+                dict(setting.inputs),
+            )
+            for setting in log.settings
+        ]
+        at_s += log.lasts_s + programme.rest_s
+    return tuple(settings), tuple(logs)
+
+
 def explain_plan(plan: PlanSummary, directory: Path) -> list[str]:
     """Return what is expected of the programme, in sentences."""
     sentences = []
@@ -181,9 +223,16 @@ def explain_plan(plan: PlanSummary, directory: Path) -> list[str]:
     each = f"{min(lasts) / 60.0:.0f} min"
     sentences.append(
         f"PLAN: {len(plan.logs)} log{'s' if len(plan.logs) > 1 else ''} of {each}, "
-        f"{plan.rest_s / 60.0:.0f} min of rest after each, {plan.hours:.2g} h in all. "
-        f"Probability of the right verdict: {plan.probability:.2f}."
+        f"{plan.rest_s / 60.0:.0f} min of rest after each, {plan.hours:.2g} h in all."
+        + (
+            f" Probability of the right verdict: {plan.probability:.2f}."
+            if plan.probability is not None
+            else ""
+        )
     )
+    if plan.errors:
+        told = ", ".join(f"{n} {e:.3g} {plan.units[n]}" for n, e in plan.errors.items())
+        sentences.append(f"Error of the model in the use profile that is expected then: {told}.")
     hard = [pair for pair in plan.separates if pair.probability < 0.8 * MOST]
     if hard:
         told = "; ".join(f"{' and '.join(p.effects)} ({p.probability:.2f})" for p in hard[:3])

@@ -16,7 +16,8 @@ from zerodrift.base.toml_table import TomlTable
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.selectors import expand_selectors
 from zerodrift.discovery.plan import Planned, Question, plan_experiment
-from zerodrift.discovery.summary import PastPlan, summarise_plan
+from zerodrift.discovery.precise import PlannedPrecisely, plan_precisely
+from zerodrift.discovery.summary import PastPlan, summarise_plan, summarise_precise
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.report.results import PlanResult
 
@@ -92,21 +93,26 @@ def find_plan(
     catalogue: Catalogue,
     question: Question,
     say: Callable[[str], None] = lambda text: None,
-) -> tuple[Planned, PlanResult]:
+) -> tuple[Planned | PlannedPrecisely, PlanResult]:
     """Return the programme and its record; no file is written.
 
     Raises:
         InputError: as `plan_experiment`.
     """
+    units = {output.name: output.unit for output in config.outputs}
+    if question.criterion != "discrimination" or question.units:
+        precise = plan_precisely(config, dataset, catalogue, question, say)
+        return precise, PlanResult(**vars(summarise_precise(precise, units)))
     past = None if dataset is None else _compare_past(config, dataset, catalogue)
     planned = plan_experiment(config, dataset, catalogue, question, say)
-    units = {output.name: output.unit for output in config.outputs}
     summary = summarise_plan(planned, units, past)
     return planned, PlanResult(**vars(summary))
 
 
 def keep_plan(config: Config, plan: PlanResult, runs: int) -> None:
     """Keep what a plan predicts, for the next one to compare with what came of it."""
+    if plan.probability is None:
+        return
     config.build_directory.mkdir(exist_ok=True)
     kept = json.dumps(to_dict(KeptPlan(runs, plan)))
     write_whole(config.build_directory / KEPT, kept.encode())
@@ -123,7 +129,7 @@ def _compare_past(config: Config, dataset: Dataset, catalogue: Catalogue) -> Pas
         # Of another version: it has nothing to compare with.
         return None
     plan = kept.plan
-    if len({run.group for run in dataset.train}) <= kept.runs:
+    if plan.probability is None or len({run.group for run in dataset.train}) <= kept.runs:
         return None
     from zerodrift.diagnosis.diagnose import diagnose
 

@@ -18,6 +18,8 @@ from zerodrift.app.commands.console import open_console, open_table, show_progre
 from zerodrift.base.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from zerodrift.report.results import PlanResult
 
 MOST_LISTED = 40
@@ -33,6 +35,9 @@ class PlanOptions:
     between: tuple[str, ...]
     target: str | None
     budget: float
+    criterion: str
+    profile: str | None
+    units: int | None
     file: Path | None
     picture: Path | None
 
@@ -60,6 +65,24 @@ class PlanOptions:
     "--target",
     metavar="PERCENT",
     help="Effects from this share of full scale on have to be named, such as 0.1%.",
+)
+@click.option(
+    "--criterion",
+    type=click.Choice(("discrimination", "precision", "error")),
+    default="discrimination",
+    show_default=True,
+    help="The right verdict; narrow values of the model as it is; or its small error in use.",
+)
+@click.option(
+    "--profile",
+    metavar="RUN",
+    help="With --criterion error: the run that the sensor is used as (default: all limits).",
+)
+@click.option(
+    "--units",
+    type=click.IntRange(1, 1_000_000),
+    default=None,
+    help="The fewest hours for so many further units, to an error of --target.",
 )
 @click.option(
     "--budget",
@@ -112,6 +135,9 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOpt
             between=tuple(dict.fromkeys(kind for pair in options.between for kind in pair)),
             target=read_target(options.target),
             budget_s=options.budget,
+            criterion=options.criterion,
+            profile=options.profile,
+            units=options.units or 0,
         )
         catalogue = load_catalogue(config.plugin_files)
         planned, plan = find_plan(config, dataset, catalogue, question, say)
@@ -179,6 +205,21 @@ def print_plan(plan: "PlanResult", directory: Path) -> None:
     if len(plan.programme) > MOST_LISTED:
         rest = len(plan.programme) - MOST_LISTED
         console.print(f"{rest} more lines; --out FILE and --json have all.\n")
+    if plan.widths:
+        table = open_table("Known then", ("effect", "value", "unit"), ("now", "95 % within"))
+        for width in plan.widths:
+            told = (f"{width.value:.4g}", f"{width.half_width:.2g}")
+            table.add_row(width.effect, width.parameter, width.unit, *told)
+        console.print(table)
+    if plan.outlooks:
+        _print_outlooks(plan, console)
+    for sentence in explain_plan(plan, directory):
+        console.print(sentence)
+    if plan.files:
+        console.print(f"Wrote {', '.join(plan.files)}", soft_wrap=True)
+
+
+def _print_outlooks(plan: "PlanResult", console: "Console") -> None:
     table = open_table(
         "If this one is missing", ("effect", "hardest to tell from"), ("named alone", "range")
     )
@@ -188,7 +229,3 @@ def print_plan(plan: "PlanResult", directory: Path) -> None:
             one.effect, one.nearest or "-", f"{one.probability:.2f}", f"{low:.2f} .. {high:.2f}"
         )
     console.print(table)
-    for sentence in explain_plan(plan, directory):
-        console.print(sentence)
-    if plan.files:
-        console.print(f"Wrote {', '.join(plan.files)}", soft_wrap=True)
