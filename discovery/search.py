@@ -130,18 +130,18 @@ def find_programme(
         return time.process_time() - begin > budget_s
 
     try:
-        starts: list[tuple[float, Array]] = []
+        designed: list[tuple[Space, float, Array]] = []
         for space in spaces:
             for point in list_designs(space):
-                assess(space, point)
+                designed.append((space, assess(space, point), point))
                 if tried > 1 and time.process_time() - begin > 0.35 * budget_s:
                     break
         assert best is not None
         first(best)
         space = best.space
         starts = sorted(
-            ((worth(space, p), p) for p in list_designs(space)[:6]), key=lambda one: -one[0]
-        )
+            ((value, p) for of, value, p in designed if of is space), key=lambda one: -one[0]
+        )[:6]
         rng = np.random.default_rng(SEED)
         population = [best.point, *(point for _, point in starts)]
         while len(population) < POPULATION:
