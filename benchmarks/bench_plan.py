@@ -1,6 +1,7 @@
 """Planned against default programmes, and predicted against observed probability of the verdict.
 
-    python -m benchmarks.bench_plan hours [--seed N] [--sensors N] [--file FILE] [--minutes M]
+    python -m benchmarks.bench_plan hours [--seed N] [--sensors N] [--pairs N] [--hours H,H]
+                                           [--file FILE] [--minutes M]
     python -m benchmarks.bench_plan probability [--seed N] [--plans N] [--draws N] [--file FILE]
     python -m benchmarks.bench_plan time
 
@@ -67,10 +68,11 @@ TARGET = 0.0001
 LIMITS = """
 [experiment]
 temperature_degC = [-20, 60]
-heating_K_per_min = 4
-cooling_K_per_min = 4
+heating_K_per_min = 6
+cooling_K_per_min = 6
 start_degC = 23
-rest_min = 5
+log_min = 10
+rest_min = 3
 noise_pct = 0.012
 
 [experiment.loads]
@@ -295,10 +297,10 @@ def choose_truth(pair: Sequence[str], number: int) -> str:
     return "dark_current" if "dark_current" in pair else pair[number % 2]
 
 
-def list_hours(seed: int, sensors: int, hours: Sequence[float]) -> Iterator[Key]:
+def list_hours(seed: int, sensors: int, hours: Sequence[float], pairs: int) -> Iterator[Key]:
     """Give the trials of the comparison, sensor by sensor."""
     for n in range(sensors):
-        for p, pair in enumerate(PAIRS):
+        for p, pair in enumerate(PAIRS[:pairs]):
             for arm in ("planned", "default"):
                 for h in hours:
                     yield arm, pair, choose_truth(pair, n), h, SIZE, seed + 1000 * p + n
@@ -389,6 +391,8 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("what", choices=("hours", "probability", "time"))
     parser.add_argument("--seed", type=int, default=100)
     parser.add_argument("--sensors", type=int, default=5)
+    parser.add_argument("--pairs", type=int, default=len(PAIRS))
+    parser.add_argument("--hours", default=",".join(f"{h:g}" for h in HOURS))
     parser.add_argument("--plans", type=int, default=20)
     parser.add_argument("--draws", type=int, default=30)
     parser.add_argument("--file", type=Path)
@@ -397,8 +401,9 @@ def main(arguments: Sequence[str]) -> None:
     options = parser.parse_args(arguments)
     print("simulated sensors; all logs here are simulated")
     if options.what == "hours":
-        wanted = list_hours(options.seed, options.sensors, HOURS)
-        tell_hours(run_trials(wanted, options.file, options.minutes, options.budget), HOURS)
+        hours = [float(h) for h in options.hours.split(",")]
+        wanted = list_hours(options.seed, options.sensors, hours, options.pairs)
+        tell_hours(run_trials(wanted, options.file, options.minutes, options.budget), hours)
     elif options.what == "probability":
         trials = list_probability(options.seed, options.plans, options.draws)
         tell_probability(run_trials(trials, options.file, options.minutes, options.budget))
