@@ -18,7 +18,7 @@ from zerodrift.discovery.limits import Limits, resolve_limits
 from zerodrift.discovery.patterns import choose_spaces
 from zerodrift.discovery.plan import Question, leave_alone, open_blank
 from zerodrift.discovery.precise_plan import (
-    Found,
+    FoundPrecise,
     Sought,
     draw_base,
     find_cheapest,
@@ -56,7 +56,7 @@ class PlannedPrecisely:
     question: Question
     limits: Limits
     programme: SetProgramme
-    found: Found
+    found: FoundPrecise
     widths: tuple[Width, ...]
     errors: dict[str, float]
     """Output -> RMS error over the use profile, in its unit."""
@@ -161,7 +161,7 @@ def _find_run(dataset: Dataset | None, name: str) -> Run:
     return replace(runs[name], before=None)
 
 
-def _list_widths(truth: Truth, found: Found, *, known: bool) -> tuple[Width, ...]:
+def _list_widths(truth: Truth, found: FoundPrecise, *, known: bool) -> tuple[Width, ...]:
     """Return the values that the programme determines, with half of their 95 % intervals."""
     told = name_widths(truth, found.precisions[0], known=known)
     units = {

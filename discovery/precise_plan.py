@@ -44,7 +44,7 @@ class Sought:
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundPrecise:
     """A programme and what it leaves uncertain, one entry for each truth."""
 
     best: Best
@@ -85,7 +85,7 @@ def find_precise(
     sought: Sought,
     budget_s: float,
     say: Callable[[str], None],
-) -> Found:
+) -> FoundPrecise:
     """Return the programme that leaves least uncertain.
 
     Args:
@@ -107,7 +107,7 @@ def find_precise(
         return value(measure(space, point), sought) - LINE * lines
 
     best = find_programme(spaces, worth, budget_s, say)
-    return Found(best, measure(best.space, best.point))
+    return FoundPrecise(best, measure(best.space, best.point))
 
 
 def find_cheapest(
@@ -116,14 +116,14 @@ def find_cheapest(
     sought: Sought,
     budget_s: float,
     say: Callable[[str], None],
-) -> tuple[float, Found]:
+) -> tuple[float, FoundPrecise]:
     """Return the fewest hours after which a further unit's error is as aimed at.
 
     Raises:
         InputError: no programme of a day reaches it.
     """
     begin = time.process_time()
-    last: Found | None = None
+    last: FoundPrecise | None = None
     for hours in HOURS:
         if 3600.0 * hours < limits.log_s + limits.rest_s:
             continue
