@@ -283,6 +283,7 @@ def _finish(piece: _Piece, names: dict[RunKey, str], config: Config) -> Run:
         inputs={name: piece.inputs[name] for name in config.inputs},
         start_s=piece.key.start_s,
         files=piece.key.files,
+        tared=config.tared,
     )
 
 

@@ -52,6 +52,8 @@ class Run:
     """The stretch of the same run before the gap; None for the first, or to begin at rest."""
     explained: Array | None = field(default=None, repr=False, compare=False)
     """[n, K] drift that is known to have a cause, so that outliers show beside it; None: none."""
+    tared: bool | None = None
+    """Whether the run was zeroed by itself, as `[logs] tared` says; None: as the logs tell."""
     files: tuple[Path, ...] = ()
     """The files that `source` joins; empty: `source` is the one."""
 

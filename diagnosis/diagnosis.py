@@ -9,6 +9,9 @@ from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.remainder import RemainderPattern
 
+LIKELY = 0.5
+"""From this probability on, something else that is missing is told."""
+
 
 @dataclass(frozen=True)
 class CandidateReport:
@@ -25,6 +28,14 @@ class CandidateReport:
     """Share of its features that the model as it is cannot imitate."""
     parameters: Mapping[str, float]
     testable: bool = True
+    nats: float = 0.0
+    """Gain in log-likelihood on runs left out, the noise fitted anew beside either model."""
+    explained: float = 0.0
+    """Share of the squared error above the floor that it takes away."""
+    sound: bool = True
+    """Whether its values are off their bounds and such as the logs can show."""
+    probability: float = 0.0
+    """That this effect is missing, among logs like those of `benchmarks.study_probability`."""
 
     @property
     def heldout_rmse_ratio(self) -> float:
@@ -84,17 +95,36 @@ class Diagnosis:
     outputs: Mapping[str, OutputErrors]
     """Output -> its errors."""
     remainder: tuple[RemainderPattern, ...]
-    """For `unknown`: what the remainder follows."""
+    """For `unknown`, and where something else is likely missing too: what the remainder follows."""
     next_experiment: str
     evidence: str
     """How many runs spoke, and whether that is thin."""
     remarks: tuple[str, ...] = ()
     drop: tuple[str, ...] = ()
     """Effects of the model that no longer earn their place."""
+    nothing_missing: float = 0.0
+    """Probability that the model lacks nothing that these logs show."""
+    something_else: float = 0.0
+    """Probability that something is missing beside the effect that is named; where none is named,
+    that anything is."""
     notes: tuple[DataNote, ...] = ()
     """What looks wrong with the logs; the same in words is among the remarks."""
     outliers: OutlierCount = field(default_factory=lambda: OutlierCount(0, {}))
     """In the training and dwell logs; they hardly count in what is said here."""
+
+    @property
+    def probability(self) -> float:
+        """Probability that the effect that is named is missing; 0 where none is named."""
+        return next((c.probability for c in self.candidates if c.effect == self.effect), 0.0)
+
+    def tell_odds(self) -> str:
+        """Return how likely the effect that is named is missing, and something else beside it."""
+        known = any(c.effect == self.effect for c in self.candidates)
+        words = f", {100.0 * self.probability:.0f} %" if known else ""
+        if self.something_else >= LIKELY:
+            follows = f", which follows {self.remainder[0].follows}" if self.remainder else ""
+            words += f"; and something else{follows}"
+        return words
 
     @property
     def floor(self) -> str:

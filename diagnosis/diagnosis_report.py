@@ -1,6 +1,7 @@
 """What was found, put into words and numbers: verdict, next experiment, evidence, notes."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,14 +9,15 @@ from numpy.typing import NDArray
 from zerodrift.dataset.runs import OutlierCount, tell_outliers
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.case import Case
-from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis, OutputErrors
+from zerodrift.diagnosis.diagnosis import LIKELY, CandidateReport, Diagnosis, OutputErrors
 from zerodrift.diagnosis.examination import Examination, Judged, predict
 from zerodrift.diagnosis.experiments import choose_experiment
+from zerodrift.diagnosis.probability import tell_probabilities
 from zerodrift.diagnosis.remainder import RemainderPattern, describe_remainder, single_out_runs
 from zerodrift.diagnosis.rules import ENOUGH_RUNS, Finding, list_lookalikes, wanders
 from zerodrift.physics.campaign import FEWEST_RUNS
 from zerodrift.physics.fit import flat_weights
-from zerodrift.physics.search import search
+from zerodrift.physics.search import Found, search
 from zerodrift.physics.signals import explain_missing
 from zerodrift.physics.terms import tidy_terms
 
@@ -40,35 +42,44 @@ def report(
     if missing and finding is not None:
         named = finding.judged if not others else _alone(first, finding)
         after = named.floor_ratio
-    remainder = _describe(case, first) if verdict == "unknown" else ()
-    return Diagnosis(
-        verdict=verdict,
-        effect=finding.judged.kind if missing and finding is not None else None,
-        parameters=_refit(case, finding.judged) if missing and finding is not None else {},
-        lookalikes=tuple(judged.kind for judged in alike),
-        also=tuple(other.judged.kind for other in others) if missing else (),
-        nearest=nearest.kind if verdict == "unknown" and nearest is not None else None,
-        candidates=tuple(
-            CandidateReport(
-                judged.kind,
-                judged.rmse_ratio,
-                judged.p_value,
-                judged.excitation,
-                judged.parameters,
-            )
-            for judged in sorted(first.judged, key=lambda j: j.rmse_ratio)
-        ),
-        not_testable=_list_untested(case, first),
-        floor_ratio_before=before,
-        floor_ratio_after=after,
-        noise_floor_source="dwell" if case.dataset.dwell else "estimated",
-        outputs=_list_errors(case, first, named),
-        remainder=remainder,
-        next_experiment=_advise(case, verdict, first, finding, alike),
-        evidence=_weigh_evidence(case),
-        remarks=_list_remarks(case, verdict, first),
-        outliers=_tell_outliers(case),
+    remainder = _describe(case, first, first.base) if verdict == "unknown" else ()
+    told = tell_probabilities(
+        Diagnosis(
+            verdict=verdict,
+            effect=finding.judged.kind if missing and finding is not None else None,
+            parameters=_refit(case, finding.judged) if missing and finding is not None else {},
+            lookalikes=tuple(judged.kind for judged in alike),
+            also=tuple(other.judged.kind for other in others) if missing else (),
+            nearest=nearest.kind if verdict == "unknown" and nearest is not None else None,
+            candidates=tuple(
+                CandidateReport(
+                    judged.kind,
+                    judged.rmse_ratio,
+                    judged.p_value,
+                    judged.excitation,
+                    judged.parameters,
+                    nats=judged.nats,
+                    explained=float(np.clip(judged.share, 0.0, 1.0)),
+                    sound=judged.sound,
+                )
+                for judged in sorted(first.judged, key=lambda j: j.rmse_ratio)
+            ),
+            not_testable=_list_untested(case, first),
+            floor_ratio_before=before,
+            floor_ratio_after=after,
+            noise_floor_source="dwell" if case.dataset.dwell else "estimated",
+            outputs=_list_errors(case, first, named),
+            remainder=remainder,
+            next_experiment=_advise(case, verdict, first, finding, alike),
+            evidence=_weigh_evidence(case),
+            remarks=_list_remarks(case, verdict, first),
+            outliers=_tell_outliers(case),
+        )
     )
+    if missing and finding is not None and told.something_else >= LIKELY:
+        rest = _describe(case, first, (others[-1] if others else finding).judged.found)
+        return replace(told, remainder=rest)
+    return told
 
 
 def _refit(case: Case, judged: Judged) -> dict[str, float]:
@@ -109,16 +120,16 @@ def _list_untested(case: Case, first: Examination) -> tuple[Untested, ...]:
     return tuple(untested)
 
 
-def _describe(case: Case, first: Examination) -> tuple[RemainderPattern, ...]:
-    """Return what the remainder of the model as it is follows."""
-    rests = _list_rests(case, first)
+def _describe(case: Case, first: Examination, model: Found) -> tuple[RemainderPattern, ...]:
+    """Return what the remainder of a model follows."""
+    rests = _list_rests(case, model)
     return tuple(describe_remainder(case.dataset.train, rests, case.plan, first.floor))
 
 
-def _list_rests(case: Case, first: Examination) -> list[Array]:
-    """Return what the model as it is leaves of each run's drift, [n, K]."""
+def _list_rests(case: Case, model: Found) -> list[Array]:
+    """Return what a model leaves of each run's drift, [n, K]."""
     return [
-        run.steady_drift - predict(first.base, run, case.plan, case.campaign.order)
+        run.steady_drift - predict(model, run, case.plan, case.campaign.order)
         for run in case.dataset.train
     ]
 
@@ -199,11 +210,37 @@ def _tell_outliers(case: Case) -> OutlierCount:
     return tell_outliers((*case.dataset.train, *case.dataset.dwell))
 
 
+def _tell_offsets(case: Case, first: Examination) -> str:
+    """Return how large the offsets are that were taken off the runs, in a sentence; or nothing."""
+    if not case.campaign.tared or len(case.campaign.groups) < 2:
+        return ""
+    rests = _list_rests(case, first.base)
+    means = [
+        np.concatenate(
+            [r for r, run in zip(rests, case.dataset.train, strict=True) if run.group == group]
+        ).mean(axis=0)
+        for group in case.campaign.groups
+    ]
+    offsets = np.stack(means).std(axis=0)
+    told = [
+        f"{name} {offset:.3g} {unit} (error {np.sqrt(error):.3g})"
+        for name, unit, offset, error in zip(
+            case.dataset.outputs, case.dataset.units, offsets, first.base_errors, strict=True
+        )
+    ]
+    why = "[logs] tared says so" if case.dataset.train[0].tared else "the runs differ that way"
+    return (
+        f"each run's own offset is taken off, as {why}; RMS over the runs: {', '.join(told)}. "
+        "Logs that are not zeroed one by one: set [logs] tared = false, and the offsets count"
+    )
+
+
 def _list_remarks(case: Case, verdict: str, first: Examination) -> tuple[str, ...]:
     """Return what else a reader should know."""
     notes = list(case.notes)
     outliers = _tell_outliers(case).explain()
     notes += [outliers] if outliers else []
+    notes += [offsets] if (offsets := _tell_offsets(case, first)) else []
     if not case.dataset.dwell:
         notes.append(
             "no dwell shows the noise, so the floor is estimated from the fast part of "
@@ -220,7 +257,7 @@ def _list_remarks(case: Case, verdict: str, first: Examination) -> tuple[str, ..
             "more than one cause; only another run tells"
         )
     if verdict == "unknown":
-        culprits = single_out_runs(case.dataset.train, _list_rests(case, first), first.floor)
+        culprits = single_out_runs(case.dataset.train, _list_rests(case, first.base), first.floor)
         notes += [culprits] if culprits else []
     return tuple(notes)
 

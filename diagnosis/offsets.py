@@ -31,8 +31,9 @@ def lay_out_runs(
 ) -> Campaign:
     """Return the runs made ready, with offsets of their own unless they share one.
 
-    They share one if the model explains them about as well that way; or if the model with one
-    effect that it lacks does: ageing from run to run looks like a tare until it is in the model.
+    `[logs] tared` decides where it says so. Otherwise they share one if the model explains them
+    about as well that way; or if the model with one effect that it lacks does: ageing from run to
+    run looks like a tare until it is in the model.
 
     Args:
         runs: the training runs.
@@ -42,9 +43,12 @@ def lay_out_runs(
     """
     order = list(catalogue)
     common = Campaign(runs, plan, order, tared=False, set_aside=True)
-    if len(common.groups) == 1:
+    said = runs[0].tared
+    if len(common.groups) == 1 or said is False:
         return common
     tared = Campaign(runs, plan, order, set_aside=True)
+    if said:
+        return tared
     own = search(tared, terms, flat_weights(tared))
     shared = search(common, own.terms, flat_weights(common), vary=())
     if _compare(shared, own) < TARE_RATIO:

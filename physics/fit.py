@@ -146,12 +146,13 @@ def fit_terms(
     campaign = Campaign(runs, plan, order, tared=True, set_aside=set_aside, most_rows=FIT_ROWS)
     found = search_beyond_rails(campaign, terms, flat_weights(campaign), vary=vary)
     live = find_live(runs)
-    if len(campaign.groups) > 1 and live.any():
+    said = runs[0].tared
+    if len(campaign.groups) > 1 and live.any() and said is not True:
         common = Campaign(runs, plan, order, tared=False, set_aside=set_aside, most_rows=FIT_ROWS)
         common.fill(found.terms, found.solution.coefficients)
         together = search(common, found.terms, flat_weights(common), vary=())
         ratio = float(np.mean((together.solution.errors / found.solution.errors)[live]))
-        if ratio < TARE_RATIO:
+        if said is False or ratio < TARE_RATIO:
             campaign, found = common, together
     return _finish(campaign, replace(found, terms=tuple(tidy_terms(found.terms))), units)
 

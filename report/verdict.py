@@ -61,7 +61,8 @@ def write_headline(diagnosis: Diagnosis | None, titles: Mapping[str, str]) -> He
         also = f" Missing beside it: {_list_names(diagnosis.also, 'and')}."
         return Headline(
             "missing",
-            f"The model lacks {named}; with it {gain}." + (also if diagnosis.also else ""),
+            f"The model lacks {named}{diagnosis.tell_odds()}; with it {gain}."
+            + (also if diagnosis.also else ""),
         )
     if diagnosis.verdict == "complete":
         if not diagnosis.candidates:

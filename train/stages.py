@@ -120,7 +120,9 @@ def settle_offsets(runs: Sequence[Run], left: Sequence[Array]) -> tuple[Array, d
     squares = np.sum((together - constant) ** 2, axis=0)
     floor = 1e-12 * max(float(squares.max()), 1e-300)
     ratio = float(np.mean((squares + floor) / (np.sum(own**2, axis=0) + floor)))
-    if len(means) < 2 or ratio < TARE_RATIO:
+    said = runs[0].tared
+    shared = ratio < TARE_RATIO if said is None else not said
+    if len(means) < 2 or shared:
         return constant, {}
     # Each run counts once in the constant; what it has beyond that is its tare's.
     constant = np.mean(list(means.values()), axis=0)

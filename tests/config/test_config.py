@@ -176,6 +176,7 @@ def test_config_leaves_optional_tables_at_their_defaults():
         ('weights = "int8"', 'weights = "int4"', ["'int4'", "int16, int8"]),
         ('test = ["logs/walk_*.csv"]', "test = []", ["[logs] test is []", "not empty"]),
         ('test = ["logs/walk_*.csv"]', 'test = "logs/walk_*.csv"', ["a list of texts"]),
+        ('test = ["logs/walk_*.csv"]', 'tared = "yes"', ["[logs] tared is 'yes'", "true, false"]),
         ('test = ["logs/walk_*.csv"]', 'tests = ["a.csv"]', ["[logs] tests", "'test'"]),
         ("tau_s = 60", "tau_s = [60]", ["[effect] tau_s is [60]", "a number (held at it)"]),
         ("tau_s = 60", "tau_s = inf", ["tau_s is inf", "finite"]),
@@ -207,6 +208,15 @@ def test_config_names_a_missing_key_at_its_table(key, table):
     text = change(key, "")
     message = refusal(text)
     assert message.startswith(f"{HERE}:{line_of(text, table)}: {table} {key.split()[0]} is missing")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("true", True), ("false", False), ('"auto"', None), (None, None)]
+)
+def test_config_reads_whether_logs_are_tared(text, said):
+    old = 'test = ["logs/walk_*.csv"]'
+    more = f"{old}\ntared = {text}" if text else old
+    assert parse_config(change(old, more), HERE).tared is said
 
 
 def test_config_refuses_an_effect_without_a_kind_at_its_own_line():

@@ -21,7 +21,7 @@ def test_reference_has_a_section_for_every_table(table):
     [
         *("name", "time", "temperature", "sample_period_s"),
         *("measured", "reference", "unit", "full_scale"),
-        *("train", "test", "dwell", "where"),
+        *("train", "test", "dwell", "where", "tared"),
         *config.NETWORK_KEYS,
         *config.NETWORK_OPTIONS,
         *config.NETWORK_KINDS,

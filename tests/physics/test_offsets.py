@@ -3,12 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from tests.physics.conftest import SLOPE, linear, make_dataset
 
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.offsets import lay_out_runs
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.fit import fit
 from zerodrift.physics.signals import plan_signals, read_signals
 from zerodrift.physics.terms import start_term
 
@@ -94,3 +96,22 @@ def test_stretch_after_a_gap_counts_from_the_runs_first_row(tempco):
     plan = plan_signals(dataset.train, dataset.outputs, dataset.full_scale)
     after = replace(dataset.train[0], start_s=4000.0)
     assert read_signals(after, plan).elapsed_s[0] == 96.0
+
+
+@pytest.mark.parametrize("said", [True, False])
+def test_what_the_project_says_of_a_tare_holds(tempco, said):
+    dataset = make_dataset(linear, length=300, tared=not said)
+    assert lay_out(tempco, dataset).tared is not said
+    runs = tuple(replace(run, tared=said) for run in dataset.train)
+    told = replace(dataset, train=runs)
+    assert lay_out(tempco, told).tared is said
+    model = fit(
+        tempco,
+        runs,
+        outputs=dataset.outputs,
+        units=dataset.units,
+        full_scale=dataset.full_scale,
+    )
+    assert model.tared is said
+    remarks = diagnose(tempco, told).remarks
+    assert any("own offset is taken off, as [logs] tared says so" in r for r in remarks) is said

@@ -149,7 +149,7 @@ def prepare(
     raw = Rows(data, data.counts, False, unit)
     lags = _list_trial_lags(raw)
     prepared = _take_off(raw, kept, physics, runs, lags)
-    raw = replace(raw, tared=_is_tared(prepared.rows))
+    raw = replace(raw, tared=_is_tared(prepared.rows, runs[0].tared))
     if any(run.reference.any() for run in runs):
         weight = _weigh(replace(prepared.rows, tared=raw.tared))
         raw = replace(raw, weight=weight)
@@ -182,10 +182,17 @@ def _residual(rows: Rows) -> Array:
     return rows.prepare(rows.targets - columns @ member.linear, rows.everything)
 
 
-def _is_tared(rows: Rows) -> bool:
-    """Return whether offsets of their own for the runs lower the squared error by enough."""
+def _is_tared(rows: Rows, said: bool | None) -> bool:
+    """Return whether offsets of their own for the runs lower the squared error by enough.
+
+    Args:
+        rows: without what loads add.
+        said: what `[logs] tared` says; None: nothing.
+    """
     if len(np.unique(rows.data.run_group)) < 2:
         return False
+    if said is not None:
+        return said
     own = Rows(rows.data, rows.weight, True, rows.unit)
     shared, apart = (np.sum(_residual(r) ** 2, axis=0) + 1e-12 for r in (rows, own))
     return bool(np.mean(shared / apart) >= TARE_RATIO)

@@ -29,7 +29,8 @@ FOLDER = "firmware"
 """Where the C goes unless `[firmware] out` says otherwise."""
 USES = TRAIN, TEST, DWELL = ("train", "test", "dwell")
 """What `[logs]` selects runs for."""
-LOG_KEYS = ("train", "test", "dwell", "where", "period_s", "offset_s", "time", "common")
+AUTO = "auto"
+LOG_KEYS = ("train", "test", "dwell", "where", "period_s", "offset_s", "time", "common", "tared")
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
 MOST = {"starts": 1000, "epochs": 1_000_000}
 """Trainings from different weights, and passes over the logs, that are still meant."""
@@ -117,6 +118,8 @@ class Config:
     plugin_files: tuple[Path, ...]
     where: Mapping[str, str] = field(default_factory=dict)
     """`[logs] where`: column -> the value that a row must have there to be read."""
+    tared: bool | None = None
+    """`[logs] tared`: whether each run is zeroed by itself; None ("auto"): as the logs tell."""
     firmware_prefix: str = ""
     """What the C's names begin with, `{sensor}` standing for a fleet's sensor; empty: its name."""
     firmware_guard: bool = False
@@ -236,6 +239,7 @@ def parse_config(text: str, path: Path) -> Config:
         firmware_guard=firmware.flag("guard"),
         plugin_files=_read_plugins(root),
         where=_read_where(logs),
+        tared=_read_tared(logs),
         fleet=read_fleet(
             root.table("fleet", None, optional=True), tuple(output.name for output in outputs)
         ),
@@ -422,6 +426,16 @@ def _read_where(logs: TomlTable) -> dict[str, str]:
         if isinstance(value, bool) or not isinstance(value, str | int):
             raise table.expect(column, "text in quotes or a whole number")
     return {column: str(value) for column, value in table.values.items()}
+
+
+def _read_tared(logs: TomlTable) -> bool | None:
+    """Read whether runs are zeroed one by one; None for "auto", and where nothing is said."""
+    value = logs.values.get("tared", AUTO)
+    if value == AUTO:
+        return None
+    if not isinstance(value, bool):
+        raise logs.expect("tared", f'true, false or "{AUTO}"')
+    return value
 
 
 def _refuse_file_as_build(config: Config) -> None:

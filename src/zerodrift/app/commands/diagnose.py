@@ -171,7 +171,8 @@ def explain_verdict(
     thin = " (thin evidence)" if diagnosis.evidence.startswith("thin") else ""
     if diagnosis.verdict == "missing" and diagnosis.effect is not None:
         effect = catalogue[diagnosis.effect]
-        sentences.append(Sentence(f"MISSING{thin}: {effect.kind} ({effect.title}).", HEADLINE))
+        named = f"{effect.kind} ({effect.title}){diagnosis.tell_odds()}"
+        sentences.append(Sentence(f"MISSING{thin}: {named}.", HEADLINE))
         values = write_values(effect, diagnosis.parameters)
         if values:
             sentences.append(Sentence(f"Fitted: {values}."))
