@@ -1,32 +1,13 @@
 """A generated model on an emulated chip: cross-compiled, and run by unicorn."""
 
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
-from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from numpy.typing import NDArray
-from unicorn import (
-    UC_ARCH_ARM,
-    UC_ARCH_RISCV,
-    UC_HOOK_CODE,
-    UC_MODE_MCLASS,
-    UC_MODE_RISCV32,
-    UC_MODE_THUMB,
-    unicorn,
-)
-from unicorn.arm_const import (
-    UC_ARM_REG_LR,
-    UC_ARM_REG_PC,
-    UC_ARM_REG_R0,
-    UC_ARM_REG_SP,
-    UC_CPU_ARM_CORTEX_M0,
-    UC_CPU_ARM_CORTEX_M3,
-    UC_CPU_ARM_CORTEX_M4,
-    UC_CPU_ARM_CORTEX_M7,
-    UC_CPU_ARM_CORTEX_M33,
-)
+from unicorn import UC_HOOK_CODE, unicorn
+from unicorn.arm_const import UC_ARM_REG_LR, UC_ARM_REG_PC, UC_ARM_REG_R0, UC_ARM_REG_SP
 from unicorn.riscv_const import (
     UC_RISCV_REG_A0,
     UC_RISCV_REG_PC,
@@ -35,24 +16,19 @@ from unicorn.riscv_const import (
 )
 
 from zerodrift.base.errors import CheckError, InputError
+from zerodrift.c_runtime.chip import ARM_CPUS, PAGE, load_program, make_chip
 from zerodrift.c_runtime.compilers import Compiler
 from zerodrift.c_runtime.cores import find_cross_compilers
+from zerodrift.c_runtime.elf import is_constant, list_symbols
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 
-_ARM_CPUS = {
-    "cortex-m0plus": UC_CPU_ARM_CORTEX_M0,
-    "cortex-m3": UC_CPU_ARM_CORTEX_M3,
-    "cortex-m4": UC_CPU_ARM_CORTEX_M4,
-    "cortex-m7": UC_CPU_ARM_CORTEX_M7,
-    "cortex-m33": UC_CPU_ARM_CORTEX_M33,
-}
+Number = TypeVar("Number", np.int32, np.uint32, np.int64)
 _BATCH = 256  # steps per call into the chip, at most
 _ROOM = 65_536  # numbers of the states after the steps of one call
-_PAGE = 4096
 _LONGEST_US = 120_000_000  # of one call, by the host's clock
 _STACK, _STACK_BYTES, _STOP = 0x8000_0000, 0x8000, 0x9000_0000
 _UNTOUCHED = 0xA5
@@ -150,22 +126,18 @@ class EmulatedModel:
         ]
         self._input_type = np.dtype(fields, align=True)  # as the compilers lay the struct out
         program = _build(model, code, folder, flags, compiler or _find(core))
-        self._arm = core in _ARM_CPUS
-        self._chip = _make_chip(core)
+        self._arm = core in ARM_CPUS
+        self._chip = make_chip(core)
         with program.open("rb") as file:
             image = ELFFile(file)
-            _load(self._chip, image)
-            table: Any = image.get_section_by_name(".symtab")
-            self._symbols = {s.name: int(s["st_value"]) for s in table.iter_symbols()}
-            objects = [s for s in table.iter_symbols() if s["st_info"]["type"] == "STT_OBJECT"]
-            self._objects = {s.name: int(s["st_size"]) for s in objects}
-            self._constants = {
-                s.name
-                for s in objects
-                if not image.get_section(s["st_shndx"])["sh_flags"] & SH_FLAGS.SHF_WRITE
-            }
+            load_program(self._chip, image)
+            symbols = list_symbols(image)
+            self._symbols = {s.name: s.value for s in symbols}
+            objects = [s for s in symbols if s.kind == "STT_OBJECT"]
+            self._objects = {s.name: s.size for s in objects}
+            self._constants = {s.name for s in objects if is_constant(image, s)}
         self._chip.mem_map(_STACK, _STACK_BYTES)
-        self._chip.mem_map(_STOP, _PAGE)
+        self._chip.mem_map(_STOP, PAGE)
 
     def run(
         self, codes: CodeArray, *, settled: bool = True, restart: bool = True
@@ -185,8 +157,8 @@ class EmulatedModel:
             part = codes[first : first + self._batch]
             self._write("chip_codes", part)
             self._call("chip_run", len(part))
-            drift.append(self._read("chip_drift", "<i4", len(part) * self._outputs))
-            flags.append(self._read("chip_flags", "<u4", len(part)))
+            drift.append(self._read("chip_drift", np.int32, len(part) * self._outputs))
+            flags.append(self._read("chip_flags", np.uint32, len(part)))
         return np.concatenate(drift).reshape(len(codes), -1), np.concatenate(flags)
 
     def trace(
@@ -206,9 +178,9 @@ class EmulatedModel:
             self._write("chip_codes", part)
             self._call("chip_trace", len(part))
             steps = len(part)
-            drift = self._read("chip_drift", "<i4", steps * self._outputs)
-            flags = self._read("chip_flags", "<u4", steps)
-            states = self._read("chip_states", "<i8", steps * self._width)
+            drift = self._read("chip_drift", np.int32, steps * self._outputs)
+            flags = self._read("chip_flags", np.uint32, steps)
+            states = self._read("chip_states", np.int64, steps * self._width)
             parts.append((drift.reshape(steps, -1), flags, states.reshape(steps, -1)))
         return (
             np.concatenate([drift for drift, _, _ in parts]),
@@ -278,7 +250,7 @@ class EmulatedModel:
         """Return the state [H] that the recurrent layer's step makes of features [I], state [H]."""
         self._write_layer(features, h_q30)
         self._call("chip_layer")
-        return self._read("chip_h_q30", "<i4", h_q30.size)
+        return self._read("chip_h_q30", np.int32, h_q30.size)
 
     def _write_layer(
         self, features: NDArray[np.int16] | None, h_q30: NDArray[np.int32] | None
@@ -340,9 +312,9 @@ class EmulatedModel:
             packed[name] = code
         self._chip.mem_write(self._symbols["chip_input"], packed.tobytes())
 
-    def _read(self, symbol: str, kind: str, count: int) -> NDArray[Any]:
+    def _read(self, symbol: str, kind: type[Number], count: int) -> NDArray[Number]:
         raw = self._chip.mem_read(self._symbols[symbol], np.dtype(kind).itemsize * count)
-        return np.frombuffer(bytes(raw), dtype=kind)
+        return np.frombuffer(bytes(raw), dtype=np.dtype(kind).newbyteorder("<"))
 
 
 def _count_state(model: IntegerModel) -> int:
@@ -406,26 +378,3 @@ def _render_layer(model: IntegerModel) -> str:
         lower=sum(below.hidden for below in lower),
         hidden=top.hidden,
     )
-
-
-def _make_chip(core: str) -> Any:
-    machine: Any = unicorn.Uc  # the wheel's own types are incomplete
-    if core not in _ARM_CPUS:
-        return machine(UC_ARCH_RISCV, UC_MODE_RISCV32)
-    chip = machine(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS)
-    chip.ctl_set_cpu_model(_ARM_CPUS[core])
-    return chip
-
-
-def _load(chip: Any, image: ELFFile) -> None:
-    """Map and fill the program's segments, page by page."""
-    mapped: set[int] = set()
-    for segment in image.iter_segments():
-        if segment["p_type"] != "PT_LOAD" or not segment["p_memsz"]:
-            continue
-        first, end = segment["p_vaddr"], segment["p_vaddr"] + segment["p_memsz"]
-        for page in range(first // _PAGE, -(-end // _PAGE)):
-            if page not in mapped:
-                chip.mem_map(page * _PAGE, _PAGE)
-                mapped.add(page)
-        chip.mem_write(first, segment.data())

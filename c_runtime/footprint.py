@@ -13,13 +13,13 @@ import re
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from elftools.elf.elffile import ELFFile
 from elftools.elf.relocation import RelocationSection
 
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.cores import find_cross_compilers
+from zerodrift.c_runtime.elf import list_symbols
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
 
@@ -161,10 +161,9 @@ def _read(path: Path, told: dict[str, int]) -> _Object:
     """Read an object; `told` are frames that are known already."""
     with path.open("rb") as file:
         elf = ELFFile(file)
-        table: Any = elf.get_section_by_name(".symtab")
-        symbols = list(table.iter_symbols())
+        symbols = list_symbols(elf)
         functions = {  # by their section: each has one of its own
-            s["st_shndx"]: s.name for s in symbols if s["st_info"]["type"] == "STT_FUNC"
+            s.section: s.name for s in symbols if s.kind == "STT_FUNC"
         }
         # a clone of a function, name.constprop.0, is told without its number
         frames = {
@@ -180,11 +179,11 @@ def _read(path: Path, told: dict[str, int]) -> _Object:
             holder = elf.get_section(section["sh_info"])
             for relocation in section.iter_relocations():
                 symbol = symbols[relocation["r_info_sym"]]
-                if symbol["st_shndx"] == "SHN_UNDEF" and symbol.name:
+                if symbol.section == "SHN_UNDEF" and symbol.name:
                     function = symbol.name
                     frames[function] = HELPER_STACK_BYTES
-                elif symbol["st_shndx"] in functions:
-                    function = functions[symbol["st_shndx"]]
+                elif symbol.section in functions:
+                    function = functions[symbol.section]
                 else:
                     continue
                 if holder.name.startswith(_STACK_SIZES):
@@ -194,7 +193,7 @@ def _read(path: Path, told: dict[str, int]) -> _Object:
         # An assembly function tells its frame by a symbol of its own.
         for symbol in symbols:
             if symbol.name.startswith(_ASSEMBLY_STACK):
-                frames[symbol.name.removeprefix(_ASSEMBLY_STACK)] = int(symbol["st_value"])
+                frames[symbol.name.removeprefix(_ASSEMBLY_STACK)] = symbol.value
         return _Object(
             flash=sum(s["sh_size"] for s in elf.iter_sections() if s.name.startswith(_IN_FLASH)),
             layer_flash=sum(
@@ -202,7 +201,7 @@ def _read(path: Path, told: dict[str, int]) -> _Object:
                 for s in elf.iter_sections()
                 if s.name.startswith(_IN_FLASH) and _LAYER_SECTION.search(s.name)
             ),
-            sizes={s.name: s["st_size"] for s in symbols if s["st_info"]["type"] == "STT_OBJECT"},
+            sizes={s.name: s.size for s in symbols if s.kind == "STT_OBJECT"},
             frames=frames,
             calls=calls,
             helpers=tuple(sorted(set(frames) - set(calls))),

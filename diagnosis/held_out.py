@@ -8,7 +8,6 @@ coefficients are then solved exactly at the moved values.
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,11 +208,10 @@ class _Design:
                     totals[fold] = mean
         self._means = np.stack([totals[fold] for fold in range(len(folds))])
         seen = [[f.output in (None, output) for output in model.outputs] for f in names]
-        # The algebra of `projection` asks for the number of features, not for what they are.
         self.sums = Sums(
             products=np.stack([products[fold] for fold in range(len(folds))])[:, None],
             counts=np.ones((len(folds), 1)),
-            features=cast(Any, names),
+            features=names,
             slopes=pairs,
             offsets=0 if model.tared else 1,
             outputs=len(model.outputs),

@@ -6,7 +6,7 @@ A network of zerodrift's own and an imported one take the same road.
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,7 +155,10 @@ def load_or_tune(
     except InputError:
         kept = None  # damaged: tuned below, which replaces it
     if kept is not None and kept.values.get("mark") == mark:
-        stored = [[kept.arrays[f"{n}_{i}"] for n in GRU_ARRAYS] for i in range(len(resets))]
+        stored = [
+            [kept.arrays[f"{n}_{i}"].astype(np.float64, copy=False) for n in GRU_ARRAYS]
+            for i in range(len(resets))
+        ]
         layers = [
             FloatGru(w_x, w_h, bias, reset)
             for (w_x, w_h, bias), reset in zip(stored, resets, strict=True)
@@ -186,7 +189,7 @@ def _mark(model: FloatModel, network: FloatNetwork, runs: Sequence[Run]) -> str:
     recipe = ", ".join(f"{name}={value!r}" for name, value in asdict(Tuning()).items())
     digest = hashlib.sha256(f"Settings({recipe}) {FEATURE_HEADROOM} {model.window}".encode())
     digest.update(f"{model.taps} {[layer.reset for layer in network.layers]}".encode())
-    arrays: list[NDArray[Any]] = [a for g in network.layers for a in (g.w_x, g.w_h, g.bias)]
+    arrays: list[NDArray[np.generic]] = [a for g in network.layers for a in (g.w_x, g.w_h, g.bias)]
     arrays += [a for d in network.dense for a in (d.weight, d.bias)]
     arrays += [network.head, network.head_bias, model.tap_mean, model.whitening]
     arrays += [encode_inputs(model, run) for run in runs]

@@ -3,14 +3,14 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, is_dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from zerodrift.base.files import write_whole
+from zerodrift.base.records import Json, list_fields
 from zerodrift.operations.arithmetic import CodeArray, IntArray
 from zerodrift.operations.conversion import IntegerConversion
 from zerodrift.operations.drift import IntegerDrift
@@ -85,7 +85,7 @@ class Channel:
         return () if self.no_reading is None else (self.no_reading,)
 
 
-def code_type(channels: Sequence[Channel]) -> type[np.signedinteger[Any]]:
+def code_type(channels: Sequence[Channel]) -> type[np.signedinteger]:
     """Return the narrowest signed type that holds what the chip is given of every channel."""
     return np.int32 if any(c.raw_most > 2**15 - 1 for c in channels) else np.int16
 
@@ -158,7 +158,7 @@ class IntegerModel:
         return any(node.reads_drift for node in self.nodes)
 
     @property
-    def code_type(self) -> type[np.signedinteger[Any]]:
+    def code_type(self) -> type[np.signedinteger]:
         """The narrowest type that holds the codes of every channel."""
         return code_type(self.channels)
 
@@ -221,16 +221,16 @@ class IntegerModel:
             bounds.extend(relied_on)
         return bounds
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Json]:
         """Return plain dicts, lists, numbers and strings."""
         return {
             "format": self.format,
             "name": self.name,
             "sample_period_s": self.sample_period_s,
-            "channels": [_plain(c) for c in self.channels],
-            "nodes": [{"kind": n.kind, **_plain(n)} for n in self.nodes],
-            "outputs": [_plain(o) for o in self.outputs],
-            "guards": _plain(self.guards),
+            "channels": [_list_fields(c) for c in self.channels],
+            "nodes": [{"kind": n.kind, **_list_fields(n)} for n in self.nodes],
+            "outputs": [_list_fields(o) for o in self.outputs],
+            "guards": _list_fields(self.guards),
             "notes": dict(sorted(self.notes.items())),
             **({"prefix": self.prefix} if self.prefix else {}),
             **({"guarded": True} if self.guarded else {}),
@@ -245,12 +245,12 @@ class IntegerModel:
         write_whole(path, self.to_text().encode())
 
 
-def canonical_json(body: Any) -> str:
+def canonical_json(body: Json) -> str:
     """Return the one JSON text of a value: sorted keys, no spaces, no NaN."""
     return json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Json:
     if isinstance(value, np.ndarray):
         return {
             "dtype": value.dtype.name,
@@ -259,11 +259,15 @@ def _plain(value: Any) -> Any:
         }
     if isinstance(value, np.integer):
         return int(value)
-    if hasattr(value, "__dataclass_fields__"):
-        values = {f.name: getattr(value, f.name) for f in fields(value)}
-        return {
-            k: _plain(v) for k, v in values.items() if k not in NEWER_FIELDS or v not in ((), None)
-        }
+    if is_dataclass(value):
+        return _list_fields(value)
     if isinstance(value, tuple | list):
         return [_plain(v) for v in value]
-    return value
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise TypeError(f"{type(value).__name__} has no form in a model's file")
+
+
+def _list_fields(record: object) -> dict[str, Json]:
+    values = {field.name: getattr(record, field.name) for field, _ in list_fields(type(record))}
+    return {k: _plain(v) for k, v in values.items() if k not in NEWER_FIELDS or v not in ((), None)}

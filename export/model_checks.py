@@ -5,12 +5,13 @@ A hash shows that a file was not changed by accident; who edits a file can compu
 
 import types
 import typing
-from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import is_dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from zerodrift.base.errors import CheckError, InputError
+from zerodrift.base.records import list_fields
 from zerodrift.operations.node import ChannelNode, IntegerNode
 
 if TYPE_CHECKING:
@@ -48,19 +49,18 @@ def check_model(where: str, model: "IntegerModel") -> None:
         ) from error
 
 
-def check_types(where: str, part: Any) -> None:
+def check_types(where: str, part: object) -> None:
     """Raise TypeError where a field of a dataclass is not of its declared type."""
-    hints = typing.get_type_hints(type(part))
-    for field in fields(part):
+    for field, hint in list_fields(type(part)):
         value = getattr(part, field.name)
-        if not fits_type(value, hints[field.name]):
+        if not fits_type(value, hint):
             raise TypeError(f"{where}: {field.name} is {value!r:.60}")
         for item in value if isinstance(value, tuple) else (value,):
             if is_dataclass(item):
                 check_types(f"{where}.{field.name}", item)
 
 
-def fits_type(value: Any, hint: Any) -> bool:
+def fits_type(value: object, hint: object) -> bool:
     """Tell whether a value is of a type as annotated; a float may be a whole number."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
@@ -75,7 +75,9 @@ def fits_type(value: Any, hint: Any) -> bool:
             return all(fits_type(item, arguments[0]) for item in value)
         return len(value) == len(arguments) and all(map(fits_type, value, arguments))
     if hint is float:
-        return type(value) in (int, float) and np.isfinite(value)
+        if not isinstance(value, int | float) or type(value) not in (int, float):
+            return False
+        return bool(np.isfinite(value))
     if hint in (int, bool, str):
         return type(value) is hint
     return (hint is type(None) and value is None) or (

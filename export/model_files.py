@@ -1,14 +1,17 @@
 """Reads an integer model back from its file, and believes nothing in it unseen."""
 
 import json
-from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import TypeVar, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import list_fields
 from zerodrift.export.integer_model import (
     FORMAT,
     NEWER_FIELDS,
@@ -23,28 +26,34 @@ from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.registry import NODE_CLASSES
 
+T = TypeVar("T")
 _INTEGER_TYPES = ("int8", "int16", "int32", "int64")
 
 
-def _array(path: str, body: Any) -> np.ndarray[Any, np.dtype[Any]]:
-    try:
-        dtype, shape, data = body["dtype"], body["shape"], body["data"]
-    except (TypeError, KeyError) as error:
-        raise InputError(f"{path}: expected an array with dtype, shape and data") from error
-    if dtype not in _INTEGER_TYPES or not all(isinstance(n, int) and n >= 0 for n in shape):
+def _array(path: str, body: dict[str, object]) -> NDArray[np.signedinteger]:
+    if not {"dtype", "shape", "data"} <= set(body):
+        raise InputError(f"{path}: expected an array with dtype, shape and data")
+    dtype, shape, data = (body[key] for key in ("dtype", "shape", "data"))
+    lengths, entries = _list_integers(shape), _list_integers(data)
+    if dtype not in _INTEGER_TYPES or lengths is None or any(n < 0 for n in lengths):
         raise InputError(f"{path}: array of {dtype!r} with shape {shape!r}; expected integers")
-    size = 1
-    for n in shape:
-        size *= n
-    if len(data) != size or not all(type(v) is int for v in data):
-        raise InputError(f"{path}: {len(data)} entries do not fill shape {shape}")
-    info = np.iinfo(dtype)
-    if any(v < info.min or v > info.max for v in data):
+    if entries is None or len(entries) != math.prod(lengths):
+        count = len(data) if isinstance(data, list) else "no"
+        raise InputError(f"{path}: {count} entries do not fill shape {shape}")
+    info = np.iinfo(str(dtype))
+    if any(v < info.min or v > info.max for v in entries):
         raise InputError(f"{path}: an entry does not fit {dtype}")
-    return np.array(data, dtype=dtype).reshape(shape)
+    return np.array(entries, dtype=str(dtype)).reshape(lengths)
 
 
-def _typed(path: str, value: Any) -> Any:
+def _list_integers(value: object) -> list[int] | None:
+    """Return a list of integers; None where it is anything else, or holds anything else."""
+    if not isinstance(value, list) or not all(type(v) is int for v in value):
+        return None
+    return value
+
+
+def _typed(path: str, value: object) -> object:
     if isinstance(value, dict) and "dtype" in value:
         return _array(path, value)
     if isinstance(value, list):
@@ -52,16 +61,16 @@ def _typed(path: str, value: Any) -> Any:
     return value
 
 
-def _build(cls: type[Any], path: str, body: Any) -> Any:
-    names = {f.name for f in fields(cls)}
+def _build(cls: type[T], path: str, body: object) -> T:
+    hints = {field.name: hint for field, hint in list_fields(cls)}
+    names = set(hints)
     if not isinstance(body, dict) or not names - {*NEWER_FIELDS} <= set(body) <= names:
         found = sorted(body) if isinstance(body, dict) else type(body).__name__
         raise InputError(f"{path}: expected the fields {sorted(names)}, found {found}")
-    hints = get_type_hints(cls)
     return cls(**{k: _read_field(f"{path}.{k}", hints[k], v) for k, v in body.items()})
 
 
-def _read_field(path: str, hint: Any, value: Any) -> Any:
+def _read_field(path: str, hint: object, value: object) -> object:
     """Return a field of a node, which may be a layer, or several."""
     if isinstance(hint, type) and is_dataclass(hint):
         return _build(hint, path, value)
@@ -73,12 +82,12 @@ def _read_field(path: str, hint: Any, value: Any) -> Any:
     return _typed(path, value)
 
 
-def _nodes(path: str, bodies: Any) -> Iterator[IntegerNode]:
+def _nodes(path: str, bodies: Sequence[object]) -> Iterator[IntegerNode]:
     seen: set[str] = set()
     for i, body in enumerate(bodies):
         where = f"{path}: nodes[{i}]"
         kind = body.get("kind") if isinstance(body, dict) else None
-        if kind not in NODE_CLASSES:
+        if not isinstance(body, dict) or kind not in NODE_CLASSES:
             raise InputError(
                 f"{where}: unknown kind {kind!r}; expected one of {list(NODE_CLASSES)}"
             )

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import onnx
@@ -44,8 +43,8 @@ PRODUCTS = frozenset({"Gather", "MatMul"})
 
 
 def fold_constants(
-    node: onnx.NodeProto, inputs: Sequence[NDArray[Any] | None]
-) -> list[NDArray[Any]] | None:
+    node: onnx.NodeProto, inputs: Sequence[NDArray[np.generic] | None]
+) -> list[NDArray[np.generic]] | None:
     """Return a node's outputs, or None for an operator that is not computed here.
 
     Raises:

@@ -8,7 +8,6 @@ where the GRU says it.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +75,7 @@ class OnnxSource:
 class Constant:
     """A tensor that lies in the file or follows from such."""
 
-    array: NDArray[Any]
+    array: NDArray[np.generic]
 
 
 @dataclass(frozen=True)
@@ -242,16 +241,17 @@ class Axes:
             self.dropped += atoms
         return (*front, *middle, *reversed(back))
 
-    def _take(self, entry: Any, atoms: list[Axis], end: int) -> Axis:
+    def _take(self, entry: int | Axis | None, atoms: list[Axis], end: int) -> Axis:
         """Return the axis for one entry of the target, taken off one end of `atoms`."""
         if isinstance(entry, Axis) and entry.role == "one":
             return Axis(1, "one")
+        joined = entry if isinstance(entry, Axis) and entry.parts else None
         while atoms:
             axis = atoms[end]
-            wanted = entry.parts[end] if isinstance(entry, Axis) and entry.parts else entry
+            wanted = entry if joined is None else joined.parts[end]
             if wanted is axis or wanted == axis.size:
-                if wanted is not entry:
-                    return self._take_all(entry, atoms, end)
+                if joined is not None:
+                    return self._take_all(joined, atoms, end)
                 return atoms.pop(end)
             if wanted == 1:
                 return Axis(1, "one")

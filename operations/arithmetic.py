@@ -5,21 +5,25 @@ specification (`docs/reference/integer-arithmetic.md`); nothing may wrap, which 
 prove for every model.
 """
 
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-CodeArray = NDArray[np.signedinteger[Any]]
+CodeArray = NDArray[np.signedinteger]
 """Raw input codes: int16, or int32 where a channel needs it."""
+Whole = TypeVar("Whole", int, IntArray, NDArray[np.int32])
+"""A whole number, or an array of them."""
+Wholes = TypeVar("Wholes", IntArray, NDArray[np.int32])
+"""An array of whole numbers."""
 
 INT16_MIN, INT16_MAX = -(2**15), 2**15 - 1
 INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
 
 
-def round_shift(x: Any, shift: int) -> Any:
+def round_shift(x: Whole, shift: int) -> Whole:
     """Return x / 2**shift rounded to the nearest integer, halves upwards.
 
     Args:
@@ -35,14 +39,14 @@ def round_shift(x: Any, shift: int) -> Any:
     return (x + (1 << (shift - 1))) >> shift
 
 
-def saturate(x: Any, low: Any, high: Any) -> Any:
+def saturate(x: Whole, low: Whole | int, high: Whole | int) -> Whole:
     """Return x limited to low .. high, both included."""
     if isinstance(x, int):
         return min(max(x, low), high)
     return np.minimum(np.maximum(x, low), high)
 
 
-def matmul_exact(vector: NDArray[Any], matrix_t: NDArray[np.float64]) -> IntArray:
+def matmul_exact(vector: CodeArray, matrix_t: NDArray[np.float64]) -> IntArray:
     """Return the integer product vector @ matrix_t, computed by float64 BLAS without any rounding.
 
     Args:

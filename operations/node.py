@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 from zerodrift.base.errors import NoRuleError
 from zerodrift.operations.arithmetic import IntArray
@@ -153,7 +153,7 @@ class IntegerNode:
         """Return the constant tables in C that the self-test takes the CRC of."""
         return ()
 
-    def attributes(self) -> dict[str, Any]:
+    def attributes(self) -> dict[str, object]:
         """Return the node's own fields, for the JSON form."""
         return {k: v for k, v in self.__dict__.items() if not k.startswith("_")}
 

@@ -12,16 +12,21 @@ every operator that is used on such numbers.
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 import onnx
+from numpy.typing import ArrayLike
 from onnx import TensorProto, helper, numpy_helper
 
 from zerodrift.operations.arithmetic import IntArray
 
 OPSET, IR_VERSION = 17, 8
 Shape = tuple[str | int, ...]
+AttributeValue: TypeAlias = (
+    int | float | str | Sequence[int] | Sequence[str] | onnx.TensorProto | onnx.GraphProto
+)
+"""What an attribute of a node is written from."""
 Body = Callable[..., tuple[Sequence[str], Sequence[str]]]
 """Called with the names of carried values and slices; returns new carried values and scanned."""
 
@@ -52,7 +57,7 @@ class OnnxWriter:
         self._count += 1
         return f"{self._label}/{what}_{self._count}" if self._label else f"{what}_{self._count}"
 
-    def constant(self, value: Any) -> str:
+    def constant(self, value: ArrayLike) -> str:
         """Return the name of an int64 constant of any shape."""
         array = np.array(value, dtype=np.int64, order="C")
         key = (array.dtype.name, array.shape, array.tobytes())
@@ -62,14 +67,17 @@ class OnnxWriter:
             self._known[key] = name
         return self._known[key]
 
-    def op(self, op_type: str, *inputs: str, **attributes: Any) -> str:
+    def op(self, op_type: str, *inputs: str, **attributes: AttributeValue) -> str:
         """Add a node with one output and return the output's name."""
         return self.ops(op_type, 1, *inputs, **attributes)[0]
 
-    def ops(self, op_type: str, outputs: int, *inputs: str, **attributes: Any) -> list[str]:
+    def ops(
+        self, op_type: str, outputs: int, *inputs: str, **attributes: AttributeValue
+    ) -> list[str]:
         """Add a node and return its outputs' names."""
         names = [self.name(op_type.lower()) for _ in range(outputs)]
-        node = helper.make_node(op_type, list(inputs), names, name=names[0], **attributes)
+        node = helper.make_node(op_type, list(inputs), names, name=names[0])
+        node.attribute.extend(helper.make_attribute(k, v) for k, v in sorted(attributes.items()))
         self._nodes[-1].append(node)
         return names
 
@@ -125,7 +133,7 @@ class OnnxWriter:
         """Return x * 2**shift."""
         return x if shift == 0 else self.mul(x, self.constant(1 << shift))
 
-    def saturate(self, x: str, low: Any, high: Any) -> str:
+    def saturate(self, x: str, low: ArrayLike, high: ArrayLike) -> str:
         """Return x limited to low .. high, each a number or one per column."""
         return self.minimum(self.maximum(x, self.constant(low)), self.constant(high))
 

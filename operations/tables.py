@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.arithmetic import IntArray, Wholes, saturate
 from zerodrift.operations.c_text import RuntimePart
 from zerodrift.operations.node import Writer
 
@@ -69,7 +69,7 @@ def watching_lines(tell: Callable[[IntArray], object]) -> Iterator[None]:
         _watchers.remove(tell)
 
 
-def tanh_q30(t_q16: NDArray[np.int32] | IntArray) -> Int32Array:
+def tanh_q30(t_q16: Wholes) -> Int32Array:
     """Return tanh(t) in Q0.30 for t in Q3.16, saturating outside -8 .. 8.
 
     No rounding takes place, hence tanh_q30(-t) = -tanh_q30(t) exactly.
@@ -86,7 +86,7 @@ def tanh_q30(t_q16: NDArray[np.int32] | IntArray) -> Int32Array:
     return np.asarray(starts.take(index, mode="clip") + slopes.take(index, mode="clip") * fraction)
 
 
-def sigmoid_q31(half_t_q16: NDArray[np.int32] | IntArray) -> Int32Array:
+def sigmoid_q31(half_t_q16: Wholes) -> Int32Array:
     """Return sigmoid(2 t) = (1 + tanh(t)) / 2 in Q0.31 for t in Q3.16.
 
     Limits: between 2**15 and 2**31 - 2**15; sigmoid_q31(-t) = 2**31 - sigmoid_q31(t) exactly.

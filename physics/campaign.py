@@ -51,7 +51,8 @@ class Sums:
     """[G, L, C, C]."""
     counts: Array
     """[G, L] free coefficients behind each."""
-    features: tuple[Feature[Node], ...]
+    features: tuple[Feature[Node], ...] | tuple[Feature[Array], ...]
+    """Of the graph, or of the arrays that were summed; the algebra asks for their number alone."""
     slopes: tuple[tuple[int, int], ...]
     """(coordinate, feature) of each slope column."""
     offsets: int

@@ -6,7 +6,7 @@ quantized and generated as C. Built-in effects and a user's own are declared ali
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.operations.backend import Operations
@@ -81,8 +81,22 @@ class Signals(Generic[S]):
     """T0, where zero shift is counted from."""
 
 
-Build = Callable[[Operations[Any], Signals[Any], Values], Sequence[Feature[Any]]]
-Rewrite = Callable[[Operations[Any], Signals[Any], Values], Signals[Any]]
+class Build(Protocol):
+    """An effect's features, in whatever the operations calculate with."""
+
+    def __call__(
+        self, ops: Operations[S], signals: Signals[S], p: Values, /
+    ) -> Sequence[Feature[S]]:
+        """Return the columns that the effect adds."""
+        ...
+
+
+class Rewrite(Protocol):
+    """What an effect makes of the signals, in whatever the operations calculate with."""
+
+    def __call__(self, ops: Operations[S], signals: Signals[S], p: Values, /) -> Signals[S]:
+        """Return the signals that all effects see from now on."""
+        ...
 
 
 def add_nothing(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:

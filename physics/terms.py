@@ -1,8 +1,8 @@
 """Effects with their values put together: the columns of the linear model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from zerodrift.base.errors import InputError, nearest
 from zerodrift.operations.backend import NumpyOperations, Operations
 from zerodrift.physics.catalogue import Catalogue, line_in
 from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 Array = NDArray[np.float64]
 
@@ -195,7 +198,7 @@ def build_columns(
     ops = NumpyOperations(sample_period_s, shape)
     features = build_features(ops, signals, terms, order)
     for feature in features:
-        column: Any = feature.signal
+        column: object = feature.signal
         if not isinstance(column, np.ndarray) or column.shape != shape:
             found = getattr(column, "shape", type(column).__name__)
             raise InputError(
@@ -211,7 +214,7 @@ def build_columns(
     return features
 
 
-def name_feature(feature: Feature[Any], terms: Sequence[Term]) -> str:
+def name_feature(feature: Feature[S], terms: Sequence[Term]) -> str:
     """Return the file, the effect and the name of a feature, for messages."""
     for term in terms:
         prefix = f"{term.name}: "
@@ -224,10 +227,12 @@ def _where(effect: Effect) -> str:
     return f"{effect.file or 'built-in'}: effect '{effect.kind}'"
 
 
-def _call(effect: Effect, name: str, function: Any, *arguments: Any) -> Any:
+def _call(
+    effect: Effect, name: str, function: Callable[P, T], *given: P.args, **named: P.kwargs
+) -> T:
     """Call a part of an effect; what a user's file raises becomes one message."""
     try:
-        return function(*arguments)
+        return function(*given, **named)
     except InputError:
         raise
     except (Exception, SystemExit) as error:

@@ -6,7 +6,6 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base import files
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import Json
 from zerodrift.base.sealed import read_sealed, render_sealed
 
 FORMAT = 1
@@ -25,8 +25,8 @@ VALUES = "values"
 class Checkpoint:
     """Where a training stands: arrays by name, and JSON values beside them."""
 
-    arrays: Mapping[str, NDArray[Any]]
-    values: Mapping[str, Any]
+    arrays: Mapping[str, NDArray[np.generic]]
+    values: Mapping[str, Json]
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -41,11 +41,13 @@ def write_whole(path: Path, content: bytes) -> None:
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint as one npz file."""
-    values = {"format": FORMAT, "arrays": _hash(checkpoint.arrays), **checkpoint.values}
+    values: dict[str, Json] = {"format": FORMAT, "arrays": _hash(checkpoint.arrays)}
+    values |= checkpoint.values
     text = render_sealed(values)
     buffer = io.BytesIO()
-    entries: dict[str, Any] = {VALUES: np.frombuffer(text, np.uint8), **checkpoint.arrays}
-    np.savez(buffer, **entries)
+    np.savez(
+        buffer, allow_pickle=False, **{VALUES: np.frombuffer(text, np.uint8)}, **checkpoint.arrays
+    )
     write_whole(path, buffer.getvalue())
 
 
@@ -70,7 +72,7 @@ def load_checkpoint(path: Path) -> Checkpoint | None:
     return Checkpoint(arrays, values)
 
 
-def _hash(arrays: Mapping[str, NDArray[Any]]) -> str:
+def _hash(arrays: Mapping[str, NDArray[np.generic]]) -> str:
     digest = hashlib.sha256()
     for name, array in sorted(arrays.items()):
         digest.update(f"{name} {array.dtype.str} {array.shape} ".encode())

@@ -1,7 +1,6 @@
 """What the reference says of a sequence, step by step, and where a back end says otherwise."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +36,7 @@ class Expected:
     ) -> Mismatch | None:
         """Return the first difference of a back end's answer, or None."""
         given: list[
-            tuple[NDArray[np.signedinteger[Any]] | None, NDArray[np.signedinteger[Any]], list[str]]
+            tuple[NDArray[np.signedinteger] | None, NDArray[np.signedinteger], list[str]]
         ] = [
             (nodes, self.nodes, label_columns(self.model)),
             (states, self.states, [f"state[{k}]" for k in range(self.states.shape[1])]),

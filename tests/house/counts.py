@@ -43,19 +43,30 @@ NAMED = (
     ("arrays", "train/*", "arrays by their names in a checkpoint"),
     ("found", "dataset/survey.py", "columns of a query, by the names that it gives them"),
     ("page", "workbench/first.py", "parts of the page by their id"),
+    ("_symbols", "c_runtime/emulator.py", "names that stand in the C under test"),
+    ("_objects", "c_runtime/emulator.py", "names that stand in the C under test"),
     *((name, "verify/c_*", "names that stand in the C under test") for name in C_NAMES),
 )
 """What a key may be written out for, and where: names declared elsewhere, none of a result."""
 EDGES = {
     "dataset/formats/*": "readers of other programs' logs",
     "c_runtime/footprint.py": "pyelftools hands out an ELF file by the format's own names",
-    "c_runtime/emulator.py": "the same",
+    "c_runtime/elf.py": "the same",
+    "c_runtime/chip.py": "the same",
     "train/standings.py": "the reader of checkpoints, which yields where each attempt stood",
     "export/model_files.py": "the reader of model.json, which yields the nodes as dataclasses",
     "verify/trial_child.py": "a process of its own reads its job, with the standard library alone",
     "verify/c_claims.py": "the checker reads certificate.json without the writer's code",
 }
 """Modules that turn what another program wrote into records."""
+
+KEPT_ANY = {
+    "export/onnx_reader.py": "attributes of an ONNX node, which onnx hands out as any of ten types",
+    "export/onnx_shapes.py": "the same, and the arrays of its tensors",
+    "operations/gru/onnx.py": "the same",
+    "train/onnx_export.py": "arrays of the tensors of an ONNX file",
+}
+"""Where `Any` is left, and what for."""
 
 PRODUCT = {name: folder for name, folder in FOLDERS.items() if name != "lab"}
 ROOT = Path(__file__).resolve().parents[2]

@@ -2,13 +2,14 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Protocol, Self, TypedDict
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from zerodrift.base.config import FILE_NAME
 from zerodrift.base.errors import InputError
@@ -19,6 +20,87 @@ from zerodrift.dataset.units import read_unit
 NO_UNIT = "1"
 LEAST_ROWS = 2
 _UNSAFE = re.compile(r"[^\w.-]+")
+
+
+class PandasTimes(Protocol):
+    """What pandas knows of a column of times."""
+
+    def tz_convert(self, zone: str, /) -> "PandasColumn":
+        """Return the same instants in another zone."""
+        ...
+
+    def tz_localize(self, zone: None, /) -> "PandasColumn":
+        """Return the times without their zone."""
+        ...
+
+
+class PandasColumn(Protocol):
+    """A column of a pandas frame."""
+
+    @property
+    def dtype(self) -> object:
+        """Its type."""
+
+    @property
+    def dt(self) -> PandasTimes:
+        """Its times."""
+        ...
+
+    def to_numpy(self) -> NDArray[np.generic]:
+        """Return its values [n]."""
+        ...
+
+
+class PandasIndex(Protocol):
+    """The index of a pandas frame."""
+
+    @property
+    def name(self) -> object:
+        """What it is called; None for a mere count."""
+
+
+class PandasFrame(Protocol):
+    """A pandas frame, as far as it is read; pandas itself is not needed here."""
+
+    @property
+    def columns(self) -> Iterable[Hashable]:
+        """The columns' names."""
+        ...
+
+    @property
+    def index(self) -> PandasIndex:
+        """What its rows are called by."""
+        ...
+
+    def reset_index(self) -> Self:
+        """Return the frame with its index as a column."""
+        ...
+
+    def __getitem__(self, column: Hashable, /) -> PandasColumn:
+        """Return a column."""
+        ...
+
+    def assign(self, **columns: NDArray[np.generic]) -> Self:
+        """Return the frame with more columns."""
+        ...
+
+
+class BeginningOptions(TypedDict, total=False):
+    """The fields of `Beginning`, each of which may be left out."""
+
+    test: Sequence[str]
+    dwell: Sequence[str]
+    effects: Sequence[str]
+    network: str
+    sample_period_s: float | None
+    name: str
+
+
+class FrameOptions(BeginningOptions, total=False):
+    """What `Project.from_frames` takes beside the frames and their columns."""
+
+    inputs: Mapping[str, str]
+    path: str | Path | None
 
 
 @dataclass(frozen=True)
@@ -62,7 +144,7 @@ class Beginning:
     """Of the sensor, and the prefix of its C."""
 
 
-def to_polars(name: str, frame: Any) -> pl.DataFrame:
+def to_polars(name: str, frame: pl.DataFrame | pl.LazyFrame | PandasFrame) -> pl.DataFrame:
     """Return a pandas or Polars frame as one of Polars; a pandas index with a name is a column.
 
     Args:

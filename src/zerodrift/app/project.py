@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar, cast, overload
 
 from zerodrift.app.commands.console import show_progress
 from zerodrift.app.trust import remember
@@ -27,12 +27,17 @@ from zerodrift.report.results import (
 )
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
+    import polars as pl
     from plotly.graph_objects import Figure
 
-    from zerodrift.app.frames import Output
+    from zerodrift.app.frames import BeginningOptions, FrameOptions, Output, PandasFrame
     from zerodrift.dataset.runs import Dataset
     from zerodrift.diagnosis.revision import Revision
     from zerodrift.verify.summary import FirmwareSummary
+
+Pandas = TypeVar("Pandas", bound="PandasFrame")
 
 
 class Project:
@@ -63,12 +68,12 @@ class Project:
     @classmethod
     def from_frames(
         cls,
-        frames: Mapping[str, Any],
+        frames: "Mapping[str, pl.DataFrame | pl.LazyFrame | PandasFrame]",
         *,
         time: str,
         temperature: str,
         outputs: "Mapping[str, str | Output]",
-        **options: Any,
+        **options: "Unpack[FrameOptions]",
     ) -> "Project":
         """Return a project whose logs are data frames, of pandas or Polars.
 
@@ -88,17 +93,20 @@ class Project:
         """
         from zerodrift.app.frames import Beginning, FrameColumns, Output, to_polars, write_project
 
-        path = options.pop("path", None)
-        scratch = tempfile.TemporaryDirectory(prefix="zerodrift-") if path is None else None
-        folder = Path(path if scratch is None else scratch.name)
+        path, inputs = options.get("path"), options.get("inputs", {})
+        scratch = None
+        if path is None:
+            scratch = tempfile.TemporaryDirectory(prefix="zerodrift-")
+            path = scratch.name
         told = {
             name: output if isinstance(output, Output) else Output(output)
             for name, output in outputs.items()
         }
-        columns = FrameColumns(time, temperature, told, dict(options.pop("inputs", {})))
-        begin = Beginning(**options)
-        write_project(folder, {n: to_polars(n, f) for n, f in frames.items()}, columns, begin)
-        project = cls(folder)
+        columns = FrameColumns(time, temperature, told, dict(inputs))
+        rest = {name: value for name, value in options.items() if name not in ("path", "inputs")}
+        begin = Beginning(**cast("BeginningOptions", rest))
+        write_project(Path(path), {n: to_polars(n, f) for n, f in frames.items()}, columns, begin)
+        project = cls(path)
         project._scratch = scratch
         return project
 
@@ -340,7 +348,20 @@ class Project:
             raise CheckError(f"{firmware.gate.explain()}\nNothing was written.")
         return told
 
-    def apply(self, frame: Any, *, model: str = "integer") -> Any:
+    @overload
+    def apply(
+        self, frame: "str | Path | pl.DataFrame | pl.LazyFrame", *, model: str = "integer"
+    ) -> "pl.DataFrame": ...
+
+    @overload
+    def apply(self, frame: "Pandas", *, model: str = "integer") -> "Pandas": ...
+
+    def apply(
+        self,
+        frame: "str | Path | pl.DataFrame | pl.LazyFrame | Pandas",
+        *,
+        model: str = "integer",
+    ) -> "pl.DataFrame | Pandas":
         """Return a frame with what the last firmware gives for its rows.
 
         Adds OUTPUT_drift, OUTPUT_compensated and OUTPUT_uncertainty (k = 2), in the output's unit,

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
 from types import NoneType, UnionType
-from typing import Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Literal, TypeAlias, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
 
@@ -104,14 +104,13 @@ def from_json(kind: type[T], value: object, where: str = "") -> T:
     Raises:
         ValueError: something is missing or of another type.
     """
-    read: T = _read(kind, value, where)
-    return read
+    return cast(T, _read(kind, value, where))
 
 
-def _read(kind: Any, value: object, where: str) -> Any:
+def _read(kind: object, value: object, where: str) -> object:
     """Return a value as a type, which may be an alias such as `tuple[int, ...]`."""
     origin, arguments = get_origin(kind), get_args(kind)
-    if kind in PLAIN:
+    if isinstance(kind, type) and kind in PLAIN:
         if type(value) in PLAIN[kind]:
             return value
     elif isinstance(kind, type) and is_dataclass(kind) and isinstance(value, dict):
@@ -142,7 +141,7 @@ def _read(kind: Any, value: object, where: str) -> Any:
     raise ValueError(f"{where or 'it'}: is {value!r:.40}; expected {expected}")
 
 
-def _read_array(value: object, where: str) -> Any:
+def _read_array(value: object, where: str) -> object:
     """Return lists of numbers as an array of doubles."""
     import numpy as np
 

@@ -3,7 +3,10 @@
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from html import escape
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
 
 T = TypeVar("T", bound="Shown")
 MOST_ROWS = 24
@@ -16,7 +19,7 @@ EPOCH = 1e8
 class Shown:
     """A frozen record that shows itself in a notebook."""
 
-    def plot(self, *arguments: object, **options: object) -> Any:
+    def plot(self, *arguments: object, **options: object) -> "Figure":
         """Return the result's picture, a Plotly figure.
 
         Raises:
@@ -28,7 +31,8 @@ class Shown:
                 f"this {type(self).__name__} holds no data to draw; expected one that a Project "
                 "returned. Call the Project's method again."
             )
-        return draw(*arguments, **options)
+        figure: Figure = draw(*arguments, **options)
+        return figure
 
     def _repr_html_(self) -> str:
         """Return the record as HTML tables: single values first, then one table per collection."""
