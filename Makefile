@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: test-faults setup-formats mutated-logs test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: readme-picture bench-numbers test-faults setup-formats mutated-logs test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -49,6 +49,9 @@ setup-browser: $(READY) ## what the browser tests need: Playwright, and Chromium
 	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || { \
 	  SUDO=$$([ "$$(id -u)" = 0 ] || echo sudo); \
 	  $$SUDO apt-get update -q && $$SUDO apt-get install -y -q --no-install-recommends chromium; }
+
+readme-picture: $(READY) ## docs/assets/loop.svg: the loop walked by its commands on simulated logs
+	$(RUN) -m manual.loop_picture
 
 docs: $(READY) ## the manual as a site, in build/site
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-docs.lock
@@ -121,6 +124,9 @@ fuzz: $(READY) ## fuzz the generated C and the readers of files, 10 CPU minutes 
 
 bench-hidden: $(READY) ## effects hidden in simulated logs and found again (BENCH=--quick)
 	$(RUN) -m benchmarks.bench_hidden $(BENCH)
+
+bench-numbers: $(READY) ## one number, one place: page, report, terminal and JSON of 20 projects compared
+	$(RUN) -m benchmarks.bench_numbers $(BENCH)
 
 bench-foreign: $(READY) ## the diagnosis judged by a second simulator (BENCH=--quick)
 	$(RUN) -m benchmarks.foreign $(BENCH)

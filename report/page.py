@@ -64,9 +64,10 @@ def render_table(table: Table, *, folded: bool = False) -> Markup:
         f"<tr>{''.join(cell('td', text, i) for i, text in enumerate(row))}</tr>"
         for row in table.rows
     )
+    note = f'<p class="note">{html.escape(table.note)}</p>' if table.note else ""
     inner = (
-        f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
-        f"</div>" + (f'<p class="note">{html.escape(table.note)}</p>' if table.note else "")
+        f'<div class="scroll" tabindex="0"><table><thead><tr>{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>{note}"
     )
     title = html.escape(table.title)
     if folded:

@@ -164,7 +164,7 @@ def list_tiles(findings: Findings) -> list[tuple[str, str]]:
     """Return the few figures that come first: value, and what it is."""
     outputs, explained = findings.comparison.outputs, findings.diagnosed
     name, worst = max(outputs.items(), key=lambda item: item[1].rmse_pct_fs)
-    where = "held out" if worst.rmse_heldout is not None else "in sample"
+    where = tables.describe_held_out(findings.comparison)
     tiles = [
         (
             f"{worst.rmse_pct_fs:.2g} %FS",
@@ -179,7 +179,7 @@ def list_tiles(findings: Findings) -> list[tuple[str, str]]:
         tiles.append(
             (
                 f"{diagnosis.floor_ratio_before:.2f} ×",
-                f"held-out error of the effects over the noise floor, {source}",
+                f"error of the effects on runs left out over the noise floor, {source}",
             )
         )
     tiles.append((str(len(findings.traces)), "runs shown, dwell not among them"))

@@ -240,7 +240,7 @@ def tabulate_parameters(model: ModelSummary) -> Table:
             rows.append((term.name, name, unit, remark, write_number(p.value), error, told))
         if not term.parameters:
             rows.append((term.name, "none", "", "", "–", "–", "–"))
-    headings = ("effect", "parameter", "unit", "", "value", "standard error", "95 % interval")
+    headings = ("effect", "parameter", "unit", "remark", "value", "standard error", "95 % interval")
     return Table("Parameters", headings, tuple(rows), texts=4)
 
 

@@ -178,7 +178,7 @@ def _lay_out_sections() -> list[Component]:
     )
     table = [
         html.Summary("What is drawn, as a table", id="main-summary"),
-        html.Div(id="main-table"),
+        html.Div(id="main-table", className="scroll", tabIndex="0"),
     ]
     buttons = ("Train", "train"), ("Build firmware", "firmware"), ("Verify", "verify")
     return [

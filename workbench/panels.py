@@ -10,6 +10,7 @@ from zerodrift.base.records import to_dict
 from zerodrift.diagnosis.comparison_summary import WorstSegment
 from zerodrift.diagnosis.held_out import TEST_LOGS
 from zerodrift.diagnosis.history import Step
+from zerodrift.diagnosis.run_spread import measure_spread
 from zerodrift.diagnosis.timeline import find_timeline
 from zerodrift.report import tables
 from zerodrift.report.findings import Findings
@@ -192,7 +193,7 @@ def show_errors(findings: Findings, *, hides: bool = False) -> list[Component]:
     """Return the errors per output and run, and where the model fails."""
     compared = findings.comparison
     parts: list[Component] = [html.P(s, className="note") for s in findings.comparison_sentences]
-    parts.append(show_table(tables.tabulate_outputs(compared)))
+    parts.append(show_table(tables.tabulate_errors(compared, measure_spread(compared))))
     parts.append(show_table(tables.tabulate_runs(compared), folded=True))
     if hides:
         return parts

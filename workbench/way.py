@@ -13,16 +13,24 @@ WORDS = {DONE: " (done)", NEXT: " (next)", BUSY: " (being done)"}
 
 def describe_standing(place: Workplace) -> ProjectStanding:
     """Return what is known of a project, as far as the way goes."""
-    job = place.job
     return ProjectStanding(
         findings=place.findings,
-        job=job.name if job is not None and job.running else "",
+        job=find_job(place),
         refused=dict(place.refused),
         proposed="propose" in place.done,
         verified="verify" in place.done,
         applied="apply" in place.done,
         reported="report" in place.done,
     )
+
+
+def find_job(place: Workplace) -> str:
+    """Return what runs and has to be waited for; curves that follow a verdict do not count."""
+    job, findings = place.job, place.findings
+    if job is None or not job.running:
+        return ""
+    is_told = findings is not None and findings.diagnosed is not None and not place.outdated
+    return "" if job.name == "look" and is_told else job.name
 
 
 def show_way(place: Workplace) -> list[Component]:

@@ -524,3 +524,44 @@ def test_everything_that_can_be_used_has_a_name_and_takes_the_keyboard(page, ben
         "report",
     }
     assert wanted - reached == set()
+
+
+@pytest.mark.slow
+def test_dead_server_is_told_and_the_tab_finds_the_restarted_one(page, project):
+    with serve(project.directory) as first:
+        open_page(page, first)
+        settle(first.place)
+        url = first.url
+    expect(page.locator("#gone")).to_contain_text("not running any more")
+    with serve(project.directory) as second:
+        assert second.url == url
+        expect(page.locator("#gone")).to_have_count(0)
+        page.wait_for_selector("#verdict-sentence")
+        settle(second.place)
+
+
+@pytest.mark.slow
+def test_what_is_being_recomputed_is_greyed_at_once_and_its_buttons_are_gone(page, bench):
+    open_page(page, bench)
+    wait_for_job(page, bench)
+    page.locator("#adds button.primary").click()
+    style = "getComputedStyle(document.querySelector('#verdict')).opacity"
+    page.wait_for_function(f"() => Number({style}) < 0.6", timeout=1000)
+    expect(page.locator("#adds button.primary")).to_have_count(0)
+    page.wait_for_selector("#revision table")
+    tells(page, "Nothing is missing")
+    wait_for_job(page, bench)
+    page.wait_for_function(f"() => Number({style}) > 0.9")
+    page.locator(".timeline button").first.click()
+    tells(page, "lacks thermal_lag")
+    wait_for_job(page, bench)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [390, 1440])
+def test_nothing_is_wider_than_the_window(page, bench, keep, width):
+    page.set_viewport_size({"width": width, "height": 900})
+    open_page(page, bench)
+    wait_for_job(page, bench)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    keep(page, f"11_width_{width}")

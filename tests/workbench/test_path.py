@@ -13,6 +13,7 @@ from zerodrift.diagnosis.history import EffectSettings, Step
 from zerodrift.diagnosis.thermometers import OtherThermometer
 from zerodrift.diagnosis.timeline import Timeline, find_timeline
 from zerodrift.workbench.path import ProjectStanding, find_path
+from zerodrift.workbench.way import find_job
 
 
 def stand(diagnosis=None, thermometers=(), firmware=None, **changes):
@@ -90,6 +91,25 @@ def test_nothing_is_offered_while_something_runs():
     path = find_path(stand(missing(), job="add"))
     assert path.offer is None
     assert [step.state for step in path.steps][2] == "busy"
+
+
+@pytest.mark.parametrize(
+    ("running", "diagnosed", "outdated", "expected"),
+    [
+        ("look", True, False, ""),
+        ("look", False, False, "look"),
+        ("look", True, True, "look"),
+        ("firmware", True, False, "firmware"),
+        (None, True, False, ""),
+    ],
+)
+def test_curves_that_follow_a_verdict_are_not_waited_for(running, diagnosed, outdated, expected):
+    place = SimpleNamespace(
+        job=SimpleNamespace(name=running, running=True) if running else None,
+        findings=SimpleNamespace(diagnosed=object() if diagnosed else None),
+        outdated=outdated,
+    )
+    assert find_job(place) == expected
 
 
 A, B, C = ((EffectSettings(name),) for name in "abc")
