@@ -36,9 +36,7 @@ from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.scores import Trained
 from zerodrift.train.training import train_together
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
-from zerodrift.verify.certificate import certify
-from zerodrift.verify.certificate_check import check_certificate
-from zerodrift.verify.firmware import list_sequences
+from zerodrift.verify.firmware import certify_checked, list_sequences
 from zerodrift.verify.gate import judge_firmware
 from zerodrift.verify.host_check import check_host, check_starts
 from zerodrift.verify.left_out import leave_out
@@ -233,8 +231,7 @@ def _finish(
     if host is not None and scratch is not None:
         assert job.model is not None and job.code is not None and job.described is not None
         vectors = check_bits(host, job.dataset)
-        certificate = certify(job.model, job.code, job.bound)
-        _recheck(job.code, certificate, scratch)
+        certificate = _certify(job, scratch)
         left_out = leave_out(job.config, job.dataset, compensator)
         verdict, replay = judge_firmware(job.described, host, job.dataset, left_out)
         if verdict.refused and design.force:
@@ -267,29 +264,18 @@ def _mark_forced(job: _Job, reasons: Sequence[str], scratch: Path) -> str:
     assert job.model is not None
     job.model = replace(job.model, notes={**job.model.notes, FORCED: "\n".join(reasons)})
     job.code = generate(job.model)
-    certificate = certify(job.model, job.code, job.bound)
-    _recheck(job.code, certificate, scratch)
-    return certificate
+    return _certify(job, scratch)
 
 
-def _recheck(code: GeneratedCode, certificate: str, scratch: Path) -> None:
-    """Derive the certificate's bounds again from the C.
+def _certify(job: _Job, scratch: Path) -> str:
+    """Return a sensor's certificate, derived again from the C.
 
     Raises:
         CheckError: a claim does not hold.
     """
-    from zerodrift.c_runtime.host import write_sources
-
-    folder = scratch / "certified"
-    folder.mkdir(exist_ok=True)
-    write_sources(code, folder)
-    (folder / CERTIFICATE).write_text(certificate, encoding="utf-8")
-    outcome = check_certificate(folder)
-    if outcome.failures:
-        raise CheckError(
-            f"the certificate does not hold: {'; '.join(outcome.failures[:5])}. Nothing written"
-            " for this sensor."
-        )
+    assert job.model is not None and job.code is not None and job.bound is not None
+    certificate, _, job.bound = certify_checked(job.model, job.code, job.bound, scratch)
+    return certificate
 
 
 def _render(

@@ -30,7 +30,7 @@ def describe_bound(bound: ErrorBound, model: IntegerModel) -> dict[str, object]:
             "counts_per_unit": output.lsb_per_unit,
             "signal": places[id(_meaning(answer))],
             "bound": round_up(error.total),
-            **{name: round_up(getattr(error, name)) for name in CAUSES},
+            "causes": {name: round_up(getattr(error, name)) for name in CAUSES},
         }
         for output, answer, error in zip(model.outputs, bound.answers, bound.outputs, strict=True)
     ]

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from zerodrift.verify.bound_check import check_bound
 from zerodrift.verify.c_checksum import FIELD as SUM
 from zerodrift.verify.c_claims import CertificateClaims, read_claims
 from zerodrift.verify.c_header import find_wrong_indices
@@ -101,6 +102,24 @@ def judge_each(claims: Mapping[str, object], texts: dict[str, str]) -> Iterator[
         yield outcome
         if not outcome.understood:
             return
+    if isinstance(claims.get("error_bound"), list):
+        yield judge_bound(claims, models[0], outcome)
+
+
+def judge_bound(
+    claims: Mapping[str, object], model: Model, before: CertificateOutcome
+) -> CertificateOutcome:
+    """Hold the error bound against what the C and the float model's parameters give.
+
+    The numbers are those of any way to compile; each has shown them to be alike.
+    """
+    if before.failures:
+        return before
+    try:
+        holds, failures = check_bound(claims, model)
+    except (NotUnderstoodError, FaultError, *MALFORMED) as error:
+        return _refuse([], f"error bound: {error}")
+    return CertificateOutcome(before.holds + holds, tuple(failures))
 
 
 def judge_way(claims: Mapping[str, object], model: Model) -> CertificateOutcome:

@@ -144,8 +144,7 @@ def build_firmware(
         progress("proving how far the chip can be from the float model")
         bound = bound_errors(quantized)
         progress("checking the certificate")
-        certificate = certify(model, code, bound)
-        outcome = recheck(code, certificate, scratch)
+        certificate, outcome, bound = certify_checked(model, code, bound, scratch)
     files: tuple[Path, ...] = ()
     if gate.passes or force:
         progress("writing")
@@ -197,6 +196,27 @@ def _compose(
     return quantized, compose_integer_model(described, config, dataset)
 
 
+def certify_checked(
+    model: IntegerModel, code: GeneratedCode, bound: ErrorBound, scratch: Path
+) -> tuple[str, CertificateOutcome, ErrorBound]:
+    """Return the certificate, what the independent check says of it, and the error bound in it.
+
+    A bound that the check has no rule for, or does not confirm, is not told; the rest must hold.
+
+    Raises:
+        CheckError: a claim beside the error bound does not hold.
+    """
+    certificate = certify(model, code, bound)
+    try:
+        return certificate, recheck(code, certificate, scratch), bound
+    except CheckError as error:
+        if not bound.outputs:
+            raise
+        unconfirmed = ErrorBound((), f"the independent check does not confirm it: {error}")
+    certificate = certify(model, code, unconfirmed)
+    return certificate, recheck(code, certificate, scratch), unconfirmed
+
+
 def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> CertificateOutcome:
     """Return what the independent check says of a certificate and the C it is about.
 
@@ -204,7 +224,7 @@ def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> Certificate
         CheckError: a claim does not hold, or the C holds something that there is no rule for.
     """
     folder = scratch / "certified"
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     write_sources(code, folder)
     (folder / CERTIFICATE).write_text(certificate, encoding="utf-8")
     outcome = check_certificate(folder)

@@ -1,0 +1,653 @@
+"""Derives the error bound again: from the C's numbers and tables, and the float model's.
+
+The certificate lists the float model signal by signal, with its unrounded numbers and with how the
+chip has each: node times scale plus offset. For each the distance of the two is bounded anew, from
+what the C computes for that node. A claim below what is found is refused, and so is what has no
+rule. Shares no code with what derived the bound first and needs the standard library only.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+from zerodrift.verify import bound_numbers as numbers
+from zerodrift.verify.bound_forms import CODE, LOAD, Form, find_list, read_forms
+from zerodrift.verify.c_model import Model
+from zerodrift.verify.c_values import Block, NotUnderstoodError, Pointer, Struct
+
+Place = tuple[str, int]
+HALF = Fraction(1, 2)
+COPY = 15
+EXPONENT_BITS, RING_BITS, LOWPASS_BITS, TABLE_BITS = 24, 31, 24, 16
+DIGITS = 200
+"""Bits that a fraction is shortened to, upwards."""
+
+
+@dataclass(frozen=True)
+class FloatLine:
+    """A signal of the float model, and how the chip has it."""
+
+    node: str
+    index: int
+    scale: Fraction
+    offset: Fraction
+    operation: str
+    of: tuple[int, ...]
+    numbers: tuple[Fraction | None, ...]
+
+    @property
+    def place(self) -> Place:
+        """The integer that stands for it."""
+        return self.node, self.index
+
+
+@dataclass(frozen=True)
+class ErrorClaim:
+    """What is claimed of an output."""
+
+    output: str
+    counts_per_unit: int
+    signal: int
+    bound: Fraction
+
+
+@dataclass(frozen=True)
+class Has:
+    """A signal: its integers' range and meaning, and how far that is from the float model."""
+
+    line: FloatLine
+    low: int
+    high: int
+    scale: Fraction
+    error: Fraction
+
+    def at(self, q: int) -> Fraction:
+        """Return what an integer stands for."""
+        return q * self.scale + self.line.offset
+
+    @property
+    def ends(self) -> tuple[Fraction, Fraction]:
+        """The lowest and highest value."""
+        low, high = sorted((self.at(self.low), self.at(self.high)))
+        return low, high
+
+    @property
+    def size(self) -> Fraction:
+        """The largest absolute value."""
+        return max(map(abs, self.ends))
+
+
+def check_bound(told: Mapping[str, object], model: Model) -> tuple[int, list[str]]:
+    """Return how many outputs' bounds hold, and what is wrong with the others.
+
+    Args:
+        told: the content of certificate.json.
+        model: one way to compile it, which was run.
+
+    Raises:
+        NotUnderstoodError: something without a rule.
+        KeyError, TypeError, ValueError: it is not built like a certificate.
+    """
+    claims = [_read_claim(row) for row in _rows(told, "error_bound")]
+    lines = [_read_line(row) for row in _rows(told, "float_model")]
+    if len(claims) != model.outputs:
+        return 0, [f"{len(claims)} error bounds are claimed of {model.outputs} outputs"]
+    for k, claim in enumerate(claims):
+        if lines[claim.signal].place != ("drift", k):
+            return 0, [f"{claim.output}: its bound is about another signal than drift[{k}]"]
+    derived = _BoundCheck(model, lines, claims).derive()
+    failures = [
+        f"{claim.output}: an error of at most {float(claim.bound):.17g} is claimed, "
+        f"{float(found):.17g} was derived"
+        for claim, found in zip(claims, derived, strict=True)
+        if found > claim.bound
+    ]
+    return len(claims) - len(failures), failures
+
+
+class _BoundCheck:
+    def __init__(
+        self, model: Model, lines: Sequence[FloatLine], claims: Sequence[ErrorClaim]
+    ) -> None:
+        self._model, self._lines, self._claims = model, lines, claims
+        self._forms = read_forms(model.program, model.prefix)
+        self._vectors: dict[str, list[tuple[int, int]]] = {}
+
+    def derive(self) -> list[Fraction]:
+        """Return the bound of each output.
+
+        Where loads are read, each is off by what the drift of the step before may be: by what is
+        claimed. If the rules then give no more than that, it holds by induction from the start.
+        """
+        found: list[Has] = []
+        for line in self._lines:
+            if any(not 0 <= i < len(found) for i in line.of):
+                raise ValueError("a signal is made of later ones")
+            found.append(self._derive(line, [found[i] for i in line.of]))
+        return [found[claim.signal].error for claim in self._claims]
+
+    # --- what the C has
+
+    def _cells(self, name: str) -> list[int]:
+        block = self._model.constants.get(name)
+        if not isinstance(block, Block):
+            raise NotUnderstoodError(f"no table {name}")
+        cells = [cell for cell in block.cells if isinstance(cell, int)]
+        if len(cells) != block.count:
+            raise NotUnderstoodError(f"{name} is no table of numbers")
+        return cells
+
+    def _range(self, line: FloatLine) -> tuple[int, int]:
+        if not line.node:
+            return 0, 0
+        if line.node in self._vectors:
+            return self._vectors[line.node][line.index]
+        if line.node in self._forms and line.node in self._model.bounds:
+            low, high, _ = self._model.bounds[line.node]
+            return low, high
+        raise NotUnderstoodError(f"{line.node}: its range is not known")
+
+    def _derive(self, line: FloatLine, inputs: list[Has]) -> Has:
+        vector = line.node in ("features", "head") or line.node.startswith("dense_")
+        if line.node == "drift":
+            claim = self._claims[line.index]
+            scale = Fraction(1, claim.counts_per_unit)
+            return Has(line, 0, 0, scale, _up(self._drift(line, inputs, scale)))
+        if vector:
+            low, high, error = self._row(line, inputs)
+            self._vectors.setdefault(line.node, []).append((low, high))
+            if len(self._vectors[line.node]) != line.index + 1:
+                raise NotUnderstoodError(f"{line.node}: rows out of their order")
+            return Has(line, low, high, line.scale, _up(error))
+        low, high = self._range(line)
+        out = Has(line, low, high, line.scale, Fraction(0))
+        moving = [x for x in inputs if x.line.node]
+        if line.operation == "constant":
+            error = abs(line.offset - _given(line.numbers[0]))
+        elif not line.node or (inputs and all(x.line.place == line.place for x in moving)):
+            error = self._same_integers(line, out, inputs)
+        else:
+            error = self._by_form(line, out, inputs, self._forms[line.node])
+        return Has(line, low, high, line.scale, _up(error))
+
+    # --- rules of signals without integers of their own
+
+    def _same_integers(self, line: FloatLine, out: Has, inputs: list[Has]) -> Fraction:
+        if line.operation in ("linear", "same"):
+            own = {line.place: line.scale} if line.node else {}
+            return _linear(_gains(line), inputs, own, line.offset)
+        if line.operation == "product":
+            a, b = inputs if not inputs[1].line.node else (inputs[1], inputs[0])
+            c = b.line.offset
+            gap = max(abs(out.at(q) - a.at(q) * c) for q in (a.low, a.high))
+            return gap + abs(c) * a.error + (a.size + a.error) * b.error
+        extreme = line.operation in ("maximum", "minimum")
+        if extreme and inputs[0].line.place == inputs[1].line.place:
+            return max(
+                x.error + max(abs(out.at(q) - x.at(q)) for q in (x.low, x.high)) for x in inputs
+            )
+        if line.operation in ("clip", "maximum", "minimum"):
+            return _limited(line, out.ends, inputs)
+        if line.operation == "delay":
+            steps = max(_given(line.numbers[0]), Fraction(0)) / _given(line.numbers[1])
+            x = inputs[0]
+            return x.error + steps * (x.high - x.low) * abs(x.scale)
+        if line.operation in ("exp2", "power") and not line.node:
+            return _constant_power(line, inputs[0])
+        raise NotUnderstoodError(f"{line.operation} without a node of its own")
+
+    # --- rules by what the C computes
+
+    def _by_form(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        rule = {
+            "input": self._input,
+            "load": self._load,
+            "counter": self._counter,
+            "linear": self._sum,
+            "same": self._sum,
+            "product": self._product,
+            "clip": self._clip,
+            "maximum": self._extreme,
+            "minimum": self._extreme,
+            "lowpass": self._lowpass,
+            "delay": self._delay,
+            "play": self._play,
+            "exp2": self._exp2,
+            "power": self._power,
+        }.get(line.operation)
+        if rule is None:
+            raise NotUnderstoodError(f"{line.operation}: no rule for its error")
+        return rule(line, out, inputs, form)
+
+    def _input(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        if form.call != CODE or form.shift:
+            raise NotUnderstoodError(f"{line.node} is no limited code")
+        lsb, offset, taken_off = map(_given, line.numbers)
+        factor = form.terms[(CODE,)]
+        low, high = form.numbers
+        gaps = []
+        for code in (low, high):
+            q = code * factor + form.constant
+            gaps.append(abs(out.at(q) - (offset + lsb * code - taken_off)))
+        return max(gaps)
+
+    def _load(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        if form.call != LOAD or form.constant or form.shift:
+            raise NotUnderstoodError(f"{line.node} is no load")
+        (lsb,) = map(_given, line.numbers)
+        if line.scale * form.terms[(LOAD,)] != lsb or line.offset:
+            raise NotUnderstoodError(f"{line.node}: its counts are not those of its code")
+        claim = self._claims[form.load]
+        return claim.bound * claim.counts_per_unit * lsb
+
+    def _counter(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        if form.call != "count" or line.scale != _given(line.numbers[0]) or line.offset:
+            raise NotUnderstoodError(f"{line.node} counts another time")
+        return Fraction(0)
+
+    def _sum(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        if form.call:
+            raise NotUnderstoodError(f"{line.node} is no sum")
+        unit = line.scale / (1 << form.shift)
+        own = {}
+        for factors, c in form.terms.items():
+            if len(factors) != 1:
+                raise NotUnderstoodError(f"{line.node}: a product within a sum")
+            own[(factors[0], 0)] = c * unit
+        half = 1 << form.shift >> 1
+        constant = (form.constant - (0 if form.rounded else half)) * unit + line.offset
+        rounded = HALF * abs(line.scale) if form.shift else Fraction(0)
+        return _linear(_gains(line), inputs, own, constant) + rounded
+
+    def _product(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        a, b = inputs
+        names = {(a.line.node, b.line.node), (b.line.node, a.line.node)}
+        if {*form.terms} - names or len(form.terms) != 1 or form.call or form.constant:
+            raise NotUnderstoodError(f"{line.node} is no product")
+        if a.line.offset or b.line.offset or line.offset or (form.shift and not form.rounded):
+            raise NotUnderstoodError(f"{line.node}: a factor's zero is not 0")
+        (factor,) = form.terms.values()
+        ratio = factor * line.scale / (a.scale * b.scale * (1 << form.shift))
+        gap = abs(ratio - 1) * a.size * b.size
+        rounded = HALF * abs(line.scale) if form.shift else Fraction(0)
+        return a.error * b.size + b.error * (a.size + a.error) + gap + rounded
+
+    def _clip(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        moving = [x for x in inputs if x.line.node]
+        if len(moving) != 1 or form.terms != {(moving[0].line.node,): 1}:
+            raise NotUnderstoodError(f"{line.node} limits something else")
+        if form.low is None or form.high is None or form.constant or form.shift or form.call:
+            raise NotUnderstoodError(f"{line.node} is no limit")
+        if (moving[0].scale, moving[0].line.offset) != (line.scale, line.offset):
+            raise NotUnderstoodError(f"{line.node} has another meaning than what it limits")
+        low, high = sorted((out.at(form.low), out.at(form.high)))
+        return _limited(line, (low, high), inputs)
+
+    def _extreme(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        if form.low is not None:
+            return self._clip(line, out, inputs, form)
+        flipped = line.scale < 0
+        same = all((x.scale, x.line.offset) == (line.scale, line.offset) for x in inputs)
+        wanted = {(x.line.node,): 1 for x in inputs}
+        if form.call != line.operation or flipped or not same or form.terms != wanted:
+            raise NotUnderstoodError(f"{line.node} is no {line.operation} of its inputs")
+        return max(x.error for x in inputs)
+
+    def _follows(self, line: FloatLine, x: Has, form: Form, call: str) -> None:
+        same = (x.scale, x.line.offset) == (line.scale, line.offset)
+        if form.call != call or form.constant or not same:
+            raise NotUnderstoodError(f"{line.node} does not follow its input")
+        if call not in ("ring", "between") and form.terms != {(x.line.node,): 1}:
+            raise NotUnderstoodError(f"{line.node} reads another input")
+
+    def _lowpass(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        (x,) = inputs
+        self._follows(line, x, form, "zd_lowpass")
+        c_q24, m_q31, shift = form.numbers
+        tau_s, period_s = map(_given, line.numbers)
+        a, c = Fraction(m_q31, 1 << (shift + 22)), Fraction(c_q24, 1 << LOWPASS_BITS)
+        # real: y' = y + A (x - y) + C (x' - x)
+        forgets = [1 - kept for kept in numbers.exp(-period_s / tau_s)]
+        straight = [1 - share * tau_s / period_s for share in forgets]
+        if not (0 < a <= 1 and 0 <= c <= 1):
+            raise NotUnderstoodError(f"{line.node} is no low-pass")
+        span = Fraction(x.high - x.low, 2) + x.error / abs(x.scale)
+        of_a = max(abs(share - a) for share in forgets) / a
+        of_c = max(abs(share - c) for share in straight)
+        counts = 2 * span * (of_a * (1 - min(straight)) + of_c)
+        counts += Fraction(1, 8) + 1 / (a * (1 << 25)) + HALF
+        return x.error + counts * abs(x.scale)
+
+    def _delay(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        (x,) = inputs
+        share = Fraction(form.numbers[0], 1 << RING_BITS) if form.call == "between" else Fraction(0)
+        self._follows(line, x, form, "between" if share else "ring")
+        delay_s, period_s = map(_given, line.numbers)
+        fields = self._model.program.structs[f"{self._model.prefix}_state_t"]
+        (ring,) = [f for f in fields if f.name == f"{line.node}_line"]
+        steps = self._model.constant(ring.sizes[0])
+        wrong = abs(steps - share - delay_s / period_s) * (x.high - x.low)
+        return x.error + (wrong + (HALF if share else 0)) * abs(x.scale)
+
+    def _play(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        (x,) = inputs
+        self._follows(line, x, form, "zd_play")
+        width = _given(line.numbers[0]) / abs(x.scale)
+        span = x.high - x.low
+        if width >= span and form.numbers[0] >= span:  # neither moves but by what x is off
+            return 3 * x.error
+        return x.error + abs(form.numbers[0] - width) * abs(x.scale)
+
+    def _exp2(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        (x,) = inputs
+        if form.call != "zd_exp2" or form.low is None or form.high is None:
+            raise NotUnderstoodError(f"{line.node} is no limited power of two")
+        unit = Fraction(1, 1 << (form.shift + EXPONENT_BITS))
+        own = {(factors[0], 0): c * unit for factors, c in form.terms.items() if len(factors) == 1}
+        constant = (form.constant - (1 << form.shift >> 1)) * unit
+        off = _linear([Fraction(1)], [x], own, constant)
+        off += HALF / (1 << EXPONENT_BITS) if form.shift else 0
+        (top,) = form.numbers
+        if off > 1 or line.scale != Fraction(2) ** (top - 27) or line.offset:
+            raise NotUnderstoodError(f"{line.node}: its exponent is off by more than 1")
+        largest = numbers.exp2(Fraction(form.high, 1 << EXPONENT_BITS))[1]
+        moved = largest * (numbers.exp2(off)[1] - 1) if off else Fraction(0)
+        octave = tuple(self._model.tables["zd_exp2_octave_q29"])
+        far = top + 2 - (form.low >> EXPONENT_BITS) > 31
+        rounded = line.scale * (1 if far else HALF)
+        return moved + rounded + numbers.exp2_octave(octave) * line.scale / 4
+
+    def _power(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+        (x,) = inputs
+        table = self._model.constants.get(form.table)
+        if form.call != "zd_power" or form.terms != {(x.line.node,): 1} or form.constant:
+            raise NotUnderstoodError(f"{line.node} is no power of its input")
+        if x.line.offset or x.scale <= 0 or line.offset or not isinstance(table, Struct):
+            raise NotUnderstoodError(f"{line.node}: a power of what is not counted from 0")
+        exponent = _given(line.numbers[0])
+        octave, gains = (self._column(table.tables[name]) for name in ("octave", "gains"))
+        low, high, shift = (_one(table.fields[name]) for name in ("low", "high", "shift"))
+        top = numbers.power(Fraction(2), exponent)[1] * low
+        off = numbers.power_octave(tuple(octave), exponent, low) + max(top - high, Fraction(0))
+        unit = line.scale / (1 << shift)
+        worst_gain = worst_octave = Fraction(0)
+        of_scale = numbers.power(x.scale, exponent)
+        for n, gain in enumerate(gains[: max(x.high, 1).bit_length()]):
+            of_n = numbers.power(Fraction(1 << n), exponent)
+            wanted = (of_scale[0] * of_n[0], of_scale[1] * of_n[1])
+            gap = max(abs(gain * unit * low - end) for end in wanted)
+            worst_gain = max(worst_gain, gap * top / low)
+            worst_octave = max(worst_octave, off * gain * unit)
+        rounded = line.scale * HALF if shift else Fraction(0)
+        return worst_gain + worst_octave + rounded + _pass_power(x, exponent)
+
+    def _column(self, pointer: object) -> list[int]:
+        if not isinstance(pointer, Pointer):
+            raise NotUnderstoodError("no table of a power")
+        return self._cells(pointer.block.name)
+
+    # --- rows: features, layers, head, drift
+
+    def _row(self, line: FloatLine, inputs: list[Has]) -> tuple[int, int, Fraction]:
+        if line.node == "features":
+            return self._feature(line, inputs)
+        if line.node == "head":
+            weights = self._weights("head_weights", line.index, len(inputs))
+            copies = [_copy(x) for x in inputs]
+            own = {x.line.place: w * line.scale for x, w in zip(inputs, weights, strict=True)}
+            low, high = _reach(weights, copies)
+            return low, high, _linear(_gains(line), copies, own, line.offset)
+        return self._dense(line, inputs)
+
+    def _weights(self, name: str, row: int, count: int) -> list[int]:
+        cells = self._cells(name)
+        if count == 0 or len(cells) % count:
+            raise NotUnderstoodError(f"{name}: rows of another length")
+        return cells[row * count : (row + 1) * count]
+
+    def _feature(self, line: FloatLine, inputs: list[Has]) -> tuple[int, int, Fraction]:
+        block = self._model.constants["features_matrix"]
+        signals = self._read_signals()
+        row = self._weights("features_matrix", line.index, block.sizes[-1])
+        shift = self._cells("features_shift")[line.index]
+        bias = self._cells("features_bias")[line.index]
+        unit = line.scale / (1 << shift)
+        own: dict[Place, Fraction] = {}
+        low = high = bias
+        for name, weight in zip(signals, row, strict=True):
+            own[(name, 0)] = own.get((name, 0), Fraction(0)) + weight * unit
+            first, last, _ = self._model.bounds[name]
+            ends = sorted((weight * first, weight * last))
+            low, high = low + ends[0], high + ends[1]
+        constant = (bias - (1 << shift >> 1)) * unit + line.offset
+        error = _linear(_gains(line), inputs, own, constant)
+        held = [min(max(end >> shift, -32768), 32767) for end in (low, high)]
+        return held[0], held[1], error + (HALF * line.scale if shift else 0)
+
+    def _read_signals(self) -> list[str]:
+        """Return the names of what the features are made of, in their order."""
+        return find_list(self._model.program, self._model.prefix, "signals")
+
+    def _dense(self, line: FloatLine, inputs: list[Has]) -> tuple[int, int, Fraction]:
+        if line.operation not in ("dense_tanh", "dense_clip"):
+            raise NotUnderstoodError(f"{line.node}: {line.operation}")
+        given, gains = line.numbers[:2], [_given(x) for x in line.numbers[3:]]
+        bias = _given(line.numbers[2])
+        copies = inputs if inputs[0].line.node == "features" else [_copy(x) for x in inputs]
+        weights = self._weights(f"{line.node}_weights", line.index, len(inputs))
+        own_bias = self._cells(f"{line.node}_bias")[line.index]
+        shift = self._cells(f"{line.node}_shift")[line.index]
+        tanh = line.operation == "dense_tanh"
+        copy = Fraction(1, 1 << TABLE_BITS) if tanh else line.scale * (1 << COPY)
+        own = {x.line.place: w * copy / (1 << shift) for x, w in zip(inputs, weights, strict=True)}
+        constant = (own_bias - (1 << shift >> 1)) * copy / (1 << shift) - bias
+        error = _linear(gains, copies, own, constant) + (HALF * copy if shift else 0)
+        low, high = (end + own_bias >> shift for end in _reach(weights, copies))
+        if not tanh:
+            ends = [self._cells(f"{line.node}_{end}")[line.index] for end in ("low", "high")]
+            gap = _limit_gap(given, (low * copy, high * copy), (ends[0] * copy, ends[1] * copy))
+            held = [min(max(end, ends[0]), ends[1]) << COPY for end in (low, high)]
+            return held[0], held[1], error + gap
+        if line.scale != Fraction(1, 1 << 30):
+            raise NotUnderstoodError(f"{line.node}: tanh in another format")
+        least = max(low * copy - error, -high * copy - error, Fraction(0))
+        slope = Fraction(1)
+        if least > 0:
+            e = numbers.exp(2 * min(least, Fraction(32)))[0]
+            slope = 4 * e / (1 + e) ** 2
+        table = _tanh_error(tuple(self._model.tanh_lines))
+        most = self._model.tanh_max
+        return -most, most, slope * error + table * line.scale
+
+    def _drift(self, line: FloatLine, inputs: list[Has], scale: Fraction) -> Fraction:
+        form = self._forms[f"drift[{line.index}]"]
+        if form.call or form.rounded:
+            raise NotUnderstoodError("the drift is no sum")
+        unit = scale / (1 << form.shift)
+        own = {}
+        for factors, c in form.terms.items():
+            name, _, index = factors[0].rstrip("]").partition("[")
+            own[(name, int(index or 0))] = c * unit
+        constant = (form.constant - (1 << form.shift >> 1)) * unit
+        rounded = HALF * scale if form.shift else Fraction(0)
+        return _linear(_gains(line), inputs, own, constant) + rounded
+
+
+_TABLES: dict[tuple[tuple[int, int], ...], Fraction] = {}
+
+
+def _tanh_error(lines: tuple[tuple[int, int], ...]) -> Fraction:
+    if lines not in _TABLES:
+        _TABLES[lines] = numbers.tanh_error(lines)
+    return _TABLES[lines]
+
+
+def _linear(
+    gains: Sequence[Fraction],
+    inputs: Sequence[Has],
+    own: Mapping[Place, Fraction],
+    constant: Fraction,
+) -> Fraction:
+    """Return how far own . q + constant can be from the sum of gains times real inputs."""
+    total = Fraction(0)
+    left = dict(own)
+    ranges: dict[Place, Has] = {}
+    for gain, x in zip(gains, inputs, strict=True):
+        total += abs(gain) * x.error
+        constant -= gain * x.line.offset
+        if x.line.node:
+            left[x.line.place] = left.get(x.line.place, Fraction(0)) - gain * x.scale
+            ranges[x.line.place] = x
+    low = high = constant
+    for place, rest in left.items():
+        if rest:
+            if place not in ranges:
+                raise NotUnderstoodError(f"{place[0]} is added and stands for nothing")
+            ends = (rest * ranges[place].low, rest * ranges[place].high)
+            low, high = low + min(ends), high + max(ends)
+    return total + max(abs(low), abs(high))
+
+
+def _gains(line: FloatLine) -> list[Fraction]:
+    return [_given(x) for x in line.numbers] if line.operation == "linear" else [Fraction(1)]
+
+
+def _limited(line: FloatLine, chip: tuple[Fraction, Fraction], inputs: list[Has]) -> Fraction:
+    """Return the error of an input limited to `chip`, in the float model to its own limits."""
+    if line.operation == "clip":
+        return inputs[0].error + _limit_gap(line.numbers[:2], inputs[0].ends, chip)
+    x, fixed = inputs if not inputs[1].line.node else (inputs[1], inputs[0])
+    end = fixed.line.offset
+    given = (end, None) if line.operation == "maximum" else (None, end)
+    return x.error + fixed.error + _limit_gap(given, x.ends, chip)
+
+
+def _limit_gap(
+    given: Sequence[Fraction | None],
+    reach: tuple[Fraction, Fraction],
+    chip: tuple[Fraction, Fraction],
+) -> Fraction:
+    """Return how far two limits of one number can leave it apart; the second may be any two."""
+    corners = [*reach]
+    ends = [end for end in (*given, *chip) if end is not None]
+    corners += [end for end in ends if reach[0] <= end <= reach[1]]
+
+    def held(x: Fraction, low: Fraction | None, high: Fraction | None) -> Fraction:
+        x = x if low is None else max(x, low)
+        return x if high is None else min(x, high)
+
+    return max(abs(held(x, *given) - held(x, *chip)) for x in corners)
+
+
+def _constant_power(line: FloatLine, x: Has) -> Fraction:
+    """Return how far a power of a constant, computed in floats, can be from the real one."""
+    off = []
+    for value in (x.line.offset - x.error, x.line.offset + x.error):
+        if line.operation == "exp2":
+            ends = numbers.exp2(min(max(value, Fraction(-60)), Fraction(60)))
+        else:
+            exponent = _given(line.numbers[0])
+            whole = round(exponent)
+            if abs(exponent - whole) < Fraction(1, 10**12):
+                slope = whole * (abs(x.line.offset) + x.error) ** max(whole - 1, 0)
+                return abs(line.offset - x.line.offset**whole) + slope * x.error
+            ends = numbers.power(max(value, Fraction(0)), exponent)
+        off += [abs(line.offset - end) for end in ends]
+    return max(off)
+
+
+def _pass_power(x: Has, exponent: Fraction) -> Fraction:
+    """Return how far apart powers of numbers are that are x.error apart."""
+    e = x.error
+    if not e:
+        return e
+    low, high = max(x.ends[0] - e, Fraction(0)), max(x.ends[1] + e, Fraction(0))
+    found = []
+    steep = low if exponent < 1 else high
+    if steep > 0:
+        inverse = numbers.power(steep, abs(exponent - 1))
+        slope = inverse[1] if exponent > 1 else 1 / inverse[0]
+        found.append(exponent * slope * e)
+    elif exponent > 1:
+        return Fraction(0)
+    if exponent < 1:
+        found.append(numbers.power(e, exponent)[1])
+    return min(found)
+
+
+def _copy(x: Has) -> Has:
+    """Return the int16 copy of a value with 15 more bits."""
+    half = 1 << (COPY - 1)
+    low, high = (x.low + half) >> COPY, (x.high + half) >> COPY
+    return Has(x.line, low, high, x.scale * (1 << COPY), x.error + abs(x.scale) * half)
+
+
+def _reach(weights: Sequence[int], inputs: Sequence[Has]) -> tuple[int, int]:
+    pairs = [sorted((w * x.low, w * x.high)) for w, x in zip(weights, inputs, strict=True)]
+    return sum(low for low, _ in pairs), sum(high for _, high in pairs)
+
+
+def _up(x: Fraction) -> Fraction:
+    """Return x >= 0 or a little more."""
+    surplus = x.numerator.bit_length() - x.denominator.bit_length() - DIGITS
+    power = Fraction(2) ** surplus
+    return -(-x // power) * power
+
+
+def _given(x: Fraction | None) -> Fraction:
+    if x is None:
+        raise NotUnderstoodError("a number without an end")
+    return x
+
+
+def _one(block: Block) -> int:
+    cell = block.cells[0]
+    if not isinstance(cell, int):
+        raise NotUnderstoodError(f"{block.name} is no number")
+    return cell
+
+
+def _rows(told: Mapping[str, object], key: str) -> list[Mapping[str, object]]:
+    rows = told[key]
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise TypeError(f"{key} is no list")
+    return rows
+
+
+def _read_number(value: object) -> Fraction:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{value!r:.40} is no number")
+    return Fraction(value)
+
+
+def _read_whole(value: object) -> int:
+    if type(value) is not int:
+        raise TypeError(f"{value!r:.40} is no integer")
+    return value
+
+
+def _read_list(value: object) -> list[object]:
+    if not isinstance(value, list):
+        raise TypeError(f"{value!r:.40} is no list")
+    return value
+
+
+def _read_claim(row: Mapping[str, object]) -> ErrorClaim:
+    per_unit = _read_whole(row["counts_per_unit"])
+    if per_unit < 1:
+        raise ValueError(f"{per_unit} counts per unit")
+    return ErrorClaim(
+        str(row["output"]), per_unit, _read_whole(row["signal"]), _read_number(row["bound"])
+    )
+
+
+def _read_line(row: Mapping[str, object]) -> FloatLine:
+    return FloatLine(
+        str(row["node"]),
+        _read_whole(row["index"]),
+        _read_number(row["scale"]),
+        _read_number(row["offset"]),
+        str(row["operation"]),
+        tuple(map(_read_whole, _read_list(row["of"]))),
+        tuple(None if x is None else _read_number(x) for x in _read_list(row["numbers"])),
+    )
