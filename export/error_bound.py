@@ -20,6 +20,7 @@ from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.signals import Real, Signal
 
 HOLDS = "same start, any input, any run length; the float model is limited where the chip is"
+BEHIND = "; both are given the codes behind the conversion of raw ones"
 ROUNDS = 60
 """Of the loop in which a load's error is that of the drift before; it closes, or no bound holds."""
 SPARE = Fraction(1, 1 << 20)
@@ -54,12 +55,13 @@ def bound_errors(quantized: Quantized) -> ErrorBound:
     ]
     try:
         drift = [NONE] * len(quantized.model.outputs)
+        holds = HOLDS + (BEHIND if quantized.model.conversions else "")
         for _ in range(ROUNDS):
             found = _Pass(quantized.model, known, drift).bound(quantized.answers)
             if all(a.covers(b) for a, b in zip(drift, found, strict=True)):
-                return ErrorBound(tuple(found), answers=quantized.answers)
+                return ErrorBound(tuple(found), answers=quantized.answers, holds=holds)
             if not quantized.model.feeds_back:
-                return ErrorBound(tuple(found), answers=quantized.answers)
+                return ErrorBound(tuple(found), answers=quantized.answers, holds=holds)
             if any(error.total > span for error, span in zip(found, spans, strict=True)):
                 break
             drift = [error.scale(1 + SPARE) for error in found]
@@ -123,7 +125,7 @@ class _Pass:
         inputs = [self._know_with_error(x) for x in real.inputs]
         moving = [x for x in real.inputs if x.node]
         own = (signal.node, signal.index)
-        if (real.inputs and all((x.node, x.index) == own for x in moving)) or not signal.node:
+        if (moving and all((x.node, x.index) == own for x in moving)) or not signal.node:
             return bound_in_place(signal, real, out, inputs)
         if real.operation == "load":
             inputs = [self._know_drift(signal)]

@@ -11,44 +11,16 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from zerodrift.verify import bound_numbers as numbers
-from zerodrift.verify.bound_forms import CODE, LOAD, Form, find_list, read_forms
+from zerodrift.verify.bound_claims import ErrorClaim, FloatLine, Place, read_bound
+from zerodrift.verify.bound_forms import CODE, LOAD, NodeForm, find_list, read_forms
 from zerodrift.verify.c_model import Model
 from zerodrift.verify.c_values import Block, NotUnderstoodError, Pointer, Struct
 
-Place = tuple[str, int]
 HALF = Fraction(1, 2)
 COPY = 15
 EXPONENT_BITS, RING_BITS, LOWPASS_BITS, TABLE_BITS = 24, 31, 24, 16
 DIGITS = 200
 """Bits that a fraction is shortened to, upwards."""
-
-
-@dataclass(frozen=True)
-class FloatLine:
-    """A signal of the float model, and how the chip has it."""
-
-    node: str
-    index: int
-    scale: Fraction
-    offset: Fraction
-    operation: str
-    of: tuple[int, ...]
-    numbers: tuple[Fraction | None, ...]
-
-    @property
-    def place(self) -> Place:
-        """The integer that stands for it."""
-        return self.node, self.index
-
-
-@dataclass(frozen=True)
-class ErrorClaim:
-    """What is claimed of an output."""
-
-    output: str
-    counts_per_unit: int
-    signal: int
-    bound: Fraction
 
 
 @dataclass(frozen=True)
@@ -88,8 +60,7 @@ def check_bound(told: Mapping[str, object], model: Model) -> tuple[int, list[str
         NotUnderstoodError: something without a rule.
         KeyError, TypeError, ValueError: it is not built like a certificate.
     """
-    claims = [_read_claim(row) for row in _rows(told, "error_bound")]
-    lines = [_read_line(row) for row in _rows(told, "float_model")]
+    claims, lines = read_bound(told)
     if len(claims) != model.outputs:
         return 0, [f"{len(claims)} error bounds are claimed of {model.outputs} outputs"]
     for k, claim in enumerate(claims):
@@ -164,7 +135,7 @@ class _BoundCheck:
         moving = [x for x in inputs if x.line.node]
         if line.operation == "constant":
             error = abs(line.offset - _given(line.numbers[0]))
-        elif not line.node or (inputs and all(x.line.place == line.place for x in moving)):
+        elif not line.node or (moving and all(x.line.place == line.place for x in moving)):
             error = self._same_integers(line, out, inputs)
         else:
             error = self._by_form(line, out, inputs, self._forms[line.node])
@@ -198,7 +169,7 @@ class _BoundCheck:
 
     # --- rules by what the C computes
 
-    def _by_form(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _by_form(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         rule = {
             "input": self._input,
             "load": self._load,
@@ -219,7 +190,7 @@ class _BoundCheck:
             raise NotUnderstoodError(f"{line.operation}: no rule for its error")
         return rule(line, out, inputs, form)
 
-    def _input(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _input(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         if form.call != CODE or form.shift:
             raise NotUnderstoodError(f"{line.node} is no limited code")
         lsb, offset, taken_off = map(_given, line.numbers)
@@ -231,7 +202,7 @@ class _BoundCheck:
             gaps.append(abs(out.at(q) - (offset + lsb * code - taken_off)))
         return max(gaps)
 
-    def _load(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _load(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         if form.call != LOAD or form.constant or form.shift:
             raise NotUnderstoodError(f"{line.node} is no load")
         (lsb,) = map(_given, line.numbers)
@@ -240,12 +211,12 @@ class _BoundCheck:
         claim = self._claims[form.load]
         return claim.bound * claim.counts_per_unit * lsb
 
-    def _counter(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _counter(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         if form.call != "count" or line.scale != _given(line.numbers[0]) or line.offset:
             raise NotUnderstoodError(f"{line.node} counts another time")
         return Fraction(0)
 
-    def _sum(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _sum(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         if form.call:
             raise NotUnderstoodError(f"{line.node} is no sum")
         unit = line.scale / (1 << form.shift)
@@ -259,7 +230,7 @@ class _BoundCheck:
         rounded = HALF * abs(line.scale) if form.shift else Fraction(0)
         return _linear(_gains(line), inputs, own, constant) + rounded
 
-    def _product(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _product(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         a, b = inputs
         names = {(a.line.node, b.line.node), (b.line.node, a.line.node)}
         if {*form.terms} - names or len(form.terms) != 1 or form.call or form.constant:
@@ -272,7 +243,7 @@ class _BoundCheck:
         rounded = HALF * abs(line.scale) if form.shift else Fraction(0)
         return a.error * b.size + b.error * (a.size + a.error) + gap + rounded
 
-    def _clip(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _clip(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         moving = [x for x in inputs if x.line.node]
         if len(moving) != 1 or form.terms != {(moving[0].line.node,): 1}:
             raise NotUnderstoodError(f"{line.node} limits something else")
@@ -283,7 +254,7 @@ class _BoundCheck:
         low, high = sorted((out.at(form.low), out.at(form.high)))
         return _limited(line, (low, high), inputs)
 
-    def _extreme(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _extreme(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         if form.low is not None:
             return self._clip(line, out, inputs, form)
         flipped = line.scale < 0
@@ -293,14 +264,14 @@ class _BoundCheck:
             raise NotUnderstoodError(f"{line.node} is no {line.operation} of its inputs")
         return max(x.error for x in inputs)
 
-    def _follows(self, line: FloatLine, x: Has, form: Form, call: str) -> None:
+    def _follows(self, line: FloatLine, x: Has, form: NodeForm, call: str) -> None:
         same = (x.scale, x.line.offset) == (line.scale, line.offset)
         if form.call != call or form.constant or not same:
             raise NotUnderstoodError(f"{line.node} does not follow its input")
         if call not in ("ring", "between") and form.terms != {(x.line.node,): 1}:
             raise NotUnderstoodError(f"{line.node} reads another input")
 
-    def _lowpass(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _lowpass(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         (x,) = inputs
         self._follows(line, x, form, "zd_lowpass")
         c_q24, m_q31, shift = form.numbers
@@ -318,7 +289,7 @@ class _BoundCheck:
         counts += Fraction(1, 8) + 1 / (a * (1 << 25)) + HALF
         return x.error + counts * abs(x.scale)
 
-    def _delay(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _delay(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         (x,) = inputs
         share = Fraction(form.numbers[0], 1 << RING_BITS) if form.call == "between" else Fraction(0)
         self._follows(line, x, form, "between" if share else "ring")
@@ -329,7 +300,7 @@ class _BoundCheck:
         wrong = abs(steps - share - delay_s / period_s) * (x.high - x.low)
         return x.error + (wrong + (HALF if share else 0)) * abs(x.scale)
 
-    def _play(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _play(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         (x,) = inputs
         self._follows(line, x, form, "zd_play")
         width = _given(line.numbers[0]) / abs(x.scale)
@@ -338,7 +309,7 @@ class _BoundCheck:
             return 3 * x.error
         return x.error + abs(form.numbers[0] - width) * abs(x.scale)
 
-    def _exp2(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _exp2(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         (x,) = inputs
         if form.call != "zd_exp2" or form.low is None or form.high is None:
             raise NotUnderstoodError(f"{line.node} is no limited power of two")
@@ -357,7 +328,7 @@ class _BoundCheck:
         rounded = line.scale * (1 if far else HALF)
         return moved + rounded + numbers.exp2_octave(octave) * line.scale / 4
 
-    def _power(self, line: FloatLine, out: Has, inputs: list[Has], form: Form) -> Fraction:
+    def _power(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         (x,) = inputs
         table = self._model.constants.get(form.table)
         if form.call != "zd_power" or form.terms != {(x.line.node,): 1} or form.constant:
@@ -406,7 +377,9 @@ class _BoundCheck:
         return cells[row * count : (row + 1) * count]
 
     def _feature(self, line: FloatLine, inputs: list[Has]) -> tuple[int, int, Fraction]:
-        block = self._model.constants["features_matrix"]
+        block = self._model.constants.get("features_matrix")
+        if not isinstance(block, Block):
+            raise NotUnderstoodError("no matrix of features")
         signals = self._read_signals()
         row = self._weights("features_matrix", line.index, block.sizes[-1])
         shift = self._cells("features_shift")[line.index]
@@ -605,49 +578,3 @@ def _one(block: Block) -> int:
     if not isinstance(cell, int):
         raise NotUnderstoodError(f"{block.name} is no number")
     return cell
-
-
-def _rows(told: Mapping[str, object], key: str) -> list[Mapping[str, object]]:
-    rows = told[key]
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise TypeError(f"{key} is no list")
-    return rows
-
-
-def _read_number(value: object) -> Fraction:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{value!r:.40} is no number")
-    return Fraction(value)
-
-
-def _read_whole(value: object) -> int:
-    if type(value) is not int:
-        raise TypeError(f"{value!r:.40} is no integer")
-    return value
-
-
-def _read_list(value: object) -> list[object]:
-    if not isinstance(value, list):
-        raise TypeError(f"{value!r:.40} is no list")
-    return value
-
-
-def _read_claim(row: Mapping[str, object]) -> ErrorClaim:
-    per_unit = _read_whole(row["counts_per_unit"])
-    if per_unit < 1:
-        raise ValueError(f"{per_unit} counts per unit")
-    return ErrorClaim(
-        str(row["output"]), per_unit, _read_whole(row["signal"]), _read_number(row["bound"])
-    )
-
-
-def _read_line(row: Mapping[str, object]) -> FloatLine:
-    return FloatLine(
-        str(row["node"]),
-        _read_whole(row["index"]),
-        _read_number(row["scale"]),
-        _read_number(row["offset"]),
-        str(row["operation"]),
-        tuple(map(_read_whole, _read_list(row["of"]))),
-        tuple(None if x is None else _read_number(x) for x in _read_list(row["numbers"])),
-    )

@@ -4,11 +4,28 @@ A node's number is one expression in C: a sum of others with whole coefficients,
 limited, or a call of the runtime. Shares no code with the generator.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
 
-from zerodrift.verify.c_nodes import CNode, Program, Variable
+from zerodrift.verify.c_nodes import (
+    CAssign,
+    CBinary,
+    CBlock,
+    CCall,
+    CCast,
+    CChoose,
+    CDeclare,
+    CField,
+    CIndex,
+    CInteger,
+    CList,
+    CName,
+    CNode,
+    CNumbers,
+    CUnary,
+    Expression,
+    Program,
+    walk,
+)
 from zerodrift.verify.c_values import NotUnderstoodError
 
 CODE, LOAD = "code", "load"
@@ -16,7 +33,7 @@ CODE, LOAD = "code", "load"
 
 
 @dataclass(frozen=True)
-class Form:
+class NodeForm:
     """limit((sum of coefficients times products of nodes + constant) >> shift)."""
 
     terms: dict[tuple[str, ...], int] = field(default_factory=dict)
@@ -36,97 +53,105 @@ class Form:
     """Index of the drift that a load is less by."""
 
 
-def read_forms(program: Program, prefix: str) -> dict[str, Form]:
+def read_forms(program: Program, prefix: str) -> dict[str, NodeForm]:
     """Return node -> form, outputs as drift[0] and so on; what has none is left out."""
-    forms: dict[str, Form] = {}
+    forms: dict[str, NodeForm] = {}
     body = program.functions[f"{prefix}_advance"].body
-    for block in _list_blocks(body):
-        local: dict[str, CNode] = {}
-        for statement in block.parts:
-            if statement.kind == "declare":
-                variable: Variable = statement.parts[0]
-                if variable.first is not None and not variable.sizes:
-                    local[variable.name] = variable.first
-            cell = _name_cell(statement.parts[1]) if statement.kind == "assign" else ""
-            if cell.startswith("drift["):
-                forms[cell] = _read(statement.parts[2], local)
+    for block in _list_blocks(program, prefix):
+        local: dict[str, Expression] = {}
+        for statement in block.statements:
+            if isinstance(statement, CDeclare):
+                variable = statement.variable
+                first = variable.first
+                if not variable.sizes and not isinstance(first, CNumbers | CList | None):
+                    local[variable.name] = first
+            elif isinstance(statement, CAssign):
+                cell = _name_cell(statement.target)
+                if cell.startswith("drift["):
+                    forms[cell] = _read(statement.source, local)
         if block is body:
-            for name, first in local.items():
+            for name, value in local.items():
                 try:
-                    forms[name] = _read(first, {})
+                    forms[name] = _read(value, {})
                 except NotUnderstoodError:
                     continue  # no node: flags, the place in a ring
     return forms
 
 
-def _list_blocks(node: Any) -> Iterator[CNode]:
-    if isinstance(node, CNode):
-        if node.kind == "block":
-            yield node
-        for part in node.parts:
-            yield from _list_blocks(part)
-    elif isinstance(node, tuple | list):
-        for part in node:
-            yield from _list_blocks(part)
+def find_list(program: Program, prefix: str, name: str) -> list[str]:
+    """Return the names that an array within a step is filled with."""
+    for block in _list_blocks(program, prefix):
+        for statement in block.statements:
+            if isinstance(statement, CDeclare) and statement.variable.name == name:
+                first = statement.variable.first
+                if isinstance(first, CList):
+                    return [item.name for item in first.items if isinstance(item, CName)]
+    raise NotUnderstoodError(f"no array {name}")
+
+
+def _list_blocks(program: Program, prefix: str) -> list[CBlock]:
+    body = program.functions[f"{prefix}_advance"].body
+    return [node for node in walk(body) if isinstance(node, CBlock)]
 
 
 def _name_cell(node: CNode) -> str:
     """Return name[3] for an element with a number as its index, else ""."""
-    if node.kind != "index" or node.parts[0].kind != "name" or node.parts[1].kind != "integer":
+    if not isinstance(node, CIndex) or not isinstance(node.of, CName):
         return ""
-    return f"{node.parts[0].parts[0]}[{node.parts[1].parts[1]}]"
+    return f"{node.of.name}[{node.index.number}]" if isinstance(node.index, CInteger) else ""
 
 
-def _number(node: CNode) -> int:
+def _number(node: Expression) -> int:
     form = _read(node, {})
     if form.terms or form.shift or form.call:
         raise NotUnderstoodError("a number was expected")
     return form.constant
 
 
-def _read(node: CNode, local: dict[str, CNode]) -> Form:
-    kind, parts = node.kind, node.parts
-    if kind == "integer":
-        return Form(constant=parts[1])
-    if kind == "cast":
-        return _read(parts[1], local)
-    if kind == "name":
-        name = parts[0]
-        return _read(local[name], local) if name in local else Form({(name,): 1})
-    if kind == "index" and (cell := _name_cell(node)):
-        return Form({(cell,): 1})
-    if kind == "index":
-        return Form({("ring",): 1}, call="ring")
-    if kind == "field" and parts[2].endswith("_count"):
-        return Form({(parts[2],): 1}, call="count")
-    if kind == "unary" and parts[0] == "-":
-        return _scale(_read(parts[1], local), -1)
-    if kind == "binary" and parts[0] in "+-*":
-        return _combine(parts[0], _read(parts[1], local), _read(parts[2], local))
-    if kind == "choose" and parts[0].kind == "binary" and parts[0].parts[0] in "<>":
-        pair = [_read(x, local) for x in (*parts[0].parts[1:], *parts[1:])]
-        if pair[:2] == pair[2:]:
-            names = tuple(next(iter(p.terms))[0] for p in pair[:2])
-            largest = parts[0].parts[0] == ">"
-            return Form({(name,): 1 for name in names}, call="maximum" if largest else "minimum")
-    if kind == "call":
-        return _read_call(parts[0], parts[1], local)
-    raise NotUnderstoodError(f"a {kind} in a node's expression")
+def _read(node: Expression, local: dict[str, Expression]) -> NodeForm:
+    match node:
+        case CInteger():
+            return NodeForm(constant=node.number)
+        case CCast():
+            return _read(node.of, local)
+        case CName() if node.name in local:
+            return _read(local[node.name], local)
+        case CName():
+            return NodeForm({(node.name,): 1})
+        case CIndex() if cell := _name_cell(node):
+            return NodeForm({(cell,): 1})
+        case CIndex():
+            return NodeForm({("ring",): 1}, call="ring")
+        case CField() if node.name.endswith("_count"):
+            return NodeForm({(node.name,): 1}, call="count")
+        case CUnary(operator="-"):
+            return _scale(_read(node.of, local), -1)
+        case CBinary(operator="+" | "-" | "*"):
+            return _combine(node.operator, _read(node.left, local), _read(node.right, local))
+        case CChoose(condition=CBinary(operator="<" | ">") as condition):
+            pair = [_read(x, local) for x in (condition.left, condition.right)]
+            if pair == [_read(x, local) for x in (node.first, node.second)]:
+                names = [next(iter(form.terms))[0] for form in pair]
+                call = "maximum" if condition.operator == ">" else "minimum"
+                return NodeForm({(name,): 1 for name in names}, call=call)
+        case CCall():
+            return _read_call(node.name, node.arguments, local)
+    raise NotUnderstoodError(f"a {type(node).__name__} in a node's expression")
 
 
-def _plain(form: Form) -> Form:
+def _plain(form: NodeForm) -> NodeForm:
     if form.shift or form.low is not None or (form.call and form.call not in (CODE, LOAD)):
         raise NotUnderstoodError("arithmetic on what was shifted or limited")
     return form
 
 
-def _scale(form: Form, factor: int) -> Form:
+def _scale(form: NodeForm, factor: int) -> NodeForm:
     form = _plain(form)
     terms = {name: c * factor for name, c in form.terms.items()}
     return replace(form, terms=terms, constant=form.constant * factor)
 
 
-def _combine(operator: str, left: Form, right: Form) -> Form:
+def _combine(operator: str, left: NodeForm, right: NodeForm) -> NodeForm:
     left, right = _plain(left), _plain(right)
     if operator == "*":
         if not left.terms or not right.terms:
@@ -135,7 +160,7 @@ def _combine(operator: str, left: Form, right: Form) -> Form:
         if left.constant or right.constant:
             raise NotUnderstoodError("a product of sums")
         terms = {(*a, *b): x * y for a, x in left.terms.items() for b, y in right.terms.items()}
-        return Form(terms)
+        return NodeForm(terms)
     if operator == "-":
         right = _scale(right, -1)
     terms = dict(left.terms)
@@ -145,17 +170,19 @@ def _combine(operator: str, left: Form, right: Form) -> Form:
     return replace(whole, terms=terms, constant=left.constant + right.constant)
 
 
-def _read_call(name: str, arguments: tuple[CNode, ...], local: dict[str, CNode]) -> Form:
+def _read_call(
+    name: str, arguments: tuple[Expression, ...], local: dict[str, Expression]
+) -> NodeForm:
     if name in ("INT64_C", "INT32_C", "UINT32_C"):
         return _read(arguments[0], local)
     if name == "zd_load":
         index = _name_field(arguments[1])
         low, high = _number(arguments[2]), _number(arguments[3])
-        return Form({(LOAD,): 1}, call=LOAD, numbers=(low, high), load=index)
+        return NodeForm({(LOAD,): 1}, call=LOAD, numbers=(low, high), load=index)
     if name in ("zd_clamp32", "zd_clamp64"):
         low, high = _number(arguments[1]), _number(arguments[2])
-        if arguments[0].kind == "field":
-            return Form({(CODE,): 1}, call=CODE, numbers=(low, high))
+        if isinstance(arguments[0], CField):
+            return NodeForm({(CODE,): 1}, call=CODE, numbers=(low, high))
         form = _read(arguments[0], local)
         if form.low is not None or form.call:
             raise NotUnderstoodError("two limits")
@@ -170,26 +197,17 @@ def _read_call(name: str, arguments: tuple[CNode, ...], local: dict[str, CNode])
         numbers = tuple(map(_number, arguments[2:]))
         return replace(_plain(_read(arguments[1], local)), call=name, numbers=numbers)
     if name == "zd_power":
-        table = arguments[0].parts[1].parts[0]
-        return replace(_plain(_read(arguments[1], local)), call=name, table=table)
+        table = arguments[0]
+        if not isinstance(table, CUnary) or not isinstance(table.of, CName):
+            raise NotUnderstoodError("a power without a table")
+        return replace(_plain(_read(arguments[1], local)), call=name, table=table.of.name)
     if name == "zd_between":
-        return Form({("ring",): 1}, call="between", numbers=(_number(arguments[2]),))
+        return NodeForm({("ring",): 1}, call="between", numbers=(_number(arguments[2]),))
     raise NotUnderstoodError(f"a call of {name}")
 
 
-def _name_field(node: CNode) -> int:
+def _name_field(node: Expression) -> int:
     """Return 3 for s->drift[3]."""
-    if node.kind != "index" or node.parts[0].kind != "field" or node.parts[0].parts[2] != "drift":
+    if not isinstance(node, CIndex) or not isinstance(node.of, CField) or node.of.name != "drift":
         raise NotUnderstoodError("a load that is less by no drift")
-    return _number(node.parts[1])
-
-
-def find_list(program: Program, prefix: str, name: str) -> list[str]:
-    """Return the names that an array within a step is filled with."""
-    for block in _list_blocks(program.functions[f"{prefix}_advance"].body):
-        for statement in block.parts:
-            if statement.kind == "declare" and statement.parts[0].name == name:
-                first = statement.parts[0].first
-                if first is not None and first.kind == "list":
-                    return [str(item.parts[0]) for item in first.parts if item.kind == "name"]
-    raise NotUnderstoodError(f"no array {name}")
+    return _number(node.index)

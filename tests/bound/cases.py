@@ -29,16 +29,28 @@ class Case:
     quantized: Quantized
     codes: NDArray[np.int64]  # [B, T, C]
 
+    @classmethod
+    def of(cls, described: FloatModel, calibration: Calibration) -> "Case":
+        """Return the case of a float model, without codes."""
+        quantized = quantize_graph(described, calibration)
+        return cls(described, calibration, quantized, np.zeros((0, 0, 0), dtype=np.int64))
+
     def bound(self) -> ErrorBound:
         """Return what is proven."""
         return bound_errors(self.quantized)
 
     def measure(self) -> Array:
         """Return |chip - float model| [B, T, K], less what double precision rounds."""
-        floats = answer(self.described, self.calibration, self.quantized, self.codes)
+        codes = self.codes.copy()
+        for i, channel in enumerate(self.quantized.model.channels):
+            if channel.no_reading is not None:  # both would hold the last reading
+                missing = codes[..., i] == channel.no_reading
+                codes[..., i] = np.where(missing, channel.no_reading + 1, codes[..., i])
+        floats = answer(self.described, self.calibration, self.quantized, codes)
         scale = [output.lsb_per_unit for output in self.described.outputs]
-        chip = Reference(self.quantized.model).run(self.codes, settled=True).drift / np.array(scale)
-        return np.maximum(np.abs(chip - floats) - FLOAT_ERROR * np.abs(floats).max(), 0.0)
+        chip = Reference(self.quantized.model).run(codes, settled=True).drift / np.array(scale)
+        gap = np.abs(chip - floats) - FLOAT_ERROR * np.abs(floats).max(axis=(0, 1))
+        return np.asarray(np.maximum(gap, 0.0))
 
 
 def draw_case(seed: int, number: int) -> Case:
@@ -54,10 +66,6 @@ def draw_case(seed: int, number: int) -> Case:
         except CheckError:
             continue
     codes = draw_signals(rng, quantized.model, logs).astype(np.int64)
-    for i, channel in enumerate(quantized.model.channels):
-        if channel.no_reading is not None:
-            column = codes[..., i]
-            codes[..., i] = np.where(column == channel.no_reading, column + 1, column)
     return Case(described, calibration, quantized, codes)
 
 

@@ -98,8 +98,10 @@ class _Held:
         if not signal.node:
             return value if node.op in ("constant", "affine") else self._hold(node, value)
         integer = self._integers[signal.node]
-        if node.op in ("power", "maximum", "minimum"):
+        if node.op in ("maximum", "minimum"):
             value = self._hold(node, value)
+        if integer.kind == "power":  # its input is held below what gives the highest result
+            value = np.minimum(value, self._hold(node, np.full(1, np.inf)))
         if integer.kind in ("input", "load") or node.op in ("affine", "clip"):
             return value
         if integer.kind in ("sum", "product", "exp2") and integer.ends is not None:

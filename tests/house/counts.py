@@ -45,6 +45,7 @@ NAMED = (
     ("page", "workbench/first.py", "parts of the page by their id"),
     ("_symbols", "c_runtime/emulator.py", "names that stand in the C under test"),
     ("_objects", "c_runtime/emulator.py", "names that stand in the C under test"),
+    ("tables", "verify/bound_check.py", "tables of the C under test"),
     *((name, "verify/c_*", "names that stand in the C under test") for name in C_NAMES),
 )
 """What a key may be written out for, and where: names declared elsewhere, none of a result."""
@@ -57,6 +58,7 @@ EDGES = {
     "export/model_files.py": "the reader of model.json, which yields the nodes as dataclasses",
     "verify/trial_child.py": "a process of its own reads its job, with the standard library alone",
     "verify/c_claims.py": "the checker reads certificate.json without the writer's code",
+    "verify/bound_claims.py": "the same",
 }
 """Modules that turn what another program wrote into records."""
 
