@@ -27,6 +27,7 @@ RUNTIME_FILES = (
     INCLUDE_DIRECTORY / "zd_gru_columns.h",
     INCLUDE_DIRECTORY / "zd_gru_columns_sse2.h",
     INCLUDE_DIRECTORY / "zd_gru_columns_avx2.h",
+    INCLUDE_DIRECTORY / "zd_lstm.h",
     RUNTIME_DIRECTORY / "src" / "zd_runtime.c",
 )
 """What has to lie beside a generated model."""

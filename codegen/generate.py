@@ -1,6 +1,6 @@
 """Renders an integer model as one C header and one C source, deterministic to the byte."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -59,10 +59,11 @@ def generate(model: IntegerModel) -> GeneratedCode:
     claims = model.prove()
     bounds = {bound.where: bound.interval for bound in claims}
     stateful = [n for n in model.nodes if n.stateful]
-    layer = model.recurrent
-    fed_at_rest = [n for n in stateful if n is not layer or layer.window]  # a cold GRU is 0
+    streaming = [layer for layer in model.recurrents if layer.streams]
+    fed_at_rest = [n for n in stateful if n not in streaming]  # cold recurrent layers are 0
     needed_at_rest = _ancestors(model, fed_at_rest)
-    settle_nodes = [n for n in model.nodes if layer and n.name in _ancestors(model, [layer])]
+    below = _ancestors(model, streaming)
+    settle_nodes = [n for n in model.nodes if n.name in below or n in streaming]
     selftest_low, selftest_high = limits_of(model)
     every = (*model.conversions, *model.nodes)
     tables = [table for node in every for table in node.list_tables()]
@@ -92,9 +93,9 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "tables": tables,
         "tables_crc": crc_of_words(word for table in tables for word in table.words),
         "checks": [
-            *(f"{name}_is_sound" for name in (layer.name_layers("_") if layer else ())),
+            *(f"{n}_is_sound" for layer in model.recurrents for n in layer.name_layers("_")),
             *([f"{prefix}_tables_are_sound"] if tables else []),
-            *(part.is_sound for part in reversed(parts)),
+            *dict.fromkeys(part.is_sound for part in reversed(parts)),
         ],
         "bounds": bounds,
         "claims": claims,
@@ -106,6 +107,7 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "stateful": stateful,
         "rest_nodes": [n for n in model.nodes if n in stateful or n.name in needed_at_rest],
         "settle_nodes": settle_nodes,
+        "below": below,
         "relax_reads_inputs": any(isinstance(n, ChannelNode) for n in settle_nodes),
     }
     environment = make_environment()
@@ -123,7 +125,7 @@ def generate(model: IntegerModel) -> GeneratedCode:
     )
 
 
-def _ancestors(model: IntegerModel, of: list[IntegerNode]) -> set[str]:
+def _ancestors(model: IntegerModel, of: Sequence[IntegerNode]) -> set[str]:
     """Return the names of all nodes whose present values the nodes `of` need when they settle."""
     nodes = {node.name: node for node in model.nodes}
     found: set[str] = set()

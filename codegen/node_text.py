@@ -84,6 +84,10 @@ class NodeText:
         """Return how a recurrent layer comes to rest under the present input."""
         return self._render("relax", node)
 
+    def copy(self, node: IntegerNode) -> str:
+        """Return the int16 copy of a recurrent layer's present output."""
+        return self._render("copy", node)
+
     def elapse(self, node: IntegerNode) -> str:
         """Return what the test harness does for a log that begins after power-on."""
         return self._render("elapse", node)

@@ -355,8 +355,7 @@ def widen(low: int, high: int, margin: float, bits: int) -> tuple[int, int]:
 
 def measure_warm_up(model: IntegerModel, runs: Sequence[Run]) -> int:
     """Return the steps after which a cold start agrees with a start at rest, on the longest run."""
-    layer = model.recurrent
-    if layer is None or layer.window:
+    if not model.streams:
         return 0  # everything but a carried state starts at rest even from cold
     codes = encode_inputs(model, max(runs, key=len))[None, :WARM_UP_RUN_STEPS]
     reference = Reference(model)

@@ -85,7 +85,7 @@ def _choose_features(
     imported: ImportedNetwork, config: Config, features: Sequence[str] | None
 ) -> tuple[str, ...]:
     known = (TEMPERATURE, *config.inputs)
-    count = imported.network.gru.w_x.shape[2]
+    count = imported.network.inputs
     for name in features or ():
         if name not in known:
             raise InputError(

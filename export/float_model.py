@@ -16,6 +16,7 @@ from zerodrift.dataset.runs import Run
 from zerodrift.export.feedback import predict_fed_back
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, OutputFormat
+from zerodrift.export.layered_network import FloatLayeredNetwork
 from zerodrift.operations.backend import evaluate
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import Node, list_nodes
@@ -49,7 +50,7 @@ class FloatModel:
     """[I]."""
     whitening: Array | None = None
     """[I', I]: the network's input is whitening @ (taps - mean)."""
-    network: FloatNetwork | FloatFeedForward | None = None
+    network: FloatNetwork | FloatLayeredNetwork | FloatFeedForward | None = None
     window: int = 0
     """0: the network's state is carried from sample to sample."""
     feature_names: tuple[str, ...] = ()

@@ -33,6 +33,20 @@ class FloatNetwork:
     """The file that training left, where it is one of ours: its answers are asked of it."""
 
     @property
+    def inputs(self) -> int:
+        """Number of features I."""
+        return int(self.gru.w_x.shape[2])
+
+    def list_arrays(self) -> list[tuple[str, Array]]:
+        """Return all weights and biases by name."""
+        named = [("head", self.head), ("head bias", self.head_bias)]
+        for k, gru in enumerate(self.layers):
+            named += [(f"GRU {k} {name}", getattr(gru, name)) for name in ("w_x", "w_h", "bias")]
+        for k, layer in enumerate(self.dense):
+            named.append((f"dense layer {k}", np.column_stack([layer.weight, layer.bias])))
+        return named
+
+    @property
     def layers(self) -> tuple[FloatGru, ...]:
         """All recurrent layers from the bottom up."""
         return (self.gru, *self.upper)

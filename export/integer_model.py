@@ -17,6 +17,7 @@ from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.recurrent import IntegerRecurrent
 
 FORMAT = 3
 """Version of the integer arithmetic; equals ZD_RUNTIME_FORMAT of the C runtime."""
@@ -192,8 +193,18 @@ class IntegerModel:
 
     @property
     def recurrent(self) -> IntegerGruLayer | None:
-        """The GRU layer, if there is one."""
+        """The first GRU layer, if there is one: the one whose kernels are looked at alone."""
         return next((n for n in self.nodes if isinstance(n, IntegerGruLayer)), None)
+
+    @property
+    def recurrents(self) -> tuple[IntegerRecurrent, ...]:
+        """All recurrent layers, of whatever kind."""
+        return tuple(n for n in self.nodes if isinstance(n, IntegerRecurrent))
+
+    @property
+    def streams(self) -> bool:
+        """Whether some recurrent layer carries its state from sample to sample."""
+        return any(layer.streams for layer in self.recurrents)
 
     @cached_property
     def hash(self) -> str:

@@ -377,11 +377,15 @@ def _write_nodes_at_rest(
     """Write all nodes' states at rest; return them, and the drift there where it is needed."""
     values, state = dict(given), {}
     needed = _needed_at_rest(model)
+    stacked = sum(layer.streams for layer in model.recurrents) > 1
+    resting = dict(values) if stacked else values  # what settles stands on what is settled
     for node in model.nodes:
         with w.label(node.name):
-            own = (node.write_settle if settled else node.write_rest)(w, values)
+            own = (node.write_settle if settled else node.write_rest)(w, resting)
             state.update({f"{node.name}.{key}": name for key, name in own.items()})
-            if node.name in needed:
+            if stacked and node.name in needed:
+                resting[node.name] = node.write_at_rest(w, resting, own)
+            if node.name in needed and (model.feeds_back or not stacked):
                 _, values[node.name] = node.write_step(w, values, own)
     return state, values.get(model.drift.name, "")
 

@@ -11,11 +11,13 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
+from zerodrift.export.onnx_recurrent import gru, lstm
 from zerodrift.export.onnx_shapes import (
     RESHAPED,
     Attributes,
     Operator,
     axes_of,
+    concat_shapes,
     is_data,
     pick_array,
 )
@@ -29,17 +31,80 @@ from zerodrift.export.onnx_values import (
     Unsupported,
     Value,
     bind,
+    join_signals,
 )
 from zerodrift.operations.dense import FloatDense
-from zerodrift.operations.gru.onnx import from_onnx_gates
 
 Array = NDArray[np.float64]
 
 SUPPORTED = (
-    "supported are forward GRUs with sigmoid and tanh; changes of shape; Add, Sub, Mul, Div, MatMul"
-    " and Gemm with constants; the last sample of the states; and after the GRU Relu, LeakyRelu,"
-    " PRelu, Clip, Tanh, Sigmoid and HardSigmoid"
+    "supported are forward GRUs and LSTMs with sigmoid and tanh; changes of shape; Add, Sub, Mul,"
+    " Div, MatMul and Gemm with constants; sums and Concat of branches; the last sample of the"
+    " states; Relu, LeakyRelu, PRelu, Clip, Tanh, Sigmoid and HardSigmoid"
 )
+
+
+def bind_features(value: Value, position: int) -> OnnxSignal:
+    """Return data as a signal; the features of an input are taken to lie along an axis.
+
+    Raises:
+        Unsupported: it is no data, or nothing tells how many features there are.
+    """
+    if isinstance(value, RawInput):
+        size = value.axes[position].size
+        if size is None:
+            raise Unsupported(
+                f"the file does not tell the length of axis {position} of input '{value.name}';"
+                " export it with a fixed number of features"
+            )
+        return bind(value, size, position)
+    if not isinstance(value, OnnxSignal):
+        raise Unsupported("it is used on something that is not followed")
+    return value
+
+
+def align_signals(values: list[Value], position: int) -> list[OnnxSignal]:
+    """Return data as signals of one source, all of whose axes but the feature's are the same.
+
+    Args:
+        values: what is to be joined.
+        position: of the features among the axes.
+
+    Raises:
+        Unsupported: an axis is another one; or no features lie there.
+    """
+    known = next((v for v in values if isinstance(v, OnnxSignal)), None)
+    if known is not None:
+        position = next((i for i, a in enumerate(known.axes) if a.role == "feature"), position)
+    signals = [bind_features(value, position) for value in values]
+    first = signals[0]
+    for other in signals[1:]:
+        if len(other.axes) != len(first.axes):
+            raise Unsupported("it joins two branches of the graph with different axes")
+        for i, (a, b) in enumerate(zip(first.axes, other.axes, strict=True)):
+            if i == position:
+                same = a.role == b.role == "feature"
+            else:
+                same = a is b or (a.is_one and b.is_one)
+            if not same:
+                raise Unsupported(f"it joins two branches of the graph whose axes {i} differ")
+    return join_signals(signals)
+
+
+def concat(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
+    """Concat of features of several branches, or of shapes, fills and states."""
+    data = [v for v in values if isinstance(v, OnnxSignal | RawInput)]
+    if len(data) < len(values) or len(data) < 2:
+        return concat_shapes(node, attributes, values)
+    at = attributes["axis"] % len(axes_of(data[0]))
+    signals = [v for v in data if isinstance(v, OnnxSignal)]
+    if not signals or any(s.axes[at].role != "feature" for s in signals):
+        return concat_shapes(node, attributes, values)
+    joined = align_signals(values, at)
+    matrix = np.concatenate([s.matrix for s in joined])
+    bias = np.concatenate([s.bias for s in joined])
+    axes = (*joined[0].axes[:at], Axis(len(bias), "feature"), *joined[0].axes[at + 1 :])
+    return [replace(joined[0], axes=axes, matrix=matrix, bias=bias)]
 
 
 def elementwise(node: onnx.NodeProto, _: Attributes, values: list[Value]) -> list[Value]:
@@ -47,14 +112,22 @@ def elementwise(node: onnx.NodeProto, _: Attributes, values: list[Value]) -> lis
     op, (a, b) = node.op_type, values
     if any(isinstance(v, Dims) for v in values):
         return [_calculate(op, values)]
-    if isinstance(a, OnnxSignal) and isinstance(b, OnnxSignal) and op in ("Add", "Sub"):
-        if a.source is not b.source or a.axes != b.axes or a.last != b.last:
-            raise Unsupported("it joins two branches of the graph")
+    if is_data(a) and is_data(b) and op in ("Add", "Sub"):
+        first, second = align_signals([a, b], len(axes_of(a)) - 1)
+        if first.matrix.shape != second.matrix.shape:
+            raise Unsupported(
+                f"it adds {first.matrix.shape[0]} and {second.matrix.shape[0]} values; expected as"
+                " many of each"
+            )
         sign = 1.0 if op == "Add" else -1.0
-        return [replace(a, matrix=a.matrix + sign * b.matrix, bias=a.bias + sign * b.bias)]
+        matrix, bias = first.matrix + sign * second.matrix, first.bias + sign * second.bias
+        return [replace(first, matrix=matrix, bias=bias)]
     data, other = (a, b) if is_data(a) else (b, a)
     if is_data(other):
-        raise Unsupported("it joins two branches of the graph")
+        raise Unsupported(
+            "it is a product of two signals; only recurrent layers and cells, sums and"
+            " concatenations may join branches. Put one of them into the network's inputs"
+        )
     array = pick_array(other, "second operand").astype(np.float64)
     if data is b and op == "Div":
         raise Unsupported("it divides by data")
@@ -159,9 +232,7 @@ def activate(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) 
         if is_data(values[0]):
             return [_compare(node, *values)]
         values = values[::-1]
-    signal = values[0]
-    if not isinstance(signal, OnnxSignal) or signal.source.below is None:
-        raise Unsupported("an activation before the GRU")
+    signal = bind_features(values[0], len(axes_of(values[0])) - 1)
     m, b = signal.matrix, signal.bias
     one, none = np.eye(len(m)), np.zeros(len(m))
     match node.op_type:
@@ -196,11 +267,9 @@ def _compare(node: onnx.NodeProto, a: Value, b: Value) -> OnnxSignal:
 
     max(a, b) = b + relu(a - b) and min(a, b) = b - relu(b - a), with b = relu(b) - relu(-b).
     """
-    if not (isinstance(a, OnnxSignal) and isinstance(b, OnnxSignal)) or a.source.below is None:
-        raise Unsupported("it compares signals before the GRU")
-    same = a.source is b.source and a.axes[:-1] == b.axes[:-1] and a.last == b.last
-    if not same or a.matrix.shape != b.matrix.shape or a.axes[-1].role != b.axes[-1].role:
-        raise Unsupported("it compares two branches of the graph")
+    a, b = align_signals([a, b], len(axes_of(a)) - 1)
+    if a.matrix.shape != b.matrix.shape:
+        raise Unsupported("it compares different numbers of values")
     sign = 1.0 if node.op_type == "Max" else -1.0
     rows = np.concatenate([sign * (a.matrix - b.matrix), b.matrix, -b.matrix])
     biases = np.concatenate([sign * (a.bias - b.bias), b.bias, -b.bias])
@@ -235,42 +304,6 @@ def _add_dense(
     return replace(signal, source=source, matrix=matrix, bias=bias)
 
 
-def gru(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
-    """GRU: a new source of signals, its states."""
-    values = values + [None] * (6 - len(values))
-    data = values[0]
-    layout = attributes.get("layout", 0)
-    w, r = pick_array(values[1], "W"), pick_array(values[2], "R")
-    b = None if values[3] is None else pick_array(values[3], "B")
-    try:
-        layer = from_onnx_gates(attributes, w, r, b)
-    except ValueError as error:
-        raise Unsupported(str(error)) from error
-    if values[4] is not None:
-        raise Unsupported("it is given lengths of sequences (sequence_lens)")
-    if isinstance(data, RawInput):
-        data = bind(data, layer.w_x.shape[2], 2) if len(data.axes) == 3 else data
-    if not isinstance(data, OnnxSignal) or len(data.axes) != 3:
-        raise Unsupported("its input X is not data of three axes")
-    if data.last or isinstance(data.source.layer, FloatDense):
-        raise Unsupported("its input is the last sample, or has been through an activation")
-    time, batch = data.axes[layout], data.axes[1 - layout]
-    if data.axes[2].role != "feature" or data.matrix.shape[0] != layer.w_x.shape[2]:
-        raise Unsupported(f"it reads {layer.w_x.shape[2]} values that are not the features")
-    time.take_role("time")
-    batch.take_role("batch")
-    outside = layer.bias.copy()
-    outside[:3] += layer.w_x @ data.bias
-    layer = replace(layer, w_x=layer.w_x @ data.matrix, bias=outside)
-    hidden = layer.w_h.shape[1]
-    source = OnnxSource(hidden, data.source, layer, node.name or "GRU", time)
-    one, feature = Axis(1, "one"), Axis(hidden, "feature")
-    axes = (batch, time, one, feature) if layout else (time, one, batch, feature)
-    states = OnnxSignal(source, axes, np.eye(hidden), np.zeros(hidden))
-    end = (batch, one, feature) if layout else (one, batch, feature)
-    return [states, replace(states, axes=end, last=True)]
-
-
 OPERATORS: dict[str, Operator] = RESHAPED | {
     "Add": elementwise,
     "Sub": elementwise,
@@ -281,6 +314,8 @@ OPERATORS: dict[str, Operator] = RESHAPED | {
     "Gemm": gemm,
     "BatchNormalization": normalize,
     "GRU": gru,
+    "LSTM": lstm,
+    "Concat": concat,
     **dict.fromkeys(
         (
             "Relu",

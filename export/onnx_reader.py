@@ -17,6 +17,10 @@ from onnx import numpy_helper
 
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.layered_network import FloatLayeredNetwork
+from zerodrift.export.onnx_assemble import build_network
+from zerodrift.export.onnx_cells import restore_cells
+from zerodrift.export.onnx_files import LARGEST_FILE, complete_shapes, load_external_data
 from zerodrift.export.onnx_fold import fold_constants
 from zerodrift.export.onnx_operators import OPERATORS, SUPPORTED
 from zerodrift.export.onnx_shapes import RESHAPING
@@ -30,15 +34,18 @@ from zerodrift.export.onnx_values import (
     Unsupported,
     Value,
 )
-from zerodrift.operations.dense import FloatDense
-from zerodrift.operations.gru.cell import FloatGru
 
-__all__ = ["FloatNetwork", "ImportedNetwork", "read_imported", "read_network", "read_network_bytes"]
+__all__ = [
+    "LARGEST_FILE",
+    "FloatNetwork",
+    "ImportedNetwork",
+    "read_imported",
+    "read_network",
+    "read_network_bytes",
+]
 
 Array = NDArray[np.float64]
 
-LARGEST_FILE = 64 * 2**20
-"""Bytes; the weights of a network that fits a microcontroller take a fraction of this."""
 OLDEST_OPSET = 7
 MOST_NODES = 100_000
 """Of a graph whose functions are unfolded."""
@@ -48,7 +55,7 @@ MOST_NODES = 100_000
 class ImportedNetwork:
     """A network from an ONNX file, and how the file means it to be run."""
 
-    network: FloatNetwork
+    network: FloatNetwork | FloatLayeredNetwork
     """On the graph's input as it is: any normalisation in the graph is folded into the weights."""
     steps: int
     """Samples of the sequence that the graph is made for; 0 for any number."""
@@ -60,14 +67,28 @@ class ImportedNetwork:
     output_name: str
 
     @property
+    def plain(self) -> FloatNetwork:
+        """The network, if it is GRUs on top of each other, dense layers and a head.
+
+        Raises:
+            InputError: it is not.
+        """
+        if isinstance(self.network, FloatNetwork):
+            return self.network
+        raise InputError(
+            f"output '{self.output_name}': the network is no stack of GRUs below dense layers."
+            " Read it by read_imported."
+        )
+
+    @property
     def window(self) -> int:
         """The window's length that the graph itself implies; 0 for a state that is carried on."""
         return self.steps if self.last_only and self.initial_state != "input" else 0
 
 
 def read_network(path: Path) -> FloatNetwork:
-    """Return the network of an ONNX file; see `read_imported`."""
-    return read_imported(path).network
+    """Return the network of an ONNX file of GRUs; see `read_imported`."""
+    return read_imported(path).plain
 
 
 def read_imported(path: Path, output: str | None = None) -> ImportedNetwork:
@@ -93,12 +114,12 @@ def read_imported(path: Path, output: str | None = None) -> ImportedNetwork:
             f"{path}: has {size / 2**20:.0f} MiB; expected at most {LARGEST_FILE >> 20} MiB, since"
             " the network is to fit a microcontroller. Export the network alone."
         )
-    return read_imported_bytes(content, str(path), output)
+    return _read_graph(_parse(content, str(path), path.parent), str(path), output)
 
 
 def read_network_bytes(content: bytes, where: str) -> FloatNetwork:
-    """Return the network of an ONNX file's content; see `read_imported`."""
-    return read_imported_bytes(content, where).network
+    """Return the network of an ONNX file's content, of GRUs; see `read_imported`."""
+    return read_imported_bytes(content, where).plain
 
 
 def read_imported_bytes(content: bytes, where: str, output: str | None = None) -> ImportedNetwork:
@@ -106,20 +127,13 @@ def read_imported_bytes(content: bytes, where: str, output: str | None = None) -
     return _read_graph(_parse(content, where), where, output)
 
 
-def _parse(content: bytes, where: str) -> onnx.GraphProto:
-    """Return the checked graph, functions inlined."""
+def _parse(content: bytes, where: str, folder: Path | None = None) -> onnx.GraphProto:
+    """Return the checked graph, functions inlined; weights in other files are read in `folder`."""
     try:
         model = onnx.load_model_from_string(content)
     except Exception as error:  # protobuf raises its own kinds, without a common base
         raise InputError(f"{where}: cannot be read as ONNX ({error}). Export it again.") from error
-    tensors = [*model.graph.initializer]
-    tensors += [a.t for n in model.graph.node for a in n.attribute if a.HasField("t")]
-    if any(t.data_location == onnx.TensorProto.EXTERNAL for t in tensors):
-        raise InputError(
-            f"{where}: keeps its weights in another file, which is not followed. Export it with its"
-            " weights inside: torch.onnx.export(..., external_data=False); or put them inside:"
-            f' onnx.save(onnx.load("{where}"), "{where}").'
-        )
+    load_external_data(model, where, folder)
     if model.graph.sparse_initializer:
         raise InputError(f"{where}: holds sparse weights; expected dense ones. Export it again.")
     try:
@@ -128,7 +142,10 @@ def _parse(content: bytes, where: str) -> onnx.GraphProto:
 
             _check_inlined_size(model)
             model = inliner.inline_local_functions(model)
+        complete_shapes(model.graph, where)
         onnx.checker.check_model(model)
+    except InputError:
+        raise
     except Exception as error:
         reason = str(error).strip().split("\n")[0]
         raise InputError(f"{where}: is no valid ONNX graph ({reason}). Export it again.") from error
@@ -138,6 +155,7 @@ def _parse(content: bytes, where: str) -> onnx.GraphProto:
             f"{where}: uses opset {opsets[0] if opsets else 'none'}; expected {OLDEST_OPSET} or"
             " newer. Export it again."
         )
+    restore_cells(model.graph, opsets[0])
     return model.graph
 
 
@@ -178,21 +196,26 @@ class _Walk:
 def _read_graph(graph: onnx.GraphProto, where: str, output: str | None) -> ImportedNetwork:
     walk = _walk(graph)
     name, signal = _choose_output(graph, walk.values, where, output)
-    chain = list(signal.source.chain())
-    recurrent = [s for s in chain if isinstance(s.layer, FloatGru)]
+    chain = signal.source.chain()
+    recurrent = [s for s in chain if s.recurrent]
     if not recurrent:
-        raise InputError(f"{where}: output '{name}' does not come from a GRU; {SUPPORTED}")
-    source = chain[-1]
-    time = recurrent[0].time
-    grus = [s.layer for s in reversed(chain) if isinstance(s.layer, FloatGru)]
-    dense = [s.layer for s in reversed(chain) if isinstance(s.layer, FloatDense)]
-    network = FloatNetwork(
-        gru=grus[0],
-        head=signal.matrix,
-        head_bias=signal.bias,
-        upper=tuple(grus[1:]),
-        dense=tuple(dense),
-    )
+        raise InputError(
+            f"{where}: output '{name}' does not come from a GRU or an LSTM; {SUPPORTED}."
+        )
+    inputs = [s for s in chain if s.layer is None]
+    if len(inputs) != 1:
+        raise InputError(
+            f"{where}: output '{name}' comes from the inputs {[s.name for s in inputs]}; expected"
+            " one, with all signals along its last axis. Join them before the export."
+        )
+    times = [s.time for s in recurrent]
+    if any(axis not in times and not axis.is_one for axis in inputs[0].last_along):
+        raise InputError(
+            f"{where}: output '{name}' takes the last entry of input '{inputs[0].name}' along an"
+            " axis that is not the time. Leave that signal out of the input."
+        )
+    time = times[0]
+    network = build_network(signal)
     _refuse_not_finite(network, where)
     kinds = {walk.initial[id(s)] for s in recurrent}
     return ImportedNetwork(
@@ -200,7 +223,7 @@ def _read_graph(graph: onnx.GraphProto, where: str, output: str | None) -> Impor
         steps=(time.size if time is not None else None) or 0,
         last_only=signal.last,
         initial_state=next((k for k in ("constant", "input") if k in kinds), "zero"),
-        input_name=source.name,
+        input_name=inputs[0].name,
         output_name=name,
     )
 
@@ -220,8 +243,8 @@ def _walk(graph: onnx.GraphProto) -> _Walk:
         results = _evaluate(node, attributes, inputs)
         values.update((n, v) for n, v in zip(node.output, results, strict=False) if n)
         for result in results[:1]:
-            if node.op_type == "GRU" and isinstance(result, OnnxSignal):
-                initial[id(result.source)] = _tell_initial(inputs)
+            if node.op_type in ("GRU", "LSTM") and isinstance(result, OnnxSignal):
+                initial[id(result.source)] = _tell_initial(inputs[5:7])
     return _Walk(values, initial)
 
 
@@ -268,16 +291,19 @@ def _evaluate(
     return [Refused(message)] * outputs
 
 
-def _tell_initial(inputs: list[Value]) -> str:
-    """Return the kind of a GRU's initial state."""
-    state = inputs[5] if len(inputs) > 5 else None
-    if state is None:
-        return "zero"
-    if isinstance(state, Constant):
-        return "constant" if state.array.any() else "zero"
-    if isinstance(state, Fill):
-        return "constant" if state.value else "zero"
-    return "input"
+def _tell_initial(states: list[Value]) -> str:
+    """Return the kind of a recurrent layer's initial states."""
+    kinds = set[str]()
+    for state in states:
+        if state is None:
+            kinds.add("zero")
+        elif isinstance(state, Constant):
+            kinds.add("constant" if state.array.any() else "zero")
+        elif isinstance(state, Fill):
+            kinds.add("constant" if state.value else "zero")
+        else:
+            kinds.add("input")
+    return next((k for k in ("constant", "input") if k in kinds), "zero")
 
 
 def _choose_output(
@@ -304,32 +330,28 @@ def _choose_output(
     if len(candidates) != 1:
         raise InputError(
             f"{where}: {len(candidates)} of the outputs {names} could be the drift"
-            f" ({', '.join(candidates) or 'none comes from a GRU'}). Name one by --output."
+            f" ({', '.join(candidates) or 'none comes from a recurrent layer'})."
+            " Name one by --output."
         )
     return next(iter(candidates.items()))
 
 
 def _is_state(signal: OnnxSignal) -> bool:
-    """Tell whether a signal is the state of a GRU itself."""
+    """Tell whether a signal is the state of a recurrent layer itself."""
     identity = np.eye(signal.source.width)
     same = signal.matrix.shape == identity.shape and (signal.matrix == identity).all()
-    return bool(isinstance(signal.source.layer, FloatGru) and same and not signal.bias.any())
+    return bool(signal.source.recurrent and same and not signal.bias.any())
 
 
 def _feeds_another(signal: OnnxSignal, found: Mapping[str, OnnxSignal]) -> bool:
     """Tell whether another output comes from the same states, further up."""
     others = [s for s in found.values() if s.source is not signal.source]
-    return any(signal.source in s.source.chain() for s in others)
+    return any(set(signal.source.singles) <= set(s.source.chain()) for s in others)
 
 
-def _refuse_not_finite(network: FloatNetwork, where: str) -> None:
+def _refuse_not_finite(network: FloatNetwork | FloatLayeredNetwork, where: str) -> None:
     """Refuse weights that are NaN or infinite."""
-    arrays = {"head": network.head, "head bias": network.head_bias}
-    for index, gru in enumerate(network.layers):
-        arrays |= {f"GRU {index} {key}": getattr(gru, key) for key in ("w_x", "w_h", "bias")}
-    for index, layer in enumerate(network.dense):
-        arrays |= {f"dense layer {index}": np.column_stack([layer.weight, layer.bias])}
-    for name, array in arrays.items():
+    for name, array in network.list_arrays():
         if not np.isfinite(array).all():
             at = [int(i) for i in np.argwhere(~np.isfinite(array))[0]]
             raise InputError(

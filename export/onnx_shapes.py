@@ -1,5 +1,6 @@
 """Operators of a float ONNX graph that change nothing but shapes: what each does to the values."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -194,8 +195,10 @@ def _pick(data: Value, at: int, picks: list[int], *, remove: bool) -> Value:
     axes = axes_of(data)
     axis = axes[at]
     if isinstance(data, RawInput) and not axis.is_one:
+        if picks == [-1] or (axis.size is not None and picks == [axis.size - 1]):
+            return _pick_last(data, at, remove=remove)
         return _pick_input(data, at, None if remove else Axis())
-    if axis.is_one:
+    if axis.is_one and axis.role != "feature":
         if picks not in ([0], [-1]):
             raise Unsupported(f"it takes {picks} of an axis of length 1")
         return _drop(data, [axis]) if remove else data
@@ -225,9 +228,29 @@ def _pick_input(data: RawInput, at: int, axis: Axis | None) -> RawInput:
     return replace(data, axes=(*data.axes[:place], *kept, *data.axes[place + 1 :]), part=True)
 
 
+def _pick_last(data: RawInput, at: int, *, remove: bool) -> RawInput:
+    """Return the last entry of an input along an axis, which has to turn out to be the time."""
+    place = at % len(data.axes)
+    data.source.last_along.append(data.axes[place])
+    kept = () if remove else (Axis(1, "one"),)
+    return replace(data, axes=(*data.axes[:place], *kept, *data.axes[place + 1 :]), last=True)
+
+
 def split(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
-    """Split of an input into the initial states of layers."""
+    """Split of features, or of an input into the initial states of layers."""
     data = values[0]
+    if isinstance(data, OnnxSignal):
+        at = attributes.get("axis", 0) % len(data.axes)
+        if data.axes[at].role != "feature":
+            raise Unsupported(f"it takes the {data.axes[at].role or 'unknown'} axis apart")
+        sizes = read_numbers(node, attributes, values, 1, "split")
+        width, parts = data.matrix.shape[0], len(node.output)
+        if sizes is None:  # equal parts, the last one smaller
+            each = -(-width // parts)
+            sizes = [min(each, width - k * each) for k in range(parts)]
+        ends = np.cumsum([0, *sizes])
+        rows = [list(range(a, b)) for a, b in itertools.pairwise(ends)]
+        return [_pick(data, at, picks, remove=False) for picks in rows]
     if not isinstance(data, RawInput):
         raise Unsupported("it takes data apart")
     return [_pick_input(data, attributes.get("axis", 0), Axis())] * len(node.output)
@@ -245,7 +268,12 @@ def slice_(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) ->
             data = Dims(data.entries[start:end:step])
             continue
         if isinstance(data, RawInput):
-            data = _pick_input(data, position, data.axes[position])
+            size = data.axes[position].size
+            newest = start == -1 or (size is not None and start == size - 1)
+            if newest and step == 1 and end >= (size or 2**31 - 1) and size != 1:
+                data = _pick_last(data, position, remove=False)
+            elif start or step != 1 or end < (size or 2**31 - 1):
+                data = _pick_input(data, position, data.axes[position])
             continue
         length = len(data.items) if isinstance(data, Pack) else axes_of(data)[position].size
         if start == 0 and step == 1 and end >= (length or 2**31 - 1):
@@ -261,7 +289,7 @@ def slice_(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) ->
     return [data]
 
 
-def concat(_: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
+def concat_shapes(_: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
     """Concat of shapes, of equal fills, or of states."""
     at = attributes["axis"]
     if any(isinstance(v, Dims) for v in values):
@@ -309,7 +337,6 @@ RESHAPED = RESHAPING | {
     "Dropout": keep,
     "Cast": keep,
     "Shape": shape,
-    "Concat": concat,
     "ConstantOfShape": fill,
     "Expand": fill,
 }

@@ -6,7 +6,7 @@ identity through transpositions, so that what is time, batch or feature need be 
 where the GRU says it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.lstm.cell import FloatLstm
 
 Array = NDArray[np.float64]
 
@@ -52,23 +53,43 @@ class Axis:
 
 @dataclass(eq=False)
 class OnnxSource:
-    """Where a signal's numbers come from: the graph's input, a GRU, or an activation."""
+    """Where a signal's numbers come from: the graph's input, a recurrent layer, an activation; or
+    several of these side by side."""
 
     width: int
+    """0 for an input of which it is not known yet."""
     below: "OnnxSource | None" = None
-    layer: FloatGru | FloatDense | None = None
-    """None for the graph's input."""
+    """What the layer reads."""
+    layer: FloatGru | FloatLstm | FloatDense | None = None
+    """None for the graph's input, and for several side by side."""
     name: str = ""
     """The input's or the node's name."""
     time: Axis | None = None
-    """A GRU's time axis."""
+    """A recurrent layer's time axis."""
+    parts: tuple["OnnxSource", ...] = ()
+    """The sources that stand here side by side, none of which has parts."""
+    last_along: list[Axis] = field(default_factory=list)
+    """Axes of an input of which the last entry is taken: each has to be the time."""
 
-    def chain(self) -> Iterator["OnnxSource"]:
-        """Give this source and all below it, downwards."""
-        source: OnnxSource | None = self
-        while source is not None:
-            yield source
-            source = source.below
+    @property
+    def singles(self) -> tuple["OnnxSource", ...]:
+        """The source itself, or its parts."""
+        return self.parts or (self,)
+
+    @property
+    def recurrent(self) -> bool:
+        """Whether it is a recurrent layer."""
+        return isinstance(self.layer, FloatGru | FloatLstm)
+
+    def chain(self) -> list["OnnxSource"]:
+        """Return the inputs and layers that this depends on, itself included, from below."""
+        found: list[OnnxSource] = []
+        for single in self.singles:
+            if single not in found:
+                below = single.below.chain() if single.below is not None else []
+                found += [source for source in below if source not in found]
+                found.append(single)
+        return found
 
 
 @dataclass(frozen=True)
@@ -126,6 +147,10 @@ class RawInput:
     pending: tuple[Pending, ...] = ()
     part: bool = False
     """Not all of the input; only an initial state may be that."""
+    source: OnnxSource = field(default_factory=lambda: OnnxSource(0))
+    """What its signals come from; the same for every branch of the graph that reads it."""
+    last: bool = False
+    """The last entry along an axis that may turn out to be the time."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +165,12 @@ class OnnxSignal:
     """[n]"""
     last: bool = False
     """Only the last sample of the sequence."""
+
+    @property
+    def of_one(self) -> bool:
+        """Whether the sequence has one sample only, which is the last one too."""
+        times = [source.time for source in self.source.chain() if source.recurrent]
+        return all(time is not None and time.is_one for time in times)
 
     def mix(self, weight: Array, bias: Array) -> "OnnxSignal":
         """Return weight signal + bias, on a new feature axis."""
@@ -160,6 +191,34 @@ class OnnxSignal:
                 if not vector.all():
                     raise Unsupported("it divides by 0")
                 return replace(self, matrix=self.matrix / vector[:, None], bias=self.bias / vector)
+
+
+def join_signals(signals: Sequence[OnnxSignal]) -> list[OnnxSignal]:
+    """Return signals as ones of one source, whose parts stand side by side.
+
+    Raises:
+        Unsupported: they are of different samples.
+    """
+    if all(s.source is signals[0].source for s in signals):
+        return list(signals)
+    if len({s.last for s in signals}) > 1:
+        if all(s.of_one for s in signals):
+            return join_signals([replace(s, last=True) for s in signals])
+        raise Unsupported("it joins the last sample with all samples of the sequence")
+    parts: list[OnnxSource] = []
+    for signal in signals:
+        parts += [single for single in signal.source.singles if single not in parts]
+    starts = dict(zip(map(id, parts), np.cumsum([0, *(p.width for p in parts)]), strict=False))
+    joined = OnnxSource(sum(p.width for p in parts), parts=tuple(parts))
+    found = []
+    for signal in signals:
+        matrix, first = np.zeros((signal.matrix.shape[0], joined.width)), 0
+        for single in signal.source.singles:
+            at = int(starts[id(single)])
+            matrix[:, at : at + single.width] = signal.matrix[:, first : first + single.width]
+            first += single.width
+        found.append(replace(signal, source=joined, matrix=matrix))
+    return found
 
 
 Value = Constant | Fill | Dims | Refused | Pack | RawInput | OnnxSignal | None
@@ -198,8 +257,9 @@ def bind(raw: RawInput, width: int, position: int) -> OnnxSignal:
     axis.take_role("feature")
     if axis.size not in (None, width):
         raise Unsupported(f"it reads {width} features, input '{raw.name}' has {axis.size}")
-    axis.size = width
-    signal = OnnxSignal(OnnxSource(width, name=raw.name), raw.axes, np.eye(width), np.zeros(width))
+    axis.size = raw.source.width = width
+    raw.source.name = raw.name
+    signal = OnnxSignal(raw.source, raw.axes, np.eye(width), np.zeros(width), raw.last)
     for step in raw.pending:
         signal = signal.apply(step.op, step.array, step.axes)
     return signal

@@ -10,9 +10,16 @@ from zerodrift.base.errors import CheckError
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Guards, IntegerModel
+from zerodrift.export.layered_network import FloatLayeredNetwork
 from zerodrift.export.lowering import Lowering
+from zerodrift.export.quantize_layered import LayeredScales, append_layered
 from zerodrift.export.quantize_layers import append_network
-from zerodrift.export.real_network import describe_answers, describe_features, describe_network
+from zerodrift.export.real_network import (
+    describe_answers,
+    describe_features,
+    describe_layered,
+    describe_network,
+)
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN, choose_exponent
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.drift import IntegerDrift
@@ -40,6 +47,8 @@ class Quantized:
     """Of the float model's features, as held beyond calibration."""
     answers: tuple[Signal, ...]
     """Of the drifts; what they stand for is the float model, with its unrounded parameters."""
+    scales: LayeredScales | None = None
+    """Of the layers of a network whose layers may read several others."""
 
 
 def quantize(model: FloatModel, calibration: Calibration, weights: str = "int16") -> IntegerModel:
@@ -72,9 +81,10 @@ def quantize_graph(
     lowered = [_lower_feature(lowering, model, j) for j in range(len(model.features))]
     signals, coefficients, constant = _gather(lowered, model.coefficients)
     offset = model.offset + constant
-    head_exponents, heads = None, list[Signal]()
+    head_exponents, heads, scales = None, list[Signal](), None
     if model.network is not None:
-        head_exponents, heads = _lower_network(lowering, model, model.network, calibration, weights)
+        lowered_network = _lower_network(lowering, model, model.network, calibration, weights)
+        head_exponents, heads, scales = lowered_network
         offset = offset + model.network.head_bias
     _lower_drift(lowering, model, signals, coefficients, head_exponents, offset, calibration)
     low, high = calibration.temperature_range or calibration.code_limits[0]
@@ -95,7 +105,7 @@ def quantize_graph(
     )
     integer.prove()
     answers = describe_answers(model, lowered, heads)
-    return Quantized(integer, lowering.signals, tuple(lowered), answers)
+    return Quantized(integer, lowering.signals, tuple(lowered), answers, scales)
 
 
 def _gather(
@@ -138,11 +148,14 @@ def _read_first_input(lowering: Lowering, model: FloatModel) -> Signal:
 def _lower_network(
     lowering: Lowering,
     model: FloatModel,
-    network: FloatNetwork | FloatFeedForward,
+    network: FloatNetwork | FloatLayeredNetwork | FloatFeedForward,
     calibration: Calibration,
     weights: str,
-) -> tuple[NDArray[np.int64], list[Signal]]:
-    """Add features, GRU and head; return the exponent of each head row, and its signals."""
+) -> tuple[NDArray[np.int64], list[Signal], LayeredScales | None]:
+    """Add features, layers and head; return the exponent of each head row, and its signals.
+
+    Where a layer may read several others, also what the layers' integers stand for.
+    """
     assert model.whitening is not None and model.tap_mean is not None
     taps = [lowering.lower(node) for node in model.taps]
     exponents = np.array(
@@ -173,8 +186,11 @@ def _lower_network(
         )
     )
     features = describe_features(taps, model.whitening, model.tap_mean, exponents)
+    if isinstance(network, FloatLayeredNetwork):
+        scales = append_layered(lowering, network, exponents, weights, model.window)
+        return scales.head, describe_layered(scales, lowering.nodes, features), scales
     read_out = append_network(lowering, network, exponents, weights, model.window)
-    return read_out.head_exponents, describe_network(model, features, read_out)
+    return read_out.head_exponents, describe_network(network, features, read_out), None
 
 
 def _lower_drift(

@@ -1,4 +1,4 @@
-"""Formats for a GRU and its head, chosen from the weights so that no accumulator can overflow."""
+"""Formats for gates and for a head, chosen from the weights so that no accumulator can overflow."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,23 @@ LOWEST_EXPONENT = 17
 
 
 @dataclass(frozen=True)
-class _GateFormat:
+class GateRows:
+    """One gate of a recurrent layer in float."""
+
+    name: str
+    """For messages, such as "GRU gate r"."""
+    w_x: Array  # [H, I]
+    w_h: Array  # [H, H]
+    bias: Array  # [H]
+    table_bits: int
+    """Fractional bits of the table's argument in the gate's own: 16, 15 for a sigmoid, which reads
+    the table at half its argument."""
+    inside: Array | None = None
+    """[H] the bias inside the product of a gate whose recurrent part is multiplied by another."""
+
+
+@dataclass(frozen=True)
+class GateFormat:
     """Integer rows of one gate at scale 2**exponent (the n gate's features at one bit less)."""
 
     w_x: NDArray[np.int64]
@@ -65,7 +81,21 @@ def quantize_gru(gru: FloatGru, feature_exponents: NDArray[np.int64], weights: s
         if not np.isfinite(array).all():
             at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
             raise CheckError(f"GRU {name}{list(at)} is not finite; the model is refused")
-    formats = [_choose_gate(gru, gate, feature_exponents, weights) for gate in range(3)]
+    formats = [
+        choose_gate(
+            GateRows(
+                f"GRU gate {name}",
+                gru.w_x[gate],
+                gru.w_h[gate],
+                gru.bias[gate],
+                16 if name == "n" else 15,
+                gru.bias[3] if name == "n" and gru.reset == "after" else None,
+            ),
+            feature_exponents,
+            weights,
+        )
+        for gate, name in enumerate(GATES)
+    ]
     multiplier = None
     if weights == "int8":
         stacked = [f.multiplier for f in formats if f.multiplier is not None]
@@ -87,42 +117,48 @@ def quantize_gru(gru: FloatGru, feature_exponents: NDArray[np.int64], weights: s
     )
 
 
-def _choose_gate(
-    gru: FloatGru, gate: int, feature_exponents: NDArray[np.int64], weights: str
-) -> _GateFormat:
-    inside = GATES[gate] == "n" and gru.reset == "after"
+def choose_gate(gate: GateRows, feature_exponents: NDArray[np.int64], weights: str) -> GateFormat:
+    """Return a gate's rows at the finest scale that is provably safe.
+
+    Args:
+        gate: its rows in float.
+        feature_exponents: [I] f with feature = integer * 2**-f.
+        weights: "int16", or "int8" for 8-bit recurrent weights with a multiplier per row.
+
+    Raises:
+        CheckError: the weights are so large that no scale is safe; names gate and row.
+    """
     for exponent in range(15 + SHIFT_LIMIT, LOWEST_EXPONENT - 1, -1):
         with np.errstate(over="ignore"):  # infinite is too large as well
-            candidate = _format_gate(gru, gate, feature_exponents, weights, exponent)
-        if candidate is not None and candidate.fits(inside):
+            candidate = _format_gate(gate, feature_exponents, weights, exponent)
+        if candidate is not None and candidate.fits(gate.inside is not None):
             return candidate
-    rows = np.abs(gru.w_x[gate]).sum(axis=1) + np.abs(gru.w_h[gate]).sum(axis=1)
+    rows = np.abs(gate.w_x).sum(axis=1) + np.abs(gate.w_h).sum(axis=1)
     worst = int(rows.argmax())
     raise CheckError(
-        f"GRU gate {GATES[gate]}, row {worst}: weights with a sum of {rows[worst]:.3g} leave no"
+        f"{gate.name}, row {worst}: weights with a sum of {rows[worst]:.3g} leave no"
         " safe 32-bit format; the model is refused. Train with weight decay or clip that row."
     )
 
 
 def _format_gate(
-    gru: FloatGru, gate: int, feature_exponents: NDArray[np.int64], weights: str, exponent: int
-) -> _GateFormat | None:
+    gate: GateRows, feature_exponents: NDArray[np.int64], weights: str, exponent: int
+) -> GateFormat | None:
     """Return the gate's rows with its accumulator at 2**exponent, or None if one cannot fit."""
-    w_x, w_h, bias, inside = gru.w_x[gate], gru.w_h[gate], gru.bias[gate], gru.bias[3]
-    inside_product = GATES[gate] == "n" and gru.reset == "after"
-    outer = exponent - 1 if inside_product else exponent  # mul_high by r halves the inner sum
-    shift = outer - (16 if GATES[gate] == "n" else 15)  # the sigmoid reads the table at x / 2
+    inside = gate.inside
+    outer = exponent if inside is None else exponent - 1  # mul_high by r halves the inner sum
+    shift = outer - gate.table_bits
     half = 1 << shift >> 1
-    bias_int = np.round(bias * 2.0**outer) + half
-    inside_int = np.round(inside * 2.0**exponent) if outer != exponent else np.zeros_like(bias_int)
+    bias_int = np.round(gate.bias * 2.0**outer) + half
+    inside_int = np.zeros_like(bias_int) if inside is None else np.round(inside * 2.0**exponent)
     if max(np.abs(bias_int).max(), np.abs(inside_int).max()) > INT32_MAX:
         return None
-    from_x = np.round(w_x * 2.0 ** (outer - feature_exponents))
-    recurrent = _format_recurrent(w_h, exponent - 15, weights)
+    from_x = np.round(gate.w_x * 2.0 ** (outer - feature_exponents))
+    recurrent = _format_recurrent(gate.w_h, exponent - 15, weights)
     if np.abs(from_x).max(initial=0.0) > INT16_MAX or recurrent is None:
         return None
     rows, multiplier, multiplier_shift = recurrent
-    return _GateFormat(
+    return GateFormat(
         w_x=from_x.astype(np.int64),
         w_h=rows,
         bias=bias_int.astype(np.int64),

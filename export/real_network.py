@@ -7,8 +7,11 @@ from numpy.typing import NDArray
 
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.quantize_layered import LayeredScales
 from zerodrift.export.quantize_layers import ReadOut
-from zerodrift.operations.dense import COPY_BITS, FloatDense
+from zerodrift.operations.dense import COPY_BITS, FloatDense, FloatFeedForward
+from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.recurrent import IntegerRecurrent
 from zerodrift.operations.signals import Signal, constant
 
 Array = NDArray[np.float64]
@@ -35,11 +38,9 @@ def describe_features(
 
 
 def describe_network(
-    model: FloatModel, features: Sequence[Signal], read_out: ReadOut
+    network: FloatNetwork | FloatFeedForward, features: Sequence[Signal], read_out: ReadOut
 ) -> list[Signal]:
     """Return the head's signals [K] of a model with a network, without the head's bias."""
-    network = model.network
-    assert network is not None
     below = list(features)
     if isinstance(network, FloatNetwork):
         hidden = network.layers[-1].w_h.shape[1]
@@ -54,6 +55,21 @@ def describe_network(
         head = Signal("head", 2.0 ** -int(read_out.head_exponents[k]), index=k)
         heads.append(head.standing_for("linear", below, *row))
     return heads
+
+
+def describe_layered(
+    scales: LayeredScales, nodes: Sequence[IntegerNode], features: Sequence[Signal]
+) -> list[Signal]:
+    """Return the head's signals [K] of a network whose layers may read several others.
+
+    They stand on a recurrent layer, which carries errors on: no more is said of them.
+    """
+    recurrent = next(node for node in nodes if isinstance(node, IntegerRecurrent))
+    state = Signal(recurrent.name, 2.0**-STATE_BITS).standing_for("recurrent", features)
+    heads = (
+        Signal("head", 2.0 ** -int(exponent), index=k) for k, exponent in enumerate(scales.head)
+    )
+    return [head.standing_for("linear", (state,), 1.0) for head in heads]
 
 
 def _describe_dense(

@@ -85,7 +85,7 @@ class ReferenceTrace:
     drift: NDArray[np.int32]  # [B, T, K]
     flags: NDArray[np.uint32]  # [B, T]
     hidden: NDArray[np.int32]
-    """[B, T, H] state of a streaming GRU in Q1.30 after each step; H = 0 without one."""
+    """[B, T, H] outputs of streaming recurrent layers in Q1.30 after each step; H = 0 without."""
     state: ModelState
 
 
@@ -147,10 +147,15 @@ class Reference:
         """Return all nodes' states at rest, and the drift [B, K] there."""
         values: dict[str, IntArray] = {CODES: codes.astype(np.int64), PREVIOUS_DRIFT: drift}
         states: dict[str, State] = {}
+        stacked = sum(layer.streams for layer in self.model.recurrents) > 1
+        resting = dict(values)  # what settles stands on what is settled, not a step further
         for node in self.model.nodes:
-            state = node.settle(values) if settled else node.rest(values)
+            given = resting if stacked else values
+            state = node.settle(given) if settled else node.rest(given)
             states[node.name] = node.elapse(state, elapsed)
             _, values[node.name] = node.step(states[node.name], values)
+            if stacked:
+                resting[node.name] = node.at_rest(states[node.name], resting)
         return states, values[self.model.drift.name]
 
     def step(
@@ -237,16 +242,15 @@ class Reference:
         batch, steps, _ = codes.shape
         wide = self.model.convert(np.ascontiguousarray(codes.swapaxes(0, 1)))  # step by step
         now = state or self._start(wide[0], settled=settled, elapsed=elapsed)
-        layer = self.model.recurrent
-        streaming = layer is not None and not layer.window
-        hidden = layer.width if layer is not None and streaming else 0
+        layers = [layer for layer in self.model.recurrents if layer.streams]
+        hidden = sum(now.nodes[layer.name]["h_q30"].shape[1] for layer in layers)
         drift = np.empty((steps, batch, len(self.model.outputs)), dtype=np.int32)
         flags = np.empty((steps, batch), dtype=np.uint32)
         states = np.empty((steps, batch, hidden), dtype=np.int32)
         for t in range(steps):
             now, values, drift[t], flags[t] = self._step(now, wide[t])
-            if layer is not None and streaming:
-                states[t] = now.nodes[layer.name]["h_q30"]
+            if layers:
+                states[t] = np.concatenate([now.nodes[n.name]["h_q30"] for n in layers], axis=1)
             if observe is not None:
                 observe(t, values)
         return ReferenceTrace(

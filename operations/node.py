@@ -63,6 +63,10 @@ class IntegerNode:
         """Return the state after this step and the output."""
         raise NotImplementedError
 
+    def at_rest(self, state: State, values: Values) -> IntArray:
+        """Return the output under a state that is settled: what other nodes settle under."""
+        return self.step(state, values)[1]
+
     @property
     def reads_drift(self) -> bool:
         """Whether the step takes the drift that the step before gave."""
@@ -119,6 +123,10 @@ class IntegerNode:
     def write_settle(self, w: Writer, values: Names) -> dict[str, str]:
         """Write the state after the present inputs have lasted forever (mostly `rest`)."""
         return self.write_rest(w, values)
+
+    def write_at_rest(self, w: Writer, values: Names, state: Names) -> str:
+        """Write the output under a state that is settled."""
+        return self.write_step(w, values, state)[1]
 
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write a step in ONNX; return the state after it and the output."""

@@ -66,7 +66,9 @@ class IntervalMachine(Statements):
         super().__init__(program, prefix, known, int_bits)
         self._rules = rules
         self.recurrent: set[tuple[str, tuple[Value, ...]]] = set()
-        """The recurrent layers that were stepped, and under which features."""
+        """The GRUs that were stepped, and under which features."""
+        self.stepped: set[tuple[str, tuple[Value, ...]]] = set()
+        """The LSTMs that were."""
         self.outputs, self.per_pair = 0, 2
         self.tables: dict[str, list[int]] = {}
         """The runtime's tables."""

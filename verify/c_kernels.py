@@ -18,6 +18,7 @@ from zerodrift.verify.c_gru import (
     shift_right,
 )
 from zerodrift.verify.c_intervals import IntervalMachine, Rule
+from zerodrift.verify.c_lstm import run_lstm
 from zerodrift.verify.c_values import (
     TYPES,
     Address,
@@ -322,6 +323,10 @@ RULES: dict[str, Rule] = {
         f"&zd_gru_rows_t, {GRU}, int16_t *, int32_t",
         packed(ROWS),
     ),
+    "zd_lstm_step": typed(
+        f"&zd_lstm_t, {GRU}, int32_t *, int16_t *, uint32_t",
+        run_lstm,
+    ),
     "zd_crc32_i16": typed("uint32_t, const int16_t *, uint32_t", _crc, "uint32_t"),
     "zd_crc32_i32": typed("uint32_t, const int32_t *, uint32_t", _crc, "uint32_t"),
     "zd_crc32_word": typed("uint32_t, uint32_t", _crc_word, "uint32_t"),
@@ -347,6 +352,16 @@ STRUCTS: dict[str, tuple[tuple[str, str, int], ...]] = {
         ("bias", "const int32_t *", 0),
         ("shift", "uint8_t", 3),
         ("multiplier_shift", "uint8_t", 3),
+    ),
+    "zd_lstm_t": (
+        ("w_x", "const int16_t *", 0),
+        ("w_h16", "const int16_t *", 0),
+        ("w_h8", "const int8_t *", 0),
+        ("multiplier", "const int32_t *", 0),
+        ("bias", "const int32_t *", 0),
+        ("shift", "uint8_t", 4),
+        ("multiplier_shift", "uint8_t", 4),
+        ("cell_bits", "uint8_t", 0),
     ),
     "zd_gru_pairs_t": (("stream", "const int32_t *", 0), ("shift", "uint8_t", 3)),
     "zd_gru_columns_t": (("stream", "const int32_t *", 0), ("shift", "uint8_t", 3)),

@@ -12,6 +12,7 @@ from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.error_bound import ErrorBound
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.gru.cell import H_LIMIT_Q30
 from zerodrift.operations.tables import STEP_BITS, T_MAX, T_MIN, tanh_nodes
 from zerodrift.verify.certificate_bound import describe_bound
@@ -33,7 +34,7 @@ def certify(model: IntegerModel, code: GeneratedCode, bound: ErrorBound | None =
     """
     texts = {code.header_name: code.header, code.source_name: code.source}
     texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
-    layer = model.recurrent
+    grus = [layer for layer in model.recurrents if isinstance(layer, IntegerGruLayer)]
     idle = frozenset[str]().union(*(node.idle for node in model.nodes))
     body: dict[str, object] = {
         "certificate": FORMAT,
@@ -53,9 +54,9 @@ def certify(model: IntegerModel, code: GeneratedCode, bound: ErrorBound | None =
         ],
         **({"checksum": "check"} if model.guarded else {}),
         "invariants": [
-            _describe_invariant(name) for name in (layer.name_layers(".") if layer else ())
+            _describe_invariant(name) for layer in grus for name in layer.name_layers(".")
         ],
-        "tables": [_describe_table()] if layer else [],
+        "tables": [_describe_table()] if model.recurrents else [],
         "shifts": [
             {"where": shift.where, "shift": int(shift.amount), "most": shift.most}
             for node in (*model.conversions, *model.nodes)

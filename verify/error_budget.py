@@ -19,6 +19,7 @@ from zerodrift.export.compose import count_elapsed, encode_inputs
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.layered_network import FloatLayeredNetwork
 from zerodrift.export.quantize import FEATURE_HEADROOM, quantize_graph
 from zerodrift.export.quantize_layers import (
     ReadOut,
@@ -191,11 +192,12 @@ class _Levels:
             ]
         )
         self._read_out = self._quantize_read_out()
+        self._scales = quantized.scales
         self.order = [node.name for node in model.nodes]
 
     def _quantize_read_out(self) -> ReadOut | None:
         network = self._float.network
-        if network is None:
+        if network is None or isinstance(network, FloatLayeredNetwork):
             return None
         if not isinstance(network, FloatFeedForward):
             return quantize_state_read_out(network)
@@ -214,7 +216,7 @@ class _Levels:
         network = self._float.network
         if network is None:
             states: Iterator[Array] = iter(())
-        elif isinstance(network, FloatFeedForward):
+        elif isinstance(network, FloatFeedForward | FloatLayeredNetwork):
             states = (x for run in parts for _, x in run if x is not None)
         else:
             features = [x for run in parts for _, x in run if x is not None]
@@ -252,7 +254,9 @@ class _Levels:
             else:
                 value = values[node]
             physical += value[:, None] * row
-        if self._float.network is None or level & {"gru", "dense_0"}:
+        network = self._float.network
+        layered = isinstance(network, FloatLayeredNetwork)
+        if network is None or (not layered and level & {"gru", "dense_0"}):
             return physical, None
         if "features" in level:
             return physical, trace["features"] * self._feature_scale
@@ -270,6 +274,8 @@ class _Levels:
         network = self._float.network
         if network is None:
             return physical
+        if isinstance(network, FloatLayeredNetwork):
+            return self._finish_layered(network, level, physical, states, trace)
         assert self._read_out is not None
         if "head" in level:
             sums = trace["head"] * 2.0**-self._read_out.head_exponents
@@ -286,6 +292,26 @@ class _Levels:
         rest = replace(network, dense=network.dense[on_chip:])
         of_rest = rest.run(top) if isinstance(rest, FloatFeedForward) else rest.read_out(top)
         return np.asarray(physical + of_rest)
+
+    def _finish_layered(
+        self,
+        network: FloatLayeredNetwork,
+        level: set[str],
+        physical: Array,
+        features: Array | None,
+        trace: Mapping[str, Array],
+    ) -> Array:
+        """Return the drift [n, K] where a layer may read several others."""
+        assert self._scales is not None and features is not None
+        if "head" in level:
+            sums = trace["head"] * 2.0**-self._scales.head
+            return np.asarray(physical + sums + network.head_bias)
+        known = {
+            layer: trace[name] * 2.0**-exponents
+            for name, (layer, exponents) in self._scales.layers.items()
+            if name in level
+        }
+        return np.asarray(physical + network.answer_from(features, self._float.window, known))
 
 
 def _prove_features(model: IntegerModel) -> list[Interval]:

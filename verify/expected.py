@@ -57,8 +57,7 @@ def expect(model: IntegerModel, codes: CodeArray, *, settled: bool = True) -> Ex
     reference = Reference(model)
     wide = codes.astype(np.int64)
     state = reference.start(wide[:1], settled=settled)
-    layer = model.recurrent
-    streams = layer is not None and not layer.window
+    layers = [layer for layer in model.recurrents if layer.streams]
     drift, flags, hidden, nodes, states = [], [], [], [], []
     for row in wide:
         state, values, d, f = reference.step(state, row[None])
@@ -66,8 +65,8 @@ def expect(model: IntegerModel, codes: CodeArray, *, settled: bool = True) -> Ex
         flags.append(f[0])
         nodes.append(np.concatenate([values[n.name].reshape(-1) for n in model.nodes]))
         states.append(state.pack()[0])
-        if layer is not None and streams:
-            hidden.append(state.nodes[layer.name]["h_q30"][0])
+        if layers:
+            hidden.append(np.concatenate([state.nodes[n.name]["h_q30"][0] for n in layers]))
     return Expected(
         model,
         codes,

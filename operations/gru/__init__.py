@@ -7,11 +7,10 @@ from typing import ClassVar
 import numpy as np
 
 from zerodrift.base.config import LONGEST_WINDOW
-from zerodrift.base.errors import CheckError, NoRuleError
+from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray, round_shift
 from zerodrift.operations.c_text import RuntimePart, StateField, list_ring
 from zerodrift.operations.dense import COPY_BITS
-from zerodrift.operations.errors import Error, Known
 from zerodrift.operations.gru.cell import (
     GATES,
     H_LIMIT_Q30,
@@ -22,13 +21,13 @@ from zerodrift.operations.gru.cell import (
 )
 from zerodrift.operations.gru.layouts import FILTERS
 from zerodrift.operations.intervals import Bound, Interval, Shift
-from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
-from zerodrift.operations.signals import Real
+from zerodrift.operations.node import Names, OnnxStep, State, Values, Writer
+from zerodrift.operations.recurrent import IntegerRecurrent
 from zerodrift.operations.tables import TANH
 
 
 @dataclass(frozen=True)
-class IntegerGruLayer(IntegerNode):
+class IntegerGruLayer(IntegerRecurrent):
     """A GRU over the features: one step per sample, or afresh over the last `window` samples.
 
     The output is the hidden state in Q1.30.
@@ -38,6 +37,11 @@ class IntegerGruLayer(IntegerNode):
     gru: IntegerGru
     window: int
     """0: the state is carried from sample to sample ("stream")."""
+
+    @property
+    def streams(self) -> bool:
+        """Whether the state is carried from sample to sample."""
+        return not self.window
 
     @property
     def layers(self) -> tuple[IntegerGru, ...]:
@@ -100,10 +104,6 @@ class IntegerGruLayer(IntegerNode):
     def _join(self, states: list[IntArray]) -> State:
         """Return the state that `_split` takes apart."""
         return {"h_q30": states[-1]}
-
-    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
-        """Raise: no contraction is shown, without which errors may grow from step to step."""
-        raise NoRuleError("a recurrent layer carries errors on, and no contraction is shown")
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
         """Bound every accumulator of every layer; a state's int16 copy is at most 32767.

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from zerodrift.operations.arithmetic import Array
 from zerodrift.operations.gru.cell import FloatGru
 
+Attributes = Mapping[str, Any]
+"""Of an ONNX node, by name."""
 MAX_HIDDEN = 256
 MAX_FEATURES = 256
 
@@ -31,7 +33,7 @@ def to_onnx_gates(gru: FloatGru) -> tuple[Array, Array, Array]:
 
 
 def from_onnx_gates(
-    attributes: Mapping[str, Any],
+    attributes: Attributes,
     w: NDArray[np.generic],
     r: NDArray[np.generic],
     b: NDArray[np.generic] | None,

@@ -36,12 +36,22 @@ class IntegerHead(IntegerNode):
 
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
         """Return weights . round_shift(h_q30, 15); the bias is part of `drift`."""
-        h_q15 = round_shift(values[self.inputs[0]], 15)
-        return {}, matmul_exact(h_q15, self._weights_t)
+        return {}, matmul_exact(self._copy(values), self._weights_t)
+
+    def _copy(self, values: Values) -> IntArray:
+        """Return the int16 copies [B, H] of the layer below."""
+        return np.asarray(round_shift(values[self.inputs[0]], 15))
+
+    def _bound_copies(self, below: list[Interval]) -> list[Interval]:
+        """Return the ranges of the int16 copies."""
+        return [h_q30.round_shift(15) for h_q30 in below]
+
+    def _write_copy(self, w: Writer, values: Names) -> str:
+        return w.round_shift(values[self.inputs[0]], 15)
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
         """Bound the 32-bit sums."""
-        h_q15 = [h_q30.round_shift(15) for h_q30 in inputs[0]]
+        h_q15 = self._bound_copies(inputs[0])
         rows = [
             bound_row(f"{self.name}[{k}]", self.weights[k].astype(np.int64), 0, h_q15, 32)
             for k in range(self.width)
@@ -58,8 +68,7 @@ class IntegerHead(IntegerNode):
 
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write weights . round_shift(h_q30, 15)."""
-        h_q15 = w.round_shift(values[self.inputs[0]], 15)
-        return {}, w.op("MatMul", h_q15, w.constant(self.weights.T))
+        return {}, w.op("MatMul", self._write_copy(w, values), w.constant(self.weights.T))
 
     def list_tables(self) -> tuple[CTable, ...]:
         """Return the constant tables in C."""
@@ -71,4 +80,25 @@ class IntegerHead(IntegerNode):
             raise ValueError(f"node '{self.name}': weights {self.weights.shape} do not fit")
 
 
-NODES = (IntegerHead,)
+@dataclass(frozen=True)
+class IntegerJoinHead(IntegerHead):
+    """The same over a join, whose numbers are int16 copies already."""
+
+    kind: ClassVar[str] = "join_head"
+
+    def _copy(self, values: Values) -> IntArray:
+        """Return the numbers [B, N] of the join."""
+        return np.asarray(values[self.inputs[0]])
+
+    def _bound_copies(self, below: list[Interval]) -> list[Interval]:
+        """Return the join's ranges."""
+        return list(below)
+
+    def _write_copy(self, w: Writer, values: Names) -> str:
+        return values[self.inputs[0]]
+
+
+NODES = (
+    IntegerHead,
+    IntegerJoinHead,
+)

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
+from zerodrift.export.layered_network import Cell, FloatLayer, FloatLayeredNetwork
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.graph import Node
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.lstm.cell import FloatLstm
 
 LINEAR = ("lowpass", "delay", "difference", "product", "power")
 FRONT_ENDS = (*LINEAR, "exp2", "root", "play", "clip", "late", "mix", "warm_up", "load")
@@ -57,6 +59,11 @@ class Shape:
     """Hidden units of further recurrent layers on top of the first."""
     dense: tuple[tuple[int, str], ...] = ()
     """Rows and activation ("tanh", "relu", "relu6") of dense layers before the head."""
+    layered: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
+    """Kind ("gru", "lstm", "tanh", "relu"), width and what it reads (0: the features, k: the k-th
+    layer) of each layer; the head reads the last layer and the features."""
+    forget_bias: float = 0.0
+    """Of an LSTM: 6 is a unit that forgets 1/400 of its cell state per step."""
 
 
 class Draw:
@@ -205,6 +212,15 @@ def _draw_front_end(
 def draw_network(taps: list[tuple[Node, float]], shape: Shape, draw: Draw) -> dict[str, Any]:
     """Return the fields of `FloatModel` that belong to the network."""
     inputs, hidden, gain = shape.inputs, shape.hidden, shape.gain
+    if shape.layered:
+        return {
+            "taps": tuple(node for node, _ in taps),
+            "tap_mean": draw.uniform(-5.0, 5.0, len(taps)),
+            "whitening": draw.uniform(-1.0, 1.0, inputs, len(taps))
+            / np.array([largest for _, largest in taps]),
+            "network": _draw_layered(shape, draw),
+            "window": shape.window,
+        }
     mixing = draw.uniform(-0.3, 0.3, inputs, len(taps))
     mixing[:, :inputs] += 2.0 * np.eye(inputs)
     bias = draw.uniform(-0.5, 0.5, 4, hidden) * gain
@@ -231,6 +247,35 @@ def draw_network(taps: list[tuple[Node, float]], shape: Shape, draw: Draw) -> di
         ),
         "window": shape.window,
     }
+
+
+def _draw_layered(shape: Shape, draw: Draw) -> FloatLayeredNetwork:
+    """Return a network whose layers read several others."""
+    layers, widths, gain = list[FloatLayer](), [shape.inputs], shape.gain
+    for kind, width, reads in shape.layered:
+        below = sum(widths[k] for k in reads)
+        gates = {"gru": 3, "lstm": 4}.get(kind, 0)
+        if not gates:
+            weight, bias = (draw.uniform(-gain, gain, width, n) for n in (below, 1))
+            low = 0.0 if kind == "relu" else -np.inf
+            activation = "tanh" if kind == "tanh" else "clip"
+            cell: Cell = FloatDense(weight, bias[:, 0], activation, low)
+        else:
+            w_x = draw.uniform(-gain, gain, gates, width, below)
+            w_h = draw.uniform(-gain, gain, gates, width, width) * np.sqrt(3.0 / width)
+            bias = draw.uniform(-0.5, 0.5, 4, width) * gain
+            bias[1] += shape.forget_bias if kind == "lstm" else shape.update_bias
+            if kind == "lstm":
+                cell = FloatLstm(w_x, w_h, bias)
+            else:
+                cell = FloatGru(w_x, w_h, bias, "after")
+        layers.append(FloatLayer(cell, reads))
+        widths.append(width)
+    reads = (0, len(layers))
+    head = draw.uniform(-30.0, 30.0, shape.outputs, widths[0] + widths[-1])
+    return FloatLayeredNetwork(
+        shape.inputs, tuple(layers), reads, head, draw.uniform(-5.0, 5.0, shape.outputs)
+    )
 
 
 def _draw_upper(shape: Shape, draw: Draw) -> tuple[FloatGru, ...]:

@@ -113,6 +113,30 @@ CASES: dict[str, Case] = {
         gaps,
         settled=True,
     ),
+    "lstm": Case(Shape(inputs=3, layered=(("lstm", 7, (0,)),), forget_bias=2.0), walk),
+    "lstm_saturated": Case(
+        Shape(inputs=2, layered=(("lstm", 4, (0,)),), gain=30.0, outputs=2), noise, settled=False
+    ),
+    "lstm_int8": Case(
+        Shape(inputs=3, layered=(("lstm", 6, (0,)), ("lstm", 5, (1,))), weights="int8"), walk
+    ),
+    "lstm_windowed": Case(
+        Shape(inputs=2, layered=(("lstm", 5, (0,)), ("lstm", 3, (1,))), window=6, outputs=2),
+        rails,
+    ),
+    "layered": Case(
+        Shape(
+            inputs=3,
+            layered=(
+                ("relu", 5, (0,)),
+                ("gru", 6, (0, 1)),
+                ("tanh", 4, (1, 2)),
+                ("lstm", 5, (3,)),
+                ("relu", 4, (2, 4)),
+            ),
+        ),
+        walk,
+    ),
     "front_end": Case(
         Shape(
             name="front_end",

@@ -16,7 +16,6 @@ from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.mismatch import label_columns
 
 FOLDER = Path(__file__).parent
-HIDDEN = "gru"
 
 
 @dataclass(frozen=True)
@@ -56,10 +55,11 @@ def compute(model: IntegerModel, codes: CodeArray, settled: bool, every: int = 1
 def run_reference(model: IntegerModel, codes: CodeArray, settled: bool) -> NDArray[np.int32]:
     """Return all rows [T, K + 1 + H] as the reference computes them."""
     hidden: list[NDArray[np.int64]] = []
+    names = [layer.name for layer in model.recurrents]
     trace = Reference(model).run(
         codes[None],
         settled=settled,
-        observe=lambda _, values: hidden.append(values[HIDDEN][0]),
+        observe=lambda _, values: hidden.append(np.concatenate([values[n][0] for n in names])),
     )
     return _join(trace.drift[0], trace.flags[0], np.stack(hidden))
 
@@ -67,8 +67,13 @@ def run_reference(model: IntegerModel, codes: CodeArray, settled: bool) -> NDArr
 def run_host(host: HostModel, codes: CodeArray, settled: bool) -> NDArray[np.int32]:
     """Return all rows [T, K + 1 + H] as the compiled C computes them."""
     trace = host.run(codes, settled=settled)
-    columns = [label.startswith(f"{HIDDEN}[") for label in label_columns(host.model)]
-    return _join(trace.drift, trace.flags, trace.nodes[:, columns])
+    return _join(trace.drift, trace.flags, trace.nodes[:, find_hidden(host.model)])
+
+
+def find_hidden(model: IntegerModel) -> list[bool]:
+    """Return which of the observed columns are what recurrent layers give."""
+    names = [layer.name for layer in model.recurrents]
+    return [label.split("[")[0] in names for label in label_columns(model)]
 
 
 def crc_of(rows: NDArray[np.int32]) -> int:

@@ -14,7 +14,7 @@ from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import canonical_json
 from zerodrift.export.model_files import load_model
-from zerodrift.export.onnx_reader import LARGEST_FILE, read_imported
+from zerodrift.export.onnx_reader import LARGEST_FILE, read_imported, read_imported_bytes
 
 
 def build_network(nan: bool = False) -> onnx.ModelProto:
@@ -77,24 +77,40 @@ def test_damaged_bytes_never_raise_anything_else(tmp_path: Path) -> None:
     assert min(outcomes.values()) > 0
 
 
-@pytest.mark.parametrize("location", ["weights.bin", "../../etc/passwd", "/etc/passwd"])
-def test_external_data_is_not_followed(location: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("location", "told"),
+    [
+        ("weights.bin", "which cannot be read"),
+        ("../../etc/passwd", "a file in its own folder"),
+        ("/etc/passwd", "a file in its own folder"),
+        ("link.bin", "a file in its own folder"),
+        ("", "a file in its own folder"),
+    ],
+)
+def test_external_data_elsewhere_is_not_followed(location: str, told: str, tmp_path: Path) -> None:
     model = build_network()
     tensor = model.graph.initializer[0]
     tensor.ClearField("raw_data")
     tensor.data_location = TensorProto.EXTERNAL
     tensor.external_data.add(key="location", value=location)
+    (tmp_path / "link.bin").symlink_to("/etc/passwd")
     (tmp_path / "net.onnx").write_bytes(model.SerializeToString())
-    refuse(tmp_path / "net.onnx", "another file, which is not followed")
+    refuse(tmp_path / "net.onnx", told)
 
 
-def test_external_data_is_refused_with_a_remedy_that_works(tmp_path: Path) -> None:
+def test_external_data_beside_the_file_is_read(tmp_path: Path) -> None:
     """As the plain torch.onnx.export writes it: net.onnx and net.onnx.data."""
     path, model = tmp_path / "net.onnx", build_network()
+    inside = read_imported_bytes(model.SerializeToString(), "net.onnx").plain
     onnx.save(model, path, save_as_external_data=True, location="net.onnx.data", size_threshold=0)
+    found = read_imported(path).plain
+    np.testing.assert_array_equal(found.gru.w_h, inside.gru.w_h)
+    np.testing.assert_array_equal(found.head, inside.head)
+    whole = (tmp_path / "net.onnx.data").read_bytes()
+    (tmp_path / "net.onnx.data").write_bytes(whole[:40])
+    refuse(path, "cannot be read from 'net.onnx.data'")
+    (tmp_path / "net.onnx.data").unlink()
     refuse(path, "external_data=False")
-    onnx.save(onnx.load(path), path)  # what the message says
-    assert read_imported(path).network.layers
 
 
 def test_external_data_inside_a_node_is_not_followed(tmp_path: Path) -> None:
@@ -106,7 +122,7 @@ def test_external_data_inside_a_node_is_not_followed(tmp_path: Path) -> None:
     node = helper.make_node("Constant", [], ["unused"], value=tensor)
     model.graph.node.insert(0, node)
     (tmp_path / "net.onnx").write_bytes(model.SerializeToString())
-    refuse(tmp_path / "net.onnx", "another file, which is not followed")
+    refuse(tmp_path / "net.onnx", "a file in its own folder")
 
 
 def test_cycle_is_refused(tmp_path: Path) -> None:

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from tests.fixed_point.strategies import shapes
 from tests.golden.model_factory import Shape, draw_model
 from tests.golden.models import CASES
-from tests.golden.vectors import HIDDEN, crc_of, load
+from tests.golden.vectors import crc_of, find_hidden, load
 
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx, list_state
 from zerodrift.export.reference import Reference
-from zerodrift.verify.mismatch import label_columns
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences
 
@@ -52,7 +51,7 @@ def compare(model: IntegerModel, codes: NDArray[np.int16]) -> None:
 def test_onnxruntime_replays_golden_vectors(name: str) -> None:
     golden = load(name)
     trace = OnnxModel(golden.model).run(golden.codes[None], settled=golden.settled)
-    hidden = [label.startswith(f"{HIDDEN}[") for label in label_columns(golden.model)]
+    hidden = find_hidden(golden.model)
     rows = np.column_stack(
         [trace.drift[0], trace.flags[0].astype(np.int32), trace.nodes[0][:, hidden]]
     ).astype(np.int32)

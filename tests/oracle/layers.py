@@ -75,6 +75,8 @@ class Gru:
 class Recurrent:
     """The nodes `gru` and `gru_stack`, streaming or over a window of features."""
 
+    h_q30: list[list[int]]
+
     def __init__(self, node: Node) -> None:
         """Read the layers from the bottom up."""
         lower = node.get("lower", [])
@@ -112,6 +114,116 @@ class Recurrent:
         return self.h_q30[-1]
 
 
+SATURATED, SLOWEST = 2**30, 15
+IN, FORGET, CANDIDATE, OUT = range(4)
+
+
+class Lstm:
+    """One layer of section 3: weights, and a step from one state (h, c) to the next."""
+
+    def __init__(self, lstm: Node) -> None:
+        """Read the arrays of the model file."""
+        self.bias = read_rows(lstm["bias"])
+        self.w_x, self.w_h = read_gates(lstm["w_x"]), read_gates(lstm["w_h"])
+        self.shift, self.multiplier_shift = lstm["shift"], lstm["multiplier_shift"]
+        self.multiplier = lstm["multiplier"] and read_rows(lstm["multiplier"])
+        self.bits, self.hidden = lstm["cell_bits"], len(self.w_h[0])
+        assert 24 <= self.bits <= 27
+        check_width(self.bias, 32)
+        check_width(self.w_x, 16)
+        check_width(self.w_h, 8 if self.multiplier else 16)
+
+    def _read(self, gate: int, unit: int, x: Sequence[int], h_q15: Sequence[int]) -> int:
+        recurrent = add(0, self.w_h[gate][unit], h_q15, 32)
+        if self.multiplier:
+            product = fit(self.multiplier[gate][unit] * recurrent, 64)
+            recurrent = fit(round_shift(product, self.multiplier_shift[gate]), 32)
+        total = add(self.bias[gate][unit], [*self.w_x[gate][unit], 1], [*x, recurrent], 32)
+        return total >> self.shift[gate]
+
+    def step(
+        self, h_q30: Sequence[int], cell: Sequence[int], x: Sequence[int], relaxing: bool = False
+    ) -> tuple[list[int], list[int]]:
+        """Return h and c after a step with inputs x, in time or towards rest."""
+        h_q15 = [copy(h) for h in h_q30]
+        outputs, cells = [], []
+        for unit, c in enumerate(cell):
+            t = [self._read(gate, unit, x, h_q15) for gate in range(4)]
+            added = mul_high(tanh_q30(t[CANDIDATE]), sigmoid_q31(t[IN]))
+            added = fit(round_shift(added, 30 - self.bits), 32)
+            if relaxing:
+                forget = fit(2**31 - sigmoid_q31(t[FORGET]), 32)
+                distance, doublings = fit(added - mul_high(c, forget), 32), 0
+                while forget << doublings < 2**30:
+                    doublings += 1
+                assert doublings <= SLOWEST
+                after = saturate(fit(c + (distance << doublings), 64), -SATURATED, SATURATED)
+            else:
+                moved = fit(mul_high(c, sigmoid_q31(t[FORGET])) + added, 32)
+                after = 2 * saturate(moved, -SATURATED // 2, SATURATED // 2)
+            fit(after + 2 ** (self.bits - 17), 32)
+            bend = tanh_q30(round_shift(after, self.bits - 16))
+            outputs.append(2 * mul_high(bend, sigmoid_q31(t[OUT])))
+            cells.append(fit(after, 32))
+            assert abs(outputs[-1]) <= H_LIMIT_Q30
+        return outputs, cells
+
+
+class RecurrentLstm(Recurrent):
+    """The node `lstm`."""
+
+    def __init__(self, node: Node) -> None:
+        """Read the layers from the bottom up."""
+        self.lstms = [Lstm(layer) for layer in node["layers"]]
+        self.window: int = node["window"]
+        self.samples: list[list[int]] = []
+        self.reset()
+
+    def reset(self) -> None:
+        """Put every layer to zero."""
+        self.h_q30 = [[0] * layer.hidden for layer in self.lstms]
+        self.cells = [[0] * layer.hidden for layer in self.lstms]
+
+    def begin(self, features: list[int], *, settled: bool) -> None:
+        """Put the window to rest at these features, or the state to its start or to its rest."""
+        self.reset()
+        self.samples = [features] * self.window
+        if not self.window and settled:
+            self._walk(features, RELAX_STEPS, relaxing=True)
+
+    def _walk(self, features: Sequence[int], times: int, relaxing: bool) -> None:
+        x = features
+        for k, layer in enumerate(self.lstms):
+            for _ in range(times):
+                self.h_q30[k], self.cells[k] = layer.step(self.h_q30[k], self.cells[k], x, relaxing)
+            x = [copy(h) for h in self.h_q30[k]]
+
+    def step(self, features: list[int]) -> list[int]:
+        """Return h_q30 of the topmost layer."""
+        if self.window:
+            self.samples = [*self.samples[1:], features]
+            self.reset()
+        for sample in self.samples or [features]:
+            self._walk(sample, 1, relaxing=False)
+        return self.h_q30[-1]
+
+
+class Join:
+    """`join`: copies of layers, and features, side by side."""
+
+    def __init__(self, node: Node) -> None:
+        """Read what is copied."""
+        self.shift, self.widths = node["shift"], node["widths"]
+
+    def step(self, inputs: Sequence[Sequence[int]]) -> list[int]:
+        """Return the copies."""
+        found: list[int] = []
+        for part, shift, width in zip(inputs, self.shift, self.widths, strict=True):
+            assert shift in (0, 15) and len(part) == width
+            found += [fit(copy(v) if shift else v, 16) for v in part]
+        return found
+
+
 class Dense:
     """`dense`, which reads copies, and `feature_dense`, which reads the features themselves."""
 
@@ -139,16 +251,17 @@ class Dense:
 
 
 class Head:
-    """y_k of 4.4."""
+    """y_k of 4.4, and `join_head`, which reads copies as they are."""
 
     def __init__(self, node: Node) -> None:
         """Read the weights."""
+        self.copies = node["kind"] == "head"
         self.weights = read_rows(node["weights"])
         check_width(self.weights, 16)
 
     def step(self, inputs: Sequence[int]) -> list[int]:
         """Return y."""
-        x = [copy(value) for value in inputs]
+        x = [copy(value) for value in inputs] if self.copies else inputs
         return [add(0, row, x, 32) for row in self.weights]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.oracle.conversion import convert
-from tests.oracle.layers import Dense, Drift, Head, Recurrent
+from tests.oracle.layers import Dense, Drift, Head, Join, Recurrent, RecurrentLstm
 from tests.oracle.primitives import fit
 from tests.oracle.signals import SIGNALS, Features, Signal
 
@@ -129,6 +129,9 @@ class Oracle:
                 features = values[node["inputs"][0]]
                 assert isinstance(features, list)
                 unit.begin(features, settled=settled)
+                values[name] = unit.h_q30[-1]
+            elif isinstance(unit, Dense | Join):
+                values[name] = unit.step(self._read(node, values, codes))
 
     def _compute(self, codes: Sequence[int]) -> tuple[dict[str, Value], list[int], bool]:
         values: dict[str, Value] = {}
@@ -151,7 +154,7 @@ class Oracle:
         if node["kind"] == "load":
             return [codes[node["channel"]], self.drift[node["output"]]]
         inputs = [values[name] for name in node["inputs"]]
-        if len(inputs) == 1 and isinstance(inputs[0], list):
+        if len(inputs) == 1 and isinstance(inputs[0], list) and node["kind"] != "join":
             return inputs[0]
         return inputs
 
@@ -167,6 +170,9 @@ def _make(node: dict[str, Any]) -> Any:
         "dense": Dense,
         "feature_dense": Dense,
         "head": Head,
+        "join_head": Head,
+        "join": Join,
+        "lstm": RecurrentLstm,
         "drift": Drift,
     }
     return others[kind](node)

@@ -29,11 +29,14 @@ Codes = list[list[int]]
 
 
 def get_hidden(oracle: Oracle, answer: Answer) -> list[int]:
-    """Return h_q30 of the topmost GRU, zeros while the state is new."""
-    (name,) = [name for name, unit in oracle.units.items() if isinstance(unit, Recurrent)]
-    hidden = answer.values.get(name, [0] * oracle.units[name].layers[-1].hidden)
-    assert isinstance(hidden, list)
-    return hidden
+    """Return what the recurrent nodes give, zeros while the state is new."""
+    found: list[int] = []
+    for name, unit in oracle.units.items():
+        if isinstance(unit, Recurrent):
+            hidden = answer.values.get(name, [0] * len(unit.h_q30[-1]))
+            assert isinstance(hidden, list)
+            found += hidden
+    return found
 
 
 @pytest.mark.parametrize("name", NAMES)

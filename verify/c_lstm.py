@@ -1,0 +1,124 @@
+"""What the LSTM's kernel does with intervals.
+
+Written from docs/reference/integer-layers.md, section 3. Shares no code with the generator and
+needs the standard library only.
+"""
+
+import re
+
+from zerodrift.verify.c_gru import MOST, shift_right
+from zerodrift.verify.c_intervals import IntervalMachine
+from zerodrift.verify.c_values import FaultError, Pointer, Struct, Value
+
+CELL = 1 << 30
+SLOWEST = 15
+
+
+def run_lstm(
+    machine: IntervalMachine,
+    layer: Struct,
+    inputs: Value,
+    hidden: Value,
+    *given: Pointer | Value,
+) -> None:
+    """Every accumulator by the sum of its terms' sizes, hence in whatever order they are added.
+
+    Args:
+        machine: runs the model.
+        layer: its constants.
+        inputs: number of features.
+        hidden: number of units.
+        given: features, output, cell state, scratch for the output's copy; whether to relax.
+    """
+    *pointers, relaxing = given
+    features, h, cell, copy = (p for p in pointers if isinstance(p, Pointer))
+    if not isinstance(relaxing, Value):
+        raise FaultError("relaxing is no number")
+    for value, what in ((inputs, "inputs"), (hidden, "units")):
+        if value.exact is None or not 0 < value.exact <= MOST:
+            raise FaultError(f"{value.low} .. {value.high} {what}")
+    if relaxing.exact not in (0, 1):
+        raise FaultError(f"relaxing is {relaxing.low} .. {relaxing.high}; 0 and 1 are allowed")
+    blocks = {id(h.block), id(cell.block), id(copy.block)}
+    if len(blocks) != 3:
+        raise FaultError("output, cell state and scratch lie on each other")
+    count, n_x = hidden.low, inputs.low
+    copy.hold(count)
+    copy.fill([Value(-(1 << 15), (1 << 15) - 1, "int16_t")] * count)
+    name = re.sub(r"_(\d+)$", r".\1", layer.name)  # a layer of a stack
+    for place, limit in ((h, machine.h_limit), (cell, CELL)):
+        if any(abs(v.low) > limit or abs(v.high) > limit for v in place.values(count)):
+            machine.fail(f"{name}: {place.block.name} is not within {limit} before the step")
+        place.fill([Value(-limit, limit)] * count)
+    x = tuple(features.values(n_x))
+    if (name, x) in machine.stepped:
+        return
+    _note_gates(machine, layer, name, count, [max(abs(v.low), abs(v.high)) for v in x])
+    _note_cell(machine, layer, name)
+    machine.shift = None
+    machine.stepped.add((name, x))
+
+
+def _note_gates(
+    machine: IntervalMachine, layer: Struct, name: str, units: int, sizes: list[int]
+) -> None:
+    names = ("w_x", "w_h16", "w_h8", "multiplier", "bias")
+    w_x, w_16, w_8, multiplier, bias = (machine.table_of(layer, n) for n in names)
+    if bool(w_16) == bool(w_8) or bool(multiplier) != bool(w_8):
+        raise FaultError(f"{layer.name}: weights of 16 bits, or of 8 bits and their multipliers")
+    w_h, rows, n_x = w_16 or w_8, 4 * units, len(sizes)
+    if (len(w_x), len(w_h), len(bias)) != (rows * n_x, rows * units, rows):
+        raise FaultError(f"{name}: tables do not have the size of {units} units and {n_x} inputs")
+    if multiplier and len(multiplier) != rows:
+        raise FaultError(f"{name}: {len(multiplier)} multipliers of {units} units")
+    second = 0
+    for g, gate in enumerate("ifgo"):
+        _note_shift(machine, layer, "shift", g, f"{name}.{gate}.shift", 31)
+        if multiplier:
+            where = f"{name}.{gate}.multiplier_shift"
+            _note_shift(machine, layer, "multiplier_shift", g, where, 62)
+    copied = (machine.h_limit + (1 << 14)) >> 15
+    for row in range(rows):
+        j, g = divmod(row, 4)
+        where = f"{name}.{'ifgo'[g]}[{j}]"
+        own = zip(w_x[row * n_x : (row + 1) * n_x], sizes, strict=True)
+        from_x = sum(abs(w) * size for w, size in own)
+        from_h = sum(map(abs, w_h[row * units : (row + 1) * units])) * copied
+        if multiplier:
+            second = layer.fields["multiplier_shift"].value(g).low
+            scaled = from_h * abs(multiplier[row])
+            total = scaled + (1 << second >> 1)
+            machine.note(f"{where}.product", -from_h, from_h, 32)
+            machine.note(f"{where}.scaled", -total, total, 64)
+            from_h = (scaled >> second) + 1
+        total = abs(bias[row]) + from_x + from_h
+        machine.note(where, -total, total, 32)
+
+
+def _note_shift(
+    machine: IntervalMachine, layer: Struct, field: str, at: int, where: str, most: int
+) -> None:
+    shift = layer.fields[field].value(at).low
+    shift_right(machine, Value(0, 0), Value(shift, shift), most)
+    machine.note_shift(where, shift)
+
+
+def _note_cell(machine: IntervalMachine, layer: Struct, name: str) -> None:
+    """The sums that move the cell state, which the kernel limits to 2^30."""
+    bits = layer.fields["cell_bits"].value(0).low
+    if not 24 <= bits <= 27:
+        raise FaultError(f"{name}: a cell state of {bits} fractional bits; 24 .. 27 are possible")
+    machine.note_shift(f"{name}.cell_bits", bits)
+    gate, bend = machine.r_max, machine.tanh_max
+    if not (1 << 31) - gate >= (1 << 15):
+        raise FaultError(f"{name}: f is not below 1 - 2^-16")
+    added = ((bend * gate >> 32) + 1 >> (30 - bits)) + 1
+    kept = (CELL * gate >> 32) + 1
+    machine.note(f"{name}.moved", -kept - added, kept + added, 32)
+    machine.note(f"{name}.distance", -kept - added, kept + added, 32)
+    relaxed = CELL + ((kept + added) << SLOWEST)
+    machine.note(f"{name}.relaxed", -relaxed, relaxed, 64)
+    argument = CELL + (1 << (bits - 16) >> 1)
+    machine.note(f"{name}.bend", -argument, argument, 32)
+    if 2 * ((bend * gate >> 32) + 1) > machine.h_limit:
+        raise FaultError(f"{name}: o tanh(c) is beyond {machine.h_limit}")
