@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from zerodrift.base.config import WINDOW, WINDOWED_KINDS, NetworkConfig
+from zerodrift.base.config import RECURRENT_KINDS, WINDOW, WINDOWED_KINDS, NetworkConfig
 from zerodrift.diagnosis.memory import MemoryTable
 
 SPANS = 1.1
@@ -67,7 +67,7 @@ def read_window(network: NetworkConfig, dt_s: float) -> tuple[int, float] | None
         samples = WINDOW if isinstance(network.memory, str) else network.memory
         spacing_s = float(network.options.get("spacing_s", SPACING_S))
         return samples, max(1, round(spacing_s / dt_s)) * dt_s
-    if network.kind == "gru" and not isinstance(network.memory, str):
+    if network.kind in RECURRENT_KINDS and not isinstance(network.memory, str):
         return network.memory, dt_s
     return None
 
@@ -100,7 +100,7 @@ def judge_memory(
         return Memory("a model without thermal lag", 0.0, table.rmse([]) / best, None, remedy)
     own = table.lags(network.lags_s) if network.lags_s else []
     if window is None:
-        if not network.lags_s or network.kind == "gru":
+        if not network.lags_s or network.kind in RECURRENT_KINDS:
             return Memory("the network's memory", None, None)
         remedy = "Leave lags_s out, and training finds lags of its own."
         name = f"the bank of {_write_lags(network.lags_s)}"
@@ -125,7 +125,7 @@ def _write_lags(lags_s: Sequence[float]) -> str:
 def _find_remedy(table: MemoryTable, network: NetworkConfig, best: float) -> str:
     """Return what to have instead of a window that is too short."""
     ways = ["Leave lags_s out, and training finds lags of its own."]
-    if network.kind == "gru":
+    if network.kind in RECURRENT_KINDS:
         ways.append(f"{STREAM} has no fixed length.")
     else:
         windows = list_windows(network, table.sample_period_s)[1:]

@@ -25,7 +25,8 @@ from zerodrift.export.encoding import encode_channel, find_held
 from zerodrift.export.float_model import LOAD, Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat, code_type
-from zerodrift.export.onnx_reader import read_network_bytes
+from zerodrift.export.layered_network import FloatLayeredNetwork
+from zerodrift.export.onnx_reader import read_imported_bytes
 from zerodrift.export.quantize import Quantized, quantize_graph
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
@@ -147,11 +148,13 @@ def _describe_physics(
     return describe_compensator(alone, config, runs)
 
 
-def _read_network(compensator: "Compensator") -> FloatNetwork | FloatFeedForward | None:
+def _read_network(
+    compensator: "Compensator",
+) -> FloatNetwork | FloatLayeredNetwork | FloatFeedForward | None:
     if compensator.network is None:
         return None
     if compensator.is_recurrent:
-        network = read_network_bytes(compensator.network, "the trained network")
+        network = read_imported_bytes(compensator.network, "the trained network").network
         return replace(network, trained=OnnxNetwork(compensator.network))
     return compensator.feed_forward
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.lstm.cell import FloatLstm
+from zerodrift.train.onnx_network import OnnxNetwork
 
 Array = NDArray[np.float64]
 Cell = FloatGru | FloatLstm | FloatDense
@@ -56,6 +57,8 @@ class FloatLayeredNetwork:
     """[K, N] in output units."""
     head_bias: Array
     """[K] in output units."""
+    trained: OnnxNetwork | None = None
+    """The file that training left, where it is one of ours: its answers are asked of it."""
 
     def widths(self, reads: Sequence[int]) -> list[int]:
         """Return how many numbers each of some sources gives."""
@@ -107,6 +110,8 @@ class FloatLayeredNetwork:
             features: of the whole run.
             window: samples that each answer is from; 0 carries the state from sample to sample.
         """
+        if self.trained is not None:
+            return self.trained.run(features, window)
         return self.answer_from(features, window, {})
 
     def answer_from(self, features: Array, window: int, known: Mapping[int, Array]) -> Array:
@@ -169,7 +174,7 @@ class FloatLayeredNetwork:
         if 0 in self.reads:  # they stand first
             bias = bias + head[:, : self.inputs] @ center
             head[:, : self.inputs] *= scale
-        return replace(self, layers=layers, head=head, head_bias=bias)
+        return replace(self, layers=layers, head=head, head_bias=bias, trained=None)
 
     def list_arrays(self) -> list[tuple[str, Array]]:
         """Return all weights and biases by name."""

@@ -156,7 +156,7 @@ class Compensator:
     @property
     def is_recurrent(self) -> bool:
         """Whether the network carries a state, or walks through a window."""
-        return self.network is not None and "gru.W" in self._network_weights
+        return self.network is not None and bool({"gru.W", "lstm.W"} & set(self._network_weights))
 
     @cached_property
     def feed_forward(self) -> FloatFeedForward:

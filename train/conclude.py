@@ -10,8 +10,8 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.train.compensator import Compensator, calibrate
 from zerodrift.train.engine import Result
-from zerodrift.train.networks import GruNetwork, build_network
-from zerodrift.train.onnx_export import build_layers_onnx, build_onnx
+from zerodrift.train.networks import GruNetwork, LstmNetwork, build_network
+from zerodrift.train.onnx_export import build_layers_onnx, build_lstm_onnx, build_onnx
 from zerodrift.train.prepare import Prepared, walk_of
 from zerodrift.train.scores import WORTH_ITS_FLASH, Trained, score
 from zerodrift.train.stages import Stages
@@ -110,6 +110,8 @@ def _to_onnx(config: Config, stages: Stages, result: Result) -> bytes:
     head = network.head.detach().numpy() * stages.scale[:, None]
     bias = network.head_bias.detach().numpy() * stages.scale
     names = [output.name for output in config.outputs]
+    if isinstance(network, LstmNetwork):
+        return build_lstm_onnx(network.to_float(), head, bias, names)
     if not isinstance(network, GruNetwork):
         return build_layers_onnx(FloatFeedForward(network.to_dense(), head, bias), names)
     return build_onnx(network.to_float(), head, bias, names)

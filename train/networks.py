@@ -18,6 +18,8 @@ from torch import Tensor
 from zerodrift.base.config import NetworkConfig
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.lstm.cell import FloatLstm
+from zerodrift.train.lstm_recurrence import LstmWeights, run_lstm, settle_lstm
 from zerodrift.train.recurrence import GruWeights, run_gru, settle
 
 Array = NDArray[np.float64]
@@ -137,6 +139,58 @@ class GruNetwork(Network):
         if self.reset == "before":
             bias[3] = 0.0
         return FloatGru(w_x=w_x, w_h=w_h, bias=bias, reset=self.reset)
+
+
+class LstmNetwork(Network):
+    """A long short-term memory and a linear head; the state is h beside c."""
+
+    def __init__(self, features: int, hidden: int, outputs: int) -> None:
+        super().__init__()
+        self.w_x = torch.nn.Parameter(torch.zeros(4, hidden, features))
+        self.w_h = torch.nn.Parameter(torch.zeros(4, hidden, hidden))
+        self.bias = torch.nn.Parameter(torch.zeros(4, hidden))
+        self.head = torch.nn.Parameter(torch.zeros(outputs, hidden))
+        self.head_bias = torch.nn.Parameter(torch.zeros(outputs))
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """Draw the first weights as `GruNetwork.initialise` does.
+
+        The input gate starts as what the forget gate leaves, so that c is a weighted mean.
+        Source: Tallec and Ollivier, "Can recurrent neural networks warp time?", 2018.
+        """
+        hidden, features = self.w_x.shape[1:]
+        with torch.no_grad():
+            for weights, fan_in in ((self.w_x, features), (self.w_h, hidden)):
+                weights.uniform_(-1.0, 1.0, generator=generator).div_(math.sqrt(fan_in))
+            share = torch.rand(hidden, generator=generator)
+            steps = torch.exp(share * math.log(LONGEST_START_STEPS))
+            self.bias.zero_()
+            self.bias[1] = torch.log(steps - 1.0 + 0.02)
+            self.bias[0] = -self.bias[1]
+
+    @property
+    def width(self) -> int:
+        """Width of the state, twice the hidden units."""
+        return 2 * int(self.w_h.shape[1])
+
+    def _gather(self, parameters: Parameters) -> LstmWeights:
+        w_x, w_h = (parameters[name].flatten(1, 2).contiguous() for name in ("w_x", "w_h"))
+        return LstmWeights(w_x, w_h, parameters["bias"])
+
+    def run_many(self, parameters: Parameters, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return drift and states of S LSTMs; see `Network`."""
+        states = run_lstm(x, state, self._gather(parameters))
+        shown = states[:, :, : self.width // 2]
+        drift = torch.matmul(parameters["head"], shown) + parameters["head_bias"][..., None]
+        return drift, states
+
+    def rest_many(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """Return the states at rest [S, 2 H, B], by the relaxation of the chip's `settle`."""
+        return settle_lstm(x, self._gather(parameters))
+
+    def to_float(self) -> FloatLstm:
+        """Return the recurrence's weights in the form that simulation and export use."""
+        return FloatLstm(*(read_array(w) for w in (self.w_x, self.w_h, self.bias)))
 
 
 class FeedForwardNetwork(Network):
@@ -301,13 +355,15 @@ def list_dilations(window: int) -> tuple[int, ...]:
 
 def build_network(
     config: NetworkConfig, features: int, outputs: int, generator: torch.Generator
-) -> GruNetwork | MlpNetwork | TcnNetwork:
+) -> GruNetwork | LstmNetwork | MlpNetwork | TcnNetwork:
     """Return the untrained network of a project, its weights drawn from `generator`."""
-    network: GruNetwork | MlpNetwork | TcnNetwork
+    network: GruNetwork | LstmNetwork | MlpNetwork | TcnNetwork
     match config.kind:
         case "gru":
             form = str(config.options.get("form", "reset_after"))
             network = GruNetwork(features, config.hidden, outputs, form)
+        case "lstm":
+            network = LstmNetwork(features, config.hidden, outputs)
         case "tcn":
             network = TcnNetwork(features, config.hidden, outputs, int(config.memory))
         case _:

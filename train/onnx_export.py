@@ -1,8 +1,8 @@
 """The trained network as a float ONNX file: always the same bytes for the same weights.
 
-Inputs `features` [T, B, I] and `initial_h` [1, B, H]; outputs `drift` [T, B, K] in the outputs'
-units and `hidden` [T, B, H]. The file is written with onnx.helper alone, so that nothing of
-PyTorch's exporter, its version or the clock gets into it.
+Inputs `features` [T, B, I] and `initial_h` [1, B, H], of an LSTM also `initial_c`; outputs `drift`
+[T, B, K] in the outputs' units and `hidden` [T, B, H]. The file is written with onnx.helper alone,
+so that nothing of PyTorch's exporter, its version or the clock gets into it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,6 +18,9 @@ from zerodrift.base.errors import InputError
 from zerodrift.operations.dense import FloatDense, FloatFeedForward
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.gru.onnx import from_onnx_gates, to_onnx_gates
+from zerodrift.operations.lstm.cell import FloatLstm
+from zerodrift.operations.lstm.onnx import from_onnx_gates as lstm_from_onnx
+from zerodrift.operations.lstm.onnx import to_onnx_gates as lstm_to_onnx
 
 Array = NDArray[np.float64]
 
@@ -34,13 +37,45 @@ def build_onnx(gru: FloatGru, head: Array, head_bias: Array, outputs: Sequence[s
         head_bias: [K] in output units.
         outputs: the outputs' names, for readers of the file.
     """
-    hidden, features = gru.w_x.shape[1:]
-    count = head.shape[0]
-    w, r, b = to_onnx_gates(gru)
+    node = helper.make_node(
+        "GRU",
+        ["features", "gru.W", "gru.R", "gru.B", "", "initial_h"],
+        ["states"],
+        name="gru",
+        hidden_size=gru.w_h.shape[1],
+        linear_before_reset=int(gru.reset == "after"),
+    )
+    return _build_recurrent(node, to_onnx_gates(gru), head, head_bias, outputs)
+
+
+def build_lstm_onnx(
+    lstm: FloatLstm, head: Array, head_bias: Array, outputs: Sequence[str]
+) -> bytes:
+    """Return the ONNX file of an LSTM and its head; see `build_onnx`."""
+    node = helper.make_node(
+        "LSTM",
+        ["features", "lstm.W", "lstm.R", "lstm.B", "", "initial_h", "initial_c"],
+        ["states"],
+        name="lstm",
+        hidden_size=lstm.hidden,
+    )
+    return _build_recurrent(node, lstm_to_onnx(lstm), head, head_bias, outputs)
+
+
+def _build_recurrent(
+    node: onnx.NodeProto,
+    gates: tuple[Array, Array, Array],
+    head: Array,
+    head_bias: Array,
+    outputs: Sequence[str],
+) -> bytes:
+    """Return the file of a recurrent node with its weights W, R, B, and a head."""
+    w, r, b = gates
+    features, hidden, count = w.shape[1], r.shape[1], head.shape[0]
     constants = {
-        "gru.W": w[None],
-        "gru.R": r[None],
-        "gru.B": b[None],
+        f"{node.name}.W": w[None],
+        f"{node.name}.R": r[None],
+        f"{node.name}.B": b[None],
         "head.weight": head.T,
         "head.bias": head_bias,
     }
@@ -49,22 +84,19 @@ def build_onnx(gru: FloatGru, head: Array, head_bias: Array, outputs: Sequence[s
         for name, value in constants.items()
     ]
     initializers.append(numpy_helper.from_array(np.array([1], dtype=np.int64), "direction"))
+    states = [name for name in node.input if name.startswith("initial")]
     nodes = [
-        helper.make_node(
-            "GRU",
-            ["features", "gru.W", "gru.R", "gru.B", "", "initial_h"],
-            ["states"],
-            name="gru",
-            hidden_size=hidden,
-            linear_before_reset=int(gru.reset == "after"),
-        ),
+        node,
         helper.make_node("Squeeze", ["states", "direction"], ["hidden"], name="squeeze"),
         helper.make_node("MatMul", ["hidden", "head.weight"], ["unbiased"], name="head"),
         helper.make_node("Add", ["unbiased", "head.bias"], ["drift"], name="bias"),
     ]
     return _write_file(
         nodes,
-        [_describe("features", ("T", "B", features)), _describe("initial_h", (1, "B", hidden))],
+        [
+            _describe("features", ("T", "B", features)),
+            *(_describe(name, (1, "B", hidden)) for name in states),
+        ],
         [_describe("drift", ("T", "B", count)), _describe("hidden", ("T", "B", hidden))],
         initializers,
         outputs,
@@ -181,6 +213,20 @@ def read_onnx_gru(content: bytes, where: str) -> FloatGru:
         node = next(node for node in model.graph.node if node.op_type == "GRU")
         attributes = {a.name: helper.get_attribute_value(a) for a in node.attribute}
         return from_onnx_gates(attributes, *(constants[f"gru.{name}"] for name in "WRB"))
+
+
+def read_onnx_recurrent(content: bytes, where: str) -> FloatGru | FloatLstm:
+    """Return the recurrence of a file that `build_onnx` or `build_lstm_onnx` wrote.
+
+    Raises:
+        InputError: the file is damaged or another program's.
+    """
+    with _refuse_damage(where):
+        model = onnx.load_model_from_string(content)
+        constants = _read_constants(model)
+        if any(node.op_type == "LSTM" for node in model.graph.node):
+            return lstm_from_onnx({}, *(constants[f"lstm.{name}"] for name in "WRB"))
+    return read_onnx_gru(content, where)
 
 
 def _read_constants(model: onnx.ModelProto) -> dict[str, NDArray[Any]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.base.config import Config, NetworkConfig
+from zerodrift.base.config import RECURRENT_KINDS, Config, NetworkConfig
 from zerodrift.base.extras import TRAIN, require
 from zerodrift.dataset.runs import Dataset
 from zerodrift.physics.catalogue import Catalogue
@@ -45,17 +45,19 @@ def read_settings(
         starts=tuple(range(count)),
         epochs=epochs or int(options.get("epochs", usual)),
         learning_rate=float(
-            options.get("learning_rate", default.learning_rate if network.kind == "gru" else RATE)
+            options.get(
+                "learning_rate", default.learning_rate if network.kind in RECURRENT_KINDS else RATE
+            )
         ),
     )
 
 
 def walk_of(network: NetworkConfig) -> str | int:
-    """Return how a network walks through time: "stream", or a window that a GRU runs over.
+    """Return how a network walks through time: "stream", or a window that it runs over.
 
     Windows of the other kinds are in what they see, so that they answer sample by sample.
     """
-    return network.memory if network.kind == "gru" else "stream"
+    return network.memory if network.kind in RECURRENT_KINDS else "stream"
 
 
 @dataclass(frozen=True)

@@ -35,9 +35,11 @@ DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
 MOST = {"starts": 1000, "epochs": 1_000_000}
 """Trainings from different weights, and passes over the logs, that are still meant."""
 MODEL_TABLES = ("effect", "network", "quantization", "firmware", "plugins", "fleet", "experiment")
-NETWORK_KINDS = ("lag_bank", "gru", "mlp", "mlp_seq", "tcn", "none")
+NETWORK_KINDS = ("lag_bank", "gru", "lstm", "mlp", "mlp_seq", "tcn", "none")
+RECURRENT_KINDS = ("gru", "lstm")
+"""These carry a state, or run over a window."""
 WINDOWED_KINDS = ("mlp_seq", "tcn")
-"""These see a window of samples; the GRU may."""
+"""These see a window of samples; recurrent ones may."""
 HIDDEN = {"mlp": 36, "mlp_seq": 36}
 """Units of the kinds whose default is not the GRU's."""
 WINDOW = 10
@@ -82,7 +84,7 @@ class NetworkConfig:
     """`[network]`: what learns the part that physics leaves."""
 
     kind: str = "none"
-    """lag_bank | gru | mlp | mlp_seq | tcn | none."""
+    """lag_bank | gru | lstm | mlp | mlp_seq | tcn | none."""
     hidden: int = 16
     memory: str | int = "stream"
     """"stream", or the window's length in samples."""
@@ -373,7 +375,7 @@ def _read_network(table: TomlTable) -> NetworkConfig:
     kind = table.choice("kind", NETWORK_KINDS, default.kind)
     if kind in WINDOWED_KINDS and memory == "stream":
         memory = WINDOW
-    if memory != "stream" and kind not in (*WINDOWED_KINDS, "gru"):
+    if memory != "stream" and kind not in (*WINDOWED_KINDS, *RECURRENT_KINDS):
         raise table.error(
             "memory", f"a window is nothing to '{kind}', which sees no past samples; leave it out."
         )
