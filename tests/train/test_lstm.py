@@ -110,7 +110,7 @@ def write_lagging_logs(directory: Path) -> None:
         time = np.arange(400.0)
         temperature = 25.0 + 12.0 * np.sin(time / 40.0 + rng.uniform(0, 6)) + rng.normal(size=400)
         late = np.convolve(temperature - 25.0, np.exp(-np.arange(30) / 4.0), "full")[:400] / 4.5
-        outputs = np.column_stack([np.tanh(late / 6.0), np.tanh(late / 4.0 - 0.5)])
+        outputs = np.tanh(np.column_stack([late / 6.0, late / 4.0 - 0.5]))
         table = np.column_stack([time, temperature, 0 * time + 3.3, 0 * time + 45.0, outputs])
         header = "time_s,temperature_degC,supply_V,humidity_pct,Fz_N,Mx_Nm"
         np.savetxt(directory / f"{name}.csv", table, "%.6f", ",", header=header, comments="")
