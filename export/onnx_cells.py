@@ -52,7 +52,7 @@ def restore_cells(graph: onnx.GraphProto, opset: int) -> None:
     for out in [o.name for o in graph.output]:
         for part in _list_parts(graph, out):
             try:
-                found = _identify(graph, part)
+                found = _identify(graph, part, opset)
             except (ValueError, IndexError, KeyError, TypeError, RuntimeError):
                 found = None  # the reader refuses the node that it does not know, by name
             if found is not None:
@@ -151,11 +151,11 @@ class _Found:
     """Axes of what it reads, and of what it gives."""
 
 
-def _identify(graph: onnx.GraphProto, part: _Part) -> _Found | None:
+def _identify(graph: onnx.GraphProto, part: _Part, opset: int) -> _Found | None:
     """Return the cell that a part of a graph computes; None if it is none."""
     sigmoids = [n.input[0] for n in part.nodes if n.op_type == "Sigmoid"]
     tanhs = [n.input[0] for n in part.nodes if n.op_type == "Tanh"]
-    ask = _Asking(graph, part, [*sigmoids, *tanhs, part.out])
+    ask = _Asking(graph, part, [*sigmoids, *tanhs, part.out], opset)
     hidden = ask.widths[part.states[0]]
     if any(ask.widths[s] != hidden for s in part.states):
         return None
@@ -252,7 +252,9 @@ def _fit_lstm(
 class _Asking:
     """A part of a graph in float64, which is given random numbers and asked for some values."""
 
-    def __init__(self, graph: onnx.GraphProto, part: _Part, wanted: Sequence[str]) -> None:
+    def __init__(
+        self, graph: onnx.GraphProto, part: _Part, wanted: Sequence[str], opset: int
+    ) -> None:
         from onnx.reference import ReferenceEvaluator
 
         whole = _widen(graph)
@@ -264,7 +266,7 @@ class _Asking:
         }
         rng = np.random.default_rng(1)
         feed = {name: rng.normal(size=shape) for name, shape in inputs.items()}
-        first = ReferenceEvaluator(_model(whole, list(inputs), self._names)).run(None, feed)
+        first = ReferenceEvaluator(_model(whole, list(inputs), self._names, opset)).run(None, feed)
         self._shapes = {n: np.shape(v) for n, v in zip(self._names, first, strict=True)}
         if any(len(s) not in (1, 2) or s[:-1] not in ((), (1,)) for s in self._shapes.values()):
             raise ValueError("what the cell reads is no row of numbers")
@@ -283,7 +285,7 @@ class _Asking:
         constant = [node for node in whole.node if above & set(node.output)]
         del inner.node[:]
         inner.node.extend(n for n in whole.node if n in keep or n in constant)
-        self._evaluator = ReferenceEvaluator(_model(inner, self._names, self._wanted))
+        self._evaluator = ReferenceEvaluator(_model(inner, self._names, self._wanted, opset))
 
     def draw(self, count: int) -> dict[str, Array]:
         """Return [count, width] of what was given and of what was asked for."""
@@ -302,7 +304,7 @@ class _Asking:
 
 
 def _model(
-    graph: onnx.GraphProto, inputs: Sequence[str], outputs: Sequence[str]
+    graph: onnx.GraphProto, inputs: Sequence[str], outputs: Sequence[str], opset: int
 ) -> onnx.ModelProto:
     """Return a graph as a model with other inputs and outputs, of float64."""
 
@@ -316,7 +318,7 @@ def _model(
         [info(n) for n in outputs],
         list(graph.initializer),
     )
-    return helper.make_model(own, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    return helper.make_model(own, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
 
 
 def _widen(graph: onnx.GraphProto) -> onnx.GraphProto:

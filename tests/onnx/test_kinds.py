@@ -3,11 +3,13 @@
 from pathlib import Path
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 from tests.golden.model_factory import SAMPLE_PERIOD_S
 from tests.onnx.kinds import DEVIATION, GRU_KINDS, LSTM_KINDS, LSTM_REFUSED, MEAN, Kind
 from tests.onnx.test_reader import run_onnxruntime
+from tests.onnx.write_exported import PLAIN
 from tests.operations.everywhere import derive_again
 
 from zerodrift.base.errors import InputError
@@ -15,7 +17,11 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
-from zerodrift.export.onnx_reader import ImportedNetwork, read_imported_bytes
+from zerodrift.export.onnx_reader import (
+    ImportedNetwork,
+    read_imported,
+    read_imported_bytes,
+)
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.verify.chip_check import check_chip
@@ -145,6 +151,26 @@ def test_kind_is_the_same_everywhere(name: str, weights: str, tmp_path: Path) ->
     if name in ON_CORES:
         for core in ("cortex-m0plus", "cortex-m4", "rv32imc"):
             check_chip(core, code, host, {"noise": sequences["noise"][:40]}, tmp_path / core)
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_plain_export_of_torch_is_read_with_the_file_beside_it(name: str, tmp_path: Path) -> None:
+    path = Path(__file__).parent / "exported" / f"{name}.onnx"
+    assert path.with_suffix(".onnx.data").stat().st_size > 0
+    imported = read_imported(path)
+    steps = imported.steps if imported.window else 12
+    x = draw_inputs(3, steps)
+    whole = onnx.load(path).SerializeToString()
+    if "cell" in name:
+        expected, found = run_step_by_step(whole, x[0]), imported.network.run(x.astype(float))[0]
+    else:
+        expected = run_onnxruntime(whole, x)
+        found = imported.network.run(x.astype(float))[:, -1].reshape(expected.shape)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert imported.initial_state == ("input" if "cell" in name else "zero")
+    (tmp_path / path.name).write_bytes(path.read_bytes())
+    with pytest.raises(InputError, match=r"which cannot be read .* Copy it there, or export again"):
+        read_imported(tmp_path / path.name)
 
 
 @pytest.mark.parametrize("name", REFUSED)
