@@ -115,7 +115,7 @@ def run_lstm_backward(
     return sum_outer(d_gates, x), sum_outer(d_gates, trace.states[:-1, :, :hidden]), d_bias
 
 
-class _Context(Protocol):
+class _LstmContext(Protocol):
     """Where autograd keeps what `forward` leaves for `backward`."""
 
     trace: LstmTrace
@@ -130,7 +130,7 @@ class _LstmSequence(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: _Context, x: Tensor, start: Tensor, w_x: Tensor, w_h: Tensor, bias: Tensor
+        ctx: _LstmContext, x: Tensor, start: Tensor, w_x: Tensor, w_h: Tensor, bias: Tensor
     ) -> Tensor:
         """Run the recurrence; see `run_lstm`."""
         ctx.trace = run_lstm_forward(x, start, LstmWeights(w_x, w_h, bias))
@@ -138,7 +138,7 @@ class _LstmSequence(torch.autograd.Function):
         return ctx.trace.states[1:]
 
     @staticmethod
-    def backward(ctx: _Context, *grads: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: _LstmContext, *grads: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients of w_x, w_h and bias; features and first states are data."""
         x, w_x, w_h, bias = ctx.saved_tensors
         found = run_lstm_backward(grads[0], x, ctx.trace, LstmWeights(w_x, w_h, bias))
