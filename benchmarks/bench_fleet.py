@@ -29,7 +29,7 @@ from zerodrift.lab.twin import EffectChoice, Recipe, simulate
 from zerodrift.lab.twin.logs import render_config, render_logs
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.engine import Problem, Result, train_networks
-from zerodrift.train.network_training import pose_rehearsal
+from zerodrift.train.network_training import pose_validation
 from zerodrift.train.prepare import prepare, read_settings
 from zerodrift.train.tasks import Task
 
@@ -173,7 +173,7 @@ def pose_problems(project: Path, count: int) -> list[Problem]:
         own = configure_sensor(config, sensor)
         dataset, settings = load_dataset(own), read_settings(own.network)
         task = Task(own, dataset, settings, prepare(own, dataset, settings, catalogue))
-        problems.append(pose_rehearsal(task))
+        problems.append(pose_validation(task))
     return problems
 
 

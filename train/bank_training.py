@@ -24,8 +24,8 @@ from zerodrift.train.scores import WORTH_ITS_FLASH, Stage, Trained, measure, sco
 from zerodrift.train.split import split_runs
 from zerodrift.train.stages import fit_physics
 
-REHEARSED = 0.45
-"""Share of the work that the rehearsal is."""
+VALIDATED = 0.45
+"""Share of the work that the validation is."""
 
 
 def train_bank(
@@ -48,18 +48,18 @@ def train_bank(
     split = split_runs(dataset.train)
     physics = fit_physics(config, dataset, split.fit, catalogue)
 
-    def rehearse(done: float, text: str) -> None:
-        tell(Stage(REHEARSED * done, f"runs held out: {text}"))
+    def validate(done: float, text: str) -> None:
+        tell(Stage(VALIDATED * done, f"runs held out: {text}"))
 
     def perform(done: float, text: str) -> None:
-        tell(Stage(REHEARSED + (1.0 - REHEARSED) * done, f"all runs: {text}"))
+        tell(Stage(VALIDATED + (1.0 - VALIDATED) * done, f"all runs: {text}"))
 
-    understudy = assemble_bank(
+    left_out = assemble_bank(
         replace(alone, physics=physics, tared=physics.tared),
-        fit_bank(config, physics, split.fit, rehearse),
+        fit_bank(config, physics, split.fit, validate),
         split.fit,
     )
-    errors = measure(understudy, split.held_out, understudy.tared, dict(split.skip))
+    errors = measure(left_out, split.held_out, left_out.tared, dict(split.skip))
     ratio = float(np.mean(errors.compensated / np.maximum(errors.physics, 1e-300)))
     if ratio < WORTH_ITS_FLASH:
         fitted = fit_bank(config, alone.physics, dataset.train, perform)
@@ -70,7 +70,7 @@ def train_bank(
             f" {ratio:.3f} of that without it), and was left out"
         )
         compensator = replace(alone, notes=(*alone.notes, note))
-        understudy = replace(alone, physics=physics, tared=physics.tared)
+        left_out = replace(alone, physics=physics, tared=physics.tared)
     others = list_thermometers(config)
     if others and len({run.group for run in dataset.train}) < FEWEST_RUNS:
         note = (
@@ -80,7 +80,7 @@ def train_bank(
         compensator = replace(compensator, notes=(*compensator.notes, note))
     if dataset.test:
         return Trained(compensator, score(compensator, dataset))
-    return Trained(compensator, score(compensator, dataset, understudy, split))
+    return Trained(compensator, score(compensator, dataset, left_out, split))
 
 
 def fit_bank(

@@ -17,26 +17,26 @@ from zerodrift.train.scores import WORTH_ITS_FLASH, Trained, score
 from zerodrift.train.stages import Stages
 
 
-def is_worth_its_flash(rehearsal: Result) -> bool:
+def is_worth_its_flash(validation: Result) -> bool:
     """Return whether the network helped on the runs held out."""
-    return rehearsal.rmse < WORTH_ITS_FLASH * rehearsal.rmse_without
+    return validation.rmse < WORTH_ITS_FLASH * validation.rmse_without
 
 
-def choose_length(rehearsal: Result, epochs: int) -> int:
-    """Return the epochs of the performance.
+def choose_length(validation: Result, epochs: int) -> int:
+    """Return the epochs of the final training.
 
     A cycle that is cut short ends while its steps are long, so the cycle is walked to its end;
-    unless the rehearsal had lost by then what it had gained, which calls for a shorter one.
+    unless the validation had lost by then what it had gained, which calls for a shorter one.
     """
-    whole = rehearsal.last_rmse < WORTH_ITS_FLASH * rehearsal.rmse_without
-    return epochs if whole else rehearsal.epoch
+    whole = validation.last_rmse < WORTH_ITS_FLASH * validation.rmse_without
+    return epochs if whole else validation.epoch
 
 
 def conclude(
     config: Config,
     dataset: Dataset,
     prepared: Prepared,
-    rehearsal: Result,
+    validation: Result,
     result: Result | None,
 ) -> Trained:
     """Return the compensator and its errors once the network is trained.
@@ -45,25 +45,25 @@ def conclude(
         config: the project.
         dataset: its runs.
         prepared: what was fitted before the network.
-        rehearsal: the network trained with runs held out.
+        validation: the network trained with runs held out.
         result: the network trained on all runs; None leaves it out.
     """
-    alone, rehearsed, split = prepared.alone, prepared.rehearsed, prepared.split
+    alone, validated, split = prepared.alone, prepared.validated, prepared.split
     compensator = assemble(alone, prepared.stages, dataset.train, config, result)
     if result is None:
         note = (
             "the network found nothing that carries over to the runs held out "
-            f"(error {rehearsal.rmse / rehearsal.rmse_without:.3f} of that without it), and was "
+            f"(error {validation.rmse / validation.rmse_without:.3f} of that without it), and was "
             "left out"
         )
         compensator = replace(compensator, notes=(*compensator.notes, note))
     if dataset.test:
         return Trained(compensator, score(compensator, dataset))
-    kept = rehearsal if compensator.network is not None else None
-    understudy = assemble(
-        replace(alone, physics=rehearsed.physics), rehearsed, split.fit, config, kept
+    kept = validation if compensator.network is not None else None
+    left_out = assemble(
+        replace(alone, physics=validated.physics), validated, split.fit, config, kept
     )
-    return Trained(compensator, score(compensator, dataset, understudy, split))
+    return Trained(compensator, score(compensator, dataset, left_out, split))
 
 
 def assemble(

@@ -1,8 +1,8 @@
-"""Networks that are trained by epochs: a rehearsal, then the performance, of many sensors at once.
+"""Networks that are trained by epochs, of many sensors at once: a validation, then all runs.
 
-In the rehearsal some training runs are held out; it tells which start does best, after how many
-epochs, and whether the network is worth its flash at all. In the performance the same training is
-repeated with all runs, since a run left out is a run not learnt from.
+In the validation training some runs are held out; it tells which start does best, after how many
+epochs, and whether the network is worth its flash at all. The final training repeats it with all
+runs, since a run left out is a run not learnt from.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,18 +17,18 @@ from zerodrift.train.networks import Network, build_network
 from zerodrift.train.scores import Stage
 from zerodrift.train.sequences import Sequence32
 from zerodrift.train.stages import Stages
-from zerodrift.train.tasks import PERFORMANCE, REHEARSAL, UNFORESEEN, Answer, Handling, Task
+from zerodrift.train.tasks import FINAL, UNFORESEEN, VALIDATION, Answer, Handling, Task
 
 
 def train_tasks(tasks: Sequence[Task], handling: Handling) -> list[Answer]:
-    """Rehearse all networks, then train those that are worth their flash on all runs."""
+    """Train all networks with runs held out, then those that are worth their flash on all runs."""
     starts = max((len(task.settings.starts) for task in tasks), default=1)
     share = starts / (starts + 1)
 
-    def tell_rehearsal(p: Progress) -> None:
+    def tell_validation(p: Progress) -> None:
         handling.report(Stage(share * p.done, f"held out {p.best_rmse:.3f}"))
 
-    def tell_performance(p: Progress) -> None:
+    def tell_final(p: Progress) -> None:
         done = share + (1.0 - share) * p.done
         handling.report(Stage(done, f"all runs, {p.train_rmse:.3f}"))
 
@@ -44,49 +44,47 @@ def train_tasks(tasks: Sequence[Task], handling: Handling) -> list[Answer]:
             report=tell,
         )
 
-    rehearsals = run([pose_rehearsal(task) for task in tasks], REHEARSAL, tell_rehearsal)
+    validations = run([pose_validation(task) for task in tasks], VALIDATION, tell_validation)
     worth = {
-        i: pose_performance(tasks[i], rehearsal)
-        for i, rehearsal in enumerate(rehearsals)
-        if isinstance(rehearsal, Result) and is_worth_its_flash(rehearsal)
+        i: pose_final(tasks[i], validation)
+        for i, validation in enumerate(validations)
+        if isinstance(validation, Result) and is_worth_its_flash(validation)
     }
-    performed = dict(
-        zip(worth, run(list(worth.values()), PERFORMANCE, tell_performance), strict=True)
-    )
+    final = dict(zip(worth, run(list(worth.values()), FINAL, tell_final), strict=True))
     return [
-        _conclude(task, rehearsal, performed.get(i))
-        for i, (task, rehearsal) in enumerate(zip(tasks, rehearsals, strict=True))
+        _conclude(task, validation, final.get(i))
+        for i, (task, validation) in enumerate(zip(tasks, validations, strict=True))
     ]
 
 
 def _conclude(
-    task: Task, rehearsal: Result | InputError, performed: Result | InputError | None
+    task: Task, validation: Result | InputError, final: Result | InputError | None
 ) -> Answer:
     """Return one sensor's compensator, or what ended its training."""
-    if isinstance(rehearsal, InputError):
-        return rehearsal
-    if isinstance(performed, InputError):
-        return performed
+    if isinstance(validation, InputError):
+        return validation
+    if isinstance(final, InputError):
+        return final
     try:
-        return conclude(task.config, task.dataset, task.prepared, rehearsal, performed)
+        return conclude(task.config, task.dataset, task.prepared, validation, final)
     except (ZerodriftError, *UNFORESEEN) as error:
         return error
 
 
-def pose_rehearsal(task: Task) -> Problem:
+def pose_validation(task: Task) -> Problem:
     """Return one sensor's training with runs held out."""
-    stages, split = task.prepared.rehearsed, task.prepared.split
+    stages, split = task.prepared.validated, task.prepared.split
     held_out = stages.make_sequences(split.held_out, split.skip)
     return _pose(task, stages, stages.make_sequences(split.fit), held_out)
 
 
-def pose_performance(task: Task, rehearsal: Result) -> Problem:
-    """Return one sensor's training with all runs, from the start that did best in the rehearsal."""
+def pose_final(task: Task, validation: Result) -> Problem:
+    """Return one sensor's training with all runs, from the start that did best."""
     stages = task.prepared.stages
     problem = _pose(task, stages, stages.make_sequences(task.dataset.train), ())
-    epochs = choose_length(rehearsal, task.settings.epochs)
+    epochs = choose_length(validation, task.settings.epochs)
     return replace(
-        problem, settings=replace(task.settings, starts=(rehearsal.start,), epochs=epochs)
+        problem, settings=replace(task.settings, starts=(validation.start,), epochs=epochs)
     )
 
 

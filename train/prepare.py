@@ -67,7 +67,7 @@ class Prepared:
     alone: Compensator
     """Physics alone."""
     split: Split
-    rehearsed: Stages
+    validated: Stages
     """Fitted to the runs that are not held out."""
     stages: Stages
     """Fitted to all training runs."""
@@ -85,11 +85,11 @@ def prepare(config: Config, dataset: Dataset, settings: Settings, catalogue: Cat
 
     physics = fit_physics(config, dataset, dataset.train, catalogue)
     split = split_runs(dataset.train)
-    rehearsed = fit_stages(config, fit_physics(config, dataset, split.fit, catalogue), split.fit)
+    validated = fit_stages(config, fit_physics(config, dataset, split.fit, catalogue), split.fit)
     stages = fit_stages(config, physics, dataset.train)
     width, outputs = stages.front_end.width, len(stages.scale)
     check_network(config.network, width, outputs)  # raises for this sensor alone
-    return Prepared(stand_alone(config, dataset, physics, settings), split, rehearsed, stages)
+    return Prepared(stand_alone(config, dataset, physics, settings), split, validated, stages)
 
 
 def stand_alone(

@@ -10,7 +10,7 @@ from zerodrift.train.prepare import Prepared
 from zerodrift.train.scores import Stage, Trained
 from zerodrift.train.settings import Settings
 
-REHEARSAL, PERFORMANCE = "rehearsal.npz", "performance.npz"
+VALIDATION, FINAL = "rehearsal.npz", "performance.npz"
 UNFORESEEN = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
 """What one sensor's numbers might raise that nobody thought of; the others go on."""
 Answer = Trained | Exception

@@ -18,9 +18,9 @@ from zerodrift.train.scores import Trained, score
 from zerodrift.train.settings import Settings
 from zerodrift.train.stages import fit_physics
 from zerodrift.train.tasks import (
-    PERFORMANCE,
-    REHEARSAL,
+    FINAL,
     UNFORESEEN,
+    VALIDATION,
     Answer,
     Handling,
     Report,
@@ -30,7 +30,7 @@ from zerodrift.train.tasks import (
 
 def list_checkpoints(config: Config) -> tuple[Path, ...]:
     """Return where trainings keep their state, which is removed with the result's arrival."""
-    return tuple(config.build_directory / name for name in (REHEARSAL, PERFORMANCE))
+    return tuple(config.build_directory / name for name in (VALIDATION, FINAL))
 
 
 def train(

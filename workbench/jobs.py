@@ -19,7 +19,7 @@ from zerodrift.base.progress import PROGRESS_LINES, PROGRESS_MARK
 
 EVENT_MARK = "event: "
 GRACE_S = 4.0
-"""After which a child that was asked to stop is asked less kindly."""
+"""Seconds after which a child that was asked to end is killed."""
 WAYS_TO_END = 3
 """Of `_end_group`, tried in turn."""
 NEW_GROUP = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.main_job.conftest import invoke, write_project
 
-from zerodrift.app.commands.firmware import tell_hurt
+from zerodrift.app.commands.firmware import explain_worse_than_physics
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import CheckError
 from zerodrift.dataset.load import load_dataset
@@ -50,8 +50,8 @@ def test_network_that_hurts_on_held_out_runs_is_told() -> None:
     def err(name: str, physics: float | None) -> OutputError:
         return OutputError(name, "N", 100.0, 9.0, physics, 2.5, 2.5, 0.001, 0.0)
 
-    assert tell_hurt([err("Fx", 3.0), err("Fy", None)]) == ""
-    told = tell_hurt([err("Fx", 3.0), err("Fz", 2.0)])
+    assert explain_worse_than_physics([err("Fx", 3.0), err("Fy", None)]) == ""
+    told = explain_worse_than_physics([err("Fx", 3.0), err("Fz", 2.0)])
     assert "(Fz 2.5 against 2 N)" in told and 'kind = "none" under [network]' in told
 
 

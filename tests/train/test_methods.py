@@ -170,7 +170,7 @@ train = ["*.csv"]
 kind = "lag_bank"
 memory = 10
 """
-    with pytest.raises(InputError, match=r"zerodrift.toml:15: .*a window is nothing to 'lag_bank'"):
+    with pytest.raises(InputError, match=r"zerodrift.toml:15: .*'lag_bank' sees no past samples"):
         parse_config(text, tmp_path / "zerodrift.toml")
 
 

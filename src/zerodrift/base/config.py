@@ -377,7 +377,8 @@ def _read_network(table: TomlTable) -> NetworkConfig:
         memory = WINDOW
     if memory != "stream" and kind not in (*WINDOWED_KINDS, *RECURRENT_KINDS):
         raise table.error(
-            "memory", f"a window is nothing to '{kind}', which sees no past samples; leave it out."
+            "memory",
+            f"'{kind}' sees no past samples, so a window means nothing; leave `memory` out.",
         )
     usual = HIDDEN.get(kind, default.hidden)
     return NetworkConfig(

@@ -226,7 +226,7 @@ def _is_learnt(firmware: "Firmware") -> bool:
     return any(e.physics is not None for e in firmware.errors)
 
 
-def tell_hurt(errors: "Sequence[OutputError]") -> str:
+def explain_worse_than_physics(errors: "Sequence[OutputError]") -> str:
     """Return a sentence on outputs that the physical model alone predicts better, or ""."""
     worse = [
         f"{e.name} {e.float_model:.4g} against {e.physics:.4g} {e.unit}"
@@ -330,8 +330,8 @@ def _print(firmware: "Firmware", told: FirmwareSummary, directory: Path) -> None
         cells = (f"{x:.4g}" for x in (e.uncompensated, *numbers))
         table.add_row(e.name, e.unit, *cells, f"{e.integer_to_float:.2g}")
     console.print(table)
-    if firmware.held_out and (hurt := tell_hurt(firmware.errors)):
-        console.print(hurt)
+    if firmware.held_out and (worse := explain_worse_than_physics(firmware.errors)):
+        console.print(worse)
     if firmware.tared:
         console.print("The logs are tared: each run's own offset is taken off every error.")
     if firmware.untuned:
