@@ -1,14 +1,17 @@
 """What a layer reads that stands on several others: their int16 copies side by side."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.base.errors import CheckError
+from zerodrift.base.errors import CheckError, NoRuleError
 from zerodrift.operations.arithmetic import IntArray, round_shift
+from zerodrift.operations.errors import Error, Known
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
+from zerodrift.operations.signals import Real
 
 SHIFTS = (0, 15)
 
@@ -51,6 +54,10 @@ class IntegerJoin(IntegerNode):
             Bound(f"{self.name}[{i}]", x, 16).check()
         reach = (Interval(-x.magnitude, x.magnitude) for x in out)
         return out, [Bound(f"{self.name}[{i}]", x, 32) for i, x in enumerate(reach)]
+
+    def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
+        """Raise: what a join stands for is told by nobody; it stands beside a recurrent layer."""
+        raise NoRuleError("a join stands beside a recurrent layer, which carries errors on")
 
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:
         """Write the copies side by side."""

@@ -122,7 +122,7 @@ def test_trained_lstm_becomes_equal_firmware(memory: str, tmp_path: Path) -> Non
     network = (
         f'\n[network]\nkind = "lstm"\nhidden = 4\nepochs = 60\nstarts = 1\nmemory = {memory}\n'
     )
-    (tmp_path / "zerodrift.toml").write_text(f"{TOML}{network}memory = {memory}\n")
+    (tmp_path / "zerodrift.toml").write_text(TOML + network)
     result = CliRunner().invoke(cli, ["firmware", "-C", str(tmp_path), "--json", "--force"])
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
