@@ -9,7 +9,7 @@
 
 #include "zd_network.h"
 
-#if ZD_RUNTIME_ID != 0x704cac96
+#if ZD_RUNTIME_ID != 0x1464517c
 #error "zd_lstm.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
@@ -78,8 +78,8 @@ static inline void zd_lstm_step(const zd_lstm_t *layer, uint32_t inputs, uint32_
         const int32_t o_q31 =
             zd_sigmoid_q31(zd_lstm_gate(layer, inputs, hidden, row + 3u, x, h_q15));
         /* one fractional bit less than the cell state */
-        const int32_t added = zd_asr32(zd_mul_high(g_q30, i_q31) + ((int32_t)1 << (29u - cell_bits)),
-                                       30u - cell_bits);
+        const int32_t added = zd_asr32(
+            zd_mul_high(g_q30, i_q31) + ((int32_t)1 << (29u - cell_bits)), 30u - cell_bits);
         int32_t c;
         if (relaxing == 0u) {
             const int32_t moved = zd_mul_high(cell[j], f_q30 + ((int32_t)1 << 30)) + added;

@@ -59,7 +59,7 @@
 
 /* Of the runtime's text, written by `make golden`: its files belong together, and so do a model and
  * the runtime beside which it was generated. Every other file asks for it. */
-#define ZD_RUNTIME_ID 0x704cac96
+#define ZD_RUNTIME_ID 0x1464517c
 
 #define ZD_LOWPASS_FRACTION 24
 #define ZD_GRU_RELAX_STEPS 64
@@ -76,12 +76,12 @@
 #define ZD_SHARED static
 #define ZD_SHARED_CODE
 #endif
-#define zd_crc32 zd_crc32_704cac96
-#define zd_crc32_word zd_crc32_word_704cac96
-#define zd_crc32_i16 zd_crc32_i16_704cac96
-#define zd_crc32_i32 zd_crc32_i32_704cac96
-#define zd_save zd_save_704cac96
-#define zd_restore zd_restore_704cac96
+#define zd_crc32 zd_crc32_1464517c
+#define zd_crc32_word zd_crc32_word_1464517c
+#define zd_crc32_i16 zd_crc32_i16_1464517c
+#define zd_crc32_i32 zd_crc32_i32_1464517c
+#define zd_save zd_save_1464517c
+#define zd_restore zd_restore_1464517c
 
 /* CRC-32 (reflected 0xEDB88320) of n bytes, continued from crc; start with 0. */
 uint32_t zd_crc32(uint32_t crc, const uint8_t *bytes, uint32_t n);
