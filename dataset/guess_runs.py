@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.roles import OUTPUT, STEADY, TEMPERATURE, Role, assign_roles
+from zerodrift.dataset.roles import OUTPUT, RAW_THERMOMETER, STEADY, TEMPERATURE, Role, assign_roles
 from zerodrift.dataset.selectors import LOG_SUFFIXES, list_files, order_path
 from zerodrift.dataset.sources import open_sources
 from zerodrift.dataset.survey import Survey, survey_source
@@ -250,6 +250,11 @@ def _explain_lacks(run: FoundRun, period_s: float | None) -> str:
     }
     seen = "; ".join(_tell_column(file, role) for file in run.files for role in file.roles)
     found = "; ".join(told[lack] for lack in lacks)
+    if any(RAW_THERMOMETER in role.why for file in run.files for role in file.roles):
+        remedies["a thermometer"] += (
+            ", or write a zerodrift.toml whose temperature says how the raw one is converted: "
+            '{ column = ..., convert = "ntc", ... }'
+        )
     todo = "; ".join(remedies[lack] for lack in lacks)
     return (
         f"{who}{line}: {found} (found: {seen or 'no numbers'}); expected {' and '.join(lacks)}. "

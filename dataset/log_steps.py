@@ -99,7 +99,8 @@ def read_log_steps(
     time = config.time_column
     needed = {time: "[sensor] time", **columns}
     table, spans = open_log(config, selection, skip_invalid, notes, needed)
-    if len(selection.files) > 1 or table.source.part or table.converted:
+    measured = {output.measured for output in config.outputs}
+    if len(selection.files) > 1 or table.source.part or measured & {*table.converted}:
         _make_source(table, path)
     rows = int(table.positions.max()) + 1
     step_of_row = np.full(rows, -1, dtype=np.int64)

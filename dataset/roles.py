@@ -66,6 +66,8 @@ SETPOINT_VALUES = 64
 SETPOINT_CHANGES = 0.01
 """A temperature of so few values that changes so seldom looks like a setpoint."""
 
+RAW_THERMOMETER = "a raw thermometer"
+"""Why a column of ohms or counts is not used."""
 TEMPERATURE, OUTPUT, REFERENCE, INPUT, UNUSED = (
     "temperature",
     "output",
@@ -176,7 +178,7 @@ def _set_aside(column: SurveyedColumn, has_names: bool) -> Role | None:
         return Role(column, UNUSED, "a flag, by its name")
     if named & RAW_THERMOMETER_WORDS and not _is_thermal(column):
         return Role(
-            column, UNUSED, "a raw thermometer: its conversion to degC is not known from the log"
+            column, UNUSED, f"{RAW_THERMOMETER}: its conversion to degC is not known from the log"
         )
     if not has_names and _looks_like_setpoint(column):
         return Role(column, UNUSED, "looks like a setpoint: few values, seldom changed")

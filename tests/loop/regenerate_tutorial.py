@@ -4,8 +4,9 @@
 
 A page is Markdown. Its ```console blocks hold `$ command` lines, each followed by what it prints.
 A comment `<!-- file: NAME -->` above a code block makes that block a file of the project; a comment
-`<!-- needs: NAME -->` names a file of third-party data, looked for in DATA. All commands of a page
-run in one new directory, in order. Read the diff before you commit it.
+`<!-- needs: NAME -->` names a file of third-party data, looked for in DATA; `<!-- logs: NAME -->`
+has simulated logs written first, by `world_logs.py`. All commands of a page run in one new
+directory, in order. Read the diff before you commit it.
 """
 
 import os
@@ -20,6 +21,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "tutorial"
+HOW_TO = ROOT / "docs" / "how-to"
 DATA = ROOT.parent / "shared" / "data"
 
 _BLOCK = re.compile(
@@ -29,6 +31,7 @@ _FILE = re.compile(
     r"<!-- file: (?P<name>\S+) -->\n```\w*\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
 )
 _NEEDS = re.compile(r"<!-- needs: (?P<name>\S+) -->")
+_LOGS = re.compile(r"<!-- logs: (?P<name>\S+) -->")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.\d+|\d+)(?:e[-+]?\d+)?")
 TOLERANCE = 0.02
 """Relative difference of a figure on another machine; words must be the same."""
@@ -45,6 +48,11 @@ class Step:
 def list_pages() -> list[Path]:
     """Return the tutorials, in order of their names."""
     return sorted(path for path in PAGES.glob("*.md") if "```console" in path.read_text("utf-8"))
+
+
+def list_worlds() -> list[Path]:
+    """Return the pages on where logs come from, in order of their names."""
+    return sorted(HOW_TO.glob("from-*.md"))
 
 
 def list_missing_data(page: str) -> list[str]:
@@ -104,6 +112,8 @@ def walk_page(page: str, visit: Callable[[Step, str], None] = lambda step, outpu
         directory = Path(name).resolve()
         for match in _NEEDS.finditer(page):
             shutil.copy(DATA / match["name"], directory)
+        for match in _LOGS.finditer(page):
+            write_logs(match["name"], directory)
         position, parts = 0, []
         # Files and commands in the order of the page: a file may be written between two commands.
         events = sorted([*_BLOCK.finditer(page), *_FILE.finditer(page)], key=lambda m: m.start())
@@ -119,6 +129,14 @@ def walk_page(page: str, visit: Callable[[Step, str], None] = lambda step, outpu
             parts += [page[position : match.start()], match["open"], *printed, match["close"]]
             position = match.end()
         return "".join([*parts, page[position:]])
+
+
+def write_logs(name: str, directory: Path) -> None:
+    """Write the simulated logs of a page."""
+    sys.path.insert(0, str(ROOT))  # as a script this file lies outside of the package
+    from tests.loop.world_logs import WORLDS
+
+    WORLDS[name](directory)
 
 
 def explain_difference(expected: str, found: str) -> str:
@@ -144,7 +162,7 @@ def _agree(one: str, other: str) -> bool:
 
 def main() -> None:
     """Rewrite the pages named, or all."""
-    pages = [Path(name) for name in sys.argv[1:]] or list_pages()
+    pages = [Path(name) for name in sys.argv[1:]] or [*list_pages(), *list_worlds()]
     for path in pages:
         page = path.read_text("utf-8")
         missing = list_missing_data(page)

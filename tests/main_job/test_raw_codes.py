@@ -131,6 +131,7 @@ def test_firmware_of_a_thermistor_is_given_its_counts(tmp_path: Path) -> None:
     assert (conversion["raw"], conversion["readings"]) == ("uint16", [64, 65471])
     assert conversion["error"] <= 0.0078125 and conversion["table_bytes"] <= 1024
     assert list(told["conversions"]) == ["temperature"]
+    assert "raw ones were converted to" in told["error_bound"]["P"]["holds"]
     rmse = told["rmse"]
     assert abs(rmse["integer"]["P"] - rmse["float"]["P"]) < 2e-5 < 0.01 * rmse["float"]["P"]
     assert rmse["integer"]["P"] < 0.01 * rmse["uncompensated"]["P"]
@@ -191,6 +192,7 @@ def test_apply_encodes_the_log_as_the_hardware_would(built: Path) -> None:
     result = invoke("apply", "-C", str(folder), str(folder / "open.csv"), "--out", str(out))
     assert result.exit_code == 0, result.output
     found = pl.read_csv(out)
+    assert found["ntc"].to_list() == opened["ntc"].to_list()  # the log's own column, as it was
     lacks = (found["flags"].to_numpy() & FLAG_NO_READING) > 0
     assert lacks.nonzero()[0].tolist() == list(range(100, 110))
     model = read_model(folder)
