@@ -60,11 +60,17 @@ def test_the_lag_banks_road_needs_no_extra(place: Path, tmp_path: Path) -> None:
         assert done.returncode == 0, (words, done.stderr)
 
 
+def test_a_report_needs_no_extra(place: Path, tmp_path: Path) -> None:
+    project = write_project(tmp_path / "project", REST)
+    done = run(place, "report", "-C", project, "-o", tmp_path / "report.html")
+    assert done.returncode == 0, done.stderr
+    assert "<svg" in (tmp_path / "report.html").read_text()
+
+
 def test_who_lacks_an_extra_is_told_its_name(place: Path, tmp_path: Path) -> None:
     project = write_project(tmp_path / "project", REST.replace('"none"', '"gru"'))
     for words, extra in (
         (("train", "-C", project), "zerodrift[train]"),
-        (("report", "-C", project), "zerodrift[page]"),
         (("workbench", "-C", project), "zerodrift[page]"),
     ):
         done = run(place, *words)
