@@ -61,7 +61,8 @@ def open_log(
     """
     needed = list_columns(config) if columns is None else columns
     raw = {config.temperature_column: config.temperature_codes.raw}
-    raw |= {column: config.input_codes[name].raw for name, column in config.inputs.items()}
+    stated = {name: config.input_codes.get(name, CodesConfig()) for name in config.inputs}
+    raw |= {column: stated[name].raw for name, column in config.inputs.items()}
     notes += [
         f"'{column}' is converted in the logs; the firmware is given the converted quantity"
         for column in config.conversions

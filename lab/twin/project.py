@@ -43,7 +43,7 @@ full_scale = {full_scale:g}
 """
 
 TAIL = """
-[network]                        # learns the rest: lag_bank | gru | mlp | mlp_seq | tcn | none
+[network]                    # learns the rest: lag_bank | gru | lstm | mlp | mlp_seq | tcn | none
 kind = "{network}"
 hidden = 16
 memory = "stream"

@@ -36,7 +36,7 @@ CHANNELS = (
 )
 
 TARES = ("start", "none")
-NETWORKS = ("none", "lag_bank", "gru", "mlp", "mlp_seq", "tcn")
+NETWORKS = ("none", "lag_bank", "gru", "lstm", "mlp", "mlp_seq", "tcn")
 
 #: Shape parameters that a user may state, and the range that the generator accepts.
 PARAMETERS: dict[str, dict[str, tuple[float, float]]] = {

@@ -75,7 +75,7 @@ def test_choice_is_parsed(text, expected):
         (Recipe(tare="begin"), "Known: start, none"),
         (Recipe(sample_period_s=0.0), "sample period in s is 0; expected 0.001 to 60"),
         (Recipe(duration_s=10.0), "duration in s is 10; expected 300"),
-        (Recipe(network="lstm"), "no kind of network 'lstm'"),
+        (Recipe(network="rnn"), "no kind of network 'rnn'"),
     ],
 )
 def test_unusable_recipe_is_refused_with_what_was_expected(recipe, message):
