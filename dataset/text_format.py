@@ -93,7 +93,7 @@ def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
     ][:SAMPLE_LINES]
     if "\0" in text[:1000] or (len(lines) == 1 and not is_whole):
         raise InputError(
-            f"{label}:1: the first line is no line of text ({text[:40]!r}); expected the columns' "
+            f"{label}:1: the first line is not text ({text[:40]!r}); expected the columns' "
             "names, and lines that end in a line feed. Save the log as CSV text."
         )
     if not rows:
