@@ -21,7 +21,7 @@ help: ## list the targets
 
 setup: $(READY) ## create .venv with the pinned dependencies and zerodrift itself
 
-$(READY): requirements.lock pyproject.toml setup.py
+$(READY): requirements.lock pyproject.toml setup.py $(wildcard */__init__.py)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "zerodrift needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1). Set PYTHON=."; exit 2; }
 	@echo "installing into $(VENV): some minutes, and on Linux 6 GB, most of it PyTorch's"

@@ -1,6 +1,7 @@
 """Where a command runs must not matter: no home, odd paths, odd streams, little memory."""
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -55,6 +56,18 @@ def test_a_closed_stdout_is_no_error(project: Path, run: Run) -> None:
     done = run("compare", "-C", project, preexec_fn=lambda: __import__("os").close(1))
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
+
+
+@needs_posix
+def test_a_reader_that_has_gone_gets_no_message(project: Path, run: Run) -> None:
+    """As in `zerodrift compare | head`."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = run("compare", "-C", project, capture_output=False, stdout=writer, stderr=-1)
+    finally:
+        os.close(writer)
+    assert (done.returncode, done.stderr) == (1, "")
 
 
 @needs_posix

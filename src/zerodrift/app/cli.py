@@ -113,6 +113,8 @@ def run() -> None:
     except SystemExit as ended:
         if is_own_exit(ended) or COMPLETION in os.environ:  # click answers the shell, and exits
             raise
+        if find_raiser(ended) == "rich.console":  # so it answers a reader that has gone
+            raise BrokenPipeError from ended
         raise InputError(
             f"something that this command ran called sys.exit({ended.code!r}), so that the command"
             " was not done; expected a file of effects, or an installed one, that only declares"
@@ -122,11 +124,15 @@ def run() -> None:
 
 def is_own_exit(ended: SystemExit) -> bool:
     """Tell whether one of zerodrift's own commands ended the process, after all was done."""
+    return find_raiser(ended).startswith("zerodrift.")
+
+
+def find_raiser(ended: SystemExit) -> str:
+    """Return the name of the module that asked for the end of the process; "" if unknown."""
     trace = ended.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
-    raised_in = trace.tb_frame.f_globals.get("__name__", "") if trace is not None else ""
-    return str(raised_in).startswith("zerodrift.")
+    return str(trace.tb_frame.f_globals.get("__name__", "")) if trace is not None else ""
 
 
 def drop_output() -> None:
