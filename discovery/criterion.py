@@ -69,7 +69,7 @@ class _Laid(NamedTuple):
     """[rows, M]."""
     models: list[Array]
     """Model -> [rows, p], the base first."""
-    beside: list[Array] = []  # noqa: RUF012 - never written to
+    beside: Sequence[Array] = ()
     """Model -> the truths [rows, M] that stand beside its rows, where these differ."""
 
     def join(self, before: "_Laid | None", begin: int, end: int) -> tuple[Array, Array]:

@@ -1,13 +1,15 @@
-"""What all recurrent layers have in common for those that look at a model from outside."""
+"""What all recurrent layers have in common: names, the proof through a stack, the state at rest."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from zerodrift.base.errors import NoRuleError
-from zerodrift.operations.arithmetic import IntArray
+from zerodrift.base.errors import CheckError, NoRuleError
+from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray
 from zerodrift.operations.errors import Error, Known
+from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, State, Values, Writer
 from zerodrift.operations.signals import Real
 
@@ -44,3 +46,52 @@ class IntegerRecurrent(IntegerNode):
             return super().write_at_rest(w, values, state)
         ends = (w.constant([end]) for end in (-self.width, 2**31 - 1, 1))
         return w.op("Slice", state["h_q30"], *ends)
+
+
+class Layer(Protocol):
+    """One layer of a stack."""
+
+    @property
+    def inputs(self) -> int:
+        """Numbers that it reads."""
+
+    @property
+    def hidden(self) -> int:
+        """Number of hidden units H."""
+
+    def prove(self, name: str, features: list[Interval]) -> list[Bound]:
+        """Bound every accumulator."""
+
+
+def number_layers(name: str, count: int, mark: str) -> list[str]:
+    """Return the names of a stack's layers, the lowest first: several are numbered after a mark."""
+    return [name] if count == 1 else [f"{name}{mark}{level}" for level in range(count)]
+
+
+def prove_layers(
+    names: Sequence[str], layers: Sequence[Layer], below: list[Interval], windowed: bool
+) -> list[Bound]:
+    """Bound every accumulator of a stack; an output's int16 copy is at most 32767.
+
+    Args:
+        names: of the layers, for the bounds.
+        layers: from the bottom up.
+        below: of the features, int16.
+        windowed: the features of a window are taken to be any int16, so that the proof does not
+            rest on what is stored in it.
+
+    Raises:
+        CheckError: a layer does not read as many values as the one below gives, or is not safe.
+    """
+    if windowed:
+        below = [Interval(INT16_MIN, INT16_MAX)] * layers[0].inputs
+    bounds: list[Bound] = []
+    for name, layer in zip(names, layers, strict=True):
+        if layer.inputs != len(below):
+            raise CheckError(
+                f"{name}: the layer reads {layer.inputs} values, and gets {len(below)}."
+                " The model is refused."
+            )
+        bounds += layer.prove(name, below)
+        below = [Interval(-INT16_MAX, INT16_MAX)] * layer.hidden
+    return bounds

@@ -7,8 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from zerodrift.base.config import LONGEST_WINDOW
-from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray, round_shift
+from zerodrift.operations.arithmetic import IntArray, round_shift
 from zerodrift.operations.c_text import RuntimePart, StateField, list_ring
 from zerodrift.operations.dense import COPY_BITS
 from zerodrift.operations.gru.cell import (
@@ -22,7 +21,7 @@ from zerodrift.operations.gru.cell import (
 from zerodrift.operations.gru.layouts import FILTERS
 from zerodrift.operations.intervals import Bound, Interval, Shift
 from zerodrift.operations.node import Names, OnnxStep, State, Values, Writer
-from zerodrift.operations.recurrent import IntegerRecurrent
+from zerodrift.operations.recurrent import IntegerRecurrent, number_layers, prove_layers
 from zerodrift.operations.tables import TANH
 
 
@@ -50,9 +49,7 @@ class IntegerGruLayer(IntegerRecurrent):
 
     def name_layers(self, mark: str) -> list[str]:
         """Return the layers' names: those of a stack are numbered after a mark."""
-        if len(self.layers) == 1:
-            return [self.name]
-        return [f"{self.name}{mark}{level}" for level in range(len(self.layers))]
+        return number_layers(self.name, len(self.layers), mark)
 
     @property
     def width(self) -> int:
@@ -106,23 +103,9 @@ class IntegerGruLayer(IntegerRecurrent):
         return {"h_q30": states[-1]}
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
-        """Bound every accumulator of every layer; a state's int16 copy is at most 32767.
-
-        A window's features are taken to be any int16, so that the proof does not rest on what is
-        stored in it; its position needs 16 bits.
-        """
-        below = inputs[0]
-        if self.window:
-            below = [Interval(INT16_MIN, INT16_MAX)] * self.layers[0].inputs
-        bounds: list[Bound] = []
-        for name, layer in zip(self.name_layers("."), self.layers, strict=True):
-            if layer.inputs != len(below):
-                raise CheckError(
-                    f"{name}: the layer reads {layer.inputs} values, and gets {len(below)}."
-                    " The model is refused."
-                )
-            bounds += layer.prove(name, below)
-            below = [Interval(-INT16_MAX, INT16_MAX)] * layer.hidden
+        """Bound every accumulator of every layer; a window's position needs 16 bits."""
+        names = self.name_layers(".")
+        bounds = prove_layers(names, self.layers, inputs[0], bool(self.window))
         if self.window:
             bounds.append(Bound(f"{self.name}.window", Interval(1, self.window), 16).check())
         return [Interval(-H_LIMIT_Q30, H_LIMIT_Q30)] * self.width, bounds
