@@ -20,6 +20,7 @@ from zerodrift.c_runtime.footprint import measure_footprint
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
+from zerodrift.operations.lstm import IntegerLstmLayer
 from zerodrift.verify.vectors import draw_sequences
 
 RECORD = Path(__file__).with_suffix(".json")
@@ -127,10 +128,15 @@ def count_instructions(model: IntegerModel, code: GeneratedCode, core: str) -> d
 
 
 def count_macs(model: IntegerModel) -> int:
-    """Return the multiply-accumulates of one step of the recurrent layer, 0 without one."""
+    """Return the multiply-accumulates of one step of the first GRU or else LSTM, 0 without one."""
     layer = model.recurrent
     if layer is None:
-        return 0
+        stacks = [n.layers for n in model.recurrents if isinstance(n, IntegerLstmLayer)]
+        return (
+            sum(4 * lstm.hidden * (lstm.hidden + lstm.inputs) for lstm in stacks[0])
+            if stacks
+            else 0
+        )
     return sum(3 * gru.hidden * (gru.hidden + gru.inputs) for gru in layer.layers)
 
 

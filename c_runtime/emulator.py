@@ -25,6 +25,7 @@ from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.operations.lstm import IntegerLstmLayer
 
 Number = TypeVar("Number", np.int32, np.uint32, np.int64)
 _BATCH = 256  # steps per call into the chip, at most
@@ -89,6 +90,11 @@ _STACK_OF_LAYERS = """int16_t chip_features[{inputs}];
 int32_t chip_lower_q30[{lower}];
 int32_t chip_h_q30[{hidden}];
 void chip_layer(void) {{ {name}_step(chip_features, chip_lower_q30, chip_h_q30); }}
+"""
+_LSTM = """int16_t chip_features[{inputs}];
+int32_t chip_h_q30[{units}];
+int32_t chip_cell[{units}];
+void chip_layer(void) {{ {name}_step(chip_features, chip_h_q30, chip_cell, 0u); }}
 """
 
 
@@ -367,9 +373,13 @@ def _build(
 
 
 def _render_layer(model: IntegerModel) -> str:
-    """Return the C that calls the recurrent layer alone, or all layers of a stack."""
+    """Return the C that calls the first GRU or else LSTM alone, or all layers of its stack."""
     layer = model.recurrent
     if layer is None:
+        for lstm in model.recurrents:
+            if isinstance(lstm, IntegerLstmLayer):
+                inputs = lstm.layers[0].inputs
+                return _LSTM.format(name=lstm.name, inputs=inputs, units=lstm.units)
         return "void chip_layer(void) {}\n"
     *lower, top = layer.layers
     return (_STACK_OF_LAYERS if lower else _LAYER).format(

@@ -37,8 +37,13 @@ HELPER_STACK_BYTES = 32
 """Taken for each routine of the compiler's own library, as the 64-bit product on a Cortex-M0+."""
 
 _IN_FLASH = (".text", ".rodata", ".srodata", ".data", ".sdata")
-_LAYER = ("gru_step", "gru_assembly", "zd_gru_step_after", "zd_gru_step_pairs")
-_LAYER_SECTION = re.compile(r"\.(gru|gru_(?!is_sound)\w+|zd_gru_\w+|zd_tanh_\w+|zd_dot\w*)$")
+_LAYER = (
+    *("gru_step", "gru_assembly", "zd_gru_step_after", "zd_gru_step_before", "zd_gru_step_pairs"),
+    *("lstm_step", "lstm_assembly", "zd_lstm_step"),
+)
+_LAYER_SECTION = re.compile(
+    r"\.((gru|lstm)|(gru|lstm)_(?!is_sound)\w+|zd_(gru|lstm)_\w+|zd_tanh_\w+|zd_dot\w*)$"
+)
 ENTRIES = ("init", "settle", "step", "selftest", "save", "restore")
 """The functions that a firmware calls."""
 _STACK_SIZES = ".stack_sizes"

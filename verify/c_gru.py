@@ -113,19 +113,21 @@ def _halves(words: list[int]) -> list[int]:
     return [((w >> s & 0xFFFF) ^ 0x8000) - 0x8000 for w in words for s in (0, 16)]
 
 
-def unpack_pairs(stream: list[int], inputs: int, hidden: int) -> Rows:
-    """[H]: four biases; then blocks of two pairs of inputs, r u n; then the same of the state."""
+def unpack_pairs(
+    stream: list[int], inputs: int, hidden: int, gates: int = 3, biases: int = 4
+) -> Rows:
+    """[H]: biases; then blocks of two pairs of inputs, gate by gate; then those of the state."""
     rows: Rows = ([], [], [])
     words = iter(stream)
     for _ in range(hidden):
-        rows[2].extend(next(words) for _ in range(4))
+        rows[2].extend(next(words) for _ in range(biases))
         for target, count in ((rows[0], inputs), (rows[1], hidden)):
-            gates: list[list[int]] = [[], [], []]
+            halves: list[list[int]] = [[] for _ in range(gates)]
             for first in range(0, count, 4):
                 width = min(2, -(-(count - first) // 2))
-                for gate in gates:
+                for gate in halves:
                     gate.extend(_halves([next(words) for _ in range(width)]))
-            for gate in gates:
+            for gate in halves:
                 target.extend(_trim(gate, count))
     return rows
 

@@ -364,6 +364,11 @@ STRUCTS: dict[str, tuple[tuple[str, str, int], ...]] = {
         ("cell_bits", "uint8_t", 0),
     ),
     "zd_gru_pairs_t": (("stream", "const int32_t *", 0), ("shift", "uint8_t", 3)),
+    "zd_lstm_pairs_t": (
+        ("stream", "const int32_t *", 0),
+        ("shift", "uint8_t", 4),
+        ("cell_bits", "uint8_t", 0),
+    ),
     "zd_gru_columns_t": (("stream", "const int32_t *", 0), ("shift", "uint8_t", 3)),
     "zd_gru_rows_t": (
         ("weights", "const int16_t *", 0),

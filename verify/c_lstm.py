@@ -5,8 +5,9 @@ needs the standard library only.
 """
 
 import re
+from dataclasses import dataclass
 
-from zerodrift.verify.c_gru import MOST, shift_right
+from zerodrift.verify.c_gru import MOST, Rows, shift_right, unpack_pairs
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_values import FaultError, Pointer, Struct, Value
 
@@ -37,36 +38,90 @@ def run_lstm(
     for value, what in ((inputs, "inputs"), (hidden, "units")):
         if value.exact is None or not 0 < value.exact <= MOST:
             raise FaultError(f"{value.low} .. {value.high} {what}")
+    if copy.block in (h.block, cell.block):
+        raise FaultError("output, cell state and scratch lie on each other")
+    copy.hold(hidden.low)
+    copy.fill([Value(-(1 << 15), (1 << 15) - 1, "int16_t")] * hidden.low)
+    names = ("w_x", "w_h16", "w_h8", "multiplier", "bias")
+    w_x, w_16, w_8, multiplier, bias = (machine.table_of(layer, n) for n in names)
+    if bool(w_16) == bool(w_8) or bool(multiplier) != bool(w_8):
+        raise FaultError(f"{layer.name}: weights of 16 bits, or of 8 bits and their multipliers")
+    weights = LstmNumbers((w_x, w_16 or w_8, bias), multiplier)
+    step = LstmStep(features, h, cell, relaxing)
+    _step(machine, layer, weights, step, (inputs.low, hidden.low))
+
+
+@dataclass(frozen=True)
+class LstmNumbers:
+    """The numbers of a layer."""
+
+    rows: Rows
+    """w_x [H][4][I], w_h [H][4][H] and bias [H][4]."""
+    multiplier: list[int]
+    """[H][4] of 8-bit recurrent weights; else empty."""
+
+
+@dataclass(frozen=True)
+class LstmStep:
+    """What a kernel is given beside its layer."""
+
+    features: Pointer
+    h: Pointer
+    cell: Pointer
+    relaxing: Value
+
+
+def step_lstm(machine: IntervalMachine, layer: Struct, step: LstmStep) -> None:
+    """Step a layer whose 16-bit weights lie in pairs, all of its arrays."""
+    inputs, hidden = step.features.sizes[0], step.h.sizes[0]
+    stream = machine.table_of(layer, "stream")
+    try:
+        rows = unpack_pairs(stream, inputs, hidden, gates=4, biases=4)
+    except (StopIteration, IndexError, ValueError) as error:
+        raise FaultError(f"{layer.name}: its table is short or not filled up: {error}") from None
+    if len(stream) != hidden * (4 + 4 * (-(-inputs // 2) - (-hidden // 2))):
+        raise FaultError(f"{layer.name}: its table is longer than its layer")
+    _step(machine, layer, LstmNumbers(rows, []), step, (inputs, hidden))
+
+
+def _step(
+    machine: IntervalMachine,
+    layer: Struct,
+    weights: LstmNumbers,
+    step: LstmStep,
+    sizes: tuple[int, int],
+) -> None:
+    n_x, count = sizes
+    relaxing, h, cell = step.relaxing, step.h, step.cell
     if relaxing.exact not in (0, 1):
         raise FaultError(f"relaxing is {relaxing.low} .. {relaxing.high}; 0 and 1 are allowed")
-    blocks = {id(h.block), id(cell.block), id(copy.block)}
-    if len(blocks) != 3:
-        raise FaultError("output, cell state and scratch lie on each other")
-    count, n_x = hidden.low, inputs.low
-    copy.hold(count)
-    copy.fill([Value(-(1 << 15), (1 << 15) - 1, "int16_t")] * count)
+    if h.block is cell.block:
+        raise FaultError("output and cell state lie on each other")
     name = re.sub(r"_(\d+)$", r".\1", layer.name)  # a layer of a stack
     for place, limit in ((h, machine.h_limit), (cell, CELL)):
         if any(abs(v.low) > limit or abs(v.high) > limit for v in place.values(count)):
             machine.fail(f"{name}: {place.block.name} is not within {limit} before the step")
         place.fill([Value(-limit, limit)] * count)
-    x = tuple(features.values(n_x))
+    x = tuple(step.features.values(n_x))
     if (name, x) in machine.stepped:
         return
-    _note_gates(machine, layer, name, count, [max(abs(v.low), abs(v.high)) for v in x])
+    largest = [max(abs(v.low), abs(v.high)) for v in x]
+    _note_gates(machine, layer, weights, name, largest, count)
     _note_cell(machine, layer, name)
     machine.shift = None
     machine.stepped.add((name, x))
 
 
 def _note_gates(
-    machine: IntervalMachine, layer: Struct, name: str, units: int, sizes: list[int]
+    machine: IntervalMachine,
+    layer: Struct,
+    weights: LstmNumbers,
+    name: str,
+    sizes: list[int],
+    units: int,
 ) -> None:
-    names = ("w_x", "w_h16", "w_h8", "multiplier", "bias")
-    w_x, w_16, w_8, multiplier, bias = (machine.table_of(layer, n) for n in names)
-    if bool(w_16) == bool(w_8) or bool(multiplier) != bool(w_8):
-        raise FaultError(f"{layer.name}: weights of 16 bits, or of 8 bits and their multipliers")
-    w_h, rows, n_x = w_16 or w_8, 4 * units, len(sizes)
+    (w_x, w_h, bias), multiplier = weights.rows, weights.multiplier
+    rows, n_x = 4 * units, len(sizes)
     if (len(w_x), len(w_h), len(bias)) != (rows * n_x, rows * units, rows):
         raise FaultError(f"{name}: tables do not have the size of {units} units and {n_x} inputs")
     if multiplier and len(multiplier) != rows:

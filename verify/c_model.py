@@ -72,7 +72,7 @@ def read_models(texts: Mapping[str, str], prefix: str) -> "list[Model]":
             continue
         kernel = way.defined.get("ZD_KERNEL", 0)
         for int_bits, per_pair in {0: [(32, 2), (16, 2)], 1: [(32, 1), (32, 2)]}.get(
-            kernel if "ZD_GRU_ASSEMBLY" not in way.defined else -1, [(32, 2)]
+            -1 if {"ZD_GRU_ASSEMBLY", "ZD_ASSEMBLY"} & way.defined.keys() else kernel, [(32, 2)]
         ):
             alike[plain] = Model(way, tokens, prefix, runtime, int_bits, per_pair)
             models.append(alike[plain])

@@ -22,6 +22,7 @@ INTEGER = re.compile(r"(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)([uU]?)([lL]{0,2})
 WAYS: dict[str, tuple[int | None, ...]] = {
     "ZD_KERNEL": (0, 1, 2, 3),
     "ZD_GRU_ASSEMBLY": (None, 6, 7),
+    "ZD_ASSEMBLY": (None, 6, 7),
     "ZD_SMALL": (None, 1),
     "ZD_UNALIGNED": (None, 1),
     "ZD_OBSERVE": (None,),
@@ -143,11 +144,24 @@ def read_ways(
     found: dict[tuple[Line, ...], PreprocessorWay] = {}
     for values in itertools.product(*(WAYS[name] for name in free)):
         defined = {n: v for n, v in zip(free, values, strict=True) if v is not None}
-        if "ZD_GRU_ASSEMBLY" in defined and defined.get("ZD_KERNEL") not in (None, 1):
-            continue  # ZD_KERNEL=... overrides; the assembly is the pairs kernel's alone
+        if not _is_possible(defined, free):
+            continue
         taken = tuple(_follow(lines, defined, known, prefix))
         found.setdefault(taken, PreprocessorWay(defined, taken))
     return [(way, _replace_macros(way, prefix, known)) for way in found.values()]
+
+
+def _is_possible(defined: Mapping[str, int], free: list[str]) -> bool:
+    """Tell whether the runtime can define all of this together, as far as it is asked for."""
+    kernel, of_gru = defined.get("ZD_KERNEL"), defined.get("ZD_GRU_ASSEMBLY")
+    assembly = defined.get("ZD_ASSEMBLY")
+    if of_gru and kernel not in (None, 1):
+        return False  # ZD_KERNEL=... overrides; this assembly is the pairs kernel's alone
+    if not assembly:
+        return not (of_gru and "ZD_ASSEMBLY" in free)
+    if kernel == 2:
+        return assembly == 7  # vectors of the M profile beside its other instructions
+    return kernel in (None, 1) and ("ZD_GRU_ASSEMBLY" not in free or of_gru == assembly)
 
 
 def _follow(

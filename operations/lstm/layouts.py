@@ -4,7 +4,32 @@ from collections.abc import Callable
 
 import numpy as np
 
+from zerodrift.operations.gru.layouts import pack_pairs
 from zerodrift.operations.lstm.cell import IntegerLstm
+
+MOST_INPUTS, MOST_UNITS = 32, 128
+"""What the assembly is written for: its stack and its offsets."""
+
+
+def has_fast_kernel(lstm: IntegerLstm) -> bool:
+    """Tell whether there is assembly for a layer: 16-bit weights, and not too many of them."""
+    return lstm.multiplier is None and lstm.inputs <= MOST_INPUTS and lstm.hidden <= MOST_UNITS
+
+
+def lay_out_pairs(lstm: IntegerLstm) -> list[int]:
+    """Return the stream of the assembly, [H][4 + 4 (X + R)] with X = ceil(I/2), R = ceil(H/2).
+
+    Unit by unit: biases i, f, g, o; then blocks of two pairs of features, each block i i f f g g
+    o o, a last odd one i f g o; then the same of the output.
+    """
+    words: list[int] = []
+    w_x, w_h = pack_pairs(lstm.w_x), pack_pairs(lstm.w_h)  # [4, H, pairs]
+    for unit in range(lstm.hidden):
+        words += [int(b) for b in lstm.bias[:, unit]]
+        for rows in (w_x[:, unit], w_h[:, unit]):
+            for first in range(0, rows.shape[1], 2):
+                words += [int(w) for w in rows[:, first : first + 2].ravel()]
+    return words
 
 
 def arrange_by_unit(lstm: IntegerLstm, field: str) -> list[int]:
@@ -16,5 +41,9 @@ def arrange_by_unit(lstm: IntegerLstm, field: str) -> list[int]:
     return [int(v) for v in np.moveaxis(array, 1, 0).ravel()]
 
 
-FILTERS: dict[str, Callable[..., object]] = {"lstm_by_unit": arrange_by_unit}
+FILTERS: dict[str, Callable[..., object]] = {
+    "lstm_by_unit": arrange_by_unit,
+    "lstm_has_fast_kernel": has_fast_kernel,
+    "lay_out_lstm_pairs": lay_out_pairs,
+}
 """What the templates of an LSTM call."""

@@ -392,3 +392,32 @@ def test_inputs_may_be_called_like_fields_of_the_state(name: str) -> None:
     certificate, texts = build_files(draw_model(shape, 3))
     claims = json.loads(certificate)
     assert judge(claims, run_portable(texts, claims["prefix"])) == (count_claims(claims), [])
+
+
+LSTM = Shape(inputs=3, layered=(("lstm", 4, (0,)),), code_limit=12000)
+LSTM_FAULTS: dict[str, tuple[str, str]] = {
+    "bias added before the last shift": (r"add r3, r3, #(\d+)", r"add r3, r3, #1\1"),
+    "no limit of the cell state": (r"ssat r3, #31", "ssat r3, #32"),
+    "another gate's shift": (r"ssat r4, #20, r4, asr #(\d)", r"ssat r4, #20, r4, asr #1\1"),
+    "order of the weights": (r"smlad r2, r5, r9, r2", "smlad r2, r5, r10, r2"),
+    "relaxing in time": (r"cbnz r6, 3f", "cbz r6, 3f"),
+    "another's stream": (
+        r"lstm_assembly\(lstm\.stream, h_q30, x, cell",
+        r"lstm_assembly(lstm.stream, cell, x, h_q30",
+    ),
+    "cell state on the output": (r"x, cell, relaxing\);\n#else", "x, h_q30, relaxing);\n#else"),
+    "a stream too long": (
+        r"(lstm_stream\[)(\d+)\] = \{([^}]*)\n\}",
+        r"\g<1>\2 + 1] = {\3,\n    0\n}",
+    ),
+    "fewer bits of the cell state": (
+        r"(zd_lstm_pairs_t lstm = \{lstm_stream, \{[^}]*\}, )\d+",
+        r"\g<1>25",
+    ),
+}
+"""What is wrong with an LSTM's assembly or its weights -> (pattern, what it becomes)."""
+
+
+@pytest.mark.parametrize("fault", LSTM_FAULTS)
+def test_a_fault_in_the_lstm_s_assembly_is_noticed(fault: str) -> None:
+    assert check_edited(LSTM, C, *LSTM_FAULTS[fault]), f"not noticed: {fault}"

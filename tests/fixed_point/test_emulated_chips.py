@@ -31,6 +31,13 @@ SHAPES = {
         front_end=("exp2", "root", "play", "clip", "late", "mix", "warm_up", "load"),
         hidden=4, inputs=3, outputs=2, code_limit=15000, drift_limit=1e5, measured=(1,),
     ),
+    "lstm": Shape(inputs=5, layered=(("lstm", 9, (0,)),), outputs=2, gain=3.0, forget_bias=4.0),
+    "stack of lstms": Shape(
+        inputs=1, layered=(("lstm", 4, (0,)), ("lstm", 7, (1,))), outputs=2, gain=12.0
+    ),
+    "lstm on gru": Shape(
+        inputs=3, layered=(("gru", 5, (0,)), ("lstm", 3, (0, 1))), outputs=1, forget_bias=8.0
+    ),
     "window": Shape(window=4, hidden=6, inputs=1, outputs=1),
 }  # fmt: skip
 QUICK = {
@@ -38,6 +45,8 @@ QUICK = {
     ("cortex-m0plus", "everything"),
     ("cortex-m4", "everything"),
     ("cortex-m4", "int8 before"),
+    ("cortex-m4", "lstm"),
+    ("cortex-m4", "stack of lstms"),
 }
 """What `make test` runs; the rest of cores and shapes are slow tests."""
 STEPS = 600
@@ -73,6 +82,36 @@ def test_chip_equals_reference(core: str, shape: str, tmp_path: Path) -> None:
         np.testing.assert_array_equal(drift, expected.drift[0])
         np.testing.assert_array_equal(flags, expected.flags[0])
     assert chip.selftest() == 0
+
+
+@pytest.mark.parametrize("shape", ["lstm", "stack of lstms", "lstm on gru"])
+@pytest.mark.parametrize(
+    "flags", [("-Os",), ("-O2", "-DZD_NO_ASSEMBLY"), ("-O2", "-mno-unaligned-access")]
+)
+def test_lstm_is_the_same_in_every_build(
+    shape: str, flags: tuple[str, ...], tmp_path: Path
+) -> None:
+    model = draw_model(SHAPES[shape], 35)
+    chip = EmulatedModel(model, generate(model), "cortex-m4", tmp_path, flags)
+    codes = draw_codes(len(model.channels))[::3].astype(model.code_type)
+    for settled in (True, False):
+        expected = Reference(model).run(codes[None], settled=settled)
+        drift, flagged = chip.run(codes, settled=settled)
+        np.testing.assert_array_equal(drift, expected.drift[0])
+        np.testing.assert_array_equal(flagged, expected.flags[0])
+
+
+@pytest.mark.parametrize("flags", [("-O2",), ("-Os",)])
+def test_instruction_count_of_an_lstm_does_not_depend_on_the_data(
+    flags: tuple[str, ...], tmp_path: Path
+) -> None:
+    model = draw_model(Shape(inputs=2, layered=(("lstm", 6, (0,)),), outputs=1, gain=8.0), 33)
+    chip = EmulatedModel(model, generate(model), "cortex-m4", tmp_path, flags)
+    draw = Draw(7)
+    features = [np.full(2, x, dtype=np.int16) for x in (-32768, 0, 1, 32767)]
+    features += [draw.codes(-32768, 32767, 2) for _ in range(8)]
+    counts = {chip.count_layer(x) for x in features for _ in range(4)}  # states as they come
+    assert len(counts) == 1, sorted(counts)
 
 
 @pytest.mark.parametrize(
@@ -114,6 +153,14 @@ def test_instruction_count_does_not_depend_on_the_data(
     states += [np.floor(draw.uniform(-limit, limit, 6)).astype(np.int64) for _ in range(4)]
     counts = {chip.count_layer(x, h.astype(np.int32)) for x in features for h in states}
     assert len(counts) == 1, sorted(counts)
+
+
+def test_an_lstm_on_the_dual_multiplier_takes_less_than_one_and_a_half_per_product(
+    tmp_path: Path,
+) -> None:
+    model = draw_model(Shape(inputs=4, layered=(("lstm", 16, (0,)),), outputs=1), 36)
+    chip = EmulatedModel(model, generate(model), "cortex-m4", tmp_path)
+    assert chip.count_layer() <= 1.35 * 4 * 16 * (16 + 4)
 
 
 @pytest.mark.slow

@@ -5,13 +5,13 @@
 #include "zd_runtime.h"
 #include "zd_network.h"
 
-#if FRONT_END_CODE_ID != 731449413
+#if FRONT_END_CODE_ID != 2189251359
 #error "front_end.h is not of the same generation as front_end.c: copy all files again"
 #endif
 #if ZD_RUNTIME_FORMAT != 3
 #error "front_end was generated for zerodrift runtime format 3: generate it again"
 #endif
-#if ZD_RUNTIME_ID != 0x1464517c
+#if ZD_RUNTIME_ID != 0xdc4d1a73
 #error "zd_runtime.h is not the one that front_end.c was generated with: copy all files again"
 #endif
 
@@ -544,12 +544,15 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "movw r6, #:lower16:(" ZD_TANH_HALF_SLOPE_NAME " - 156)\n"
         "movt r6, #:upper16:(" ZD_TANH_HALF_SLOPE_NAME " - 156)\n"
         "mov r7, #78\n"
-        "and r8, r3, #2097152\n"
 #else
         "movw r5, #:lower16:(" ZD_TANH_OFFSET_NAME " + 1024)\n"
         "movt r5, #:upper16:(" ZD_TANH_OFFSET_NAME " + 1024)\n"
         "movw r6, #:lower16:(" ZD_TANH_SLOPE_NAME " + 512)\n"
         "movt r6, #:upper16:(" ZD_TANH_SLOPE_NAME " + 512)\n"
+#endif
+#if defined(ZD_SMALL)
+        "and r8, r3, #2097152\n"
+#else
         "mov r8, r3\n"
 #endif
         "stm sp, {r4-r8}\n"
@@ -566,7 +569,7 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "ldrh r4, [r2, #4]\n"
         "str r4, [sp, #24]\n"
 #endif
-        "mov r12, r1\n"
+"mov r12, r1\n"
         "add r3, sp, #28\n"
         "mov lr, #32768\n" /* half of what is cut off, doubled */
         "ldm r1!, {r4-r11}\n"
@@ -583,7 +586,7 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "pkhtb r6, r9, r8, asr #16\n"
         "pkhtb r7, r11, r10, asr #16\n"
         "stm r3!, {r4-r7}\n"
-        "1:\n"
+"1:\n"
         "ldrd r5, r6, [sp, #20]\n"
         "ldm r0!, {r1-r4, r7-r11, lr}\n"
         "smlad r1, r5, r7, r1\n"

@@ -9,7 +9,7 @@
 
 #include "zd_network.h"
 
-#if ZD_RUNTIME_ID != 0x1464517c
+#if ZD_RUNTIME_ID != 0xdc4d1a73
 #error "zd_lstm.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
@@ -27,6 +27,13 @@ typedef struct {
     uint8_t multiplier_shift[4]; /* 8-bit weights only */
     uint8_t cell_bits;           /* fractional bits of the cell state, 24 .. 27 */
 } zd_lstm_t;
+
+/* The same with 16-bit weights, as the generated assembly reads them. */
+typedef struct {
+    const int32_t *stream; /* [H][4 + 4 (X + R)]; X pairs of features, R pairs of the output */
+    uint8_t shift[4];      /* accumulator of i, f, g, o -> t_q16 */
+    uint8_t cell_bits;     /* fractional bits of the cell state, 24 .. 27 */
+} zd_lstm_pairs_t;
 
 /* The table's argument of one gate of one unit. */
 static inline int32_t zd_lstm_gate(const zd_lstm_t *layer, uint32_t inputs, uint32_t hidden,

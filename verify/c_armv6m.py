@@ -1,0 +1,117 @@
+"""Known assembly of Armv6-M and Armv8-M baseline (Cortex-M0, M0+, M23), line by line.
+
+Shares no code with the generator and needs the standard library only.
+"""
+
+from collections.abc import Iterator
+
+HALF_LINES = 178
+"""Of the table that is read at -Os."""
+
+
+def write_gru(name: str, inputs: int, hidden: int, shifts: list[int], small: bool) -> Iterator[str]:
+    """Reset after the product, 16-bit weights."""
+    x_pairs, h_pairs = (inputs + 1) // 2, (hidden + 1) // 2
+    frame = 12 + 8 * (x_pairs + h_pairs)
+    parts = [frame] if frame <= 508 else [508, frame - 508]
+    yield from (".syntax unified", f".set zd_stack_{name}, {frame + 36}", "push {r4-r7, lr}")
+    yield from (f"mov r{k}, r{k + 4}" for k in range(4, 8))
+    yield "push {r4-r7}"
+    yield from (f"sub sp, #{part}" for part in parts)
+    yield from ("str r3, [sp, #4]", "str r1, [sp, #8]", "add r4, sp, #12", "movs r5, #0", "1:")
+    yield from ("ldrsh r6, [r2, r5]", "stm r4!, {r6}", "adds r5, #2", f"cmp r5, #{2 * inputs}")
+    yield "bne 1b"
+    if inputs % 2:
+        yield from ("movs r6, #0", "stm r4!, {r6}")
+    yield from ("movs r5, #1", "lsls r5, r5, #14")
+    if hidden < 64:
+        yield f"movs r6, #{4 * hidden}"
+    else:
+        yield from (f"movs r6, #{hidden}", "lsls r6, r6, #2")
+    yield from ("adds r6, r6, r1", "str r6, [sp]", "2:")
+    if hidden % 2:
+        yield from ("ldm r1!, {r2}", "adds r2, r2, r5", "asrs r2, r2, #15", "stm r4!, {r2}")
+    else:
+        yield from ("ldm r1!, {r2, r3}", "adds r2, r2, r5", "adds r3, r3, r5")
+        yield from ("asrs r2, r2, #15", "asrs r3, r3, #15", "stm r4!, {r2, r3}")
+    yield from ("cmp r1, r6", "bne 2b")
+    if hidden % 2:
+        yield from ("movs r2, #0", "stm r4!, {r2}")
+    yield from ("3:", "ldm r0!, {r1-r4}")
+    yield from (f"mov r{7 + k}, r{k}" for k in range(1, 5))
+    yield "add r1, sp, #12"
+    yield from _dot_of_words(x_pairs, "r10", 8 * x_pairs + 12, "4")
+    yield from _dot_of_words(h_pairs, "r11", 8 * (x_pairs + h_pairs) + 12, "5")
+    yield "mov r1, r8"
+    yield from _then_tanh(shifts[0])
+    yield from ("movs r2, #1", "lsls r2, r2, #30", "adds r2, r2, r1", "mov r1, r11", "bl 7f")
+    yield from ("add r10, r1", "mov r1, r9")
+    yield from _then_tanh(shifts[1])
+    yield from ("ldr r2, [sp, #4]", "ands r1, r1, r2", "movs r2, #1", "lsls r2, r2, #30")
+    yield from ("adds r1, r1, r2", "mov r9, r1", "mov r1, r10")
+    yield from _then_tanh(shifts[2])
+    yield from ("ldr r6, [sp, #8]", "ldr r7, [r6]", "subs r1, r1, r7", "mov r2, r9", "bl 7f")
+    yield from ("lsls r1, r1, #1", "adds r7, r7, r1", "stm r6!, {r7}", "str r6, [sp, #8]")
+    yield from ("ldr r1, [sp]", "cmp r6, r1", "beq 8f", "b 3b", "8:")
+    yield from (f"add sp, #{part}" for part in parts)
+    yield "pop {r4-r7}"
+    yield from (f"mov r{k + 4}, r{k}" for k in range(4, 8))
+    yield from ("pop {r4-r7, pc}", "6:", "asrs r2, r1, #31")
+    yield from (HALF_TANH if small else ALL_TANH)
+    yield from HIGH_PRODUCT
+    prefix, ends = ("half_", ("", "")) if small else ("", (" + 512", " + 1024"))
+    yield from (".align 2", "9:", f".word zd_tanh_{prefix}slope_q19{ends[0]}", "10:")
+    yield f".word zd_tanh_{prefix}offset_q30{ends[1]}"
+
+
+HALF_TANH = (
+    *("asrs r4, r1, #11", "eors r4, r4, r2", f"movs r3, #{HALF_LINES - 1}", "subs r3, r3, r4"),
+    *("asrs r5, r3, #31", "ands r3, r3, r5", "adds r4, r4, r3", "lsls r4, r4, #1", "ldr r3, 9f"),
+    *("ldrh r3, [r3, r4]", "lsls r4, r4, #1", "ldr r5, 10f", "ldr r5, [r5, r4]"),
+    *("eors r5, r5, r2", "subs r5, r5, r2", "muls r1, r3, r1", "adds r1, r1, r5", "bx lr"),
+)
+ALL_TANH = (
+    *("asrs r3, r1, #19", "eors r3, r3, r2", "rsbs r3, r3, #0", "asrs r3, r3, #31"),
+    *("asrs r4, r1, #11", "movs r5, #255", "eors r5, r5, r2", "eors r5, r5, r4"),
+    *("ands r5, r5, r3", "eors r4, r4, r5", "lsls r4, r4, #1", "ldr r3, 9f"),
+    *("ldrsh r3, [r3, r4]", "lsls r4, r4, #1", "ldr r2, 10f", "ldr r2, [r2, r4]"),
+    *("muls r1, r3, r1", "adds r1, r1, r2", "bx lr"),
+)
+HIGH_PRODUCT = (
+    *("7:", "asrs r3, r1, #16", "uxth r1, r1", "asrs r4, r2, #16", "uxth r2, r2"),
+    *("movs r5, r2", "muls r5, r1, r5", "lsrs r5, r5, #16", "muls r2, r3, r2"),
+    *("adds r2, r2, r5", "movs r5, #1", "lsls r5, r5, #15", "adds r2, r2, r5"),
+    *("muls r1, r4, r1", "muls r3, r4, r3", "uxth r5, r2", "adds r1, r1, r5"),
+    *("asrs r2, r2, #16", "asrs r1, r1, #16", "adds r1, r1, r2", "adds r1, r1, r3", "bx lr"),
+)
+
+
+def _then_tanh(shift: int) -> Iterator[str]:
+    if shift:
+        yield f"asrs r1, r1, #{shift}"
+    yield "bl 6f"
+
+
+def _dot_of_words(pairs: int, third: str, end: int, label: str) -> Iterator[str]:
+    """Sums r8, r9 and `third`; blocks of two pairs in a loop, a last odd one after it."""
+    blocks = pairs // 2
+    if blocks > 1:
+        yield from (f"add r2, sp, #{end - 8 * (pairs % 2)}", "mov lr, r2", f"{label}:")
+    if blocks:
+        yield from ("ldm r1!, {r2-r5}", "mov r12, r1")
+        for total in ("r8", "r9", third):
+            yield "ldm r0!, {r6, r7}"
+            yield from _mac_pair("r6", "r2", "r3", "r1", total)
+            yield from _mac_pair("r7", "r4", "r5", "r1", total)
+        yield "mov r1, r12"
+    if blocks > 1:
+        yield from ("cmp r1, lr", f"bne {label}b")
+    if pairs % 2:
+        yield from ("ldm r1!, {r2, r3}", "ldm r0!, {r4-r6}")
+        for k, total in enumerate(("r8", "r9", third), 4):
+            yield from _mac_pair(f"r{k}", "r2", "r3", "r7", total)
+
+
+def _mac_pair(w: str, a: str, b: str, free: str, total: str) -> Iterator[str]:
+    yield from (f"sxth {free}, {w}", f"muls {free}, {a}, {free}", f"add {total}, {free}")
+    yield from (f"asrs {w}, {w}, #16", f"muls {w}, {b}, {w}", f"add {total}, {w}")

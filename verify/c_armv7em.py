@@ -1,0 +1,238 @@
+"""Known assembly of Armv7E-M and Armv8-M with DSP (Cortex-M4, M7, M33), line by line.
+
+Shares no code with the generator and needs the standard library only.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+HALF_LINES = 178
+"""Of the table that is read at -Os."""
+LIMIT = 256 - HALF_LINES
+PUSHED = 36
+"""Bytes of the registers that a function saves."""
+
+
+@dataclass(frozen=True)
+class LayerShape:
+    """What a function of assembly is written for, and how it is built."""
+
+    name: str
+    """Of the function."""
+    inputs: int
+    hidden: int
+    shifts: Sequence[int]
+    small: bool
+    unaligned: bool
+
+    @property
+    def x_pairs(self) -> int:
+        """Words that hold the features, two in each."""
+        return (self.inputs + 1) // 2
+
+    @property
+    def h_pairs(self) -> int:
+        """Words that hold the state."""
+        return (self.hidden + 1) // 2
+
+    def frame(self, constants: int, further: int = 0) -> int:
+        """Bytes of the stack frame: words of constants, the pairs, and further words."""
+        size = 4 * (constants + self.x_pairs + self.h_pairs + further)
+        return size + (4 - size % 8) % 8
+
+
+def write_gru(layer: LayerShape) -> Iterator[str]:
+    """Reset after the product, 16-bit weights."""
+    shifts, small = layer.shifts, layer.small
+    frame = layer.frame(5)
+    yield from _enter(layer, frame)
+    if small and shifts[1] > 1:
+        yield f"and r8, r3, #{2 ** (32 - shifts[1])}"
+    else:
+        yield "mov r8, r3"
+    yield "stm sp, {r4-r8}"
+    yield from _pack(layer, 20)
+    yield "1:"
+    yield from _dot(20, layer.x_pairs, 3, "r1-r4, ")
+    yield from _dot(20 + 4 * layer.x_pairs, layer.h_pairs, 4, "")
+    yield "ldm sp, {r7-r11}"
+    yield from _gates_of_half(shifts) if small else _gates_of_all(shifts)
+    yield from _move(frame)
+
+
+def _move(frame: int) -> Iterator[str]:
+    """The state of a GRU towards r3 by r2, the loop's end and the function's."""
+    yield from ("ldr r4, [r12]", "sub r3, r3, r4", "smmulr r3, r3, r2", "add r4, r4, r3, lsl #1")
+    yield from ("str r4, [r12], #4", "cmp r12, r7", "bne 1b")
+    yield from (f"add sp, sp, #{frame}", "pop {r4-r11, pc}")
+
+
+def write_lstm(layer: LayerShape, bits: int) -> Iterator[str]:
+    """16-bit weights; `bits` are the cell state's fractional ones."""
+    frame, at_h = layer.frame(6), 24 + 4 * layer.x_pairs
+    yield from _enter(layer, frame)
+    yield from ("sub r8, r3, r1", f"ldr r9, [sp, #{frame + PUSHED}]", "stm sp, {r4-r9}")
+    yield from _pack(layer, 24)
+    yield "1:"
+    yield from _queue(4, [*_list_pairs(24, layer.x_pairs), *_list_pairs(at_h, layer.h_pairs)])
+    yield "ldm sp, {r7-r11}"
+    for gate, shift in enumerate(layer.shifts):
+        yield from _activation(gate + 1, shift, layer.small, half=gate != 2)
+    yield from ("ldr r5, [r12, r11]", "smmulr r3, r3, r1", f"add r3, r3, #{1 << (29 - bits)}")
+    yield from ("ldr r6, [sp, #20]", "cbnz r6, 3f", "smmulr r6, r5, r2")
+    yield from (f"add r3, r6, r3, asr #{30 - bits}", "ssat r3, #31, r3, lsl #1")
+    yield from ("lsrs r5, r3, #1", "adc r3, r3, #0", "2:", "str r3, [r12, r11]")
+    yield f"add r3, r3, #{1 << (bits - 17)}"
+    yield from _activation(3, bits - 16, layer.small, half=False)
+    yield from ("smmulr r3, r3, r4", "lsl r3, r3, #1", "str r3, [r12], #4")
+    yield from ("cmp r12, r7", "bne 1b", f"add sp, sp, #{frame}", "pop {r4-r11, pc}")
+    yield from ("3:", f"asr r3, r3, #{30 - bits}", "rsb r2, r2, #0x80000000", "smmulr r6, r5, r2")
+    yield from ("sub r3, r3, r6", "clz r6, r2", "sub r6, r6, #1", "mov lr, #1", "lsl lr, lr, r6")
+    yield from ("smull r6, lr, r3, lr", "adds r6, r6, r5", "adc lr, lr, r5, asr #31")
+    yield from ("mvn r3, #0x80000000", "eor r3, r3, lr, asr #31", "cmp lr, r6, asr #31", "it eq")
+    yield from ("moveq r3, r6", "ssat r6, #31, r3", "sub r3, r6, r3", "sub r3, r6, r3, asr #31")
+    yield "b 2b"
+
+
+def _enter(layer: LayerShape, frame: int) -> Iterator[str]:
+    """What is saved, where the state ends (r4) and where the table lies (r5, r6, its limit r7)."""
+    yield from (".syntax unified", f".set zd_stack_{layer.name}, {frame + PUSHED}")
+    yield from ("push {r4-r11, lr}", f"sub sp, sp, #{frame}", f"add r4, r1, #{4 * layer.hidden}")
+    if layer.small:
+        tables = (f"half_offset_q30 - {4 * LIMIT}", f"half_slope_q19 - {2 * LIMIT}")
+    else:
+        tables = ("offset_q30 + 1024", "slope_q19 + 512")
+    for register, table in zip(("r5", "r6"), tables, strict=True):
+        yield f"movw {register}, #:lower16:(zd_tanh_{table})"
+        yield f"movt {register}, #:upper16:(zd_tanh_{table})"
+    if layer.small:
+        yield f"mov r7, #{LIMIT}"
+
+
+def _pack(layer: LayerShape, first: int) -> Iterator[str]:
+    """Features at sp + first and the state behind them, in pairs; r12 <- the state."""
+    inputs = layer.inputs
+    if inputs > 1 and layer.unaligned:
+        for i in range(0, inputs - 1, 2):
+            yield from (f"ldr r4, [r2, #{2 * i}]", f"str r4, [sp, #{first + 2 * i}]")
+        if inputs % 2:
+            yield f"ldrh r4, [r2, #{2 * inputs - 2}]"
+            yield f"str r4, [sp, #{first - 2 + 2 * inputs}]"
+    else:
+        for i in range(0, inputs, 2):
+            yield f"ldrh r4, [r2, #{2 * i}]"
+            if i + 1 < inputs:
+                yield from (f"ldrh r5, [r2, #{2 * i + 2}]", "orr r4, r4, r5, lsl #16")
+            yield f"str r4, [sp, #{first + 2 * i}]"
+    yield from ("mov r12, r1", f"add r3, sp, #{first + 4 * layer.x_pairs}", "mov lr, #32768")
+    yield from _pack_state(layer.hidden)
+
+
+def _list_pairs(first: int, pairs: int) -> list[tuple[int, int]]:
+    """Where the blocks of a row lie from sp on, and whether each has one pair or two."""
+    return [(first + 4 * i, min(2, pairs - i)) for i in range(0, pairs, 2)]
+
+
+def _queue(rows: int, blocks: list[tuple[int, int]]) -> Iterator[str]:
+    """Sums r1 ... of so many rows, their first values and then the weights six at a time."""
+    registers = ("r7", "r8", "r9", "r10", "r11", "lr")
+    left = rows * sum(width for _, width in blocks)
+    taken, first = 0, f"r1-r{rows}, " if rows > 1 else "r1, "
+    for at, width in blocks:
+        yield f"ldrd r5, r6, [sp, #{at}]" if width == 2 else f"ldr r5, [sp, #{at}]"
+        for row in range(1, rows + 1):
+            for k in range(width):
+                if taken % 6 == 0:
+                    some = registers[: left - taken]
+                    listed = ", ".join(some)
+                    yield (
+                        f"ldm r0!, {{{'' if taken else first}{listed}}}"
+                        if len(some) > 1
+                        else "ldr r7, [r0], #4"
+                    )
+                yield f"smlad r{row}, r{5 + k}, {registers[taken % 6]}, r{row}"
+                taken += 1
+
+
+def _activation(k: int, shift: int, small: bool, half: bool) -> Iterator[str]:
+    if small:
+        yield from _limited(k, shift)
+        yield from _line_of_half(k)
+        yield f"adc r{k}, r{k}, #{'0x40000000' if half else '0'}"
+        return
+    yield from _line_of_all(k, shift)
+    if half:
+        yield f"add r{k}, r{k}, #0x40000000"
+
+
+def _pack_state(hidden: int) -> Iterator[str]:
+    """State to 16 bits, rounded, in pairs."""
+    for _ in range(hidden // 8):
+        yield "ldm r1!, {r4-r11}"
+        yield from (f"add r{k}, lr, r{k}, lsl #1" for k in range(4, 12))
+        yield from (f"pkhtb r{4 + k}, r{5 + 2 * k}, r{4 + 2 * k}, asr #16" for k in range(4))
+        yield "stm r3!, {r4-r7}"
+    for _ in range(hidden // 8 * 8, hidden - 1, 2):
+        yield from ("ldrd r4, r5, [r1], #8", "add r4, lr, r4, lsl #1", "add r5, lr, r5, lsl #1")
+        yield from ("pkhtb r4, r5, r4, asr #16", "str r4, [r3], #4")
+    if hidden % 2:
+        yield from ("ldr r4, [r1]", "add r4, lr, r4, lsl #1", "lsr r4, r4, #16", "str r4, [r3]")
+
+
+def _dot(offset: int, pairs: int, third: int, before: str) -> Iterator[str]:
+    """Sums r1, r2 and r<third>; `before` is loaded with the first weights."""
+    for i in range(0, pairs - 1, 2):
+        yield f"ldrd r5, r6, [sp, #{offset + 4 * i}]"
+        yield f"ldm r0!, {{{before if i == 0 else ''}r7-r11, lr}}"
+        for total, weights in ((1, ("r7", "r8")), (2, ("r9", "r10")), (third, ("r11", "lr"))):
+            for v, w in zip(("r5", "r6"), weights, strict=True):
+                yield f"smlad r{total}, {v}, {w}, r{total}"
+    if pairs % 2:
+        yield f"ldr r5, [sp, #{offset + 4 * (pairs - 1)}]"
+        yield f"ldm r0!, {{{before if pairs == 1 else ''}r7-r9}}"
+        for total, k in ((1, 7), (2, 8), (third, 9)):
+            yield f"smlad r{total}, r5, r{k}, r{total}"
+
+
+def _shifted(shift: int) -> str:
+    return f", asr #{shift}" if shift else ""
+
+
+def _line_of_all(k: int, shift: int) -> Iterator[str]:
+    yield from (f"ssat r{k}, #20, r{k}{_shifted(shift)}", f"asr r5, r{k}, #11")
+    yield from ("ldr r6, [r8, r5, lsl #2]", "ldrsh lr, [r9, r5, lsl #1]")
+    yield f"mla r{k}, lr, r{k}, r6"
+
+
+def _gates_of_all(shifts: Sequence[int]) -> Iterator[str]:
+    yield from _line_of_all(1, shifts[0])
+    yield from ("add r1, r1, #0x40000000", "smmlar r3, r4, r1, r3")
+    yield from _line_of_all(2, shifts[1])
+    yield from ("and r2, r2, r11", "add r2, r2, #0x40000000")
+    yield from _line_of_all(3, shifts[2])
+
+
+def _limited(k: int, shift: int) -> Iterator[str]:
+    yield from (f"ssat r{k}, #20, r{k}{_shifted(shift)}", f"asr r5, r{k}, #11")
+    yield f"eors r5, r5, r{k}, asr #31"
+
+
+def _line_of_half(k: int) -> Iterator[str]:
+    yield from ("uqadd8 r5, r5, r10", "ldr r6, [r8, r5, lsl #2]", "ldrh lr, [r9, r5, lsl #1]")
+    yield from (f"eor r6, r6, r{k}, asr #31", f"mla r{k}, lr, r{k}, r6")
+
+
+def _gates_of_half(shifts: Sequence[int]) -> Iterator[str]:
+    yield from _limited(1, shifts[0])
+    yield from _line_of_half(1)
+    yield from ("adc r1, r1, #0x40000000", "smmlar r3, r4, r1, r3")
+    if shifts[1] > 1:
+        yield from ("smmul r2, r2, r11", "eors r5, r2, r2, asr #31", "usat r5, #8, r5, asr #11")
+    else:
+        yield "and r2, r2, r11"
+        yield from _limited(2, shifts[1])
+    yield from _line_of_half(2)
+    yield "adc r2, r2, #0x40000000"
+    yield from _limited(3, shifts[2])
+    yield from _line_of_half(3)
+    yield "adc r3, r3, #0"
