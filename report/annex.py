@@ -53,6 +53,8 @@ def list_annex(findings: Findings, further: Mapping[str, Table] | None = None) -
     if findings.firmware is not None:
         told["error_budget"] = tables.tabulate_budget(findings.firmware, compared)
         told["chip_error"] = tables.tabulate_chip_error(findings.firmware)
+    if findings.uncertainty:
+        told["uncertainty"] = tables.tabulate_uncertainty(findings.uncertainty)
     if findings.certificate is not None:
         told["certificate"] = tables.tabulate_certificate(findings.certificate)
     for k, name in enumerate(findings.outputs):

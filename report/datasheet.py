@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.report.findings import Trace, find_threshold
+from zerodrift.verify.summary import StatedUncertainty
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,7 @@ TK0, TKC, CREEP = 0, 2, 3
 LAGS_S = (30.0, 120.0, 480.0)
 
 
+UNCERTAINTY = "expanded uncertainty (k = 2)"
 BEFORE, AFTER = "before", "after"
 """Compensation."""
 
@@ -73,15 +75,20 @@ class _Block:
     """[K, n]."""
 
 
-def measure_datasheet(traces: Sequence[Trace], compared: ComparisonSummary) -> list[DatasheetRow]:
+def measure_datasheet(
+    traces: Sequence[Trace],
+    compared: ComparisonSummary,
+    stated: Mapping[str, StatedUncertainty] | None = None,
+) -> list[DatasheetRow]:
     """Return the datasheet's figures of each output.
 
     Args:
         traces: the runs.
         compared: what `compare` found, for units and full scale.
+        stated: output -> the uncertainty of its compensated value, by the last firmware.
 
     Returns:
-        Four rows of each output.
+        Five rows of each output.
     """
     block = -(-sum(t.time_s.size for t in traces) // MOST_ROWS)
     middle = float(np.mean([t.temperature_degC.mean() for t in traces]))
@@ -91,7 +98,22 @@ def measure_datasheet(traces: Sequence[Trace], compared: ComparisonSummary) -> l
     rows: list[DatasheetRow] = []
     for k, (name, told) in enumerate(compared.outputs.items()):
         rows += _measure_output({BEFORE: blocks, AFTER: held_out}, k, name, float(told.full_scale))
+        rows.append(_state_uncertainty(name, told.unit, (stated or {}).get(name)))
     return rows
+
+
+def _state_uncertainty(name: str, unit: str, stated: StatedUncertainty | None) -> DatasheetRow:
+    """Return the expanded uncertainty of an output, its causes in the note."""
+    if stated is None:
+        why_not = (
+            "not told: `zerodrift firmware` states it, of a current firmware, from runs left out"
+        )
+        return DatasheetRow(UNCERTAINTY, name, unit, why_not)
+    causes = ("noise", "parameters", "left_out", "rounding")
+    parts = ", ".join(f"{cause.replace('_', ' ')} {getattr(stated, cause):.2g}" for cause in causes)
+    return DatasheetRow(
+        UNCERTAINTY, name, unit, f"standard uncertainties: {parts}", None, (stated.expanded, None)
+    )
 
 
 def _average(trace: Trace, block: int, reference_degC: float, moving: float) -> _Block:

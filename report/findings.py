@@ -25,7 +25,7 @@ from zerodrift.diagnosis.history import Step
 from zerodrift.diagnosis.run_errors import RunError
 from zerodrift.physics.description import EffectDescription
 from zerodrift.physics.summary import ModelSummary
-from zerodrift.verify.summary import CertificateSummary, FirmwareSummary
+from zerodrift.verify.summary import CertificateSummary, FirmwareSummary, StatedUncertainty
 
 Array = NDArray[np.float64]
 
@@ -131,6 +131,8 @@ class Findings:
     """What looks wrong with the logs; the same in words is among the notes."""
     inputs: tuple[LoggedInput, ...] = ()
     """Further channels that every run has."""
+    uncertainty: Mapping[str, StatedUncertainty] | None = None
+    """Output -> of its compensated value, by the last firmware, where it is current."""
     contribution: Contribution | None = field(default=None, metadata=UNWRITTEN)
     """Of the effect that the verdict names, where it was asked for."""
 

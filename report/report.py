@@ -83,6 +83,9 @@ def render_report(findings: Findings, datasheet: Sequence[DatasheetRow] | None =
         "budget": draw_error_budget(firmware, compared, WIDTH) if firmware else None,
         "budget_table": tables.tabulate_budget(firmware, compared) if firmware else None,
         "chip_error": tables.tabulate_chip_error(firmware) if firmware else None,
+        "uncertainty": tables.tabulate_uncertainty(findings.uncertainty)
+        if findings.uncertainty
+        else None,
         "firmware": tables.tabulate_firmware(firmware) if firmware else None,
         "certificate": tables.tabulate_certificate(certificate) if certificate else None,
         "datasheet": told,

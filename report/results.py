@@ -28,6 +28,7 @@ from zerodrift.verify.summary import (
     CertificateSummary,
     ChipError,
     FirmwareSummary,
+    StatedUncertainty,
     Statement,
     VerifySummary,
 )
@@ -49,6 +50,8 @@ class CompareResult(ComparisonSummary, Shown):
     """Of the last firmware, where it is current."""
     warnings: tuple[Statement, ...] | None = field(default=None, metadata=OPTIONAL)
     """Of the last firmware, where it is current."""
+    uncertainty: Mapping[str, StatedUncertainty] | None = field(default=None, metadata=OPTIONAL)
+    """Output -> of its compensated value, by the last firmware, where it is current."""
 
 
 @dataclass(frozen=True)
@@ -297,6 +300,8 @@ class ApplyResult:
     model_hash: str
     logs: tuple[AppliedLog, ...]
     notes: tuple[str, ...]
+    uncertainty: Mapping[str, StatedUncertainty] | None = field(default=None, metadata=OPTIONAL)
+    """Output -> of its compensated value inside the calibrated ranges, by cause."""
 
 
 @dataclass(frozen=True)

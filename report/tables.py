@@ -12,7 +12,15 @@ from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Provenance
 from zerodrift.report.parts import ReportPart
 from zerodrift.report.verdict import explain_standing
-from zerodrift.verify.summary import CertificateSummary, ChipError, FirmwareSummary
+from zerodrift.verify.summary import (
+    CertificateSummary,
+    ChipError,
+    FirmwareSummary,
+    StatedUncertainty,
+)
+
+MOST_DEGREES = 1000.0
+"""Degrees of freedom from which on Student's quantile is the normal one."""
 
 
 @dataclass(frozen=True)
@@ -300,6 +308,36 @@ def tabulate_chip_error(firmware: FirmwareSummary) -> Table:
     said += [warning.text for warning in firmware.warnings]
     headings = ("output", "unit", *causes)
     return Table("Integer minus float by cause", headings, rows, texts=2, note=" ".join(said))
+
+
+def tabulate_uncertainty(stated: Mapping[str, StatedUncertainty]) -> Table:
+    """Return the uncertainty of each output's compensated value, by cause.
+
+    Args:
+        stated: output -> its uncertainty; at least one.
+    """
+    rows = tuple(
+        (
+            name,
+            one.unit,
+            *(
+                write_number(value, 2)
+                for value in (
+                    *(one.expanded, one.noise, one.parameters, one.left_out, one.rounding),
+                    min(one.degrees_of_freedom, MOST_DEGREES),
+                )
+            ),
+            "–" if one.covered is None else f"{100.0 * one.covered:.1f} %",
+        )
+        for name, one in stated.items()
+    )
+    headings = (
+        *("output", "unit", "expanded, k = 2", "noise", "parameters", "left out", "rounding"),
+        *("degrees of freedom", "covered"),
+    )
+    note = next(iter(stated.values())).explain()
+    title = "Uncertainty of a compensated value inside the calibrated ranges"
+    return Table(title, headings, rows, texts=2, note=note)
 
 
 def tabulate_firmware(firmware: FirmwareSummary) -> Table:

@@ -81,6 +81,8 @@ class Firmware:
     """How far the answers can ever be from the float model's, as far as it is proven."""
     gate: GateVerdict
     """Whether the firmware is any good on held-out runs."""
+    replay: ChipReplay
+    """The runs that say so, as chip and float model answer them."""
     forced: tuple[str, ...]
     """What the gate refused and `--force` wrote all the same."""
     files: tuple[Path, ...]
@@ -167,6 +169,7 @@ def build_firmware(
         certificate=outcome,
         bound=bound,
         gate=gate,
+        replay=replay,
         forced=forced,
         files=files,
     )

@@ -63,6 +63,46 @@ class ProvenError:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StatedUncertainty:
+    """Of one output's compensated value inside the calibrated ranges, in its unit (JCGM 100)."""
+
+    unit: str
+    expanded: float
+    """k = 2: twice the combined standard uncertainty, wider by Student's quantile for few runs."""
+    noise: float
+    """Standard uncertainty of a reading: what no compensation can take away."""
+    parameters: float
+    """Standard uncertainty: by how far the model moves when a run is left out."""
+    left_out: float
+    """Standard uncertainty: what the model lacks."""
+    rounding: float
+    """Standard uncertainty: the chip's integers."""
+    degrees_of_freedom: float
+    """From how runs differ."""
+    method: str
+    """leave one run out | blocks of one run: where the errors come from."""
+    tared: bool
+    """Whether each run's own offset is not in it."""
+    covered: float | None
+    """Share of the test logs' readings inside the calibrated ranges within `expanded`; null without
+    test logs."""
+    covered_readings: int
+    """Of how many readings."""
+
+    def explain(self) -> str:
+        """Return where the figures come from, in sentences."""
+        told = (
+            "Standard uncertainties by cause, from models fitted to the training runs"
+            f" ({self.method}); expanded: twice the root of their squares, wider for few runs."
+        )
+        if self.tared:
+            told += " Each run's own offset is not in it, as the logs are tared."
+        if self.covered is not None:
+            told += " Covered: the share of the test logs' readings that lie within it."
+        return told
+
+
+@dataclass(frozen=True, kw_only=True)
 class Statement:
     """Something that the gate says."""
 

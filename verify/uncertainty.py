@@ -6,7 +6,7 @@ added, and, outside the calibrated ranges, what lies beyond them.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,9 @@ from zerodrift.diagnosis.floor import measure_floor
 from zerodrift.diagnosis.held_out import BLOCKS
 from zerodrift.diagnosis.run_errors import RunError, collect_errors
 from zerodrift.export.float_model import FloatModel
+from zerodrift.verify.chip_error import ChipReplay
 from zerodrift.verify.left_out import LeftOut
+from zerodrift.verify.summary import StatedUncertainty
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -47,6 +49,9 @@ class OutputUncertainty:
     """Of the drift over the calibrated range: what may happen once more beyond it."""
     degrees_of_freedom: float
     """Of the error's mean square, from its spread between runs."""
+    covered: float | None = None
+    """Share of the test logs' readings inside the calibrated ranges within the expanded one."""
+    covered_readings: int = 0
 
     @property
     def standard(self) -> float:
@@ -83,6 +88,25 @@ class Uncertainty:
     tared: bool
     """Whether each run's own offset was taken off; it is not in the figures then."""
     outputs: Mapping[str, OutputUncertainty]
+
+    def state(self) -> dict[str, StatedUncertainty]:
+        """Return what every command states of each output, inside the calibrated ranges."""
+        return {
+            name: StatedUncertainty(
+                unit=one.unit,
+                expanded=float(one.expand(np.zeros(1))[0]),
+                noise=one.noise,
+                parameters=one.parameters,
+                left_out=one.left_out,
+                rounding=one.rounding,
+                degrees_of_freedom=one.degrees_of_freedom,
+                method=self.method,
+                tared=self.tared,
+                covered=one.covered,
+                covered_readings=one.covered_readings,
+            )
+            for name, one in self.outputs.items()
+        }
 
 
 def measure_uncertainty(
@@ -137,6 +161,35 @@ def measure_uncertainty(
             degrees_of_freedom=count_degrees(squares[:, k], weights[:, k]),
         )
     return Uncertainty(model_hash, left_out.method, model.tared, outputs)
+
+
+def check_coverage(uncertainty: Uncertainty, model: FloatModel, replay: ChipReplay) -> Uncertainty:
+    """Return the uncertainty with the share of readings of test runs that it covers.
+
+    Counted are the chip's answers on rows inside the calibrated ranges, at no limit.
+
+    Args:
+        uncertainty: of training runs.
+        model: the float model, which knows the rows that count.
+        replay: the test runs, as the chip answers them.
+    """
+    replayed = {r.run.name: r for r in replay.runs}
+    answers = {name: r.chip for name, r in replayed.items()}
+    runs = [r.run for r in replay.runs]
+    errors = collect_errors(runs, answers, model.tared, model.find_usable)
+    outputs = {}
+    for k, (name, one) in enumerate(uncertainty.outputs.items()):
+        expanded = float(one.expand(np.zeros(1))[0])
+        inside, count = 0, 0
+        for error in errors.values():
+            own = [replayed[run.name] for run in error.runs]
+            plain = np.concatenate([r.inside[:, k] & ~r.clamped[:, k] for r in own])
+            counts = error.usable[:, k] & plain
+            inside += int(np.sum(np.abs(error.error[counts, k]) <= expanded))
+            count += int(counts.sum())
+        share = inside / count if count else None
+        outputs[name] = replace(one, covered=share, covered_readings=count)
+    return replace(uncertainty, outputs=outputs)
 
 
 def _measure_moves(

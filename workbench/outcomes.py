@@ -79,6 +79,12 @@ def _show_built(outcome: FirmwareSummary) -> list[Component]:
     ]
 
 
+def _show_uncertainty(findings: Findings) -> list[Component]:
+    if not findings.uncertainty:
+        return []
+    return [show_table(tables.tabulate_uncertainty(findings.uncertainty), folded=True)]
+
+
 def _show_proposed(outcome: ProposeResult) -> list[Component]:
     if not outcome.found:
         nearest = f" Nearest: {outcome.nearest}." if outcome.nearest else ""
@@ -109,6 +115,7 @@ def show_firmware(findings: Findings) -> list[Component]:
         show_picture(draw_error_budget(firmware, compared)),
         show_table(tables.tabulate_budget(firmware, compared), folded=True),
         show_table(tables.tabulate_chip_error(firmware), folded=True),
+        *_show_uncertainty(findings),
         show_table(tables.tabulate_firmware(firmware)),
         *(
             [show_table(tables.tabulate_certificate(certificate), folded=True)]

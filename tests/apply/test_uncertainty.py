@@ -1,14 +1,22 @@
 """The uncertainty's parts add up to what runs left out show, and cover what comes later."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
+from click.testing import CliRunner
 from scipy.stats import t as student
 
-from zerodrift.base.records import from_json
+import zerodrift as zd
+from zerodrift.app.cli import cli
+from zerodrift.base.config import load_config
+from zerodrift.base.records import Json, from_json
 from zerodrift.base.sealed import read_sealed
+from zerodrift.dataset.load import load_dataset
+from zerodrift.report.results import ApplyResult, CompareResult, ReportResult
 from zerodrift.verify.uncertainty import COVERAGE, OutputUncertainty, Uncertainty, count_degrees
 
 
@@ -51,3 +59,68 @@ def test_what_firmware_keeps_is_the_error_left_out(built: Path) -> None:
     assert kept.outputs["y"].standard == pytest.approx(0.02, rel=0.1), "the simulated noise"
     told = json.loads((built / "build/firmware.json").read_text())
     assert kept.model_hash == told["model_hash"]
+
+
+def run(*arguments: object) -> dict[str, Json]:
+    result = CliRunner().invoke(cli, [*map(str, arguments), "--json"])
+    assert result.exit_code == 0, result.output
+    told: dict[str, Json] = json.loads(result.stdout)
+    return told
+
+
+def test_one_number_everywhere(built: Path, tmp_path: Path) -> None:
+    """Apply, compare, report, datasheet, the Python face and the file of rows state the same."""
+    log, out = built / "logs/run3.csv", tmp_path / "o.parquet"
+    applied = from_json(ApplyResult, run("apply", log, "-C", built, "--out", out))
+    compared = from_json(CompareResult, run("compare", "-C", built))
+    options = ("--datasheet", "--no-diagnose", "-o", tmp_path / "r.html")
+    reported = from_json(ReportResult, run("report", "-C", built, *options))
+    assert applied.uncertainty is not None and compared.uncertainty is not None
+    stated = applied.uncertainty["y"]
+    assert stated.expanded == pytest.approx(0.04, rel=0.1), "twice the simulated noise"
+    assert compared.uncertainty["y"] == stated
+    assert reported.compare.uncertainty == compared.uncertainty
+    assert reported.datasheet is not None
+    (row,) = (r for r in reported.datasheet if r.quantity == "expanded uncertainty (k = 2)")
+    assert (row.after, row.unit) == ((stated.expanded, None), "N") and "left out" in row.note
+    inside = pl.read_parquet(out).filter(pl.col("flags") == 0)["y_uncertainty"]
+    assert (
+        inside.unique().to_list() == [stated.expanded] == [applied.logs[0].outputs["y"].uncertainty]
+    )
+    html = zd.Project(built).compare()._repr_html_()
+    assert "<h4>uncertainty</h4>" in html and "left_out" in html
+    printed = CliRunner().invoke(cli, ["compare", "-C", str(built)]).output
+    assert "Uncertainty of a compensated value" in printed and f"{stated.expanded:.2g}" in printed
+    assert "expanded, k = 2" in (tmp_path / "r.html").read_text()
+
+
+def test_the_parts_make_the_whole(built: Path) -> None:
+    compared = from_json(CompareResult, run("compare", "-C", built))
+    assert compared.uncertainty is not None
+    one = compared.uncertainty["y"]
+    root = np.sqrt(np.sum(np.square([one.noise, one.parameters, one.left_out, one.rounding])))
+    widening = student.ppf((1 + COVERAGE) / 2, one.degrees_of_freedom) / 2
+    assert one.expanded == pytest.approx(2 * root * widening)
+
+
+def test_the_share_covered_is_that_of_the_test_rows(built: Path, tmp_path: Path) -> None:
+    log, out = built / "logs/run3.csv", tmp_path / "o.parquet"
+    applied = from_json(ApplyResult, run("apply", log, "-C", built, "--out", out))
+    assert applied.uncertainty is not None
+    rows = pl.read_parquet(out).filter(pl.col("flags") == 0)
+    (test,) = load_dataset(load_config(built)).test
+    assert applied.uncertainty["y"].covered_readings == len(rows) == len(test)
+    error = np.abs(rows["y_compensated"].to_numpy() - test.reference[:, 0])
+    share = float(np.mean(error <= applied.uncertainty["y"].expanded))
+    assert applied.uncertainty["y"].covered == pytest.approx(share, abs=1e-12)
+
+
+def test_without_firmware_nothing_is_stated(built: Path, tmp_path: Path) -> None:
+    project = Path(shutil.copytree(built, tmp_path / "project"))
+    shutil.rmtree(project / "build")
+    assert "uncertainty" not in run("compare", "-C", project)
+    options = ("--datasheet", "--no-diagnose", "-o", tmp_path / "r.html")
+    reported = from_json(ReportResult, run("report", "-C", project, *options))
+    assert reported.datasheet is not None
+    row = reported.datasheet[-1]
+    assert row.after is None and "zerodrift firmware" in row.note

@@ -12,7 +12,13 @@ from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.fit import fit
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.front_end import TEMPERATURE
-from zerodrift.train.lag_bank.fit import FittedBank, choose_sources, fit_lag_bank
+from zerodrift.train.lag_bank.fit import (
+    NO_JUMP,
+    FittedBank,
+    _measure_jumps,
+    choose_sources,
+    fit_lag_bank,
+)
 from zerodrift.train.lag_bank.projection import Columns, ProjectionProblem, _evaluate
 
 Array = NDArray[np.float64]
@@ -126,6 +132,17 @@ def test_tares_are_told_from_drift() -> None:
     assert bank.tared
     assert measure(physics, bank, make_run(9, slow=0.0)).max() < 1.05
     assert not fit_bank([make_run(i, slow=0.0) for i in range(4)], lags_s=[20.0])[1].tared
+
+
+def test_readings_that_mostly_repeat_are_not_infinitely_sure() -> None:
+    """The median of their jumps is nothing; a class of such rows would outweigh all others."""
+    steps = np.random.default_rng(3).normal(0.0, 0.2, (4000, 1))
+    coarse = np.diff(np.round(steps), axis=0) ** 2
+    assert np.median(coarse) == 0.0
+    assert _measure_jumps(coarse) == pytest.approx(coarse.mean(), rel=0.1)
+    assert _measure_jumps(np.zeros((30, 1))) == NO_JUMP
+    fine = np.diff(steps, axis=0) ** 2
+    assert np.array_equal(_measure_jumps(fine), np.median(fine, axis=0))
 
 
 def test_load_is_seen_where_it_changes_the_drift() -> None:

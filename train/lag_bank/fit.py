@@ -26,6 +26,8 @@ TRIAL_LAGS_S = (10.0, 60.0, 300.0)
 """Lags of a small bank, for what is asked before the lags are known."""
 FEWEST_JUMPS = 20
 """From row to row, before they tell the noise of a class of rows."""
+NO_JUMP = 1e-12
+"""Squared jump, in units of the fit, that is none: of coarse readings, most."""
 LEAST_WEIGHT = 1e-2
 """Of the rows of a noisy class, as a share of the best class's."""
 FEWEST_RUNS = 3
@@ -213,14 +215,28 @@ def _weigh(rows: Rows) -> Array:
     for label in np.unique(labels):
         own = same & (labels[1:] == label)
         if own.sum() >= FEWEST_JUMPS:
-            by_class[label] = np.median(jumps[own], axis=0)
+            by_class[label] = _measure_jumps(jumps[own])
     if not by_class:
         return rows.weight
-    least = np.min(list(by_class.values()), axis=0) + 1e-12
+    least = np.min(list(by_class.values()), axis=0) + NO_JUMP
     scatter = {label: float(np.mean(found / least)) for label, found in by_class.items()}
     best, worst = min(scatter.values()), max(scatter.values())
     share = np.array([best / scatter.get(label, worst) for label in labels])
     return np.asarray(rows.weight * np.maximum(share, LEAST_WEIGHT))
+
+
+def _measure_jumps(jumps: Array) -> Array:
+    """Return the typical squared jump [K] of rows [n, K].
+
+    The median; of readings so coarse that most neighbours are equal, that of the others, by their
+    share of the rows. Above zero, for a reading that never jumps is not infinitely sure.
+    """
+    typical = np.asarray(np.median(jumps, axis=0))
+    for k in np.flatnonzero(typical <= NO_JUMP):
+        moved = jumps[jumps[:, k] > NO_JUMP, k]
+        share = moved.size / len(jumps)
+        typical[k] = NO_JUMP + (share * float(np.median(moved)) if moved.size else 0.0)
+    return typical
 
 
 def _hold(rows: Rows, lags_s: Sequence[float]) -> Bank:

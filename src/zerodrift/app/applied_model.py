@@ -9,10 +9,9 @@ from polars.exceptions import PolarsError
 
 from zerodrift.app.applied_rows import FLAGS
 from zerodrift.app.apply import PredictFloat
-from zerodrift.app.commands.built import read_kept
+from zerodrift.app.commands.built import read_uncertainty
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
-from zerodrift.base.records import from_json
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.selectors import CSV_SUFFIXES, PARQUET_SUFFIXES
 from zerodrift.export.compose import describe_compensator
@@ -21,7 +20,7 @@ from zerodrift.export.model_files import load_model
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.manifest import check_manifest
-from zerodrift.verify.uncertainty import FILE_NAME, Uncertainty
+from zerodrift.verify.uncertainty import Uncertainty
 
 KINDS = INTEGER, FLOAT = ("integer", "float")
 
@@ -55,7 +54,7 @@ def open_applied(
         raise InputError(f"model = {kind!r}: expected one of {', '.join(KINDS)}.")
     model = load_model(config.build_directory / "model.json")
     _refuse_other(config, model)
-    uncertainty, why = _read_uncertainty(config, model)
+    uncertainty, why = read_uncertainty(config, model.hash)
     stale = [finding.text for finding in check_manifest(config).findings]
     predict = None
     if kind == FLOAT:
@@ -64,28 +63,6 @@ def open_applied(
         trained = Compensator.load(config.build_directory, catalogue)
         predict = describe_compensator(trained, config, dataset.train).predict_on_chip
     return AppliedModel(model, uncertainty, predict, (*([why] if why else []), *stale))
-
-
-def _read_uncertainty(config: Config, model: IntegerModel) -> tuple[Uncertainty | None, str]:
-    """Return the uncertainty of a model, or None and why there is none."""
-    path = config.build_directory / FILE_NAME
-    kept = read_kept(path)
-    if kept is not None:
-        try:
-            found = from_json(Uncertainty, kept)
-        except ValueError:
-            found = None
-        if found is not None and found.model_hash == model.hash:
-            return found, ""
-    if path.exists():
-        return None, (
-            f"no uncertainty is stated: {path.name} in build/ is damaged, or of another model; "
-            "`zerodrift firmware` writes it again"
-        )
-    return None, (
-        "no uncertainty is stated: it comes from models that leave a training run out, which "
-        "`zerodrift firmware` fits for effects and lag bank, not for other networks"
-    )
 
 
 def _refuse_other(config: Config, model: IntegerModel) -> None:

@@ -12,7 +12,12 @@ from zerodrift.app.commands.common import (
     print_result,
     skip_invalid_option,
 )
-from zerodrift.app.commands.console import open_console, open_table, show_progress
+from zerodrift.app.commands.console import (
+    open_console,
+    open_table,
+    print_uncertainty,
+    show_progress,
+)
 
 if TYPE_CHECKING:
     from zerodrift.report.results import ApplyResult
@@ -75,7 +80,8 @@ def command(
             skip_invalid=skip_invalid,
             say=say,
         )
-    told = ApplyResult(kind, opened.model.hash, tuple(applied), opened.notes)
+    stated = opened.uncertainty.state() if opened.uncertainty is not None else None
+    told = ApplyResult(kind, opened.model.hash, tuple(applied), opened.notes, stated)
     if as_json:
         print_result(told)
         return
@@ -104,3 +110,4 @@ def _print(told: "ApplyResult") -> None:
         for text, count in log.flags.items():
             console.print(f"flag at {count} of {log.steps} steps: {text}")
         console.print(f"wrote {log.file}")
+    print_uncertainty(told.uncertainty, console)

@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from zerodrift.base.config import Config
 from zerodrift.base.records import Json, from_json
@@ -14,7 +15,11 @@ from zerodrift.verify.summary import (
     CertifiedBound,
     FirmwareSummary,
     Refusal,
+    StatedUncertainty,
 )
+
+if TYPE_CHECKING:
+    from zerodrift.verify.uncertainty import Uncertainty
 
 FIRMWARE, CERTIFICATE = "firmware.json", "certificate.json"
 TIGHTEST = 8
@@ -81,6 +86,47 @@ def _read_written(
         config.build_directory / CERTIFICATE, check.manifest.model_hash
     )
     return firmware, certificate, note
+
+
+def read_uncertainty(config: Config, model_hash: str) -> "tuple[Uncertainty | None, str]":
+    """Return the uncertainty of a model, or None and why there is none.
+
+    It is the one that every command states.
+
+    Args:
+        config: the project.
+        model_hash: of the integer model.
+    """
+    from zerodrift.verify.uncertainty import FILE_NAME, Uncertainty
+
+    path = config.build_directory / FILE_NAME
+    kept = read_kept(path)
+    if kept is not None:
+        try:
+            found = from_json(Uncertainty, kept)
+        except ValueError:
+            found = None
+        if found is not None and found.model_hash == model_hash:
+            return found, ""
+    if path.exists():
+        return None, (
+            f"no uncertainty is stated: {path.name} in build/ is damaged, or of another model; "
+            "`zerodrift firmware` writes it again"
+        )
+    return None, (
+        "no uncertainty is stated: it comes from models that leave a training run out, which "
+        "`zerodrift firmware` fits for effects and lag bank, not for other networks"
+    )
+
+
+def state_uncertainty(
+    config: Config, firmware: FirmwareSummary | None
+) -> dict[str, StatedUncertainty] | None:
+    """Return the uncertainty of each output of a current firmware; None where none is known."""
+    if firmware is None:
+        return None
+    found, _ = read_uncertainty(config, firmware.model_hash)
+    return None if found is None else found.state()
 
 
 def read_certificate(path: Path, model_hash: str) -> tuple[CertificateSummary | None, str]:

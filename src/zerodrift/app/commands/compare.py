@@ -18,6 +18,7 @@ from zerodrift.app.commands.console import (
     open_table,
     print_advice,
     print_chip_error,
+    print_uncertainty,
     show_progress,
 )
 from zerodrift.app.commands.predictors import KINDS
@@ -103,6 +104,7 @@ def command(
         if compared.firmware_note:
             console.print(compared.firmware_note)
         print_chip_error(compared.firmware, console)
+    print_uncertainty(compared.stated, console)
     print_advice(compared.advice, console)
     if html is not None:
         console.print(f"Wrote {html}")

@@ -1,7 +1,7 @@
 """Where the commands of the loop print: results on stdout, progress on stderr."""
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, fields
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from zerodrift.diagnosis.advice import Advice
-    from zerodrift.verify.summary import FirmwareSummary
+    from zerodrift.verify.summary import FirmwareSummary, StatedUncertainty
 
 LEAST_WIDTH = 120
 """Columns of a file or a pipe, which has no width of its own."""
@@ -69,6 +69,24 @@ def show_progress(first: str) -> Iterator[Callable[[str], None]]:
 
     with Console(stderr=True).status(first) as status:
         yield status.update
+
+
+def print_uncertainty(stated: "Mapping[str, StatedUncertainty] | None", console: "Console") -> None:
+    """Print the uncertainty of each output's compensated value by cause; nothing where none is."""
+    if not stated:
+        return
+    table = open_table(
+        "Uncertainty of a compensated value inside the calibrated ranges",
+        ("output", "unit"),
+        ("expanded, k = 2", "noise", "parameters", "left out", "rounding", "covered"),
+    )
+    for name, one in stated.items():
+        causes = (one.noise, one.parameters, one.left_out, one.rounding)
+        covered = "-" if one.covered is None else f"{100.0 * one.covered:.1f} %"
+        numbers = (f"{value:.2g}" for value in (one.expanded, *causes))
+        table.add_row(name, one.unit, *numbers, covered)
+    console.print(table)
+    console.print(next(iter(stated.values())).explain())
 
 
 def print_chip_error(firmware: "FirmwareSummary", console: "Console") -> None:

@@ -285,7 +285,7 @@ def keep_uncertainty(
     One of an earlier model may stay beside it: `apply` takes none but its own.
     """
     from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
-    from zerodrift.verify.uncertainty import measure_uncertainty
+    from zerodrift.verify.uncertainty import check_coverage, measure_uncertainty
 
     if left_out is None:
         return
@@ -300,6 +300,8 @@ def keep_uncertainty(
         rounding=[error.rounding for error in firmware.gate.chip_error],
         span=[(high - low) / lsb / (1.0 + 2.0 * RANGE_MARGIN) for low, high, lsb in limits],
     )
+    if dataset.test:
+        measured = check_coverage(measured, described, firmware.replay)
     path = config.build_directory / UNCERTAINTY
     write_all(config.directory, {path: render_sealed(to_dict(measured))})
 

@@ -1,7 +1,7 @@
 """The models that `compare` can hold against the logs, each as a function of a run."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +25,7 @@ from zerodrift.report.results import CompareResult
 if TYPE_CHECKING:
     from zerodrift.diagnosis.advice import Advice
     from zerodrift.train.compensator import Compensator
-    from zerodrift.verify.summary import FirmwareSummary
+    from zerodrift.verify.summary import FirmwareSummary, StatedUncertainty
 
 Array = NDArray[np.float64]
 
@@ -115,6 +115,8 @@ class Compared:
     firmware: "FirmwareSummary | None"
     """The last firmware, where it is current."""
     firmware_note: str
+    stated: "Mapping[str, StatedUncertainty] | None" = None
+    """The uncertainty of compensated values, by that firmware."""
 
     def summarise(self) -> CompareResult:
         """Return it as the command prints it."""
@@ -125,6 +127,7 @@ class Compared:
             advice=self.advice.summarise() if self.advice is not None else None,
             chip_error=self.firmware.chip_error if self.firmware is not None else None,
             warnings=self.firmware.warnings if self.firmware is not None else None,
+            uncertainty=self.stated,
         )
 
 
@@ -150,7 +153,7 @@ def compare_project(
     Raises:
         InputError: the model was not trained or exported yet.
     """
-    from zerodrift.app.commands.built import read_firmware
+    from zerodrift.app.commands.built import read_firmware, state_uncertainty
     from zerodrift.diagnosis.advice import advise
     from zerodrift.diagnosis.referee import review_logs
 
@@ -161,7 +164,15 @@ def compare_project(
     say("looking at what the logs can teach")
     advice = advise(config, dataset)
     firmware, _, note = read_firmware(config)
-    return Compared(predictor, comparison, review_logs(config, dataset), advice, firmware, note)
+    return Compared(
+        predictor,
+        comparison,
+        review_logs(config, dataset),
+        advice,
+        firmware,
+        note,
+        state_uncertainty(config, firmware),
+    )
 
 
 def _open_physics(

@@ -119,7 +119,7 @@ def command(
         rows = None
         if options.datasheet:
             say("measuring the datasheet's figures")
-            rows = measure_datasheet(findings.traces, findings.comparison)
+            rows = measure_datasheet(findings.traces, findings.comparison, findings.uncertainty)
         say("drawing")
         files = _write(findings, rows, target, kind, directory)
         if annex is not None:

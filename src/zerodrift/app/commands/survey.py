@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from zerodrift import __version__
-from zerodrift.app.commands.built import read_firmware, read_kept
+from zerodrift.app.commands.built import read_firmware, read_kept, state_uncertainty
 from zerodrift.app.commands.compare import describe_patterns, explain_figures
 from zerodrift.app.commands.diagnose import explain_verdict
 from zerodrift.app.commands.predictors import PHYSICS, compare_predictor, open_predictor
@@ -136,6 +136,7 @@ def survey_project(
             [one.name for one in inputs],
         ),
         inputs=inputs,
+        uncertainty=state_uncertainty(config, firmware),
         contribution=contribution,
     )
 
@@ -280,6 +281,7 @@ def summarise_survey(
             model=findings.predictor,
             notes=findings.reviewed,
             advice=advice.summarise() if advice is not None else None,
+            uncertainty=findings.uncertainty,
         ),
         compare_sentences=findings.comparison_sentences,
         patterns=findings.patterns,
