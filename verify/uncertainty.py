@@ -158,7 +158,10 @@ def measure_uncertainty(
             left_out=max(total - noise - parameters, 0.0) ** 0.5,
             rounding=float(rounding[k]),
             span=float(span[k]),
-            degrees_of_freedom=count_degrees(squares[:, k], weights[:, k]),
+            degrees_of_freedom=min(
+                count_degrees(squares[:, k], weights[:, k]),
+                combine_degrees(total - noise, noise, len(errors)),
+            ),
         )
     return Uncertainty(model_hash, left_out.method, model.tared, outputs)
 
@@ -202,6 +205,20 @@ def _measure_moves(
         counts = counts + error.usable.sum(axis=0)
         squares = squares + np.sum(np.where(error.usable, moves, 0.0) ** 2, axis=0)
     return np.asarray(squares / np.maximum(counts, 1.0))
+
+
+def combine_degrees(slow: float, noise: float, runs: int) -> float:
+    """Return the degrees of freedom of an error's mean square (Welch-Satterthwaite, G.4).
+
+    Noise is known from thousands of readings; what is slower is alike all along a run, so that each
+    run counts as one observation of it.
+
+    Args:
+        slow: mean square of what is no noise.
+        noise: mean square of the noise.
+        runs: how many there are.
+    """
+    return 1e6 if slow <= 0.0 else runs * ((slow + noise) / slow) ** 2
 
 
 def count_degrees(squares: Array, weights: Array) -> float:

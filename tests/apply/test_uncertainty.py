@@ -17,7 +17,13 @@ from zerodrift.base.records import Json, from_json
 from zerodrift.base.sealed import read_sealed
 from zerodrift.dataset.load import load_dataset
 from zerodrift.report.results import ApplyResult, CompareResult, ReportResult
-from zerodrift.verify.uncertainty import COVERAGE, OutputUncertainty, Uncertainty, count_degrees
+from zerodrift.verify.uncertainty import (
+    COVERAGE,
+    OutputUncertainty,
+    Uncertainty,
+    combine_degrees,
+    count_degrees,
+)
 
 
 def make(**changes: float) -> OutputUncertainty:
@@ -124,3 +130,10 @@ def test_without_firmware_nothing_is_stated(built: Path, tmp_path: Path) -> None
     assert reported.datasheet is not None
     row = reported.datasheet[-1]
     assert row.after is None and "zerodrift firmware" in row.note
+
+
+def test_one_run_is_one_observation_of_what_is_no_noise() -> None:
+    assert combine_degrees(slow=4.0, noise=0.0, runs=1) == 1.0
+    assert combine_degrees(slow=4.0, noise=0.0, runs=5) == 5.0
+    assert combine_degrees(slow=1.0, noise=9.0, runs=2) == 200.0, "noise is known well"
+    assert combine_degrees(slow=0.0, noise=9.0, runs=1) > 1e5
