@@ -104,7 +104,7 @@ class HostModel:
             CheckError: a function is missing in the C.
         """
         self.model = model
-        self.prefix = f"{symbols}{prefix}"
+        self.prefix, self._symbols = f"{symbols}{prefix}", symbols
         self.library = library
         self.observes = observe
         self._values = sum(max(node.width, 1) for node in model.nodes) if observe else 0
@@ -135,6 +135,27 @@ class HostModel:
     def selftest(self) -> int:
         """Return what the model's own self-test returns; 0 = passed."""
         return int(self._selftest())
+
+    def use_block(self, content: bytes) -> int:
+        """Compute with a unit's block from here on; return what the C says of it, 0 = accepted.
+
+        A refused block is not used, and none is. For the C of a design only.
+        """
+        self._hold_block(content)
+        function = self._lib[f"{self._symbols}zd_use_block"]
+        function.restype = ctypes.c_uint32
+        return int(function(ctypes.c_void_p(self._block_at), ctypes.c_uint32(len(content))))
+
+    def force_block(self, content: bytes) -> None:
+        """Compute with a block without asking, for tests of what the check is for."""
+        self._hold_block(content)
+        self._lib[f"{self._symbols}zd_force_block"](ctypes.c_void_p(self._block_at))
+
+    def _hold_block(self, content: bytes) -> None:
+        """Keep a copy at an address that 8 divides, as in flash."""
+        self._block = ctypes.create_string_buffer(len(content) + 16)
+        self._block_at = -(-ctypes.addressof(self._block) // 8) * 8
+        ctypes.memmove(self._block_at, content, len(content))
 
     def save(self) -> bytes:
         """Return the copy of the state that the model's own save makes."""

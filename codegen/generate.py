@@ -7,6 +7,15 @@ from functools import cache
 import jinja2
 
 from zerodrift import __version__, operations
+from zerodrift.blocks.design import BlockDesign
+from zerodrift.codegen.block_text import (
+    describe_block,
+    format_bound,
+    list_held,
+    mark,
+    multiply,
+    widen,
+)
 from zerodrift.codegen.identifiers import sanitize_comment
 from zerodrift.codegen.identity import PLACEHOLDER, find_runtime_identity, identify
 from zerodrift.codegen.inputs import describe_conversion
@@ -22,6 +31,7 @@ from zerodrift.operations.c_text import (
     format_int64,
     format_numbers,
 )
+from zerodrift.operations.intervals import Bound
 from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import ChannelNode, IntegerNode
 from zerodrift.operations.registry import FILTERS
@@ -56,7 +66,49 @@ def generate(model: IntegerModel) -> GeneratedCode:
     Raises:
         CheckError: a bound of the model does not hold; an unproven model is never generated.
     """
-    claims = model.prove()
+    context: dict[str, object] = {
+        "hash": model.hash,
+        "identity": model.identity,
+        "drift_ends": list(zip(model.drift.low, model.drift.high, strict=True)),
+        "selftest_crc": compute_selftest(model),
+    }
+    return _render(model, model.prove(), limits_of(model), None, context)
+
+
+def generate_design(design: BlockDesign) -> GeneratedCode:
+    """Return the C of a design: its program computes with whatever block it is given.
+
+    Raises:
+        CheckError: a bound does not hold for some block of the design's set.
+    """
+    low, high = design.answer_limits
+    context: dict[str, object] = {
+        "hash": design.identity,
+        "identity": design.words[0] or 1,
+        "drift_ends": [(low.low, high.high)] * len(design.model.outputs),
+        "selftest_crc": 0,
+        **describe_block(design),
+    }
+    widest = limits_of(widen(design))
+    return _render(mark(design), design.prove(), widest, design, context)
+
+
+def _render(
+    model: IntegerModel,
+    claims: list[Bound],
+    selftest_limits: tuple[list[int], list[int]],
+    design: BlockDesign | None,
+    further: Mapping[str, object],
+) -> GeneratedCode:
+    """Return the C.
+
+    Args:
+        model: the model; numbers of a block are the names of its fields.
+        claims: what is proven of it.
+        selftest_limits: lowest and highest code of each channel in the self-test.
+        design: what its block is of; None: the model has none.
+        further: what the templates are told beside that.
+    """
     bounds = {bound.where: bound.interval for bound in claims}
     stateful = [n for n in model.nodes if n.stateful]
     streaming = [layer for layer in model.recurrents if layer.streams]
@@ -64,8 +116,9 @@ def generate(model: IntegerModel) -> GeneratedCode:
     needed_at_rest = _ancestors(model, fed_at_rest)
     below = _ancestors(model, streaming)
     settle_nodes = [n for n in model.nodes if n.name in below or n in streaming]
-    selftest_low, selftest_high = limits_of(model)
-    every = (*model.conversions, *model.nodes)
+    selftest_low, selftest_high = selftest_limits
+    held = frozenset[str]() if design is None else list_held(design)
+    every = (*model.conversions, *(n for n in model.nodes if n.name not in held))
     tables = [table for node in every for table in node.list_tables()]
     parts = sorted({part for node in model.nodes for part in node.parts})
     prefix = name_prefix(model)
@@ -87,7 +140,9 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "steps_full": max(model.guards.warm_up_steps, 1),
         "selftest_steps": SELFTEST_STEPS,
         "selftest_seed": SELFTEST_SEED,
-        "selftest_crc": compute_selftest(model),
+        "design": design,
+        "held": held,
+        "at": lambda node: "b->" if node.name in held else "",
         "selftest_low": selftest_low,
         "selftest_high": selftest_high,
         "tables": tables,
@@ -103,12 +158,13 @@ def generate(model: IntegerModel) -> GeneratedCode:
         "reads_inputs": any(isinstance(n, ChannelNode) for n in model.nodes),
         "code_type": f"{model.code_type.__name__}_t",
         "start_passes": START_PASSES,
-        "state": list_state(model),
+        "state": list_state(model, of_block=design is not None),
         "stateful": stateful,
         "rest_nodes": [n for n in model.nodes if n in stateful or n.name in needed_at_rest],
         "settle_nodes": settle_nodes,
         "below": below,
         "relax_reads_inputs": any(isinstance(n, ChannelNode) for n in settle_nodes),
+        **further,
     }
     environment = make_environment()
     text = NodeText(environment, context, bounds, needed_at_rest)
@@ -162,6 +218,8 @@ def make_environment() -> jinja2.Environment:
     environment.filters["number"] = format_float
     environment.filters["words"] = list_words
     environment.filters["crc"] = crc_of_words
+    environment.filters["bound"] = format_bound
+    environment.filters["product"] = multiply
     environment.filters |= FILTERS
     return environment
 

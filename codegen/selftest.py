@@ -47,9 +47,14 @@ def limits_of(model: IntegerModel) -> tuple[list[int], list[int]]:
     return low, high
 
 
-def compute_selftest(model: IntegerModel) -> int:
-    """Return the CRC-32 over all drifts and flags of the self-test, each as 4 bytes, low first."""
-    codes = draw_codes(*limits_of(model))
+def compute_selftest(model: IntegerModel, limits: IntegerModel | None = None) -> int:
+    """Return the CRC-32 over all drifts and flags of the self-test, each as 4 bytes, low first.
+
+    Args:
+        model: whose answers they are.
+        limits: the model between whose limits the codes are drawn; None: its own.
+    """
+    codes = draw_codes(*limits_of(model if limits is None else limits))
     reference = Reference(model)
     state = reference.start(codes[:, 0].astype(np.int64), settled=True)
     trace = reference.run(codes[:, 1:], state=state)

@@ -12,8 +12,12 @@ flash and two instructions a word. Longer fields are summed up by the runtime's 
 quarter more for 32 bits and several times as much for rows of 16."""
 
 
-def list_state(model: IntegerModel) -> tuple[StateField, ...]:
+def list_state(model: IntegerModel, *, of_block: bool = False) -> tuple[StateField, ...]:
     """Return the fields in their order in the struct.
+
+    Args:
+        model: the integer model.
+        of_block: whether the state belongs to a block, which it then names.
 
     In a guarded state the wide ones come first. It has no gaps then but at its end, and its numbers
     of 16 bits begin at a whole word, so that a compiler loads two at once.
@@ -27,6 +31,9 @@ def list_state(model: IntegerModel) -> tuple[StateField, ...]:
             comment="code of the step before",
         )
     ]
+    if of_block:
+        told = "CRC of the block that moves it on"
+        fields.insert(0, StateField(32, "block", comment=told, unsigned=True))
     fields += [
         StateField(
             model.channels[k].bits, f"last_{channels[k]}", comment="for steps without a reading"
@@ -49,6 +56,8 @@ def list_words(fields: tuple[StateField, ...]) -> Iterator[str]:
             yield from _list_rows(field)
         elif field.bits == 64:
             yield f"check = zd_check_i64(check, s->{field.name});"
+        elif field.bits == 32 and field.unsigned:
+            yield f"check = zd_check_word(check, s->{field.name});"
         elif field.bits == 32:
             for element in field.elements:
                 yield f"check = zd_check_number(check, s->{element});"

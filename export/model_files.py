@@ -115,6 +115,16 @@ def load_model(path: Path) -> IntegerModel:
         raise InputError(
             f"{path}: cannot be read as a model ({error}). Run `zerodrift export`."
         ) from error
+    return parse_model(str(path), body)
+
+
+def parse_model(path: str, body: object) -> IntegerModel:
+    """Return the model of a file's content, which is checked as `load_model` says.
+
+    Args:
+        path: names the file in messages.
+        body: what its JSON holds.
+    """
     if not isinstance(body, dict) or body.get("format") not in (OLDER_FORMAT, FORMAT):
         raise InputError(
             f"{path}: not an integer model of format {OLDER_FORMAT} or {FORMAT}."
@@ -126,7 +136,7 @@ def load_model(path: Path) -> IntegerModel:
             name=body["name"],
             sample_period_s=body["sample_period_s"],
             channels=tuple(_build(Channel, f"{path}: channels", c) for c in body["channels"]),
-            nodes=tuple(_nodes(str(path), body["nodes"])),
+            nodes=tuple(_nodes(path, body["nodes"])),
             outputs=tuple(_build(OutputFormat, f"{path}: outputs", o) for o in body["outputs"]),
             guards=_build(Guards, f"{path}: guards", body["guards"]),
             notes=body["notes"],
@@ -149,5 +159,5 @@ def load_model(path: Path) -> IntegerModel:
             f"{path}: its hash is {found[:12]}, the file claims {str(claimed)[:12]}; it was"
             " edited or damaged. Run `zerodrift export`."
         )
-    check_model(str(path), model)
+    check_model(path, model)
     return model

@@ -8,6 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+class FieldNumber(int):
+    """A number that the C reads from the unit's block: there it is the field's name.
+
+    Its value is only what templates ask before they write a number at all, such as whether it is 0.
+    """
+
+    text: str
+
+    def __new__(cls, value: int, text: str) -> "FieldNumber":
+        """Return the number.
+
+        Args:
+            value: stands for any that a block may hold.
+            text: C of the field.
+        """
+        number = super().__new__(cls, value)
+        number.text = text
+        return number
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __format__(self, spec: str) -> str:
+        return self.text
+
+
 @dataclass(frozen=True)
 class StateField:
     """One field of the state's struct after `identity` and `steps`."""
@@ -91,16 +117,22 @@ def format_numbers(values: Iterable[int], per_line: int = 12) -> str:
 
 def format_int32(value: int) -> str:
     """Return a C expression of type int for any int32 (the lowest has no literal)."""
+    if isinstance(value, FieldNumber):
+        return value.text
     return "(-2147483647 - 1)" if value == -(2**31) else str(value)
 
 
 def format_int64(value: int) -> str:
-    """Return a C99 constant expression for any int64."""
+    """Return a C99 expression for any int64, constant unless a block holds it."""
+    if isinstance(value, FieldNumber):
+        return value.text
     value = int(value)
     return f"(-INT64_C({2**63 - 1}) - 1)" if value == -(2**63) else f"INT64_C({value})"
 
 
 def format_factor(value: int) -> str:
     """Return a C expression of type int64_t, to multiply an int32 with."""
+    if isinstance(value, FieldNumber):
+        return f"(int64_t){value.text}"
     value = int(value)
     return f"(int64_t){value}" if -(2**31) < value < 2**31 else format_int64(value)
