@@ -252,6 +252,35 @@ class ExportResult:
 
 
 @dataclass(frozen=True)
+class ShownBlock:
+    """What a unit's block says of itself."""
+
+    file: str
+    serial: str
+    design: str
+    """The first 16 digits of the design's identity."""
+    calibrated: str
+    """YYYY-MM-DD."""
+    sequence: int
+    """Of two slots the larger is newer."""
+    bytes: int
+    crc: int
+    known_design: bool
+    """Whether design.json was found, so that the numbers could be held against the set."""
+    fields: Mapping[str, tuple[int, ...]]
+    """Field -> its numbers; empty without the design."""
+
+
+@dataclass(frozen=True)
+class BlockResult:
+    """Blocks, each of them sound (`block show`)."""
+
+    SCHEMA: ClassVar = "block/1"
+
+    blocks: tuple[ShownBlock, ...]
+
+
+@dataclass(frozen=True)
 class CertificateResult:
     """Which claims of certificate.json hold (`verify --certificate`)."""
 
@@ -467,6 +496,7 @@ class ReportResult:
 
 
 RESULTS: tuple[type, ...] = (
+    BlockResult,
     *(AddResult, ApplyResult, CalibrateResult, CertificateResult, CompareResult, DiagnoseResult),
     *(DiffResult, DoctorResult),
     *(EffectResult, EffectsResult, ExportResult, FirmwareSummary, FleetSummary, HistoryResult),

@@ -38,6 +38,7 @@ COMMANDS: dict[str, str] = {
     "report": "One self-contained file: verdict, errors, effects, firmware, provenance.",
     "workbench": "The same loop in a browser, on 127.0.0.1.",
     "fleet": "Many sensors of one design: all of the above for each, and the yield.",
+    "block": "What a unit's block of coefficients holds, and whether it is sound.",
     "doctor": "What this machine has and lacks for all of this.",
     "calibrate": "The calibration matrix from converter codes and test weights.",
 }
