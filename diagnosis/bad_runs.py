@@ -47,8 +47,7 @@ def describe_bad_run(
     errors = collect_errors(dataset.train, held_out.predictions, model.tared, model.find_usable)
     if len(errors) < FEWEST_RUNS:
         return None
-    left = [stretch for e in errors.values() for stretch in e.stretches]
-    floor = measure_floor(dataset, left, model.predict).rms
+    floor = measure_floor(dataset).rms
     live = floor > 0.0
     beyond = {}
     for group, e in errors.items():

@@ -3,8 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.floor import measure_floor
 from zerodrift.diagnosis.offsets import lay_out_runs
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue
@@ -14,6 +18,10 @@ from zerodrift.physics.signals import SignalPlan, plan_signals
 from zerodrift.physics.terms import Term, start_term
 
 Advance = Callable[[str], None]
+Array = NDArray[np.float64]
+
+LEAST_SHARE = 1e-12
+"""Share of the full scale that the floor is held above, as errors are divided by it."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +33,8 @@ class Case:
     plan: SignalPlan
     terms: tuple[Term, ...]
     campaign: Campaign
+    floor: Array
+    """[K] RMS of the noise, as `compare` has it."""
     effects: tuple[EffectConfig, ...]
     """The model's `[[effect]]` tables."""
     advance: Advance = lambda kind: None
@@ -51,9 +61,22 @@ def open_case(
         InputError: an effect that these logs cannot feed or that stands there twice, or outputs of
             which none moves.
     """
+    whole = measure_floor(dataset).rms
+    names = dataset.outputs
     dataset, notes = leave_out_still(dataset)
+    floor = whole[[names.index(name) for name in dataset.outputs]]
     plan = plan_signals(dataset.train, dataset.outputs, dataset.full_scale)
     terms = tuple(start_term(catalogue, config) for config in effects)
     check_terms(terms, effects, plan)
     campaign = lay_out_runs(dataset.train, plan, catalogue, terms)
-    return Case(dataset, catalogue, plan, terms, campaign, tuple(effects), advance, notes)
+    return Case(
+        dataset,
+        catalogue,
+        plan,
+        terms,
+        campaign,
+        np.maximum(floor, LEAST_SHARE * np.array(dataset.full_scale)),
+        tuple(effects),
+        advance,
+        notes,
+    )

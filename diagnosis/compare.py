@@ -207,8 +207,7 @@ def compare(
     runs = [*dataset.train, *dataset.test]
     outside = collect_errors(runs, held_out.predictions, tared, find_usable)
     if floor is None:
-        left = [part for e in inside.values() for part in e.stretches]
-        floor = measure_floor(dataset, left, predict)
+        floor = measure_floor(dataset)
     told = {**inside, **outside}
     failures = find_failures(
         [e.runs for e in told.values()],

@@ -157,6 +157,7 @@ def look(case: Case, terms: Sequence[Term], kinds: frozenset[str] | None = None)
         case.dataset.dwell,
         case.catalogue,
         terms,
+        case.floor,
         kinds=kinds,
         advance=case.advance,
     )

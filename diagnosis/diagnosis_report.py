@@ -103,7 +103,7 @@ def _list_errors(case: Case, first: Examination, named: Judged | None) -> dict[s
             case.dataset.units[k],
             float(np.sqrt(first.base_errors[k])),
             float(np.sqrt(named.errors[k])) if named is not None else None,
-            float(first.floor[k]),
+            float(case.floor[k]),
         )
         for k, name in enumerate(case.dataset.outputs)
     }

@@ -23,7 +23,6 @@ from zerodrift.diagnosis.evidence import (
     hold_in,
     hold_out,
 )
-from zerodrift.diagnosis.floor import estimate_fast_noise
 from zerodrift.diagnosis.noise import Noise, measure_noise
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue
@@ -133,6 +132,7 @@ def examine(
     dwell: Sequence[Run],
     catalogue: Catalogue,
     terms: Sequence[Term],
+    floor: Array,
     *,
     kinds: frozenset[str] | None = None,
     advance: Callable[[str], None] = lambda kind: None,
@@ -144,11 +144,11 @@ def examine(
         dwell: isothermal, unloaded runs; may be empty.
         catalogue: the known effects.
         terms: the model, at starting or earlier values.
+        floor: [K] RMS of the noise; see `measure_floor`.
         kinds: the effects to try; None = all.
         advance: called with the effect's name when a proposal has been tried.
     """
     base, noise, weights = fit_base(campaign, dwell, terms)
-    floor = measure_rest(campaign, dwell, base)[1]
     proposals, untested = propose(catalogue, base.terms, campaign)
     proposals = [p for p in proposals if kinds is None or p.kind in kinds]
     candidates, unexcited = try_candidates(campaign, base, proposals, weights, advance)
@@ -166,7 +166,7 @@ def examine(
     judged_by = {id(c): c.held_out for c in candidates}
     if candidates:
         best = _choose_best(campaign, candidates, base_out, weights, bool(dwell))
-        noise, floor = measure_rest(campaign, dwell, best.found)
+        noise = measure_rest(campaign, dwell, best.found)
         weights = _weigh_by_rest(campaign, noise, hold_in(best.sums, weights), bool(dwell))
         base_out = judge_base(weights)
         if not dwell:
@@ -231,25 +231,23 @@ def fit_base(
     if not campaign.uses_means:
         flat[campaign.means] = 0.0
     base = search_beyond_rails(campaign, terms, flat)
-    noise, _ = measure_rest(campaign, dwell, base)
+    noise = measure_rest(campaign, dwell, base)
     weights = _invert(campaign, _expect(campaign, noise))
     return search(campaign, base.terms, weights, vary=()), noise, weights
 
 
-def measure_rest(campaign: Campaign, dwell: Sequence[Run], found: Found) -> tuple[Noise, Array]:
-    """Return the noise beside a model and its RMS [K] within a run.
+def measure_rest(campaign: Campaign, dwell: Sequence[Run], found: Found) -> Noise:
+    """Return the noise beside a model.
 
     The noise is what the dwell shows beyond the model. Without a dwell it is what the runs do,
-    missing effects included, and its RMS is a lower bound from the fast octaves alone.
+    missing effects included.
     """
-    span = _typical_length(campaign)
     runs = campaign.runs
     if dwell:
         rests = [_rest_of_dwell(found, run, campaign) for run in dwell]
-        noise = measure_noise(rests, "dwell")
-        return noise, noise.rms(span)
+        return measure_noise(rests, "dwell")
     rests = [run.steady_drift - predict(found, run, campaign.plan, campaign.order) for run in runs]
-    return measure_noise(rests, "residual"), estimate_fast_noise(rests, span)
+    return measure_noise(rests, "residual")
 
 
 def _rest_of_dwell(found: Found, run: Run, campaign: Campaign) -> Array:

@@ -1,13 +1,14 @@
 """The noise floor: what no compensation can take away, measured on a dwell or else estimated."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.noise import describe_noise, measure_noise
+from zerodrift.diagnosis.unexplained import Unexplained
 from zerodrift.physics.live import find_live
 from zerodrift.physics.octaves import cut_octaves
 
@@ -58,44 +59,47 @@ class NoiseFloor:
             span = f"for a run of {self.span_s:.0f} s"
             return f"the noise floor is that of the dwell logs, {span}{doubt}"
         return (
-            "the noise floor is estimated from what the model leaves, as there is no dwell log: "
+            "the noise floor is estimated from what follows no signal in the training logs, as "
+            "there is no dwell log: "
             f"only noise faster than about {self.slowest_s:.0f} s counts, so the true floor may be "
             "higher. Log an isothermal, unloaded dwell and name it in [logs] dwell"
         )
 
 
-def measure_floor(
-    dataset: Dataset,
-    residuals: Sequence[Array],
-    predict: Callable[[Run], Array] | None = None,
-) -> NoiseFloor:
-    """Return the floor from the dwell logs, or from the residuals where there are none.
+def measure_floor(dataset: Dataset) -> NoiseFloor:
+    """Return the floor from the dwell logs, or from the training runs where there are none.
+
+    It depends on the logs alone: the same number for every model, in every command. What follows
+    the logs' signals is no noise, be it in the model or not: it is taken out by a regression on
+    all of them (see `unexplained`), in the dwell where that leaves less.
 
     Args:
-        dataset: the runs; the floor is for one of their median length.
-        residuals: [n, K] of runs, drift beyond the model; used without a dwell, and for outputs
-            that stand still in it.
-        predict: run -> [n, K]: what an effect does in the dwell, such as ageing, is no noise where
-            the model tells it.
+        dataset: the runs; the floor is for a training run of their median length.
     """
-    runs = dataset.test or dataset.train
+    runs = dataset.train
     period_s = runs[0].sample_period_s
     span = int(np.median([len(run) for run in runs]))
-    if dataset.dwell:
-        records = [run.steady_drift for run in dataset.dwell]
-        rms = measure_noise(records, DWELL).rms(span)
-        if predict is not None:
-            beyond = [run.steady_drift - predict(run) for run in dataset.dwell]
-            rms = np.minimum(rms, measure_noise(beyond, DWELL).rms(span))
-        silent = find_live(dataset.train) & (rms == 0.0)
-        if silent.any():
-            rms[silent] = estimate_fast_noise([r[:, silent] for r in residuals], span)
-        longest = max(len(run) for run in dataset.dwell)
-        moved = max(float(np.ptp(run.temperature_degC)) for run in dataset.dwell)
-        silent_too = tuple(np.array(dataset.outputs)[silent].tolist())
-        return NoiseFloor(rms, DWELL, span * period_s, longest * period_s, moved, silent_too)
-    rms = estimate_fast_noise(residuals, span)
-    return NoiseFloor(rms, ESTIMATED, span * period_s, PIECE * period_s)
+    if not dataset.dwell:
+        rms = _estimate_by_regression(dataset, span)
+        return NoiseFloor(rms, ESTIMATED, span * period_s, PIECE * period_s)
+    beside = Unexplained(dataset, None)
+    rms = np.minimum(
+        measure_noise([run.steady_drift for run in dataset.dwell], DWELL).rms(span),
+        measure_noise([beside.leave(run) for run in dataset.dwell], DWELL).rms(span),
+    )
+    silent = find_live(runs) & (rms == 0.0)
+    if silent.any():
+        rms[silent] = _estimate_by_regression(dataset, span)[silent]
+    longest = max(len(run) for run in dataset.dwell)
+    moved = max(float(np.ptp(run.temperature_degC)) for run in dataset.dwell)
+    silent_too = tuple(np.array(dataset.outputs)[silent].tolist())
+    return NoiseFloor(rms, DWELL, span * period_s, longest * period_s, moved, silent_too)
+
+
+def _estimate_by_regression(dataset: Dataset, span: int) -> Array:
+    """Return the RMS [K] of the fast noise beside what all signals explain within pieces."""
+    beside = Unexplained(dataset, PIECE)
+    return estimate_fast_noise([beside.leave_honestly(run) for run in dataset.train], span)
 
 
 def estimate_fast_noise(residuals: Sequence[Array], span: int) -> Array:

@@ -136,15 +136,7 @@ def revise_best(
         if judge(fitted[best], fitted[i], dataset.units)[0]:
             best = i
     change, after = changes[best], fitted[best]
-    floors = [
-        measure_floor(
-            dataset,
-            [e for error in _leave(f.model, dataset, tared) for e in error.stretches],
-            f.model.predict,
-        )
-        for f in (before, after)
-    ]
-    floor = replace(floors[0], rms=np.minimum(floors[0].rms, floors[1].rms))
+    floor = measure_floor(dataset)
     judged = judge_removal if change.action == REMOVE else judge
     helps, reason = judged(before, after, dataset.units)
     return Revision(change, before, after, floor, helps, reason, tared)
@@ -226,12 +218,6 @@ def _hold_out(model: PhysicalModel, dataset: Dataset, tared: bool) -> Fitted:
     runs = [*dataset.train, *dataset.test]
     errors = collect_errors(runs, held_out.predictions, tared, model.find_usable)
     return Fitted(model, held_out, errors)
-
-
-def _leave(model: PhysicalModel, dataset: Dataset, tared: bool) -> list[RunError]:
-    """Return what the model leaves of the runs that it was fitted to."""
-    predictions = {run.name: model.predict(run) for run in dataset.train}
-    return list(collect_errors(dataset.train, predictions, tared, model.find_usable).values())
 
 
 @dataclass(frozen=True)

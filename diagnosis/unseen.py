@@ -46,8 +46,7 @@ def describe_unseen(
     seen, unseen = (
         {run.group: errors[run.group] for run in part} for part in (dataset.train, dataset.test)
     )
-    left = [part for e in seen.values() for part in e.stretches]
-    floor = measure_floor(dataset, left, model.predict).rms
+    floor = measure_floor(dataset).rms
     live = floor > 0.0
 
     def measure(groups: Sequence[str]) -> float:

@@ -232,7 +232,7 @@ def look_back(
                 best = chosen
             truths = draw_fitted(case, chosen, weights, rng)
         contenders.append(Contender(kind, tuple(truths), nodes))
-    noise, floor = measure_rest(case.campaign, case.dataset.dwell, best or base)
+    noise = measure_rest(case.campaign, case.dataset.dwell, best or base)
     order = tuple(case.campaign.order)
     scene = Scene(
         case.plan,
@@ -242,7 +242,7 @@ def look_back(
         tuple(contenders),
         len(case.campaign.groups),
     )
-    return scene, floor
+    return scene, case.floor
 
 
 def draw_fitted(case: Case, found: Found, weights: Array, rng: np.random.Generator) -> list[Truth]:

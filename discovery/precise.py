@@ -143,12 +143,12 @@ def _fit(
     """Return the scene after logs, their noise floor, and models drawn around the fit."""
     case = open_case(dataset, catalogue, config.effects)
     base, _, weights = fit_base(case.campaign, dataset.dwell, case.terms)
-    noise, floor = measure_rest(case.campaign, case.dataset.dwell, base)
+    noise = measure_rest(case.campaign, case.dataset.dwell, base)
     rng = np.random.default_rng(SEED)
     truths = tuple(draw_fitted(case, base, weights, rng)[:3])
     order = tuple(case.campaign.order)
     runs = len(case.campaign.groups)
-    return Scene(case.plan, order, tuple(base.terms), noise, (), runs), floor, truths
+    return Scene(case.plan, order, tuple(base.terms), noise, (), runs), case.floor, truths
 
 
 def _find_run(dataset: Dataset | None, name: str) -> Run:

@@ -42,8 +42,7 @@ def assess(
     compensator = trained.compensator
     tared, usable = compensator.tared, compensator.physics.find_usable
     runs = [*dataset.train, *dataset.test]
-    left = [run.drift - compensator.predict(run) for run in dataset.train]
-    floor = measure_floor(dataset, left, compensator.predict)
+    floor = measure_floor(dataset)
     scores = trained.scores
     held_out = _hold_out(compensator, dataset)
     if held_out is None:

@@ -138,8 +138,7 @@ def measure_uncertainty(
     others = dict(zip((r.name for r in runs), left_out.floating, strict=True))
     errors = collect_errors(runs, others, model.tared, find_counted)
     moved = _measure_moves(errors, fitted, others)
-    inside = collect_errors(runs, fitted, model.tared, model.find_usable)
-    floor = measure_floor(dataset, [part for e in inside.values() for part in e.stretches])
+    floor = measure_floor(dataset)
     pieces = [(e.error, e.usable) for e in errors.values()]
     if len(pieces) == 1:
         pieces = list(zip(*(np.array_split(x, BLOCKS) for x in pieces[0]), strict=True))

@@ -149,7 +149,10 @@ def propose_formula(
     places = {f"formula_{n}": _hold_place(f"formula_{n}") for n in range(SEARCHES * SHORTLIST)}
     case = open_case(dataset, Catalogue({**catalogue, **places}), config.effects, advance)
     known = replace(case, catalogue=catalogue)
-    first = examine(known.campaign, dataset.dwell, catalogue, known.terms, advance=known.advance)
+    dwell = case.dataset.dwell
+    first = examine(
+        known.campaign, dwell, catalogue, known.terms, case.floor, advance=known.advance
+    )
     if is_at_floor(first, first.fitted_ratio):
         reason = "what the model leaves is at the noise floor: there is nothing to explain"
         return _end(known, first, reason)
@@ -208,7 +211,7 @@ def _search_beside(
     effects = {kind: make_effect(kind, one.write(), (one,)) for kind, one in expressions.items()}
     grown = Catalogue({**catalogue, **effects})
     kinds = frozenset((*effects, *rivals))
-    seen = examine(campaign, dwell, grown, terms, kinds=kinds, advance=case.advance)
+    seen = examine(campaign, dwell, grown, terms, case.floor, kinds=kinds, advance=case.advance)
     return _Step(search, seen, expressions, grown)
 
 

@@ -1,5 +1,7 @@
 """The noise floor: from a dwell, or estimated as what is fast."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ def make_noise(seed, length, rms):
 
 def test_floor_of_a_dwell_is_its_noise(make_run):
     dwell = make_run(0, noise=0.2)
-    floor = measure_floor(Dataset((make_run(1),), (), (dwell,), *NAMES), [])
+    floor = measure_floor(Dataset((make_run(1),), (), (dwell,), *NAMES))
     assert floor.source == DWELL
     assert floor.rms == pytest.approx([0.2, 0.2], rel=0.05)
     assert "dwell logs" in floor.explain()
@@ -23,7 +25,7 @@ def test_floor_of_a_dwell_is_its_noise(make_run):
 
 def test_floor_without_a_dwell_is_estimated_and_says_so(make_run):
     runs = tuple(make_run(i) for i in range(3))
-    floor = measure_floor(Dataset(runs, (), (), *NAMES), [run.drift for run in runs])
+    floor = measure_floor(Dataset(runs, (), (), *NAMES))
     assert floor.source == ESTIMATED
     assert "estimated" in floor.explain()
     assert floor.rms == pytest.approx([0.05, 0.05], rel=0.08)
@@ -60,3 +62,21 @@ def test_estimate_of_ten_rows_is_finite():
 
 def test_channel_of_zeros_has_no_noise():
     assert estimate_fast_noise([np.zeros((500, 2))], 500) == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_what_follows_signals_is_no_noise_and_the_model_does_not_matter(make_run):
+    runs = tuple(make_run(i) for i in range(3))
+    quiet = measure_floor(Dataset(runs, (), (), *NAMES)).rms
+
+    def disturb(run):
+        late = np.asarray(run.temperature_degC) ** 2 * 0.02
+        return replace(run, measured=run.measured + late[:, None])
+
+    loud = measure_floor(Dataset(tuple(map(disturb, runs)), (), (), *NAMES)).rms
+    assert loud == pytest.approx(quiet, rel=0.02)
+
+
+def test_a_short_log_keeps_its_noise(make_run):
+    runs = tuple(make_run(i).take(slice(0, 240)) for i in range(30))
+    one = [measure_floor(Dataset((run,), (), (), *NAMES)).rms for run in runs]
+    assert np.median(one, axis=0) == pytest.approx([0.05, 0.05], rel=0.1)

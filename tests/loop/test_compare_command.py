@@ -144,8 +144,9 @@ def test_floor_of_a_channel_dead_in_the_dwell_is_estimated_and_said_to_be(projec
     header, *rows = path.read_text().splitlines()
     dead = [",".join([*row.split(",")[:3], "0.0", row.split(",")[4]]) for row in rows]
     path.write_text("\n".join([header, *dead]) + "\n")
-    # What the lag leaves that the model does not know counts in part as noise.
-    assert 0.004 < compare(zerodrift, project)["outputs"]["Mx"]["noise_floor"] < 0.006
+    # The lag is no noise, although the model does not know of it.
+    told = compare(zerodrift, project)["outputs"]["Mx"]["noise_floor"]
+    assert told == pytest.approx(0.004, rel=0.05)
     said = " ".join(zerodrift("compare", "-C", project.directory).out.split())
     assert "Mx never moves in them, so it is estimated there" in said
 
