@@ -9,8 +9,19 @@ from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.remainder import RemainderPattern
 
+SURE = 0.99
+"""A higher probability is told as higher than this, one below 1 - SURE likewise."""
 LIKELY = 0.5
 """From this probability on, something else that is missing is told."""
+
+
+def write_probability(probability: float) -> str:
+    """Return a probability as a percentage, without digits that no map can tell."""
+    if probability > SURE:
+        return f"> {100.0 * SURE:.0f} %"
+    if probability < 1.0 - SURE:
+        return f"< {100.0 * (1.0 - SURE):.0f} %"
+    return f"{100.0 * probability:.0f} %"
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.compare import Comparison
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
-from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.diagnosis import Diagnosis, write_probability
 from zerodrift.diagnosis.fingerprint import Fingerprint
 from zerodrift.diagnosis.history import Step
 from zerodrift.diagnosis.run_errors import collect_errors
@@ -172,7 +172,10 @@ def draw_candidates(diagnosis: Diagnosis, most: int = 12) -> go.Figure:
                 "color": [ACCENT if c.effect in named else MEASURED for c in shown],
                 "pattern": {"shape": ["" if c.effect in named else "/" for c in shown]},
             },
-            text=[f"{c.rmse_left_out_ratio:.3f}   p {c.p_value:.2g}" for c in shown],
+            text=[
+                f"{c.rmse_left_out_ratio:.3f}   {write_probability(c.probability)} likely"
+                for c in shown
+            ],
             textposition="outside",
             cliponaxis=False,
             hoverinfo="y+text",

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
-from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.diagnosis import Diagnosis, write_probability
 from zerodrift.diagnosis.history import Step
 from zerodrift.report.plot import (
     DASH_ORDER,
@@ -86,7 +86,7 @@ def draw_ranking(diagnosis: Diagnosis, width: float = 760.0) -> Picture:
         Bar(
             c.effect,
             c.rmse_left_out_ratio,
-            f"{c.rmse_left_out_ratio:.3f}, p {c.p_value:.2g}",
+            f"{c.rmse_left_out_ratio:.3f}, {write_probability(c.probability)} likely",
             "model",
             hatched=c.effect not in named,
         )

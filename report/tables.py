@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
-from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.diagnosis import Diagnosis, write_probability
 from zerodrift.diagnosis.history import Step
 from zerodrift.diagnosis.run_spread import RmseSpread
 from zerodrift.physics.summary import ModelSummary
@@ -61,10 +61,12 @@ def tabulate_outputs(compared: ComparisonSummary) -> Table:
                 write_number(floor),
                 f"{error / floor:.2f}" if floor > 0.0 else "–",
             )
+            + ((write_number(told.run_offset),) if compared.tared else ())
         )
+    offset = ("offsets taken off, RMS",) if compared.tared else ()
     headings = (
         *("output", "unit", "full scale", "RMSE uncompensated", "RMSE in sample", "RMSE held out"),
-        *("RMSE, %FS", "largest error", "largest, %FS", "noise floor", "× floor"),
+        *("RMSE, %FS", "largest error", "largest, %FS", "noise floor", "× floor", *offset),
     )
     return Table("Errors per output", headings, tuple(rows), texts=2)
 
@@ -172,18 +174,19 @@ def tabulate_candidates(diagnosis: Diagnosis, titles: Mapping[str, str]) -> Tabl
             ", ".join(f"{k} {v:.4g}" for k, v in c.parameters.items()),
             explain_standing(diagnosis, c),
             f"{c.rmse_left_out_ratio:.3f}",
+            write_probability(c.probability),
             f"{c.p_value:.2g}",
             f"{100.0 * c.excitation:.0f} %",
         )
         for c in diagnosis.candidates
     ]
     rows += [
-        (u.effect, titles.get(u.effect, ""), "", f"not testable: {u.why}", "–", "–", "–")
+        (u.effect, titles.get(u.effect, ""), "", f"not testable: {u.why}", "–", "–", "–", "–")
         for u in diagnosis.not_testable
     ]
     headings = (
         *("effect", "term", "fitted values", "standing"),
-        *("held-out RMSE, of now", "p", "excitation"),
+        *("held-out RMSE, of now", "probability", "p", "excitation"),
     )
     return Table("Effects that are not in the model", headings, tuple(rows), texts=4)
 

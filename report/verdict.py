@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis
+from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis, write_probability
 
 LABELS = {
     "missing": "An effect is missing",
@@ -87,7 +87,7 @@ def explain_standing(diagnosis: Diagnosis, candidate: CandidateReport) -> str:
     if name in diagnosis.also:
         return "missing beside it"
     if name == diagnosis.nearest:
-        return "nearest, and not it"
+        return "nearest, and not all of it"
     if candidate.rmse_left_out_ratio >= NO_GAIN:
         return "does not lower the held-out error"
     if candidate.p_value > CHANCE:
@@ -99,7 +99,7 @@ def explain_candidate(diagnosis: Diagnosis, candidate: CandidateReport) -> str:
     """Return why a candidate is what is missing, or why not, with the figures it rests on."""
     name, ratio = candidate.effect, candidate.rmse_left_out_ratio
     left = f"with it {100.0 * ratio:.1f} % of the held-out RMSE is left"
-    chance = f"p = {candidate.p_value:.2g}"
+    chance = f"{write_probability(candidate.probability)} likely, p = {candidate.p_value:.2g}"
     named = next((c for c in diagnosis.candidates if c.effect == diagnosis.effect), None)
     beside = ""
     if named is not None and named is not candidate:
@@ -113,7 +113,7 @@ def explain_candidate(diagnosis: Diagnosis, candidate: CandidateReport) -> str:
         return f"It is missing too, beside the first: {left}, {chance}."
     if name == diagnosis.nearest:
         floor = f"{diagnosis.floor_ratio_before:.2f} times the noise floor now"
-        return f"It comes nearest and is not it: {left}, {chance}, of {floor}."
+        return f"It comes nearest and is not all of it: {left}, {chance}, of {floor}."
     if ratio >= NO_GAIN:
         return f"Not it: it {standing}; {left}{beside}."
     if candidate.p_value > CHANCE:

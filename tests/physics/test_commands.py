@@ -1,4 +1,5 @@
 import json
+import re
 
 import numpy as np
 import pytest
@@ -57,6 +58,7 @@ def test_diagnose_names_the_lag_in_words_and_in_json(project):
     assert said.exit_code == 0
     assert "MISSING: thermal_lag" in said.output
     assert "zerodrift add thermal_lag" in said.output
+    assert re.search(r"thermal_lag .* 7\.\d %\s+\d\d %\s+0\.", said.output)
     told = json.loads(call("diagnose", "-C", project, "--json").stdout)
     assert (told["verdict"], told["effect"]) == ("missing", "thermal_lag")
     assert told["floor_ratio_after"] < 1.15

@@ -1,10 +1,13 @@
 """The sentence on top, for every verdict there is."""
 
+from dataclasses import replace
+
 import pytest
 
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis
-from zerodrift.report.verdict import write_headline
+from zerodrift.report.tables import tabulate_candidates
+from zerodrift.report.verdict import explain_candidate, explain_standing, write_headline
 
 TITLES = {"creep": "creep and creep recovery"}
 
@@ -62,3 +65,21 @@ def test_headline_says_the_verdict(diagnosed, kind, words):
     headline = write_headline(diagnosed, TITLES)
     assert headline.kind == kind
     assert words in headline.sentence
+
+
+def test_candidates_table_tells_their_probabilities():
+    sure, some, hardly = (
+        replace(rate(name, 0.5), probability=p)
+        for name, p in (("creep", 0.998), ("ageing", 0.426), ("humidity", 0.004))
+    )
+    table = tabulate_candidates(told("missing", "creep", candidates=(sure, some, hardly)), TITLES)
+    column = table.headings.index("probability")
+    assert [row[column] for row in table.rows] == ["> 99 %", "43 %", "< 1 %"]
+    assert all(len(row) == len(table.headings) for row in table.rows)
+
+
+def test_what_comes_nearest_is_never_called_not_it():
+    nearest = replace(rate("creep", 0.5), probability=0.97)
+    diagnosed = told("unknown", nearest="creep", candidates=(nearest,))
+    assert explain_standing(diagnosed, nearest) == "nearest, and not all of it"
+    assert "97 % likely" in explain_candidate(diagnosed, nearest)

@@ -126,7 +126,7 @@ def explain_figures(comparison: "Comparison") -> list[str]:
     if comparison.tared:
         sentences.append(
             "The logs are zeroed one by one, so a run's own offset says nothing about the model: "
-            "it is taken off every error."
+            "it is taken off every error, and its RMS over the runs stands in the table."
         )
     if comparison.set_aside > 0.0:
         sentences.append(
@@ -153,7 +153,8 @@ def _finish(sentence: str) -> str:
 
 def _print_outputs(comparison: "Comparison", console: "Console") -> None:
     headings = "uncompensated|in sample|held out|% FS|largest|noise floor|x floor|explained"
-    table = open_table("RMSE per output", ("output", "unit"), headings.split("|"))
+    columns = [*headings.split("|"), *(("offsets off",) if comparison.tared else ())]
+    table = open_table("RMSE per output", ("output", "unit"), columns)
     for k, name in enumerate(comparison.outputs):
         told, floor = comparison.told[k], float(comparison.floor.rms[k])
         held_out = comparison.held_out
@@ -168,6 +169,7 @@ def _print_outputs(comparison: "Comparison", console: "Console") -> None:
             f"{floor:.4g}",
             f"{told.rmse / floor:.2f}" if floor > 0.0 else "-",
             f"{100.0 * told.explained:.2f} %",
+            *((f"{told.offset:.4g}",) if comparison.tared else ()),
         )
     console.print(table)
 

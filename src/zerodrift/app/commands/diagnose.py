@@ -95,10 +95,12 @@ def print_diagnosis(
     diagnosis: "Diagnosis", command: str, catalogue: "Catalogue", console: "Console"
 ) -> None:
     """Print the candidates and the errors, and then the verdict in sentences."""
+    from zerodrift.diagnosis.diagnosis import write_probability
+
     table = open_table(
         "Effects that the model lacks, one at a time",
         ("effect", "term", "fitted values"),
-        ("error left", "p", "excited"),
+        ("error left", "probability", "p", "excited"),
     )
     for candidate in diagnosis.candidates[:MOST_LISTED]:
         effect = catalogue[candidate.effect]
@@ -107,14 +109,16 @@ def print_diagnosis(
             effect.title,
             write_values(effect, candidate.parameters),
             f"{100.0 * candidate.rmse_left_out_ratio:.1f} %",
+            write_probability(candidate.probability),
             f"{candidate.p_value:.2g}",
             f"{100.0 * candidate.excitation:.0f} %",
         )
     if diagnosis.candidates:
         console.print(table)
         console.print(
-            "Error left: RMSE in runs left out, over that of the model as it is. p: how often "
-            "chance alone does as well. Excited: the part that the model cannot imitate.\n"
+            "Error left: RMSE in runs left out, over that of the model as it is. Probability: that "
+            "the effect is missing, among simulated logs of many kinds. p: how often chance alone "
+            "does as well. Excited: the part that the model cannot imitate.\n"
         )
     left_out = len(diagnosis.candidates) - MOST_LISTED
     if left_out > 0:
