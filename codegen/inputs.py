@@ -18,14 +18,22 @@ def describe_conversion(channel: Channel) -> list[str]:
     low, high = find_held(channel)
     ends = (by.lowest, by.highest) if by.nodes[-1] >= by.nodes[0] else (by.highest, by.lowest)
     first, last = (f"{end * channel.lsb + channel.offset:.6g}" for end in ends)
+    what = "codes" if by.junction is None else "sums of code and cold junction"
     told = [
         f"{channel.name}: {by.raw} codes of the hardware, {describe_formula(by.formula)}.",
-        f"Converted to {channel.lsb:g} {unit} per count over codes {by.low} .. {by.high}, which are"
-        f" {first} to {last} {unit}, within {by.error:.3g} {unit}; beyond, the nearest of these.",
+        f"Converted to {channel.lsb:g} {unit} per count over {what} {by.low} .. {by.high}, which"
+        f" are {first} to {last} {unit}, within {by.error:.3g} {unit}; beyond, the nearest of"
+        " these.",
     ]
     if by.none is not None:
         told.append(f"No reading: {describe_missing(channel)}.")
     told.append(f"The codes that are readings stand for {low:.6g} to {high:.6g} {unit}.")
+    if by.junction is not None:
+        ends = (by.junction.low, by.junction.high)
+        told.append(
+            f"The cold junction counts within codes {ends[0]} .. {ends[1]} of its own; beyond, as"
+            " the nearest of these."
+        )
     if by.worth[1] > channel.lsb:
         told.append(
             f"One code is worth {by.worth[0]:.3g} to {by.worth[1]:.3g} {unit}, more than a count:"
@@ -39,6 +47,9 @@ def describe_missing(channel: Channel) -> str:
     by = channel.conversion
     assert by is not None
     told = []
+    if by.junction is not None:
+        told = ["sums beyond the thermocouple's function", "a cold junction without a reading"]
+        return " and ".join(told if by.lacks is None else [f"code {by.lacks}", *told])
     if by.begin > by.least:
         told.append(f"codes below {by.begin}")
     if by.end < by.most:
@@ -65,6 +76,13 @@ def describe_formula(by: ConversionConfig) -> str:
         told.append(f"a thermistor of {by.r25_ohm:g} ohm at 25 degC, beta {by.beta_K:g} K")
     elif by.kind in ("pt100", "pt1000"):
         told.append(f"a {by.kind} (IEC 60751)")
+    elif by.kind == "thermocouple":
+        cold = (
+            f"at {by.junction_degC:g} degC" if by.junction is None else f"measured by {by.junction}"
+        )
+        told.append(
+            f"V of a thermocouple of type {by.couple} (IEC 60584-1), its cold junction {cold}"
+        )
     elif by.kind == "table":
         told.append(f"a table of {len(by.points)} points")
     elif by.kind == "polynomial":

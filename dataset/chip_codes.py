@@ -8,13 +8,21 @@ import numpy as np
 
 from zerodrift.base.column_config import RAW_CODES, CodesConfig
 from zerodrift.base.config import Config, locate_key
-from zerodrift.base.conversion_config import ConversionConfig
+from zerodrift.base.conversion_config import ConversionConfig, sum_formula
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.code_format import AS_LOGGED, CLOCK, MEASURED, TEMPERATURE, ChipCodes
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.logs import read_log
-from zerodrift.dataset.raw_codes import RawCover, cover_range, find_linear, find_range
+from zerodrift.dataset.raw_codes import (
+    SUM_LIMITS,
+    RawCover,
+    choose_fraction_bits,
+    cover_range,
+    find_linear,
+    find_range,
+)
 from zerodrift.dataset.runs import Array, Dataset, Run
+from zerodrift.dataset.thermocouples import emf, find_span
 
 TEMPERATURE_LSB_DEGC = 0.0078125
 """One count of the TMP117, 2**-7 K (Texas Instruments, TMP117 data sheet, temperature register)."""
@@ -65,7 +73,7 @@ def choose_temperature_codes(config: Config, runs: Sequence[Run]) -> ChipCodes:
     if stated.raw:
         beyond = max(1.5 * FLAG_MARGIN_K, RANGE_MARGIN * _measure_span(spans) + 0.5)
         need = (low - FLAG_MARGIN_K, high + FLAG_MARGIN_K)
-        return _convert(config, TEMPERATURE, (low, high), need, beyond)
+        return _convert(config, TEMPERATURE, runs, (low, high), need, beyond)
     options = _list_options(stated, TEMPERATURE_LSB_DEGC)
     if stated.bits == 16 and stated.lsb is None:  # coarser, as it may not be wider
         options = [(16, TEMPERATURE_LSB_DEGC * 2.0**step) for step in range(64)]
@@ -91,7 +99,7 @@ def choose_input_codes(config: Config, name: str, runs: Sequence[Run]) -> ChipCo
     margin = RANGE_MARGIN * _measure_span(spans)
     if stated.raw:
         need = (low - margin, high + margin)
-        return _convert(config, name, (low, high), need, 1.5 * margin)
+        return _convert(config, name, runs, (low, high), need, 1.5 * margin)
     if name == CLOCK:
         second = 2.0 ** max(0, math.ceil(math.log2(largest / 2.0**30)) - 1)
         options = [(stated.bits or 32, stated.lsb or second)]
@@ -112,6 +120,7 @@ def _measure_span(spans: Sequence[tuple[float, float]]) -> float:
 def _convert(
     config: Config,
     source: str,
+    runs: Sequence[Run],
     span: tuple[float, float],
     need: tuple[float, float],
     beyond: float,
@@ -121,6 +130,7 @@ def _convert(
     Args:
         config: the project.
         source: `temperature_degC`, or the input's name.
+        runs: of the training logs.
         span: what the training logs and the stated range hold.
         need: the same with what is flagged.
         beyond: how far from the span the table goes.
@@ -157,20 +167,30 @@ def _convert(
             "logs and the range, with what is flagged beyond them. Correct scale, offset or range, "
             'or take raw = "int32".'
         )
-    found = find_range(by, stated.raw, span)
+    lsb = stated.lsb or usual
+    bits, limits = None, None
+    if by.junction is not None:
+        bits = choose_fraction_bits(by, span, lsb)
+        limits = _reach_sums(config, made, by, bits, runs)
+        by_sum = sum_formula(by, bits)
+    else:
+        by_sum = by
+    found = find_range(by_sum, stated.raw, span, limits)
     if isinstance(found, str):
         raise InputError(
             f"{_locate(config, made)}: {made.name} is converted from raw codes, but {found}; "
             "expected one quantity for each code from the lowest to the highest that is needed. "
             "Correct the conversion, or convert what the firmware is given beforehand."
         )
-    cover = cover_range(by, found, stated.raw, (span[0] - beyond, span[1] + beyond), lacks)
+    wide = (span[0] - beyond, span[1] + beyond)
+    cover = cover_range(by_sum, found, stated.raw, wide, lacks, bits)
     every = (cover.begin, cover.end) == RAW_CODES[stated.raw] and lacks is None
-    lsb = stated.lsb or usual
+    if bits is not None:  # beyond the sums that can be there no code surely lies
+        every = lacks is None
     made = replace(made, lsb=lsb, cover=cover, by=by, held=found, no_reading=None)
-    bits = 16 if replace(made, bits=16).holds(span[0] - beyond, span[1] + beyond) else 32
-    none = None if stated.always_read or every else -(1 << (bits - 1))
-    made = replace(made, bits=bits, no_reading=none)
+    width = 16 if replace(made, bits=16).holds(*wide) else 32
+    none = None if stated.always_read or every else -(1 << (width - 1))
+    made = replace(made, bits=width, no_reading=none)
     ends = sorted(found.values)
     if ends[0] <= span[0] and span[1] <= ends[1]:
         return made
@@ -179,6 +199,37 @@ def _convert(
         f"{_locate(config, made)}: {made.describe()}; expected {low} to {high}: the training logs "
         "and the range. Correct the conversion or the range, or leave out what no code stands for."
     )
+
+
+def _reach_sums(
+    config: Config, made: ChipCodes, by: ConversionConfig, bits: int, runs: Sequence[Run]
+) -> tuple[int, int]:
+    """Return the sums of code and junction's voltage that are there whatever the junction has.
+
+    Raises:
+        InputError: there are none, or the junction is beyond what its thermocouple tells.
+    """
+    name, couple = by.junction or "", by.couple or ""
+    cold = find_junction_span(config, name, runs)
+    known = find_span(couple)
+    if not known[0] <= cold[0] <= cold[1] <= known[1]:
+        raise InputError(
+            f"{_locate(config, made)}: the cold junction '{name}' is {cold[0]:.10g} to"
+            f" {cold[1]:.10g} degC in the training logs and its range; type {couple} is known from"
+            f" {known[0]:g} to {known[1]:g} degC. Correct the column, or leave these rows out."
+        )
+    ends = emf(couple, np.array(cold)) / by.scale * 2.0**bits
+    stated = config.temperature_codes if made.source == TEMPERATURE else None
+    raw = (stated or config.input_codes[made.source]).raw
+    least, most = (code << bits for code in RAW_CODES[raw])
+    low, high = least + math.ceil(max(ends)), most + math.floor(min(ends))
+    return max(low, SUM_LIMITS[0]), min(high, SUM_LIMITS[1])
+
+
+def find_junction_span(config: Config, name: str, runs: Sequence[Run]) -> tuple[float, float]:
+    """Return the lowest and highest temperature of a cold junction, in degC."""
+    stated = config.input_codes.get(name, CodesConfig())
+    return _join([(float(r.inputs[name].min()), float(r.inputs[name].max())) for r in runs], stated)
 
 
 def _choose_lsb(span: tuple[float, float], filled: float) -> float:

@@ -85,6 +85,8 @@ class ChipCodes:
         if self.held is not None and self.cover is not None and self.by is not None:
             low, high = (self.show(value) for value in sorted(self.held.values))
             codes = f"{self.cover.begin} .. {self.cover.end} of {self.cover.raw}"
+            if self.by.junction is not None:
+                codes = f"{self.cover.raw}, whatever '{self.by.junction}' is"
             kind = self.by.kind or "scaled"
             return f"the raw codes of '{self.name}' ({codes}, {kind}) hold {low} to {high}"
         low, high = (self.show(code * self.lsb + self.offset) for code in self.codes)

@@ -1,9 +1,10 @@
-"""From a logged value to the quantity: scale, divider, thermistor, platinum, table, polynomial."""
+"""From a logged value to the quantity: scale, divider, thermometers, table, polynomial."""
 
 import numpy as np
 
-from zerodrift.base.conversion_config import ConversionConfig
+from zerodrift.base.conversion_config import FACTORS, ConversionConfig
 from zerodrift.dataset.runs import Array
+from zerodrift.dataset.thermocouples import emf, invert
 
 KELVIN = 273.15
 T25_K = 298.15
@@ -12,13 +13,14 @@ PLATINUM = (3.9083e-3, -5.775e-7, -4.183e-12)
 COLDEST_PLATINUM_DEGC = -200.0
 
 
-def convert(values: Array, by: ConversionConfig) -> Array:
+def convert(values: Array, by: ConversionConfig, junction_degC: Array | None = None) -> Array:
     """Return logged values [n] as the quantity; NaN where the conversion has none.
 
     Args:
         values: as logged.
         by: the steps. With `kind` the result is in degC, or in the unit of the table's y or of the
             polynomial; else in `unit`, temperatures in degC.
+        junction_degC: [n] of a thermocouple's cold junction, where an input measures it.
     """
     with np.errstate(all="ignore"):
         found = values * by.scale + by.offset
@@ -35,6 +37,10 @@ def convert(values: Array, by: ConversionConfig) -> Array:
             return convert_ntc(found, by)
         if by.kind in ("pt100", "pt1000"):
             return convert_platinum(found, 100.0 if by.kind == "pt100" else 1000.0)
+        if by.kind == "thermocouple":
+            return convert_couple(found, by, junction_degC)
+        if by.kind == "emf":
+            return np.asarray(emf(by.couple or "", found) * (by.times or 1.0))
         if by.kind == "table":
             x, y = np.array(by.points).T
             return np.where((found >= x[0]) & (found <= x[-1]), np.interp(found, x, y), np.nan)
@@ -46,6 +52,20 @@ def convert(values: Array, by: ConversionConfig) -> Array:
         if by.unit == "K":
             return np.asarray(found - KELVIN)
         return np.asarray(found)
+
+
+def convert_couple(values: Array, by: ConversionConfig, junction_degC: Array | None) -> Array:
+    """Return the temperature [n] in degC of a thermocouple, from its voltage and cold junction.
+
+    The voltage between 0 degC and the cold junction is added; `by.unit` is that of the values, V
+    where it is empty.
+    """
+    couple = by.couple or ""
+    cold = np.array(by.junction_degC or 0.0) if junction_degC is None else junction_degC
+    volts = values * FACTORS.get(by.unit, ("V", 1.0))[1]
+    if np.any(cold != 0.0):
+        volts = volts + emf(couple, np.atleast_1d(cold))
+    return invert(couple, volts)
 
 
 def convert_ntc(ohm: Array, by: ConversionConfig) -> Array:

@@ -36,6 +36,7 @@ def read_log(config: Config, files: Sequence[Path], needed: Mapping[str, str]) -
     Raises:
         InputError: a file cannot be read, a column is in none or in several of them.
     """
+    needed = add_junctions(config, needed)
     if len(files) == 1:
         opened = open_sources(files[0], label_log(files[0], config.directory), config.where)
         if len(opened) == 1:
@@ -49,12 +50,34 @@ def read_log(config: Config, files: Sequence[Path], needed: Mapping[str, str]) -
     return [_convert(config, table) for table in tables]
 
 
+def add_junctions(config: Config, needed: Mapping[str, str]) -> Mapping[str, str]:
+    """Return the needed columns with those of the cold junctions of thermocouples among them."""
+    names = {config.conversions[c].junction for c in needed if c in config.conversions} - {None}
+    return {**{config.inputs[name]: f"[inputs] {name}" for name in names if name}, **needed}
+
+
 def _convert(config: Config, table: LogTable) -> LogTable:
-    """Bring the columns that zerodrift.toml converts to the quantity that the model takes."""
-    for column, by in config.conversions.items():
-        if column in table.columns:
+    """Bring the columns that zerodrift.toml converts to the quantity that the model takes.
+
+    Raises:
+        InputError: a thermocouple's cold junction is in another file of the run.
+    """
+    own = {c: by for c, by in config.conversions.items() if c in table.columns}
+    for column, by in own.items():
+        if by.junction is None:
             table.columns[column] = convert(table.columns[column], by)
-            table.converted += (column,)
+    for column, by in own.items():
+        if by.junction is None:
+            continue
+        cold = config.inputs[by.junction]
+        if cold not in table.columns:
+            raise InputError(
+                f"{table.source.label}: '{column}' is a thermocouple whose cold junction "
+                f"'{cold}' is in another file of the run; expected both in one, row by row. Log "
+                "them together, or write the cold junction's temperature as a number."
+            )
+        table.columns[column] = convert(table.columns[column], by, table.columns[cold])
+    table.converted += tuple(own)
     return table
 
 

@@ -1,6 +1,6 @@
 """Which raw codes of a converted input are readings, and which of them the chip's table covers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.runs import Array
+from zerodrift.dataset.thermocouples import emf, find_sure_span
 
 RAW_LIMITS = {
     "uint16": (0, 2**16 - 1),
@@ -15,6 +16,11 @@ RAW_LIMITS = {
     "int32": (-(2**31), 2**31 - 1),
 }
 GRID = 1 << 16
+FINER = 4.0
+"""By how much a sum of voltages is finer than a code of the temperature."""
+MOST_FRACTION_BITS = 12
+SUM_LIMITS = (-(2**30), 2**30)
+"""Of sums of a thermocouple's raw codes and its junction's voltage."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,9 @@ class RawCover:
     """Converted; readings beyond are limited to these."""
     is_plain: bool = False
     """The quantity's code is the raw code."""
+    fraction_bits: int | None = None
+    """Of a thermocouple whose cold junction is measured: begin, end, low and high are sums of the
+    raw code and the junction's voltage, in raw codes with so many fractional bits."""
 
     @property
     def least(self) -> int:
@@ -63,13 +72,33 @@ def find_linear(by: ConversionConfig) -> tuple[float, float] | None:
     return float(at[1] - at[0]), float(at[0])
 
 
-def find_range(by: ConversionConfig, raw: str, span: tuple[float, float]) -> RawRange | str:
+def choose_fraction_bits(by: ConversionConfig, span: tuple[float, float], lsb: float) -> int:
+    """Return the fractional bits at which a sum of voltages is finer than a code of the result."""
+    low, high = find_sure_span(by.couple or "")
+    degc = np.clip(np.linspace(*span, 257), low, high)
+    steepest = np.abs(np.diff(degc) / np.maximum(np.diff(emf(by.couple or "", degc)), 1e-12)).max()
+    wanted = np.ceil(np.log2(max(float(steepest) * abs(by.scale) * FINER / lsb, 1.0)))
+    return int(min(wanted, MOST_FRACTION_BITS))
+
+
+def find_range(
+    by: ConversionConfig,
+    raw: str,
+    span: tuple[float, float],
+    limits: tuple[int, int] | None = None,
+) -> RawRange | str:
     """Return the raw codes that have a quantity, or in words why they cannot be used.
 
     They are those without a rail over which the quantity rises, or falls, throughout, and which
     have most of a span of it.
+
+    Args:
+        by: raw code -> quantity.
+        raw: the type of the codes.
+        span: the quantity that is needed.
+        limits: the lowest and highest code, where these are not those of the type.
     """
-    least, most = RAW_LIMITS[raw]
+    least, most = limits or RAW_LIMITS[raw]
     if by.divider is not None and by.scale == 1.0 and by.offset == 0.0:
         least, most = max(least, 0), min(most, int(by.divider.counts))
     least, most = _narrow(by, least, most)
@@ -113,10 +142,15 @@ def _find_sections(values: Array) -> list[tuple[int, int]]:
 
 
 def _narrow(by: ConversionConfig, least: int, most: int) -> tuple[int, int]:
-    """Return the codes that a table's ends leave."""
-    if by.kind != "table" or by.scale == 0.0:
+    """Return the codes that the ends of a table, or of a thermocouple's function, leave."""
+    if by.kind not in ("table", "thermocouple") or by.scale == 0.0 or by.junction is not None:
         return least, most
-    ends = sorted((x - by.offset) / by.scale for x in (by.points[0][0], by.points[-1][0]))
+    if by.kind == "table":
+        given = [by.points[0][0], by.points[-1][0]]
+    else:
+        cold = emf(by.couple or "", np.array([by.junction_degC or 0.0]))[0]
+        given = [v - cold for v in emf(by.couple or "", np.array(find_sure_span(by.couple or "")))]
+    ends = sorted((x - by.offset) / by.scale for x in given)
     low, high = int(np.ceil(ends[0])), int(np.floor(ends[1]))
     return min(max(least, low), most), max(min(most, high), least)
 
@@ -153,8 +187,14 @@ def find_code(by: ConversionConfig, found: RawRange, values: Array) -> Array:
 
 
 def cover_range(
-    by: ConversionConfig, found: RawRange, raw: str, span: tuple[float, float], lacks: int | None
+    by: ConversionConfig,
+    found: RawRange,
+    raw: str,
+    span: tuple[float, float],
+    lacks: int | None,
+    fraction_bits: int | None = None,
 ) -> RawCover:
     """Return the cover of a span of the quantity, as far as the codes go."""
     codes = sorted(int(c) for c in find_code(by, found, np.array(span)))
-    return RawCover(raw, found.begin, found.end, lacks, codes[0], codes[1])
+    cover = RawCover(raw, found.begin, found.end, lacks, codes[0], codes[1])
+    return replace(cover, fraction_bits=fraction_bits)

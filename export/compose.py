@@ -18,13 +18,19 @@ from zerodrift.dataset.chip_codes import (
     read_source,
     refuse_outside,
 )
-from zerodrift.dataset.code_format import CLOCK, MEASURED, TEMPERATURE, ChipCodes
+from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.export.conversions import design_conversion
+from zerodrift.export.channels import list_channels
 from zerodrift.export.encoding import encode_channel, find_held
-from zerodrift.export.float_model import LOAD, Calibration, FloatModel
+from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
-from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat, code_type
+from zerodrift.export.integer_model import (
+    Channel,
+    IntegerModel,
+    OutputFormat,
+    code_type,
+    convert_codes,
+)
 from zerodrift.export.layered_network import FloatLayeredNetwork
 from zerodrift.export.onnx_reader import read_imported_bytes
 from zerodrift.export.quantize import Quantized, quantize_graph
@@ -167,67 +173,6 @@ def list_outputs(config: Config) -> tuple[OutputFormat, ...]:
     )
 
 
-def list_channels(
-    roots: Sequence[Node],
-    config: Config,
-    runs: Sequence[Run],
-    outputs: Sequence[OutputFormat],
-) -> tuple[tuple[Channel, ...], dict[str, int]]:
-    """Return the raw inputs that the graph needs; the temperature is always the first."""
-    channels = [make_channel(0, choose_codes(config, TEMPERATURE, runs, 0.0))]
-    sources = {TEMPERATURE: 0}
-    places = {TEMPERATURE: 0}
-    for node in list_nodes(roots):
-        if node.op != "input" or node.source in sources:
-            continue
-        codes = _find_codes(node.source, config, runs, outputs)
-        if codes is None:
-            continue
-        if codes.source not in places:
-            places[codes.source] = len(channels)
-            channels.append(make_channel(len(channels), codes))
-        sources[node.source] = places[codes.source]
-    return tuple(channels), sources
-
-
-def _find_codes(
-    source: str, config: Config, runs: Sequence[Run], outputs: Sequence[OutputFormat]
-) -> ChipCodes | None:
-    """Return the codes behind a signal of the graph, or None where it needs none."""
-    if source.startswith(LOAD):
-        name = source.removeprefix(LOAD)
-        output = next(o for o in outputs if o.name == name)
-        lsb = 1.0 / output.lsb_per_unit
-        return choose_codes(config, f"{MEASURED}{name}", runs, lsb)
-    name = CLOCK if source == "clock_s" else source
-    if not all(name in run.inputs for run in runs):
-        return None
-    return choose_codes(config, name, runs, 0.0)
-
-
-def make_channel(index: int, codes: ChipCodes) -> Channel:
-    """Return a channel of the model.
-
-    Raises:
-        CheckError: no table converts what the chip is given within the error.
-    """
-    conversion = None
-    if codes.cover is not None and codes.by is not None:
-        is_same = codes.cover.is_plain and codes.cover.raw == f"int{codes.bits}"
-        given = (codes.cover, codes.by, codes.lsb, codes.offset, codes.no_reading)
-        conversion = None if is_same else design_conversion(index, *given)
-    return Channel(
-        name=codes.name,
-        unit=codes.unit,
-        lsb=codes.lsb,
-        offset=codes.offset,
-        bits=codes.bits,
-        source=codes.source,
-        no_reading=codes.no_reading,
-        conversion=conversion,
-    )
-
-
 def choose_lsb_per_unit(full_scale: float) -> int:
     """Return the counts of one unit: the power of ten that gives full scale a million of them."""
     decades = math.ceil(math.log10(OUTPUT_STEPS / full_scale))
@@ -244,20 +189,29 @@ def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> CodeArray:
     columns = []
     for channel in model.channels:
         values = read_source(names, channel.source, run)
-        codes, outside = encode_channel(channel, values)
+        cold = None
+        if channel.conversion is not None and channel.conversion.junction is not None:
+            cold = encode_junction(model.channels, channel.conversion.junction.channel, run, names)
+        codes, outside = encode_channel(channel, values, cold)
         if outside.any():
             raise _explain_outside(channel, run, values, int(outside.argmax()))
         columns.append(codes)
     return np.stack(columns, axis=1).astype(code_type(model.channels))
 
 
+def encode_junction(
+    channels: Sequence[Channel], index: int, run: Run, outputs: Sequence[str]
+) -> NDArray[np.int64]:
+    """Return the codes [n] of the channel that measures a cold junction, converted if they are."""
+    channel = channels[index]
+    codes, _ = encode_channel(channel, read_source(outputs, channel.source, run))
+    given = codes.astype(np.int64)
+    return given if channel.conversion is None else channel.conversion.convert(given)
+
+
 def encode_quantities(model: FloatModel | IntegerModel, run: Run) -> NDArray[np.int64]:
     """Return the channels' own codes [n, C] of a run, into which raw ones are converted."""
-    codes = encode_inputs(model, run).astype(np.int64)
-    for index, channel in enumerate(model.channels):
-        if channel.conversion is not None:
-            codes[:, index] = channel.conversion.convert(codes[:, index])
-    return codes
+    return convert_codes(model.channels, encode_inputs(model, run))
 
 
 def _explain_outside(channel: Channel, run: Run, values: Array, row: int) -> InputError:

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from zerodrift.base.config import LONGEST_WINDOW, Config
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.runs import Run
-from zerodrift.export.compose import list_channels, list_outputs
+from zerodrift.export.channels import list_channels
+from zerodrift.export.compose import list_outputs
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.onnx_reader import ImportedNetwork
 from zerodrift.operations.backend import GraphOperations

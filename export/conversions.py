@@ -7,10 +7,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.conversion_config import ConversionConfig
+from zerodrift.base.conversion_config import ConversionConfig, junction_formula, sum_formula
 from zerodrift.base.errors import CheckError
 from zerodrift.dataset.conversions import convert
-from zerodrift.dataset.raw_codes import RawCover
+from zerodrift.dataset.raw_codes import RAW_LIMITS, RawCover
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray
 from zerodrift.operations.conversion import MOST_LINES, IntegerConversion
 
@@ -44,6 +44,20 @@ class _Lines:
         return 2 * (len(self.parts) + 1) + 4 * len(self.nodes)
 
 
+@dataclass(frozen=True)
+class JunctionCodes:
+    """The channel of a cold junction: codes of temperature that become a voltage."""
+
+    channel: int
+    bits: int
+    lsb: float
+    offset: float
+    none: int | None
+    low: int
+    high: int
+    """Codes that the table covers; beyond them they are limited."""
+
+
 @lru_cache(maxsize=64)
 def design_conversion(
     index: int,
@@ -52,6 +66,7 @@ def design_conversion(
     lsb: float,
     offset: float,
     none: int | None,
+    junction: JunctionCodes | None = None,
 ) -> IntegerConversion:
     """Return the conversion of a channel, its error measured over the codes that it covers.
 
@@ -62,11 +77,53 @@ def design_conversion(
         lsb: one code of the quantity, in its unit.
         offset: the quantity at its code 0.
         none: the quantity's code for no reading.
+        junction: the cold junction of a thermocouple, where a channel measures it.
 
     Raises:
         CheckError: no table of a reasonable size meets the error.
     """
     name = f"conversion_{index}"
+    if junction is not None:
+        assert cover.fraction_bits is not None
+        bits = cover.fraction_bits
+        of_sum = replace(cover, raw="int32", fraction_bits=None)
+        made = _design(name, index, of_sum, sum_formula(formula, bits), lsb, offset, none)
+        cold = _design_junction(name, formula, bits, junction)
+        worth = tuple(2.0**bits * one for one in made.worth)
+        return replace(
+            made,
+            raw=cover.raw,
+            formula=formula,
+            lacks=cover.lacks,
+            junction=cold,
+            fraction_bits=bits,
+            worth=(worth[0], worth[1]),
+            error=made.error + cold.error * made.worth[1],
+        )
+    return _design(name, index, cover, formula, lsb, offset, none)
+
+
+def _design_junction(
+    name: str, formula: ConversionConfig, bits: int, junction: JunctionCodes
+) -> IntegerConversion:
+    """Return the table of the voltage that the cold junction adds, in counts of the sum."""
+    by = junction_formula(formula, bits, junction.lsb, junction.offset)
+    raw = f"int{junction.bits}"
+    limits = RAW_LIMITS[raw]
+    cover = RawCover(raw, *limits, junction.none, junction.low, junction.high)
+    return _design(f"{name}_junction", junction.channel, cover, by, 1.0, 0.0, None)
+
+
+def _design(
+    name: str,
+    index: int,
+    cover: RawCover,
+    formula: ConversionConfig,
+    lsb: float,
+    offset: float,
+    none: int | None,
+) -> IntegerConversion:
+    """Return a table, its error measured over the codes that it covers."""
     given = (name, (), index, cover.raw, formula, cover.begin, cover.end, cover.lacks)
     if cover.is_plain:
         return IntegerConversion(*given, None, cover.least, cover.most, worth=(lsb, lsb))
@@ -93,7 +150,7 @@ def design_conversion(
     bits = FRACTION_BITS
     while bits and np.abs(in_codes).max() * 2.0**bits > NODE_LIMIT:
         bits -= 1
-    ends = sorted(round(float((end - offset) / lsb)) for end in (wanted[0], wanted[-1]))
+    ends = [round(float((end - offset) / lsb)) for end in (wanted.min(), wanted.max())]
     made = IntegerConversion(
         *given,
         none,

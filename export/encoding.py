@@ -1,11 +1,14 @@
 """From quantities to the codes that the hardware would have given for them, and back."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.raw_codes import RawRange, find_code
 from zerodrift.export.integer_model import Channel
+from zerodrift.operations.arithmetic import IntArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -21,8 +24,15 @@ def find_held(channel: Channel) -> tuple[float, float]:
     return low, high
 
 
-def encode_channel(channel: Channel, values: Array) -> tuple[Array, Mask]:
+def encode_channel(
+    channel: Channel, values: Array, junction: IntArray | None = None
+) -> tuple[Array, Mask]:
     """Return the codes [n] that stand for values [n] of a channel, raw where it is given such.
+
+    Args:
+        channel: of a model.
+        values: [n] in its unit.
+        junction: [n] codes of a thermocouple's cold junction.
 
     Returns:
         whole numbers, the nearest code where none stands for a value (NaN stays NaN); and where
@@ -36,8 +46,13 @@ def encode_channel(channel: Channel, values: Array) -> tuple[Array, Mask]:
         return np.clip(codes, channel.raw_least, channel.raw_most), outside
     by = channel.conversion
     known = np.where(np.isnan(values), low, values)
-    codes = find_code(by.formula, _find_range(channel), known)
+    codes = find_code(by.by_sum, _find_range(channel), known)
     outside = ~((values >= low) & (values <= high))
+    if by.junction is not None and by.fraction_bits is not None:
+        assert junction is not None
+        raw = np.round((codes - by.junction.convert(junction)) / 2.0**by.fraction_bits)
+        codes = np.clip(raw, channel.raw_least, channel.raw_most)
+        outside |= codes != raw
     if by.none is not None and by.lacks is not None:
         outside |= codes == by.lacks
     return np.where(np.isnan(values), np.nan, codes), outside
@@ -52,9 +67,12 @@ def round_channel(channel: Channel, values: Array) -> Array:
     if by is None or by.is_plain:
         codes = np.round((values - channel.offset) / channel.lsb)
     else:
-        given = find_code(by.formula, _find_range(channel), values)
+        given = find_code(by.by_sum, _find_range(channel), values)
+        if by.fraction_bits is not None:  # what is left of a sum whose junction is at a raw code
+            given = np.round(given / 2.0**by.fraction_bits) * 2.0**by.fraction_bits
         inside = (given >= by.low) & (given <= by.high)
-        converted = by.convert(np.clip(given, by.low, by.high).astype(np.int64))
+        table = replace(by, junction=None, none=None)
+        converted = table.convert(np.clip(given, by.low, by.high).astype(np.int64))
         return np.where(inside, converted * channel.lsb + channel.offset, values)
     return np.asarray(codes * channel.lsb + channel.offset)
 
@@ -63,5 +81,5 @@ def _find_range(channel: Channel) -> RawRange:
     """Return the raw codes that are readings, and the values at both ends."""
     by = channel.conversion
     assert by is not None
-    ends = convert(np.array([by.begin, by.end], dtype=np.float64), by.formula)
+    ends = convert(np.array([by.begin, by.end], dtype=np.float64), by.by_sum)
     return RawRange(by.begin, by.end, (float(ends[0]), float(ends[1])), bool(ends[1] > ends[0]))

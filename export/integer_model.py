@@ -24,7 +24,10 @@ FORMAT = 3
 OLDER_FORMAT = 2
 """Knows neither codes that mean no reading nor ranges of other inputs; a model that has none of
 either is written in it, and computes the same."""
-NEWER_FIELDS = ("no_reading", "ranges", "conversion")
+NEWER_FIELDS = (
+    *("no_reading", "ranges", "conversion"),
+    *("junction", "junction_degC", "fraction_bits", "couple", "times"),
+)
 """Left out of a model's file where they are empty."""
 
 
@@ -89,6 +92,26 @@ class Channel:
 def code_type(channels: Sequence[Channel]) -> type[np.signedinteger]:
     """Return the narrowest signed type that holds what the chip is given of every channel."""
     return np.int32 if any(c.raw_most > 2**15 - 1 for c in channels) else np.int16
+
+
+def convert_codes(channels: Sequence[Channel], given: CodeArray | IntArray) -> IntArray:
+    """Return the channels' codes [..., C] of what the chip is given [..., C].
+
+    Thermocouples come last, since they read what has become of their cold junction.
+    """
+    codes = given.astype(np.int64)
+    for index in order_conversions(channels):
+        by = channels[index].conversion
+        assert by is not None
+        cold = None if by.junction is None else codes[..., by.junction.channel]
+        codes[..., index] = by.convert(codes[..., index], cold)
+    return codes
+
+
+def order_conversions(channels: Sequence[Channel]) -> list[int]:
+    """Return the channels that are converted, each after that of its cold junction."""
+    found = [(i, c.conversion) for i, c in enumerate(channels) if c.conversion is not None]
+    return [i for i, _ in sorted(found, key=lambda one: one[1].junction is not None)]
 
 
 @dataclass(frozen=True)
@@ -170,11 +193,7 @@ class IntegerModel:
 
     def convert(self, given: CodeArray) -> IntArray:
         """Return the channels' codes [..., C] of what the chip is given [..., C]."""
-        codes = given.astype(np.int64)
-        for index, channel in enumerate(self.channels):
-            if channel.conversion is not None:
-                codes[..., index] = channel.conversion.convert(codes[..., index])
-        return codes
+        return convert_codes(self.channels, given)
 
     @property
     def optional(self) -> tuple[int, ...]:

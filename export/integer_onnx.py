@@ -20,6 +20,7 @@ from zerodrift.export.integer_model import (
     FLAG_TEMPERATURE_RANGE,
     FLAG_WARMING_UP,
     IntegerModel,
+    order_conversions,
 )
 from zerodrift.export.reference import Reference
 from zerodrift.operations.load import START_PASSES
@@ -178,13 +179,13 @@ def _write_conversions(w: OnnxWriter, model: IntegerModel, given: str) -> str:
     """Write the channels' codes [B, C] of what the chip is given [B, C]."""
     if not model.conversions:
         return given
-    columns = []
-    for index, channel in enumerate(model.channels):
-        column = w.column(given, index)
-        if channel.conversion is not None:
-            with w.label(channel.conversion.name):
-                column = channel.conversion.write(w, column)
-        columns.append(column)
+    columns = [w.column(given, index) for index in range(len(model.channels))]
+    for index in order_conversions(model.channels):
+        by = model.channels[index].conversion
+        assert by is not None
+        cold = "" if by.junction is None else columns[by.junction.channel]
+        with w.label(by.name):
+            columns[index] = by.write(w, columns[index], cold)
     return w.stack(columns)
 
 

@@ -5,6 +5,7 @@ A hash shows that a file was not changed by accident; who edits a file can compu
 
 import types
 import typing
+from collections.abc import Sequence
 from dataclasses import is_dataclass
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from zerodrift.operations.node import ChannelNode, IntegerNode
 
 if TYPE_CHECKING:
     from zerodrift.export.integer_model import Channel, IntegerModel
+    from zerodrift.operations.conversion import IntegerConversion
 
 
 def check_model(where: str, model: "IntegerModel") -> None:
@@ -32,7 +34,7 @@ def check_model(where: str, model: "IntegerModel") -> None:
             code = channel.no_reading
             if code is not None and not channel.least <= code <= channel.most:
                 raise ValueError(f"channel '{channel.name}': {code} is no code")
-            _check_conversion(index, channel)
+            _check_conversion(index, model.channels)
         for node in model.nodes:
             check_types(f"node '{node.name}'", node)
             _check_references(node, model)
@@ -100,8 +102,9 @@ def _check_references(node: IntegerNode, model: "IntegerModel") -> None:
     node.check_form()
 
 
-def _check_conversion(index: int, channel: "Channel") -> None:
+def _check_conversion(index: int, channels: "Sequence[Channel]") -> None:
     """Raise where a conversion is no table, or gives codes that its channel has not."""
+    channel = channels[index]
     by = channel.conversion
     if by is None:
         return
@@ -109,6 +112,8 @@ def _check_conversion(index: int, channel: "Channel") -> None:
     by.check_form()
     if by.channel != index or by.name != f"conversion_{index}" or by.inputs:
         raise ValueError(f"'{by.name}' stands at channel {index}")
+    if by.junction is not None:
+        _check_junction(by, by.junction, channels)
     if by.is_plain:
         if not (channel.least <= by.least and by.most <= channel.most and by.none is None):
             raise ValueError(f"'{by.name}': {channel.bits} bits do not hold {by.raw}")
@@ -118,6 +123,19 @@ def _check_conversion(index: int, channel: "Channel") -> None:
         by.none is not None and by.lowest <= by.none <= by.highest
     ):
         raise ValueError(f"'{by.name}' means no reading by {by.none}")
+
+
+def _check_junction(
+    by: "IntegerConversion", cold: "IntegerConversion", channels: "Sequence[Channel]"
+) -> None:
+    """Raise where a thermocouple's cold junction is no channel that can be one."""
+    if not 0 <= cold.channel < len(channels) or cold.channel == by.channel:
+        raise IndexError(f"'{by.name}' has its cold junction at channel {cold.channel}")
+    of = channels[cold.channel]
+    if of.conversion is not None and of.conversion.junction is not None:
+        raise ValueError(f"'{by.name}' has its cold junction at another thermocouple")
+    if cold.raw != f"int{of.bits}" or cold.lacks != of.no_reading:
+        raise ValueError(f"'{by.name}' reads its cold junction as {cold.raw}")
 
 
 def _check_whole(model: "IntegerModel") -> None:

@@ -20,6 +20,7 @@ def _summarise(channel: Channel) -> ConversionSummary | None:
         unit=channel.unit,
         covers=(low, high),
         readings=(by.begin, by.end),
+        cold_junction=by.formula.junction,
         table_bytes=by.table_bytes,
         lsb=channel.lsb,
         error=by.error,
@@ -36,6 +37,8 @@ def tell_conversions(model: IntegerModel) -> list[str]:
             f" {told.covers[1]:.4g} {told.unit} within {told.error:.2g} {told.unit}, table of"
             f" {told.table_bytes} B"
         )
+        if told.cold_junction is not None:
+            line += f"; its cold junction is {told.cold_junction}"
         if told.code_worth[1] > told.lsb:
             line += (
                 f"; one raw code is worth {told.code_worth[0]:.2g} to {told.code_worth[1]:.2g}"

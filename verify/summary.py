@@ -181,7 +181,7 @@ class ConversionSummary:
     covers: tuple[float, float]
     """What the table covers, in the unit; beyond it the nearest end is taken."""
     readings: tuple[int, int]
-    """Raw codes beyond these are no readings."""
+    """Raw codes beyond these are no readings; of a thermocouple, sums with its cold junction."""
     table_bytes: int
     lsb: float
     """One code of the result, in the unit."""
@@ -189,6 +189,8 @@ class ConversionSummary:
     """Largest distance to the formula, rounding included, in the unit."""
     code_worth: tuple[float, float]
     """What one raw code is worth where it is worth least and most, in the unit."""
+    cold_junction: str | None = field(default=None, metadata=OPTIONAL)
+    """The input that measures a thermocouple's cold junction."""
 
 
 @dataclass(frozen=True)

@@ -65,17 +65,31 @@ def _list_ends(model: IntegerModel) -> tuple[IntArray, IntArray]:
     return least, np.array([channel.raw_most for channel in model.channels], dtype=np.int64)
 
 
-def find_given(model: IntegerModel, channel: int, codes: tuple[int, ...]) -> tuple[int, ...]:
-    """Return what the chip is given for codes of a channel, or for the nearest beyond them."""
+def find_given(
+    model: IntegerModel, channel: int, codes: tuple[int, ...], others: IntArray | None = None
+) -> tuple[int, ...]:
+    """Return what the chip is given for codes of a channel, or for the nearest beyond them.
+
+    Args:
+        model: has the channel.
+        channel: its place.
+        codes: of the quantity.
+        others: [C] what the chip is given of all channels, a cold junction's among them.
+    """
     by = model.channels[channel].conversion
-    return codes if by is None else tuple(int(code) for code in by.find(np.array(codes)))
+    if by is None:
+        return codes
+    cold = None
+    if by.junction is not None and others is not None:
+        cold = int(model.convert(others)[by.junction.channel])
+    return tuple(int(code) for code in by.find(np.array(codes), cold))
 
 
 def _list_edges(channel: Channel) -> set[int]:
     """Return the codes at the ends of a channel's type, and at those of its conversion."""
     edges = {channel.raw_least, channel.raw_most}
     by = channel.conversion
-    if by is not None and not by.is_plain:
+    if by is not None and not by.is_plain and by.junction is None:
         for end in (by.begin, by.low, by.high, by.end):
             edges |= {end - 1, end, end + 1}
     return edges
@@ -125,7 +139,7 @@ def draw_golden(model: IntegerModel, log: CodeArray) -> CodeArray:
     guards = model.guards
     temperature = (guards.temperature_channel, guards.temperature_low, guards.temperature_high)
     for channel, low, high in (temperature, *guards.ranges):
-        limits[channel] |= {*find_given(model, channel, (low - 1, low, high, high + 1))}
+        limits[channel] |= {*find_given(model, channel, (low - 1, low, high, high + 1), log[-1])}
     for channel, (low, high) in enumerate(zip(*limits_of(model), strict=True)):
         limits[channel] |= {low - 1, low, high, high + 1}
     rest = log[-1]
@@ -139,7 +153,7 @@ def draw_golden(model: IntegerModel, log: CodeArray) -> CodeArray:
     at = guards.temperature_channel  # the rate at, and just beyond, its limit, up and down
     now = int(model.convert(rest)[at])
     for change in (guards.rate_max, -guards.rate_max, guards.rate_max + 1, -guards.rate_max - 1):
-        (moved,) = find_given(model, at, (now + change,))
+        (moved,) = find_given(model, at, (now + change,), rest)
         rows += [rest, np.where(np.arange(len(rest)) == at, moved, rest), rest]
     least, most = _list_ends(model)
     rows += [least, most, least, least, most, most]

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.base.conversion_config import ConversionConfig
+from zerodrift.base.conversion_config import ConversionConfig, sum_formula
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import INT32_MAX, IntArray, saturate
+from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray, saturate
 from zerodrift.operations.c_text import CTable, format_int32, format_int64, make_table
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_limits, check_shift
 from zerodrift.operations.node import IntegerNode, Writer
@@ -39,6 +39,12 @@ class IntegerConversion(IntegerNode):
     A block of 2**block_bits codes holds a whole number of lines of equal width. Codes outside
     begin .. end, and `lacks`, are no readings; they become `none`. Without nodes the quantity's
     code is the raw code.
+
+    A thermocouple has a `junction`: what is looked up is then no raw code, but the sum of
+
+        saturate(raw 2**fraction_bits + what the junction's own table gives for its code, int32)
+
+    of which begin, end, low and high speak too; `lacks` is a raw code still.
     """
 
     kind: ClassVar[str] = "conversion"
@@ -71,6 +77,10 @@ class IntegerConversion(IntegerNode):
     quantity's unit."""
     worth: tuple[float, float] = (0.0, 0.0)
     """What one raw code is worth where it is worth least and most, in the quantity's unit."""
+    junction: "IntegerConversion | None" = None
+    """From the code of the cold junction's channel to a voltage in counts of the sum."""
+    fraction_bits: int | None = None
+    """Of the sum, beyond those of the raw code."""
 
     @property
     def least(self) -> int:
@@ -107,22 +117,40 @@ class IntegerConversion(IntegerNode):
         """What rounds the shift."""
         return 1 << self.shift >> 1
 
+    @property
+    def by_sum(self) -> ConversionConfig:
+        """What is looked up -> the quantity, exactly: of raw codes, or of the sum."""
+        bits = self.fraction_bits
+        return self.formula if bits is None else sum_formula(self.formula, bits)
+
+    def add_junction(self, codes: IntArray, junction: IntArray | None) -> IntArray:
+        """Return what is looked up for raw codes, the code of the cold junction added."""
+        if self.junction is None:
+            return codes
+        assert self.fraction_bits is not None and junction is not None
+        volts = self.junction.convert(junction)
+        return np.asarray(saturate((codes << self.fraction_bits) + volts, INT32_MIN, INT32_MAX))
+
     def find_missing(self, codes: IntArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """Return which raw codes of any shape are no readings."""
+        """Return which of what is looked up, of any shape, are no readings."""
         missing = (codes < self.begin) | (codes > self.end)
-        return np.asarray(missing if self.lacks is None else missing | (codes == self.lacks))
+        known = self.lacks is None or self.junction is not None
+        return np.asarray(missing if known else missing | (codes == self.lacks))
 
     def list_missing(self) -> tuple[int, ...]:
         """Return raw codes that are no readings: those beside the readings, and the one stated."""
         if self.none is None:
             return ()
+        if self.junction is not None:
+            return () if self.lacks is None else (self.lacks,)
         beside = (c for c in (self.begin - 1, self.end + 1) if self.least <= c <= self.most)
         return (*beside, *(() if self.lacks is None else (self.lacks,)))
 
-    def find(self, wanted: IntArray) -> IntArray:
+    def find(self, wanted: IntArray, junction: int | None = None) -> IntArray:
         """Return raw codes [n] whose codes are the nearest at or beyond wanted ones [n].
 
-        They lie within those that are covered.
+        They lie within those that are covered, or are a thermocouple's nearest with its cold
+        junction at a code, by default in the middle of its table.
         """
         if self.is_plain:
             return np.asarray(saturate(wanted, self.least, self.most))
@@ -133,14 +161,31 @@ class IntegerConversion(IntegerNode):
             found = self._look_up(middle)
             reached = found >= wanted if rises else found <= wanted
             low, high = np.where(reached, low, middle + 1), np.where(reached, middle, high)
-        return np.asarray(low)
+        if self.junction is None:
+            return np.asarray(low)
+        assert self.fraction_bits is not None
+        middle = (self.junction.low + self.junction.high) // 2
+        volts = self.junction.convert(np.array([middle if junction is None else junction]))
+        raw = -((volts - low) >> self.fraction_bits)
+        return np.asarray(saturate(raw, self.least + 1, self.most - 1))
 
-    def convert(self, codes: IntArray) -> IntArray:
-        """Return the quantity's codes of raw codes of any shape, both int64."""
-        found = codes if self.is_plain else self._look_up(codes)
+    def convert(self, codes: IntArray, junction: IntArray | None = None) -> IntArray:
+        """Return the quantity's codes of raw codes of any shape, both int64.
+
+        Args:
+            codes: as the chip is given them.
+            junction: of the same shape, the codes of the cold junction's channel.
+        """
+        given = self.add_junction(codes, junction)
+        found = codes if self.is_plain else self._look_up(given)
         if self.none is None:
             return found
-        return np.where(self.find_missing(codes), self.none, found)
+        missing = self.find_missing(given)
+        if self.junction is not None:
+            missing = missing | (codes == self.lacks)
+            if self.junction.lacks is not None:
+                missing = missing | (junction == self.junction.lacks)
+        return np.where(missing, self.none, found)
 
     def _look_up(self, codes: IntArray) -> IntArray:
         place = saturate(codes, self.low, self.high) - self.low
@@ -168,19 +213,48 @@ class IntegerConversion(IntegerNode):
             )
         out = check_limits(f"{self.name}.limits", self.lowest, self.highest)
         return [out], [
-            Bound(f"{self.name}_code.code", code, 32).check(),
+            *self._prove_sum(),
+            Bound(
+                f"{self.name}_code.{'code' if self.junction is None else 'limits'}", code, 32
+            ).check(),
             Bound(f"{self.name}_parts.limits", Interval(1, self.most_parts), 32).check(),
             Bound(f"{self.name}_line.limits", Interval(0, self.lines - 1), 32).check(),
             Bound(f"{self.name}.sum", Interval(-total, total), 64).check(),
             Bound(self.name, out, 32).check(),
         ]
 
+    def _prove_sum(self) -> list[Bound]:
+        """Bound what a thermocouple's table is looked up by."""
+        if self.junction is None:
+            return []
+        assert self.fraction_bits is not None
+        check_shift(f"{self.name}_sum", self.fraction_bits, 16)
+        (volts,), relied_on = self.junction.prove([])
+        reach = max(-self.least, self.most) << self.fraction_bits
+        reach += max(abs(volts.low), abs(volts.high))
+        held = Interval(max(-reach, INT32_MIN), min(reach, INT32_MAX))
+        return [
+            *relied_on,
+            Bound(f"{self.name}_sum.sum", Interval(-reach, reach), 64).check(),
+            Bound(f"{self.name}_sum", held, 32).check(),
+        ]
+
     def check_form(self) -> None:
         """Raise ValueError where the table is not one, or the codes are none of their type."""
         if self.raw not in RAW_TYPES:
             raise ValueError(f"'{self.name}' is given {self.raw!r}")
+        if (self.junction is None) != (self.fraction_bits is None):
+            raise ValueError(f"'{self.name}' has half a cold junction")
         ends = (self.begin, self.low, self.high, self.end)
-        if not self.least <= min(ends) or not max(ends) <= self.most:
+        if self.junction is not None:
+            self.junction.check_form()
+            if self.is_plain or self.junction.is_plain or self.junction.junction is not None:
+                raise ValueError(f"'{self.name}': its cold junction has no table of its own")
+            if not 0 <= (self.fraction_bits or 0) <= 16 or self.junction.none is not None:
+                raise ValueError(f"'{self.name}': the sum has {self.fraction_bits} bits more")
+            if not min(ends) >= INT32_MIN or not max(ends) <= INT32_MAX:
+                raise ValueError(f"'{self.name}': {ends} are no sums")
+        elif not self.least <= min(ends) or not max(ends) <= self.most:
             raise ValueError(f"'{self.name}': {ends} are no codes of {self.raw}")
         if self.is_plain:
             return
@@ -199,13 +273,17 @@ class IntegerConversion(IntegerNode):
 
     def list_shifts(self) -> list[Shift]:
         """Return every right shift of a signed number in the C."""
-        return [] if self.is_plain else [Shift(f"{self.name}.shift", self.shift, 63)]
+        if self.is_plain:
+            return []
+        others = [] if self.junction is None else self.junction.list_shifts()
+        return [*others, Shift(f"{self.name}.shift", self.shift, 63)]
 
     def list_tables(self) -> tuple[CTable, ...]:
         """Return the constant tables in C."""
         if self.is_plain:
             return ()
         return (
+            *(() if self.junction is None else self.junction.list_tables()),
             make_table(f"{self.name}_first", "i16", self.first),
             make_table(f"{self.name}_nodes", "i32", self.nodes),
         )
@@ -213,20 +291,29 @@ class IntegerConversion(IntegerNode):
     @property
     def table_bytes(self) -> int:
         """What the tables take in flash."""
-        return 2 * len(self.first) + 4 * len(self.nodes)
+        own = 2 * len(self.first) + 4 * len(self.nodes)
+        return own + (0 if self.junction is None else self.junction.table_bytes)
 
-    def write(self, w: Writer, codes: str) -> str:
-        """Write the quantity's codes [B] of raw codes [B] in ONNX."""
-        found = codes if self.is_plain else self._write_look_up(w, codes)
+    def write(self, w: Writer, codes: str, junction: str = "") -> str:
+        """Write the quantity's codes [B] of raw codes [B] in ONNX, those of a junction beside."""
+        given = codes
+        if self.junction is not None:
+            volts = self.junction.write(w, junction)
+            total = w.add(w.shift_left(codes, self.fraction_bits or 0), volts)
+            given = w.saturate(total, INT32_MIN, INT32_MAX)
+        found = codes if self.is_plain else self._write_look_up(w, given)
         if self.none is None:
             return found
         missing = w.op(
             "Or",
-            w.op("Less", codes, w.constant(self.begin)),
-            w.op("Greater", codes, w.constant(self.end)),
+            w.op("Less", given, w.constant(self.begin)),
+            w.op("Greater", given, w.constant(self.end)),
         )
         if self.lacks is not None:
             missing = w.op("Or", missing, w.op("Equal", codes, w.constant(self.lacks)))
+        if self.junction is not None and self.junction.lacks is not None:
+            lacks = w.op("Equal", junction, w.constant(self.junction.lacks))
+            missing = w.op("Or", missing, lacks)
         return w.op("Where", missing, w.constant(self.none), found)
 
     def _write_look_up(self, w: Writer, codes: str) -> str:
@@ -252,10 +339,17 @@ class IntegerConversion(IntegerNode):
         within = f"(int64_t)({name}_at & {self.mask}u)"
         return f"{format_int64(self.half)} + {left} + ({rise} * {within})"
 
-    def express_missing(self, given: str) -> str:
+    def express_missing(self, given: str, junction: str = "") -> str:
         """Return the C of whether a raw code is no reading; empty where each is one."""
         tests = []
-        if self.none is not None:
+        if self.none is not None and self.junction is not None:
+            tests.append(f"({self.name}_sum < {format_int32(self.begin)})")
+            tests.append(f"({self.name}_sum > {format_int32(self.end)})")
+            if self.lacks is not None:
+                tests.append(f"({given} == {format_int32(self.lacks)})")
+            if self.junction.lacks is not None:
+                tests.append(f"({junction} == {format_int32(self.junction.lacks)})")
+        elif self.none is not None:
             if self.begin > self.least:
                 tests.append(f"({given} < {format_int32(self.begin)})")
             if self.end < self.most:

@@ -12,7 +12,7 @@ from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.chip_codes import choose_codes
 from zerodrift.dataset.load import load_dataset
-from zerodrift.export.compose import make_channel
+from zerodrift.export.channels import make_channel
 from zerodrift.export.encoding import encode_channel
 from zerodrift.export.integer_model import (
     FLAG_NO_READING,

@@ -32,7 +32,7 @@ from zerodrift.dataset.log_steps import (
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed
 from zerodrift.export.encoding import encode_channel
-from zerodrift.export.integer_model import Channel, IntegerModel
+from zerodrift.export.integer_model import Channel, IntegerModel, order_conversions
 from zerodrift.export.reference import ModelState, Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.report.results import AppliedLog
@@ -233,17 +233,25 @@ def encode_values(model: IntegerModel, values: Array) -> tuple[list[int], CodeAr
         model: has the channels.
         values: [n, C]; NaN only for a channel that has a code for "no reading".
     """
-    counts, columns = [], []
-    for channel, column in zip(model.channels, values.T, strict=True):
-        codes, out = _encode_channel(channel, column)
-        counts.append(out)
-        columns.append(codes)
-    return counts, np.stack(columns, axis=1).astype(model.code_type)
+    counts, columns = [0] * len(model.channels), dict[int, Array]()
+    converted = order_conversions(model.channels)
+    for index in [i for i in range(len(model.channels)) if i not in converted] + converted:
+        by, cold = model.channels[index].conversion, None
+        if by is not None and by.junction is not None:
+            of = model.channels[by.junction.channel]
+            cold = columns[by.junction.channel].astype(np.int64)
+            cold = cold if of.conversion is None else of.conversion.convert(cold)
+        codes, beyond = _encode_channel(model.channels[index], values[:, index], cold)
+        counts[index], columns[index] = beyond, codes
+    given = [columns[index] for index in range(len(columns))]
+    return counts, np.stack(given, axis=1).astype(model.code_type)
 
 
-def _encode_channel(channel: Channel, values: Array) -> tuple[Array, int]:
+def _encode_channel(
+    channel: Channel, values: Array, junction: NDArray[np.int64] | None
+) -> tuple[Array, int]:
     """Return codes [n], raw where the chip is given such, and how many values lie beyond them."""
-    codes, beyond = encode_channel(channel, values)
+    codes, beyond = encode_channel(channel, values, junction)
     lacks = np.isnan(values)
     if channel.conversion is None:  # one of them may be the code for none, which says so
         beyond = codes != np.round((values - channel.offset) / channel.lsb)

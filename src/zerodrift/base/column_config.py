@@ -1,15 +1,19 @@
 """A column of the logs as zerodrift.toml names it: its name, or a table that says more."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from zerodrift.base.conversion_config import (
     CONVERSION_KEYS,
+    FACTORS,
+    OWN_UNITS,
     TEMPERATURES,
     ConversionConfig,
     bring_to_unit,
     read_conversion,
 )
+from zerodrift.base.errors import nearest
 from zerodrift.base.toml_table import TomlTable
 
 RAW_CODES = {
@@ -120,6 +124,9 @@ def _check_chip_conversion(table: TomlTable, by: ConversionConfig, raw: str) -> 
                 "quantity by one code. Correct the points, or take raw out.",
             )
     if by.divider is None:
+        if by.kind == "thermocouple":  # a chip's table is from V
+            factor = FACTORS[by.unit or "V"][1] if by.unit not in TEMPERATURES else 1.0
+            return replace(by, scale=by.scale * factor, offset=by.offset * factor, unit="")
         return replace(by, unit="" if by.kind else by.unit)
     counts, most = by.divider.counts, RAW_CODES[raw][1]
     last = ((counts - 1) - by.offset) / by.scale
@@ -141,6 +148,42 @@ def _find_log_conversion(
     return replace(by, divider=given.divider, lacks=lacks)
 
 
+def check_junctions(
+    inputs: TomlTable, columns: Sequence[tuple[TomlTable, str, ConversionConfig | None]]
+) -> None:
+    """Refuse cold junctions that nothing measures.
+
+    Args:
+        inputs: the table [inputs].
+        columns: table, key and conversion of every column that may have one.
+
+    Raises:
+        InputError: there is no such input, or it is a thermocouple with a cold junction itself.
+    """
+    named = {key: by for table, key, by in columns if table is inputs}
+    for table, key, by in columns:
+        if by is None or by.junction is None:
+            continue
+        inner = TomlTable(table.file, table.lines, (*table.key, key), table.values)
+        if by.junction not in inputs.values or by.junction == key:
+            known = [name for name in inputs.values if name != key]
+            found = f"[inputs] has {', '.join(known)}" if known else "[inputs] names none"
+            raise inner.error(
+                "cold_junction",
+                f"{inner.label('cold_junction')} is '{by.junction}', which is no other input"
+                f"{nearest(by.junction, known) or '.'} Found: {found}; expected the name of the "
+                "thermometer at the cold junction. Add it to [inputs], or write its temperature "
+                "as a number.",
+            )
+        of = named.get(by.junction)
+        if of is not None and of.junction is not None:
+            raise inner.error(
+                "cold_junction",
+                f"{inner.label('cold_junction')} is '{by.junction}', which is a thermocouple with "
+                "a cold junction of its own; expected a thermometer that needs none.",
+            )
+
+
 def _take_quantity(by: ConversionConfig) -> ConversionConfig | None:
     """Return the conversion of a log that holds what the chip's codes are converted to.
 
@@ -148,7 +191,7 @@ def _take_quantity(by: ConversionConfig) -> ConversionConfig | None:
     """
     if by.unit in TEMPERATURES:
         return None if by.unit == "degC" else ConversionConfig(unit=by.unit)
-    if by.kind in ("ntc", "pt100", "pt1000"):
+    if by.kind in OWN_UNITS:
         return replace(by, scale=1.0, offset=0.0, divider=None)
     return None
 

@@ -15,7 +15,7 @@ from zerodrift.base.clock_config import (
     read_clocks,
     read_time,
 )
-from zerodrift.base.column_config import CodesConfig, read_column, read_quantity
+from zerodrift.base.column_config import CodesConfig, check_junctions, read_column, read_quantity
 from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.base.errors import InputError
 from zerodrift.base.experiment_config import ExperimentConfig, read_experiment
@@ -219,6 +219,11 @@ def parse_config(text: str, path: Path) -> Config:
     columns = {name: read_column(inputs, name) for name in inputs.values}
     conversions = [(temperature_column, temperature_by)]
     conversions += [(column, by) for column, _, by in columns.values()]
+    own = [(sensor, "temperature", temperature_codes.by or temperature_by)]
+    own += [(inputs, name, codes.by or by) for name, (_, codes, by) in columns.items()]
+    own += [(table, key, by) for table, key, _, by in converted_outputs]
+    check_junctions(inputs, own)
+    conversions += [(column, by) for _, _, column, by in converted_outputs]
     config = Config(
         path=path,
         sensor_name=sensor.text("name"),
@@ -252,9 +257,7 @@ def parse_config(text: str, path: Path) -> Config:
         ),
         temperature_codes=temperature_codes,
         input_codes={name: codes for name, (_, codes, _) in columns.items()},
-        conversions={
-            column: by for column, by in (*conversions, *converted_outputs) if by is not None
-        },
+        conversions={column: by for column, by in conversions if by is not None},
     )
     _refuse_shared_columns(config, root)
     _refuse_file_as_build(config)
@@ -298,8 +301,8 @@ def _read_selectors(logs: TomlTable, use: str) -> tuple[str, ...]:
 
 def _read_outputs(
     root: TomlTable,
-) -> tuple[tuple[OutputConfig, ...], list[tuple[str, ConversionConfig | None]]]:
-    """Read the outputs, and how columns of theirs are converted."""
+) -> tuple[tuple[OutputConfig, ...], list[tuple[TomlTable, str, str, ConversionConfig | None]]]:
+    """Read the outputs, and how columns of theirs are converted: table, key, column, by what."""
     tables = root.table("outputs", None)
     if not 1 <= len(tables.values) <= MAX_OUTPUTS:
         raise tables.error(
@@ -308,16 +311,16 @@ def _read_outputs(
             "[outputs.NAME], one per quantity that drifts.",
         )
     outputs = []
-    conversions: list[tuple[str, ConversionConfig | None]] = []
+    conversions: list[tuple[TomlTable, str, str, ConversionConfig | None]] = []
     for name in tables.values:
         table = tables.table(name, ("measured", "reference", "unit", "full_scale"))
         unit = table.text("unit")
         measured, by = read_quantity(table, "measured", unit)
-        conversions.append((measured, by))
+        conversions.append((table, "measured", measured, by))
         reference: str | float = 0.0
         if isinstance(table.values.get("reference"), str | dict):
             reference, by = read_quantity(table, "reference", unit)
-            conversions.append((reference, by))
+            conversions.append((table, "reference", reference, by))
         elif "reference" in table.values:
             reference = table.number("reference", "a column's name in quotes, or a number")
         outputs.append(

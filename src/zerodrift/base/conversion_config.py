@@ -5,12 +5,19 @@ from itertools import pairwise
 
 from zerodrift.base.toml_table import TomlTable
 
-KINDS = ("ntc", "pt100", "pt1000", "table", "polynomial")
+KINDS = ("ntc", "pt100", "pt1000", "thermocouple", "table", "polynomial")
+COUPLE_TYPES = ("B", "E", "J", "K", "N", "R", "S", "T")
+"""Thermocouples of IEC 60584-1."""
 TEMPERATURES = ("degC", "degF", "K")
 CONVERSION_KEYS = (
     *("unit", "scale", "offset", "convert", "divider", "r25_ohm", "beta_K", "steinhart"),
-    *("points", "coefficients"),
+    *("points", "coefficients", "type", "cold_junction"),
 )
+OWN_UNITS = {
+    **dict.fromkeys(("ntc", "pt100", "pt1000"), ("ohm",)),
+    "thermocouple": ("V", "mV", "uV"),
+}
+"""Conversion -> units that it is from."""
 FACTORS = {
     **{"uV": ("V", 1e-6), "mV": ("V", 1e-3), "V": ("V", 1.0)},
     **{"uA": ("A", 1e-6), "mA": ("A", 1e-3), "A": ("A", 1.0)},
@@ -50,7 +57,8 @@ class ConversionConfig:
     divider: DividerConfig | None = None
     """From the share of the counts to ohm."""
     kind: str = ""
-    """ntc | pt100 | pt1000 | table | polynomial; empty: none."""
+    """ntc | pt100 | pt1000 | thermocouple | table | polynomial; empty: none. A model's file also
+    has emf: `times` times the voltage of a thermocouple against 0 degC."""
     r25_ohm: float = 0.0
     beta_K: float = 0.0
     steinhart: tuple[float, ...] = ()
@@ -58,6 +66,13 @@ class ConversionConfig:
     coefficients: tuple[float, ...] = ()
     lacks: float | None = None
     """The logged value that means that there is no reading."""
+    couple: str | None = None
+    """Type of the thermocouple; value * scale + offset is its voltage."""
+    junction: str | None = None
+    """The input that measures its cold junction, in degC."""
+    junction_degC: float | None = None
+    """Where that is always at one temperature."""
+    times: float | None = None
 
 
 def read_conversion(table: TomlTable, *, of_code: bool = True) -> ConversionConfig | None:
@@ -75,7 +90,7 @@ def read_conversion(table: TomlTable, *, of_code: bool = True) -> ConversionConf
         return None
     kind = table.choice("convert", KINDS, "ntc") if "convert" in table.values else ""
     own = {"ntc": ("r25_ohm", "beta_K", "steinhart"), "table": ("points",)}
-    own["polynomial"] = ("coefficients",)
+    own["polynomial"], own["thermocouple"] = ("coefficients",), ("type", "cold_junction")
     for owner, keys in own.items():
         for key in keys:
             if key in table.values and kind != owner:
@@ -86,13 +101,14 @@ def read_conversion(table: TomlTable, *, of_code: bool = True) -> ConversionConf
     unit = table.text("unit") if "unit" in table.values else ""
     divider = _read_divider(table) if "divider" in table.values else None
     results = () if of_code else TEMPERATURES
-    if kind in ("ntc", "pt100", "pt1000") and unit not in ("", "ohm", *results):
+    units = OWN_UNITS.get(kind, ())
+    if units and unit not in ("", *units, *results):
         hint = ', and log_is = "quantity" where the log holds the temperature itself'
         raise table.error(
             "unit",
-            f"{table.label('unit')} is '{unit}', but convert = \"{kind}\" is from ohm; expected "
-            f'unit = "ohm"{hint if unit in TEMPERATURES else ""}. Bring it to ohm by scale, or '
-            "take one out.",
+            f"{table.label('unit')} is '{unit}', but convert = \"{kind}\" is from {units[0]}; "
+            f'expected unit = "{units[0]}"{hint if unit in TEMPERATURES else ""}. Bring it to '
+            f"{units[0]} by scale, or take one out.",
         )
     if divider is not None and kind not in ("ntc", "pt100", "pt1000"):
         raise table.error(
@@ -116,7 +132,31 @@ def read_conversion(table: TomlTable, *, of_code: bool = True) -> ConversionConf
         steinhart=steinhart,
         points=points,
         coefficients=coefficients,
+        couple=_read_couple(table) if kind == "thermocouple" else None,
+        junction=_read_junction(table) if kind == "thermocouple" else None,
+        junction_degC=_read_junction_temperature(table) if kind == "thermocouple" else None,
     )
+
+
+def sum_formula(by: ConversionConfig, fraction_bits: int) -> ConversionConfig:
+    """Return the temperature of a sum of a thermocouple's code and its junction's voltage."""
+    scale = by.scale / 2.0**fraction_bits
+    return replace(by, scale=scale, junction=None, junction_degC=0.0)
+
+
+def junction_formula(
+    by: ConversionConfig, fraction_bits: int, lsb: float, offset: float
+) -> ConversionConfig:
+    """Return the part of that sum that a code of the cold junction gives.
+
+    Args:
+        by: of the thermocouple, from V.
+        fraction_bits: of the sum.
+        lsb: one code of the junction, in K.
+        offset: the junction at its code 0, in degC.
+    """
+    times = 2.0**fraction_bits / by.scale
+    return ConversionConfig(kind="emf", couple=by.couple, scale=lsb, offset=offset, times=times)
 
 
 def bring_to_unit(by: ConversionConfig, unit: str, table: TomlTable) -> ConversionConfig:
@@ -143,6 +183,39 @@ def _read_divider(table: TomlTable) -> DividerConfig:
     inner = table.table("divider", ("series_ohm", "side", "counts"))
     is_low = inner.choice("side", ("low", "high"), "low") == "low"
     return DividerConfig(inner.positive("series_ohm"), is_low, inner.positive("counts"))
+
+
+def _read_couple(table: TomlTable) -> str:
+    if "type" not in table.values:
+        types = ", ".join(COUPLE_TYPES)
+        raise table.error(
+            "convert",
+            f'convert = "thermocouple" needs type = "K" beside it; expected one of {types}.',
+        )
+    return table.choice("type", COUPLE_TYPES, "K")
+
+
+def _read_junction(table: TomlTable) -> str | None:
+    """Return the input that measures the cold junction; None where it has one temperature.
+
+    Raises:
+        InputError: nothing is said of it; a thermocouple measures a difference.
+    """
+    if "cold_junction" not in table.values:
+        raise table.error(
+            "convert",
+            'convert = "thermocouple" gives a difference of temperatures; expected cold_junction = '
+            '"NAME", one of [inputs] in degC, beside it, or a number in degC where its cold '
+            "junction is always at that.",
+        )
+    found = table.values["cold_junction"]
+    return table.text("cold_junction") if isinstance(found, str) else None
+
+
+def _read_junction_temperature(table: TomlTable) -> float | None:
+    if isinstance(table.values.get("cold_junction"), str):
+        return None
+    return table.number("cold_junction", "the name of one of [inputs], or a number in degC")
 
 
 def _read_numbers(table: TomlTable, key: str, count: int | None = None) -> tuple[float, ...]:
