@@ -143,7 +143,11 @@ def _product(node: IntegerProduct, inputs: list[list[Interval]], known: _Known) 
 
 
 def _lowpass(node: IntegerLowpass, inputs: list[list[Interval]], known: _Known) -> Proof:
-    """The invariant of `IntegerLowpass.prove`, for the slowest and the quickest of the set."""
+    """The invariant of `IntegerLowpass.prove`, for the slowest and the quickest of the set.
+
+    v is within the range of all blocks, of which its own block's is a part: it tends there from
+    anywhere in the former. So y = v + c x is taken for any v and any c.
+    """
     c, m = known.of("c_q24", node.c_q24), known.of("m_q31", node.m_q31)
     one, a_one = 1 << LOWPASS_FRACTION, 1 << (node.shift + 22)
     if c.low < 0 or c.high > one or m.low < 1 or m.high > min(a_one, INT32_MAX):
@@ -152,7 +156,7 @@ def _lowpass(node: IntegerLowpass, inputs: list[list[Interval]], known: _Known) 
     a_inverse = -(-a_one // m.low)
     margin = Interval(-(1 << 21) - a_inverse, (1 << 21) + a_inverse)
     v = x * Interval(one - c.high, one - c.low) + margin
-    y = x.scale(one) + margin
+    y = v + x * c
     gap = (x.scale(one) - y).round_shift(22)
     scaled = gap * m
     half = Interval(0, 1 << node.shift >> 1)

@@ -21,6 +21,15 @@ class BoundClaim(Claim):
 
 
 @dataclass(frozen=True)
+class BlockClaim(Claim):
+    """What each number of a field of a block can be, and its rows add up to."""
+
+    row: int
+    """Numbers in a row; 0: nothing is claimed of rows."""
+    norm: int
+
+
+@dataclass(frozen=True)
 class TableClaim(Claim):
     """The range of what is read of a table, and the lines that can be read."""
 
@@ -45,6 +54,8 @@ class CertificateClaims:
     shifts: Mapping[str, int]
     """Where -> bits."""
     bounds: tuple[BoundClaim, ...]
+    blocks: tuple[BlockClaim, ...]
+    """Of a design; empty where the numbers are the program's own."""
 
 
 def read_claims(told: Mapping[str, object]) -> CertificateClaims:
@@ -76,6 +87,15 @@ def read_claims(told: Mapping[str, object]) -> CertificateClaims:
         bounds=tuple(
             BoundClaim(_read_text(c["where"]), *_read_range(c), _read_integer(c["bits"]))
             for c in rows["bounds"]
+        ),
+        blocks=tuple(
+            BlockClaim(
+                _read_text(c["where"]),
+                *_read_range(c),
+                _read_integer(c.get("row", 0)),
+                _read_integer(c.get("norm", 0)),
+            )
+            for c in _list_rows(told.get("blocks", []))
         ),
     )
 

@@ -19,10 +19,13 @@ MOST = 1 << 16
 
 def shift_right(machine: IntervalMachine, x: Value, shift: Value, most: int) -> Value:
     """Return x >> shift, which C must define."""
-    if shift.exact is None or not 0 <= shift.exact <= most:
+    if not 0 <= shift.low <= shift.high <= most:
         raise FaultError(f"a shift by {shift.low} .. {shift.high} bits; C defines 0 .. {most}")
+    if shift.exact is None and not machine.has_block:
+        raise FaultError(f"a shift by {shift.low} .. {shift.high} bits, which are not known")
     machine.shift = shift.exact
-    return Value(x.low >> shift.exact, x.high >> shift.exact, x.type)
+    ends = [end >> by for end in (x.low, x.high) for by in (shift.low, shift.high)]
+    return Value(min(ends), max(ends), x.type)
 
 
 Rows = tuple[list[int], list[int], list[int]]

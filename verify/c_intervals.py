@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
+from zerodrift.verify.c_block import BlockSet
 from zerodrift.verify.c_checksum import FIELD as SUM
 from zerodrift.verify.c_guard import Guard
 from zerodrift.verify.c_nodes import (
@@ -21,11 +22,14 @@ from zerodrift.verify.c_nodes import (
     Program,
     TypeName,
     Variable,
+    is_name,
 )
 from zerodrift.verify.c_statements import Statements
 from zerodrift.verify.c_values import (
     TYPES,
     Address,
+    Block,
+    Cell,
     FaultError,
     Found,
     Holder,
@@ -79,6 +83,12 @@ class IntervalMachine(Statements):
         self._made: list[tuple[int, int]] = []
         self._asked = False
         """Whether this path has asked if the state is sound."""
+        self.has_block = False
+        """Whether numbers lie in a block."""
+        self.blocks = BlockSet()
+        """What the test of a block lets through."""
+        self._without_block = False
+        """Whether this path goes on with no block."""
         self.summed = False
         """Whether the state bears a checksum over itself."""
         self._given: tuple[tuple[int, int], ...] = ()
@@ -103,6 +113,7 @@ class IntervalMachine(Statements):
         for _ in range(MOST_PATHS):
             self._made, self._asked, self._live, self._depth = [], False, [], 0
             self._compared, self._refused = False, False
+            self._without_block = False
             self.variables, self._inputs, self.inputs = {}, [], set()
             try:
                 run()
@@ -177,6 +188,8 @@ class IntervalMachine(Statements):
         arguments = [self.evaluate(node) for node in nodes]
         self._at = at
         own = name.removeprefix(f"{self.prefix}_")
+        if own == "check_block" and self.has_block:  # its text is known, and was cut out
+            return self._ask_block(*arguments)
         if name in self.program.functions:
             if own == "state_is_sound":
                 self._called.add(name)
@@ -259,7 +272,49 @@ class IntervalMachine(Statements):
                 Pointer(block, Value(0, 0), (block.count,)).values(block.count)
         return replace(anything("uint32_t"), sum_of=self._fields_of(state.struct))
 
+    def find_norm(self, weights: Pointer, count: int) -> int | None:
+        """Return what a row of a block's weights adds up to at most; None: nothing is known."""
+        norm = self.blocks.norms.get(weights.block.name.removeprefix("b->"))
+        if norm is None or norm.row != count or not self._of_block(weights):
+            return None
+        first = weights.first
+        steps = 0 if first.exact is not None else weights.step
+        aligned = first.low % norm.row == steps % norm.row == 0
+        return norm.most if aligned else None
+
+    def _of_block(self, pointer: Pointer) -> bool:
+        return pointer.block.name.startswith("b->") and pointer.block.constant
+
+    def _ask_block(self, block: Found, length: Found) -> Value:
+        """Go on with a block that is refused, or with one that passed the test."""
+        if not isinstance(block, Address) or block.struct.type != f"{self.prefix}_block_t":
+            raise self.not_understood("check_block of something else")
+        if self.as_number(length).exact != self.size_of(f"{self.prefix}_block_t"):
+            raise self.not_understood("check_block of another length")
+        refused = self._without_block or self.choose(2) == 0
+        return Value(1, 31, "uint32_t") if refused else Value(0, 0, "uint32_t")
+
+    def _is_null(self, node: CBinary) -> Value | None:
+        """b == NULL: known on every path, as each entry is run with a block and without."""
+        if not self.has_block or not is_name(node.right, "NULL"):
+            return None
+        found = self.evaluate(node.left)
+        if not isinstance(found, Address) or found.struct.type != f"{self.prefix}_block_t":
+            raise self.not_understood("NULL beside something else than a block")
+        if node.operator != "==":
+            raise self.not_understood("NULL in another comparison than ==")
+        return Value(int(self._without_block), int(self._without_block), self.int)
+
+    def assume(self, node: Expression, truth: bool) -> list[tuple[Block, list[Cell]]]:
+        """Narrow the variables that a condition compares; of a block's address it says nothing."""
+        if self.has_block and isinstance(node, CBinary) and is_name(node.right, "NULL"):
+            return []
+        return super().assume(node, truth)
+
     def _on_binary(self, node: CBinary) -> Value:
+        null = self._is_null(node)
+        if null is not None:
+            return null
         operator, left, right = node.operator, node.left, node.right
         if isinstance(left, CField) and left.name == SUM and operator in ("==", "!="):
             holder = self.evaluate(left.of)
@@ -302,14 +357,17 @@ class IntervalMachine(Statements):
 
     def require_asked(self) -> None:
         """Fail where a step goes on with a state of which it has not asked whether it is sound."""
-        if not self._asked:
+        if not self._asked and not self._without_block:
             self.fail("step does not ask whether its state is sound")
-        if self.summed and not (self._compared or self._refused):
+        if self.summed and not (self._compared or self._refused or self._without_block):
             self.fail("step does not compare the checksum of its state")
+
+    def _is_block(self, argument: Found) -> bool:
+        return isinstance(argument, Address) and argument.struct.type == f"{self.prefix}_block_t"
 
     def _replay(self, name: str, arguments: Sequence[Found]) -> Value | None:
         """The self-test's calls of functions that were shown for any state and input."""
-        state, codes = arguments[:2]
+        state, codes, *drifts = [a for a in arguments if not self._is_block(a)]
         if not (isinstance(state, Address) and isinstance(codes, Address)):
             raise self.not_understood(f"{name} of something else")
         types = (state.struct.type, codes.struct.type)
@@ -324,7 +382,7 @@ class IntervalMachine(Statements):
             block.version += 1
         if name == "settle":
             return None
-        drift = arguments[2]
+        drift = drifts[0] if drifts else None
         if not isinstance(drift, Pointer) or drift.block.type != "int32_t":
             raise FaultError("drift is no array of int32_t")
         drift.fill([anything("int32_t")] * self.outputs)

@@ -46,9 +46,9 @@ def _clamp_wide(machine: IntervalMachine, x: Value, low: Value, high: Value) -> 
 
 
 def _limit(x: Value, low: Value, high: Value) -> Value:
-    if low.exact is None or high.exact is None or low.low > high.low:
-        raise FaultError(f"limits {low.low} .. {high.high}")
-    return Value(min(max(x.low, low.low), high.low), min(max(x.high, low.low), high.low))
+    if low.high > high.low:
+        raise FaultError(f"limits {low.low} .. {low.high} and {high.low} .. {high.high}")
+    return Value(min(max(x.low, low.low), high.high), min(max(x.high, low.low), high.high))
 
 
 def _shift_sum(machine: IntervalMachine, x: Value, shift: Value) -> Value:
@@ -150,40 +150,59 @@ def _power(machine: IntervalMachine, power: Struct, x: Value) -> Value:
 
 def _dot(machine: IntervalMachine, weights: Pointer, x: Pointer, count: Value) -> Value:
     n = number(count, 0, TYPES["uint32_t"][1], "the length")
-    machine.row_of = weights.block.name.removesuffix("_weights")
+    machine.row_of = weights.block.name.removeprefix("b->").removesuffix("_weights")
     if not weights.block.constant:
         raise FaultError(f"{weights.block.name} is no table of weights")
     terms = list(zip(weights.values(n), x.values(n), strict=True))
-    ends = [sorted((w.low * v.low, w.low * v.high)) for w, v in terms]
-    reach = sum(abs(w.low) * v.reach for w, v in terms)
+    ends = [sorted(a * b for a in (w.low, w.high) for b in (v.low, v.high)) for w, v in terms]
+    reach = sum(w.reach * v.reach for w, v in terms)
+    norm = machine.find_norm(weights, n)
+    if norm is not None and norm * max(v.reach for _, v in terms) < reach:
+        reach = norm * max(v.reach for _, v in terms)
+        machine.convert(Value(-reach, reach, "int64_t"), "int32_t")
+        return Value(-reach, reach, "int32_t", reach)
     total = Value(sum(e[0] for e in ends), sum(e[-1] for e in ends), "int64_t", reach)
     machine.convert(Value(-reach, reach, "int64_t"), "int32_t")  # in any order
     return machine.convert(total, "int32_t")
 
 
 def _lowpass_rest(machine: IntervalMachine, x: Value, c: Value) -> Value:
-    share = (1 << 24) - number(c, 0, 1 << 24, "c in 2^-24")
-    return machine.combine("*", replace(x, type="int64_t"), Value(share, share, "int64_t"))
+    share = _share_left(c)
+    return machine.combine("*", replace(x, type="int64_t"), share)
+
+
+def _share_left(c: Value) -> Value:
+    """Return 1 - c in 2^-24, for any c from 0 to 1."""
+    one = 1 << 24
+    if not 0 <= c.low <= c.high <= one:
+        raise FaultError(f"c in 2^-24 is {c.low} .. {c.high}; 0 .. {one} is allowed")
+    return Value(one - c.high, one - c.low, "int64_t")
 
 
 def _lowpass(
     machine: IntervalMachine, place: Pointer, x: Value, c_q24: Value, m_q31: Value, by: Value
 ) -> Value:
     """v tends into (1 - c) x and a margin: a step forgets the share a of how far it is outside and
-    adds 2^21 a + 1/2, so that it stays where it is inside and comes nearer where it is not."""
+    adds 2^21 a + 1/2, so that it stays where it is inside and comes nearer where it is not, also in
+    the range of all blocks' c, of which a block's own is a part."""
     one = 1 << 24
-    c, shift = number(c_q24, 0, one, "c in 2^-24"), number(by, 0, 62, "the shift")
+    share, shift = _share_left(c_q24), number(by, 0, 62, "the shift")
     a_one = 1 << (shift + 22)
-    m = number(m_q31, 1, min(a_one, (1 << 31) - 1), "a in 2^-31")
+    most = min(a_one, (1 << 31) - 1)
+    if not 1 <= m_q31.low <= m_q31.high <= most:
+        raise FaultError(f"a in 2^-31 is {m_q31.low} .. {m_q31.high}; 1 .. {most} is allowed")
     v, name = _state_cell(place), machine.name_of(place.block).removesuffix(".v")
-    margin = (1 << 21) + -(-a_one // m)
-    low, high = (one - c) * x.low - margin, (one - c) * x.high + margin
-    y = Value(v.low + c * x.low, v.high + c * x.high, "int64_t")
+    margin = (1 << 21) + -(-a_one // m_q31.low)
+    ends = [s * end for s in (share.low, share.high) for end in (x.low, x.high)]
+    low, high = min(ends) - margin, max(ends) + margin
+    passed = [c * end for c in (c_q24.low, c_q24.high) for end in (x.low, x.high)]
+    y = Value(v.low + min(passed), v.high + max(passed), "int64_t")
     gap = Value((one * x.low - y.high + (1 << 21)) >> 22, (one * x.high - y.low + (1 << 21)) >> 22)
     half = 1 << shift >> 1
+    scaled = [g * m for g in (gap.low, gap.high) for m in (m_q31.low, m_q31.high)]
     machine.note(f"{name}.y", y.low, y.high, 64)
     machine.note(f"{name}.gap", gap.low, gap.high, 32)
-    machine.note(f"{name}.scaled", gap.low * m, gap.high * m + half, 64)
+    machine.note(f"{name}.scaled", min(scaled), max(scaled) + half, 64)
     place.fill([machine.convert(Value(min(v.low, low), max(v.high, high), "int64_t"), "int64_t")])
     out = Value((y.low + (1 << 23)) >> 24, (y.high + (1 << 23)) >> 24, "int64_t")
     shift_right(machine, out, by, 62)

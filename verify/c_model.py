@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from zerodrift.verify.c_assembly import NAMES, run_assembly
+from zerodrift.verify.c_block import cut_known, has_block, read_block_set
 from zerodrift.verify.c_checksum import is_summed
 from zerodrift.verify.c_guard import read_guard
 from zerodrift.verify.c_intervals import IntervalMachine
@@ -65,7 +66,8 @@ def read_models(texts: Mapping[str, str], prefix: str) -> "list[Model]":
     """
     runtime, models = Runtime(texts), list[Model]()
     alike: dict[tuple[str, ...], Model] = {}
-    for way, tokens in read_ways(texts, prefix, runtime.numbers):
+    for way, every in read_ways(texts, prefix, runtime.numbers):
+        tokens, asked = cut_known(every, prefix) if has_block(every, prefix) else (every, 0)
         plain = tuple(word for word in tokens.words if word[0] != '"' and word not in NAMES)
         if (model := alike.get(plain)) is not None:
             model.others.append((way.defined, parse(tokens, tuple(STRUCTS)).assembly))
@@ -74,7 +76,7 @@ def read_models(texts: Mapping[str, str], prefix: str) -> "list[Model]":
         for int_bits, per_pair in {0: [(32, 2), (16, 2)], 1: [(32, 1), (32, 2)]}.get(
             -1 if {"ZD_GRU_ASSEMBLY", "ZD_ASSEMBLY"} & way.defined.keys() else kernel, [(32, 2)]
         ):
-            alike[plain] = Model(way, tokens, prefix, runtime, int_bits, per_pair)
+            alike[plain] = Model(way, tokens, prefix, runtime, int_bits, per_pair, asked)
             models.append(alike[plain])
     return models
 
@@ -90,6 +92,7 @@ class Model(IntervalMachine):
         runtime: Runtime,
         int_bits: int = 32,
         per_pair: int = 2,
+        block_bytes: int = 0,
     ) -> None:
         """Read all declarations.
 
@@ -100,12 +103,14 @@ class Model(IntervalMachine):
             runtime: its constants.
             int_bits: of C's int.
             per_pair: words of scratch for two numbers in the kernel for pairs of them.
+            block_bytes: length of a block that `check_block` asks for; 0: there are none.
         """
         super().__init__(parse(tokens, tuple(STRUCTS)), prefix, runtime.numbers, RULES, int_bits)
         narrow = ", int of 16 bits" if int_bits == 16 else ""
         self.name, self.defined = way.name + narrow, way.defined
         self.others: list[tuple[Mapping[str, int], Mapping[str, tuple[str, ...]]]] = []
         """What other ways define, of which nothing but the assembly is another, and that."""
+        self.has_block, self._block_bytes = block_bytes > 0, block_bytes
         self.per_pair, self.tables, self.tanh_lines = per_pair, runtime.tables, runtime.lines
         self.h_limit = runtime.numbers["ZD_GRU_H_LIMIT_Q30"]
         self._prove_recurrence()
@@ -142,6 +147,9 @@ class Model(IntervalMachine):
                 if self.number(claim).exact != 1:
                     self.fail("does not compile: a claim that does not hold")
             self.outputs = self.constant(self._expand("OUTPUTS"))
+            if self.has_block:
+                self.blocks = read_block_set(self, self.prefix, self._block_bytes)
+                self._called.add(f"{self.prefix}_is_admissible")
             self.guard = read_guard(self, self.prefix)
             self.summed = is_summed(self, self.prefix)
         except FaultError as error:
@@ -242,6 +250,19 @@ class Model(IntervalMachine):
 
     # --- entries: what anyone may call, with any state and any input
 
+    def _blocks(self) -> tuple[Address, ...]:
+        """Return a block of those that pass the test, or none, where entries take one.
+
+        Nothing may be read where there is none.
+        """
+        if not self.has_block:
+            return ()
+        self._without_block = self.choose(2) == 0
+        block = self.make_struct(f"{self.prefix}_block_t", "b", any_bits=not self._without_block)
+        if not self._without_block:
+            self.blocks.admit(block)
+        return (Address(block, constant=True),)
+
     def _call_entry(self, name: str, *arguments: Found) -> None:
         self.call(f"{self.prefix}_{name}", arguments)
 
@@ -261,7 +282,7 @@ class Model(IntervalMachine):
 
     def _run_settle(self) -> None:
         state, codes = self.make_state("nothing"), self.make_input()
-        self._call_entry("settle", Address(state), Address(codes, constant=True))
+        self._call_entry("settle", Address(state), *self._blocks(), Address(codes, constant=True))
         self.require_sound(state, "settle")
 
     def _run_step(self) -> None:
@@ -269,7 +290,8 @@ class Model(IntervalMachine):
         drift = make_block("drift", "int32_t", [self.outputs], None)
         self._live.append(drift)
         given = Pointer(drift, Value(0, 0), drift.sizes)
-        self._call_entry("step", Address(state), Address(codes, constant=True), given)
+        block, own = self._blocks(), Address(codes, constant=True)
+        self._call_entry("step", Address(state), *block, own, given)
         given.values(self.outputs)
         self.require_sound(state, "step")
         self.require_asked()
@@ -282,12 +304,13 @@ class Model(IntervalMachine):
 
     def _run_restore(self) -> None:
         state = self.make_state()
-        self._call_entry("restore", Address(state), self._saved(any_bits=True, entry="restore"))
+        saved = self._saved(any_bits=True, entry="restore")
+        self._call_entry("restore", Address(state), *self._blocks(), saved)
         self.require_sound(state, "restore")
 
     def _run_selftest(self) -> None:
         self._replaying = True
-        self._call_entry("selftest")
+        self._call_entry("selftest", *self._blocks())
         self._replaying = False
 
 

@@ -293,7 +293,9 @@ def _replace_macros(way: PreprocessorWay, prefix: str, known: Mapping[str, int])
                 found.places += [line.place] * len(words)
         elif word == "include":
             file = line.text.split(None, 1)[1].removeprefix("include").strip(' "<>')
-            if file not in ("stdint.h", f"{prefix}.h") and not re.fullmatch(r"zd_\w+\.h", file):
+            if file not in ("stddef.h", "stdint.h", f"{prefix}.h") and not re.fullmatch(
+                r"zd_\w+\.h", file
+            ):
                 raise NotUnderstoodError(f"{line.place}: {line.text}")
             included.add(file)
         elif word == "define":

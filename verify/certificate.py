@@ -6,14 +6,18 @@ prover that the quantizer uses; `certificate_check` derives it again from the C 
 
 import hashlib
 import json
+from collections.abc import Mapping
 
 from zerodrift import __version__
+from zerodrift.blocks.design import BlockDesign
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
+from zerodrift.codegen.block_text import list_held
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.error_bound import ErrorBound
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.gru.cell import H_LIMIT_Q30
+from zerodrift.operations.intervals import Bound
 from zerodrift.operations.tables import STEP_BITS, T_MAX, T_MIN, tanh_nodes
 from zerodrift.verify.certificate_bound import describe_bound
 
@@ -32,6 +36,54 @@ def certify(model: IntegerModel, code: GeneratedCode, bound: ErrorBound | None =
     Raises:
         CheckError: a bound of the model does not hold.
     """
+    return _write(model, model.hash, model.prove(), code, bound, frozenset(), {})
+
+
+def certify_design(design: BlockDesign, code: GeneratedCode) -> str:
+    """Return the text of certificate.json of a design: its claims hold for every block of the set.
+
+    Args:
+        design: of the program.
+        code: the C that was generated of it.
+
+    Raises:
+        CheckError: a bound does not hold for some block.
+    """
+    held = list_held(design)
+    fields: list[dict[str, object]] = [
+        {
+            "where": f"b->{field.place.name}",
+            "low": field.low,
+            "high": field.high,
+            **({"row": field.row, "norm": field.norm} if field.norm else {}),
+        }
+        for field in design.fields
+    ]
+    return _write(
+        design.model, design.identity, design.prove(), code, None, held, {"blocks": fields}
+    )
+
+
+def _write(
+    model: IntegerModel,
+    identity: str,
+    bounds: list[Bound],
+    code: GeneratedCode,
+    bound: ErrorBound | None,
+    held: frozenset[str],
+    further: Mapping[str, object],
+) -> str:
+    """Return the text.
+
+    Args:
+        model: what the C was generated of.
+        identity: what the C calls itself.
+        bounds: what is proven.
+        code: the C.
+        bound: of the distance from the float model.
+        held: nodes whose shifts lie in a block.
+        further: claims beside those.
+    """
     texts = {code.header_name: code.header, code.source_name: code.source}
     texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
     grus = [layer for layer in model.recurrents if isinstance(layer, IntegerGruLayer)]
@@ -41,7 +93,7 @@ def certify(model: IntegerModel, code: GeneratedCode, bound: ErrorBound | None =
         "about": "Nothing overflows, for any input code. Derived from the weights by intervals;"
         " `zerodrift verify --certificate` derives it again from the C alone.",
         "generator": f"zerodrift {__version__}",
-        "model": model.hash,
+        "model": identity,
         "prefix": code.prefix,
         "files": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()},
         "inputs": [
@@ -60,6 +112,7 @@ def certify(model: IntegerModel, code: GeneratedCode, bound: ErrorBound | None =
         "shifts": [
             {"where": shift.where, "shift": int(shift.amount), "most": shift.most}
             for node in (*model.conversions, *model.nodes)
+            if node.name not in held
             for shift in node.list_shifts()
         ],
         "bounds": [
@@ -69,9 +122,10 @@ def certify(model: IntegerModel, code: GeneratedCode, bound: ErrorBound | None =
                 "high": int(line.interval.high),
                 "bits": line.bits,
             }
-            for line in model.prove()
+            for line in bounds
             if line.where not in idle
         ],
+        **further,
         **({} if bound is None else describe_bound(bound, model)),
     }
     return format_certificate(body)

@@ -179,7 +179,22 @@ def judge(claims: Mapping[str, object], machine: IntervalMachine) -> tuple[int, 
             holds += 1
         else:
             failures.append(f"{line.where}: claimed {line}, the C has {table}")
-    return holds, [*failures, *_judge_state(read, machine)]
+    wrong = _judge_blocks(read, machine)
+    holds += len(read.blocks) if not wrong else 0
+    return holds, [*failures, *wrong, *_judge_state(read, machine)]
+
+
+def _judge_blocks(claims: CertificateClaims, machine: IntervalMachine) -> list[str]:
+    """Return where the set of blocks that is claimed is not the one that the C lets through."""
+    failures, left = [], set(machine.blocks.limits)
+    for claim in claims.blocks:
+        name = claim.where.removeprefix("b->")
+        norm = machine.blocks.norms.get(name)
+        found = (*machine.blocks.limits.get(name, ()), *((norm.row, norm.most) if norm else (0, 0)))
+        if found != (claim.low, claim.high, claim.row, claim.norm):
+            failures.append(f"{claim.where}: claimed {claim}, the test of a block has {found}")
+        left.discard(name)
+    return [*failures, *(f"b->{name}: tested by the C, but not claimed" for name in sorted(left))]
 
 
 def _judge_state(claims: CertificateClaims, machine: IntervalMachine) -> list[str]:
