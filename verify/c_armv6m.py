@@ -3,22 +3,124 @@
 Shares no code with the generator and needs the standard library only.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 HALF_LINES = 178
 """Of the table that is read at -Os."""
 
 
-def write_gru(name: str, inputs: int, hidden: int, shifts: list[int], small: bool) -> Iterator[str]:
+def write_gru(
+    name: str, inputs: int, hidden: int, shifts: Sequence[int], small: bool
+) -> Iterator[str]:
     """Reset after the product, 16-bit weights."""
     x_pairs, h_pairs = (inputs + 1) // 2, (hidden + 1) // 2
     frame = 12 + 8 * (x_pairs + h_pairs)
-    parts = [frame] if frame <= 508 else [508, frame - 508]
+    yield from _enter(name, frame)
+    yield from ("str r3, [sp, #4]", "str r1, [sp, #8]")
+    yield from _pack(inputs, hidden, 12)
+    yield from ("3:", "ldm r0!, {r1-r4}")
+    yield from (f"mov r{7 + k}, r{k}" for k in range(1, 5))
+    yield "add r1, sp, #12"
+    yield from _dot_of_words(x_pairs, ("r8", "r9", "r10"), 8 * x_pairs + 12, "4")
+    yield from _dot_of_words(h_pairs, ("r8", "r9", "r11"), 8 * (x_pairs + h_pairs) + 12, "5")
+    yield "mov r1, r8"
+    yield from _then_tanh(shifts[0])
+    yield from ("movs r2, #1", "lsls r2, r2, #30", "adds r2, r2, r1", "mov r1, r11", "bl 7f")
+    yield from ("add r10, r1", "mov r1, r9")
+    yield from _then_tanh(shifts[1])
+    yield from ("ldr r2, [sp, #4]", "ands r1, r1, r2", "movs r2, #1", "lsls r2, r2, #30")
+    yield from ("adds r1, r1, r2", "mov r9, r1", "mov r1, r10")
+    yield from _then_tanh(shifts[2])
+    yield from ("ldr r6, [sp, #8]", "ldr r7, [r6]", "subs r1, r1, r7", "mov r2, r9", "bl 7f")
+    yield from ("lsls r1, r1, #1", "adds r7, r7, r1", "stm r6!, {r7}", "str r6, [sp, #8]")
+    yield from ("ldr r1, [sp]", "cmp r6, r1", "beq 8f", "b 3b", "8:")
+    yield from _leave(frame)
+    yield from _tanh(small)
+    yield from HIGH_PRODUCT
+    yield from _tables(small)
+
+
+def write_gru_before(
+    name: str, inputs: int, hidden: int, shifts: Sequence[int], small: bool
+) -> Iterator[str]:
+    """Reset before the product, 16-bit weights: r and u of all units, then n of all."""
+    x_pairs, h_pairs = (inputs + 1) // 2, (hidden + 1) // 2
+    end_x = 16 + 8 * x_pairs
+    at_rh = end_x + 8 * h_pairs
+    frame = at_rh + 16 * h_pairs + 4
+    yield from _enter(name, frame)
+    yield from ("str r3, [sp, #4]", "str r1, [sp, #8]")
+    yield from _pack(inputs, hidden, 16)
+    yield from ("str r4, [sp, #12]", "3:", "ldm r0!, {r1, r2}", "mov r8, r1", "mov r9, r2")
+    yield "add r1, sp, #16"
+    yield from _dot_of_words(x_pairs, ("r8", "r9"), end_x, "4")
+    yield from _dot_of_words(h_pairs, ("r8", "r9"), at_rh, "5")
+    yield from ("ldr r6, [sp, #12]", "mov r1, r9")
+    yield from _then_tanh(shifts[1])
+    yield from ("ldr r2, [sp, #4]", "ands r1, r1, r2", "movs r2, #1", "lsls r2, r2, #30")
+    yield from (
+        "adds r1, r1, r2",
+        f"movs r2, #{4 * h_pairs}",
+        "lsls r2, r2, #1",
+        "str r1, [r6, r2]",
+    )
+    yield "mov r1, r8"
+    yield from _then_tanh(shifts[0])
+    yield from ("movs r2, #1", "lsls r2, r2, #30", "adds r2, r2, r1", "movs r5, #0", "mov r12, r5")
+    yield from ("ldr r7, [sp, #8]", "ldm r7!, {r1}", "str r7, [sp, #8]", "bl 7f", "movs r2, #1")
+    yield from ("lsls r2, r2, #13", "adds r1, r1, r2", "asrs r1, r1, #14", "stm r6!, {r1}")
+    yield from ("str r6, [sp, #12]", "ldr r1, [sp]", "cmp r7, r1", "beq 8f", "b 3b", "8:")
+    if hidden % 2:
+        yield from ("movs r1, #0", "stm r6!, {r1}", "str r6, [sp, #12]")
+    yield from (f"movs r1, #{hidden}", "lsls r1, r1, #2", "subs r7, r7, r1", "str r7, [sp, #8]")
+    yield from ("11:", "ldm r0!, {r1}", "mov r8, r1", "add r1, sp, #16")
+    yield from _dot_of_words(x_pairs, ("r8",), end_x, "4")
+    yield f"add r1, sp, #{at_rh}"
+    yield from _dot_of_words(h_pairs, ("r8",), at_rh + 8 * h_pairs, "5")
+    yield "mov r1, r8"
+    yield from _then_tanh(shifts[2])
+    yield from ("ldr r6, [sp, #12]", "ldm r6!, {r2}", "str r6, [sp, #12]", "ldr r6, [sp, #8]")
+    yield from ("ldr r7, [r6]", "subs r1, r1, r7", "movs r5, #1", "lsls r5, r5, #15")
+    yield from ("mov r12, r5", "bl 7f", "lsls r1, r1, #1", "adds r7, r7, r1", "stm r6!, {r7}")
+    yield from ("str r6, [sp, #8]", "ldr r1, [sp]", "cmp r6, r1", "beq 12f", "b 11b", "12:")
+    yield from _leave(frame)
+    yield from _tanh(small)
+    at = HIGH_PRODUCT.index("movs r5, #1")
+    yield from (*HIGH_PRODUCT[:at], "add r2, r12", *HIGH_PRODUCT[at + 3 :])
+    yield from _tables(small)
+
+
+def _enter(name: str, frame: int) -> Iterator[str]:
     yield from (".syntax unified", f".set zd_stack_{name}, {frame + 36}", "push {r4-r7, lr}")
     yield from (f"mov r{k}, r{k + 4}" for k in range(4, 8))
     yield "push {r4-r7}"
-    yield from (f"sub sp, #{part}" for part in parts)
-    yield from ("str r3, [sp, #4]", "str r1, [sp, #8]", "add r4, sp, #12", "movs r5, #0", "1:")
+    yield from (f"sub sp, #{part}" for part in _split(frame))
+
+
+def _split(frame: int) -> list[int]:
+    return [frame] if frame <= 508 else [508, frame - 508]
+
+
+def _leave(frame: int) -> Iterator[str]:
+    yield from (f"add sp, #{part}" for part in _split(frame))
+    yield "pop {r4-r7}"
+    yield from (f"mov r{k + 4}, r{k}" for k in range(4, 8))
+    yield "pop {r4-r7, pc}"
+
+
+def _tanh(small: bool) -> Iterator[str]:
+    yield from ("6:", "asrs r2, r1, #31", *(HALF_TANH if small else ALL_TANH))
+
+
+def _tables(small: bool) -> Iterator[str]:
+    prefix, ends = ("half_", ("", "")) if small else ("", (" + 512", " + 1024"))
+    yield from (".align 2", "9:", f".word zd_tanh_{prefix}slope_q19{ends[0]}", "10:")
+    yield f".word zd_tanh_{prefix}offset_q30{ends[1]}"
+
+
+def _pack(inputs: int, hidden: int, first: int) -> Iterator[str]:
+    """Features and rounded state, a word each."""
+    yield from (f"add r4, sp, #{first}", "movs r5, #0", "1:")
     yield from ("ldrsh r6, [r2, r5]", "stm r4!, {r6}", "adds r5, #2", f"cmp r5, #{2 * inputs}")
     yield "bne 1b"
     if inputs % 2:
@@ -37,31 +139,6 @@ def write_gru(name: str, inputs: int, hidden: int, shifts: list[int], small: boo
     yield from ("cmp r1, r6", "bne 2b")
     if hidden % 2:
         yield from ("movs r2, #0", "stm r4!, {r2}")
-    yield from ("3:", "ldm r0!, {r1-r4}")
-    yield from (f"mov r{7 + k}, r{k}" for k in range(1, 5))
-    yield "add r1, sp, #12"
-    yield from _dot_of_words(x_pairs, "r10", 8 * x_pairs + 12, "4")
-    yield from _dot_of_words(h_pairs, "r11", 8 * (x_pairs + h_pairs) + 12, "5")
-    yield "mov r1, r8"
-    yield from _then_tanh(shifts[0])
-    yield from ("movs r2, #1", "lsls r2, r2, #30", "adds r2, r2, r1", "mov r1, r11", "bl 7f")
-    yield from ("add r10, r1", "mov r1, r9")
-    yield from _then_tanh(shifts[1])
-    yield from ("ldr r2, [sp, #4]", "ands r1, r1, r2", "movs r2, #1", "lsls r2, r2, #30")
-    yield from ("adds r1, r1, r2", "mov r9, r1", "mov r1, r10")
-    yield from _then_tanh(shifts[2])
-    yield from ("ldr r6, [sp, #8]", "ldr r7, [r6]", "subs r1, r1, r7", "mov r2, r9", "bl 7f")
-    yield from ("lsls r1, r1, #1", "adds r7, r7, r1", "stm r6!, {r7}", "str r6, [sp, #8]")
-    yield from ("ldr r1, [sp]", "cmp r6, r1", "beq 8f", "b 3b", "8:")
-    yield from (f"add sp, #{part}" for part in parts)
-    yield "pop {r4-r7}"
-    yield from (f"mov r{k + 4}, r{k}" for k in range(4, 8))
-    yield from ("pop {r4-r7, pc}", "6:", "asrs r2, r1, #31")
-    yield from (HALF_TANH if small else ALL_TANH)
-    yield from HIGH_PRODUCT
-    prefix, ends = ("half_", ("", "")) if small else ("", (" + 512", " + 1024"))
-    yield from (".align 2", "9:", f".word zd_tanh_{prefix}slope_q19{ends[0]}", "10:")
-    yield f".word zd_tanh_{prefix}offset_q30{ends[1]}"
 
 
 HALF_TANH = (
@@ -92,14 +169,14 @@ def _then_tanh(shift: int) -> Iterator[str]:
     yield "bl 6f"
 
 
-def _dot_of_words(pairs: int, third: str, end: int, label: str) -> Iterator[str]:
-    """Sums r8, r9 and `third`; blocks of two pairs in a loop, a last odd one after it."""
+def _dot_of_words(pairs: int, totals: Sequence[str], end: int, label: str) -> Iterator[str]:
+    """A row for each total; blocks of two pairs in a loop, a last odd one after it."""
     blocks = pairs // 2
     if blocks > 1:
         yield from (f"add r2, sp, #{end - 8 * (pairs % 2)}", "mov lr, r2", f"{label}:")
     if blocks:
         yield from ("ldm r1!, {r2-r5}", "mov r12, r1")
-        for total in ("r8", "r9", third):
+        for total in totals:
             yield "ldm r0!, {r6, r7}"
             yield from _mac_pair("r6", "r2", "r3", "r1", total)
             yield from _mac_pair("r7", "r4", "r5", "r1", total)
@@ -107,8 +184,9 @@ def _dot_of_words(pairs: int, third: str, end: int, label: str) -> Iterator[str]
     if blocks > 1:
         yield from ("cmp r1, lr", f"bne {label}b")
     if pairs % 2:
-        yield from ("ldm r1!, {r2, r3}", "ldm r0!, {r4-r6}")
-        for k, total in enumerate(("r8", "r9", third), 4):
+        last = f"r4-r{3 + len(totals)}" if len(totals) > 1 else "r4"
+        yield from ("ldm r1!, {r2, r3}", f"ldm r0!, {{{last}}}")
+        for k, total in enumerate(totals, 4):
             yield from _mac_pair(f"r{k}", "r2", "r3", "r7", total)
 
 

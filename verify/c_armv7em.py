@@ -45,19 +45,81 @@ def write_gru(layer: LayerShape) -> Iterator[str]:
     """Reset after the product, 16-bit weights."""
     shifts, small = layer.shifts, layer.small
     frame = layer.frame(5)
-    yield from _enter(layer, frame)
-    if small and shifts[1] > 1:
-        yield f"and r8, r3, #{2 ** (32 - shifts[1])}"
-    else:
-        yield "mov r8, r3"
-    yield "stm sp, {r4-r8}"
-    yield from _pack(layer, 20)
+    yield from _enter_gru(layer, frame)
     yield "1:"
     yield from _dot(20, layer.x_pairs, 3, "r1-r4, ")
     yield from _dot(20 + 4 * layer.x_pairs, layer.h_pairs, 4, "")
     yield "ldm sp, {r7-r11}"
     yield from _gates_of_half(shifts) if small else _gates_of_all(shifts)
     yield from _move(frame)
+
+
+def _enter_gru(layer: LayerShape, frame: int) -> Iterator[str]:
+    yield from _enter(layer, frame)
+    if layer.small and layer.shifts[1] > 1:
+        yield f"and r8, r3, #{2 ** (32 - layer.shifts[1])}"
+    else:
+        yield "mov r8, r3"
+    yield "stm sp, {r4-r8}"
+    yield from _pack(layer, 20)
+
+
+def write_gru_of_bytes(layer: LayerShape, scales: Sequence[int]) -> Iterator[str]:
+    """Reset after the product, 8-bit recurrent weights; `scales` are the multipliers' shifts."""
+    at_h, fours = 20 + 4 * layer.x_pairs, -(-layer.hidden // 4)
+    frame = layer.frame(5, 2 * fours - layer.h_pairs)
+    yield from _enter_gru(layer, frame)
+    if layer.h_pairs % 2:
+        yield from ("mov r4, #0", f"str r4, [sp, #{at_h + 4 * layer.h_pairs}]")
+    yield "1:"
+    yield from _dot(20, layer.x_pairs, 3, "r1-r3, ")
+    totals = ("r10", "r11", "lr")
+    for four in range(fours):
+        yield from (f"ldrd r8, r9, [sp, #{at_h + 8 * four}]", "ldm r0!, {r5-r7}")
+        for word, total in zip(("r5", "r6", "r7"), totals, strict=True):
+            yield from (f"sxtb16 r4, {word}", f"sxtb16 {word}, {word}, ror #8")
+            yield f"smlad {total}, r8, r4, {total}" if four else f"smuad {total}, r8, r4"
+            yield f"smlad {total}, r9, {word}, {total}"
+    yield "ldm r0!, {r4, r7-r9}"
+    for gate, (total, product) in enumerate(zip(("r1", "r2", "r4"), totals, strict=True)):
+        yield f"smull r5, r6, {product}, r{7 + gate}"
+        if scale := scales[gate]:
+            yield from (f"lsrs r5, r5, #{scale}", f"adcs {total}, {total}, r5")
+            yield f"add {total}, {total}, r6, lsl #{32 - scale}"
+        else:
+            yield f"add {total}, {total}, r5"
+    yield "ldm sp, {r7-r11}"
+    yield from _gates_of_half(layer.shifts) if layer.small else _gates_of_all(layer.shifts)
+    yield from _move(frame)
+
+
+def write_gru_before(layer: LayerShape) -> Iterator[str]:
+    """Reset before the product, 16-bit weights: r and u of all units, then n of all."""
+    hidden, shifts, small = layer.hidden, layer.shifts, layer.small
+    at_h = 24 + 4 * layer.x_pairs
+    at_rh = at_h + 4 * layer.h_pairs
+    frame = layer.frame(6, layer.h_pairs + hidden)
+    of_x, constants = _list_pairs(24, layer.x_pairs), "ldm sp, {r3, r7-r11}"
+    yield from _enter(layer, frame)
+    yield from (f"add r8, sp, #{at_rh + 4 * layer.h_pairs}", "sub r8, r8, r1", "stm sp, {r3-r8}")
+    yield from _pack(layer, 24)
+    yield from (f"add r4, sp, #{at_rh}", "1:")
+    yield from _queue(2, [*of_x, *_list_pairs(at_h, layer.h_pairs)])
+    yield constants
+    yield from _activation(1, shifts[0], small, half=True)
+    yield from _activation(2, shifts[1], small, half=False)
+    yield from ("and r2, r2, r3", "add r2, r2, #0x40000000", "str r2, [r12, r11]")
+    yield from ("ldr r5, [r12], #4", "smmul r5, r5, r1", "add r5, r5, #8192", "asr r5, r5, #14")
+    yield from ("strh r5, [r4], #2", "cmp r12, r7", "bne 1b")
+    if hidden % 2:
+        yield from ("mov r5, #0", "strh r5, [r4]")
+    yield from (f"sub r12, r12, #{4 * hidden}", "2:")
+    yield from _queue(1, [*of_x, *_list_pairs(at_rh, layer.h_pairs)])
+    yield constants
+    yield from _activation(1, shifts[2], small, half=False)
+    yield from ("ldr r2, [r12, r11]", "ldr r4, [r12]", "sub r1, r1, r4", "smmulr r1, r1, r2")
+    yield from ("add r4, r4, r1, lsl #1", "str r4, [r12], #4", "cmp r12, r7", "bne 2b")
+    yield from (f"add sp, sp, #{frame}", "pop {r4-r11, pc}")
 
 
 def _move(frame: int) -> Iterator[str]:
@@ -106,7 +168,7 @@ def _enter(layer: LayerShape, frame: int) -> Iterator[str]:
         yield f"movw {register}, #:lower16:(zd_tanh_{table})"
         yield f"movt {register}, #:upper16:(zd_tanh_{table})"
     if layer.small:
-        yield f"mov r7, #{LIMIT}"
+        yield f"movs r7, #{LIMIT}"
 
 
 def _pack(layer: LayerShape, first: int) -> Iterator[str]:
@@ -125,7 +187,7 @@ def _pack(layer: LayerShape, first: int) -> Iterator[str]:
                 yield from (f"ldrh r5, [r2, #{2 * i + 2}]", "orr r4, r4, r5, lsl #16")
             yield f"str r4, [sp, #{first + 2 * i}]"
     yield from ("mov r12, r1", f"add r3, sp, #{first + 4 * layer.x_pairs}", "mov lr, #32768")
-    yield from _pack_state(layer.hidden)
+    yield from _pack_state(layer.hidden, layer.small)
 
 
 def _list_pairs(first: int, pairs: int) -> list[tuple[int, int]]:
@@ -165,13 +227,18 @@ def _activation(k: int, shift: int, small: bool, half: bool) -> Iterator[str]:
         yield f"add r{k}, r{k}, #0x40000000"
 
 
-def _pack_state(hidden: int) -> Iterator[str]:
+def _pack_state(hidden: int, small: bool) -> Iterator[str]:
     """State to 16 bits, rounded, in pairs."""
-    for _ in range(hidden // 8):
+    eights, looped = hidden // 8, small and hidden >= 16
+    if looped:
+        yield from (f"add r2, r1, #{32 * eights}", "9:")
+    for _ in range(1 if looped else eights):
         yield "ldm r1!, {r4-r11}"
         yield from (f"add r{k}, lr, r{k}, lsl #1" for k in range(4, 12))
         yield from (f"pkhtb r{4 + k}, r{5 + 2 * k}, r{4 + 2 * k}, asr #16" for k in range(4))
         yield "stm r3!, {r4-r7}"
+    if looped:
+        yield from ("cmp r1, r2", "bne 9b")
     for _ in range(hidden // 8 * 8, hidden - 1, 2):
         yield from ("ldrd r4, r5, [r1], #8", "add r4, lr, r4, lsl #1", "add r5, lr, r5, lsl #1")
         yield from ("pkhtb r4, r5, r4, asr #16", "str r4, [r3], #4")

@@ -8,7 +8,7 @@ with the generator and needs the standard library only.
 from collections.abc import Callable, Mapping, Sequence
 
 from zerodrift.verify import c_armv6m, c_armv7em
-from zerodrift.verify.c_gru import PAIRS, GruStep, run_packed
+from zerodrift.verify.c_gru import BEFORE, BYTES, PAIRS, GruStep, run_packed
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_lstm import LstmStep, step_lstm
 from zerodrift.verify.c_values import (
@@ -63,7 +63,8 @@ def run_assembly(
     if (h.block.type, x.block.type) != ("int32_t", "int16_t"):
         raise FaultError(f"{name} is given other types than int32_t and int16_t")
     inputs, hidden = x.sizes[0], h.sizes[0]
-    if inputs > MOST_INPUTS or hidden > MOST_UNITS:
+    most = MOST_UNITS // 2 if layer.type == "zd_gru_before_t" else MOST_UNITS
+    if inputs > MOST_INPUTS or hidden > most:
         raise NotUnderstoodError(f"{name}: no assembly is known for {inputs} and {hidden}")
     for defined, assembly in texts:
         _require_known(name, layer, inputs, hidden, defined, assembly.get(name, ()))
@@ -81,7 +82,12 @@ def _step_gru(
     counts = (Value(inputs, inputs), Value(hidden, hidden))
     scratches = (Pointer(scratch, Value(0, 0), scratch.sizes),)
     u_keep = machine.as_number(given[0])
-    run_packed(machine, PAIRS, layer, GruStep(*counts, x, h, scratches, u_keep))
+    step = GruStep(*counts, x, h, scratches, u_keep)
+    run_packed(machine, PACKINGS[layer.type], layer, step)
+
+
+PACKINGS = {"zd_gru_pairs_t": PAIRS, "zd_gru_before_t": BEFORE, "zd_gru_bytes_t": BYTES}
+"""Struct of a GRU's constants -> how its stream is read."""
 
 
 def _step_lstm(
@@ -99,7 +105,7 @@ def _step_lstm(
 KINDS: dict[
     str,
     Callable[[IntervalMachine, Struct, tuple[Pointer, Pointer], Sequence[Found]], None],
-] = {"zd_gru_pairs_t": _step_gru, "zd_lstm_pairs_t": _step_lstm}
+] = {**dict.fromkeys(PACKINGS, _step_gru), "zd_lstm_pairs_t": _step_lstm}
 """Struct of a layer's constants -> its step."""
 
 
@@ -122,6 +128,13 @@ def _require_known(
         found = c_armv6m.write_gru(name, inputs, hidden, shifts, small)
     elif (layer.type, core) == ("zd_gru_pairs_t", 7):
         found = c_armv7em.write_gru(known_shape)
+    elif (layer.type, core) == ("zd_gru_before_t", 6):
+        found = c_armv6m.write_gru_before(name, inputs, hidden, shifts, small)
+    elif (layer.type, core) == ("zd_gru_before_t", 7):
+        found = c_armv7em.write_gru_before(known_shape)
+    elif (layer.type, core) == ("zd_gru_bytes_t", 7):
+        scales = [layer.fields["multiplier_shift"].value(g).low for g in range(3)]
+        found = c_armv7em.write_gru_of_bytes(known_shape, scales)
     elif (layer.type, core) == ("zd_lstm_pairs_t", 7):
         bits = layer.fields["cell_bits"].value(0).low
         found = c_armv7em.write_lstm(known_shape, bits)

@@ -74,7 +74,7 @@ def run_portable(machine: IntervalMachine, after: bool, layer: Struct, step: Gru
 def run_packed(machine: IntervalMachine, packing: "Packing", layer: Struct, step: GruStep) -> None:
     """Step a layer whose weights lie in another order."""
     _check_sizes(step)
-    unpack, sizes = packing
+    unpack, sizes, after = packing.unpack, packing.scratch, packing.after
     inputs, hidden = step.inputs.low, step.hidden.low
     for scratch, size in zip(step.scratches, sizes(machine, inputs, hidden), strict=True):
         scratch.hold(size)
@@ -87,7 +87,8 @@ def run_packed(machine: IntervalMachine, packing: "Packing", layer: Struct, step
         rows = unpack(*tables, inputs, hidden)
     except (StopIteration, IndexError, ValueError) as error:
         raise FaultError(f"{layer.name}: its table is short or not filled up: {error}") from None
-    _gru(machine, layer, Weights(rows, [], after=True), step)
+    multiplier = rows[3] if len(rows) == 4 else []
+    _gru(machine, layer, Weights(rows[:3], multiplier, after), step)
 
 
 def _check_sizes(step: GruStep) -> None:
@@ -117,14 +118,19 @@ def _halves(words: list[int]) -> list[int]:
 
 
 def unpack_pairs(
-    stream: list[int], inputs: int, hidden: int, gates: int = 3, biases: int = 4
+    stream: list[int],
+    inputs: int,
+    hidden: int,
+    gates: int = 3,
+    biases: int = 4,
+    of_state: bool = True,
 ) -> Rows:
     """[H]: biases; then blocks of two pairs of inputs, gate by gate; then those of the state."""
     rows: Rows = ([], [], [])
     words = iter(stream)
     for _ in range(hidden):
         rows[2].extend(next(words) for _ in range(biases))
-        for target, count in ((rows[0], inputs), (rows[1], hidden)):
+        for target, count in ((rows[0], inputs), (rows[1], hidden))[: 1 + of_state]:
             halves: list[list[int]] = [[] for _ in range(gates)]
             for first in range(0, count, 4):
                 width = min(2, -(-(count - first) // 2))
@@ -170,11 +176,65 @@ def unpack_rows(numbers: list[int], biases: list[int], inputs: int, hidden: int)
     return rows
 
 
-Packing = tuple[Callable[..., Rows], Callable[[IntervalMachine, int, int], list[int]]]
-"""How to read the tables of a kernel, and what its scratch arrays have to hold, in order."""
-PAIRS: Packing = unpack_pairs, lambda m, i, h: [m.per_pair * (-(-i // 2) - (-h // 2))]
-ROWS: Packing = unpack_rows, lambda m, i, h: [8 * (-(-i // 8) - (-h // 8))]
-COLUMNS: Packing = unpack_columns, lambda m, i, h: [8 * -(-h // 8), -(-i // 2) + 4 * -(-h // 8)]
+def unpack_before(stream: list[int], inputs: int, hidden: int) -> Rows:
+    """[H] biases and blocks of r u as `unpack_pairs`, then [H] those of n."""
+    words = 2 + 2 * (-(-inputs // 2) - (-hidden // 2))
+    if len(stream) != hidden * words * 3 // 2:
+        raise ValueError(f"{len(stream)} words, not {hidden * words * 3 // 2}")
+    both = unpack_pairs(stream[: hidden * words], inputs, hidden, gates=2, biases=2)
+    last = unpack_pairs(stream[hidden * words :], inputs, hidden, gates=1, biases=1)
+    rows: Rows = ([], [], [])
+    for unit in range(hidden):
+        for part, count in ((0, inputs), (1, hidden)):
+            rows[part].extend(both[part][2 * unit * count : 2 * (unit + 1) * count])
+            rows[part].extend(last[part][unit * count : (unit + 1) * count])
+        rows[2].extend((*both[2][2 * unit : 2 * unit + 2], last[2][unit], 0))
+    return rows
+
+
+def unpack_bytes(
+    stream: list[int], inputs: int, hidden: int
+) -> tuple[list[int], list[int], list[int], list[int]]:
+    """[H]: three biases; blocks of inputs as `unpack_pairs`; r u n per four of the state, the inner
+    bytes exchanged; the bias inside; three multipliers. The multipliers come last."""
+    words, fours = iter(stream), -(-hidden // 4)
+    each = 7 + 3 * (-(-inputs // 2) + fours)
+    if len(stream) != hidden * each:
+        raise ValueError(f"{len(stream)} words, not {hidden * each}")
+    found: tuple[list[int], list[int], list[int], list[int]] = ([], [], [], [])
+    for _ in range(hidden):
+        biases = [next(words) for _ in range(3)]
+        before = [next(words) for _ in range(3 * -(-inputs // 2))]
+        found[0].extend(unpack_pairs([*[0] * 3, *before], inputs, 1, 3, 3, of_state=False)[0])
+        rows: list[list[int]] = [[], [], []]
+        for _ in range(fours):
+            for row in rows:
+                word = next(words)
+                row.extend(((word >> s & 0xFF) ^ 0x80) - 0x80 for s in (0, 16, 8, 24))
+        for row in rows:
+            found[1].extend(_trim(row, hidden))
+        found[2].extend((*biases, next(words)))
+        found[3].extend(next(words) for _ in range(3))
+    return found
+
+
+@dataclass(frozen=True)
+class Packing:
+    """How the tables of a kernel lie."""
+
+    unpack: Callable[..., Rows | tuple[list[int], list[int], list[int], list[int]]]
+    """From its tables to the rows, and to the multipliers where it has some."""
+    scratch: Callable[[IntervalMachine, int, int], list[int]]
+    """What its scratch arrays have to hold, in order."""
+    after: bool = True
+    """Whether the reset gate acts after the recurrent product."""
+
+
+PAIRS = Packing(unpack_pairs, lambda m, i, h: [m.per_pair * (-(-i // 2) - (-h // 2))])
+ROWS = Packing(unpack_rows, lambda m, i, h: [8 * (-(-i // 8) - (-h // 8))])
+COLUMNS = Packing(unpack_columns, lambda m, i, h: [8 * -(-h // 8), -(-i // 2) + 4 * -(-h // 8)])
+BEFORE = Packing(unpack_before, lambda m, i, h: [0], after=False)
+BYTES = Packing(unpack_bytes, lambda m, i, h: [0])
 
 
 def _trim(row: list[int], count: int) -> list[int]:

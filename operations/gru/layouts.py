@@ -17,6 +17,8 @@ COLUMN_UNITS = 8
 """Units that one vector of the columns kernel holds (AVX2: 256 bits)."""
 ROW_NUMBERS = 8
 """16-bit numbers that one vector of the rows kernel holds (MVE: 128 bits)."""
+MOST_INPUTS, MOST_UNITS, MOST_UNITS_BEFORE = 32, 128, 64
+"""What the assembly is written for; the last: units with the reset before the product."""
 ROW_UNITS = 4
 """Units whose activations the rows kernel takes at once."""
 
@@ -24,6 +26,19 @@ ROW_UNITS = 4
 def has_fast_kernels(gru: IntegerGru) -> bool:
     """Tell whether the layouts below exist: reset after the product, 16-bit weights."""
     return gru.reset == "after" and gru.multiplier is None
+
+
+def has_before_kernel(gru: IntegerGru) -> bool:
+    """Tell whether there is assembly for a reset before the product: 16-bit weights, few."""
+    before = gru.reset == "before" and gru.multiplier is None
+    return before and gru.inputs <= MOST_INPUTS and gru.hidden <= MOST_UNITS_BEFORE
+
+
+def has_bytes_kernel(gru: IntegerGru) -> bool:
+    """Tell whether there is assembly for recurrent weights of 8 bits: reset after the product."""
+    few = gru.inputs <= MOST_INPUTS and gru.hidden <= MOST_UNITS
+    short = max(gru.multiplier_shift) < 32
+    return gru.reset == "after" and gru.multiplier is not None and few and short
 
 
 def pack_pairs(rows: NDArray[np.int16] | NDArray[np.int8]) -> Words:
@@ -52,6 +67,50 @@ def lay_out_pairs(gru: IntegerGru) -> list[int]:
         for rows in (w_x[:, unit], w_h[:, unit]):
             for first in range(0, rows.shape[1], 2):
                 words += [int(w) for w in rows[:, first : first + 2].ravel()]
+    return words
+
+
+def lay_out_before(gru: IntegerGru) -> list[int]:
+    """Return the stream of a reset before the product, [H][2 + 2 (X + R)] and [H][1 + X + R].
+
+    First r and u: unit by unit two biases, then blocks of two pairs of features, each r r u u, a
+    last odd one r u; then the same of the state. Then n alone in the same order, of r h.
+    """
+    words: list[int] = []
+    w_x, w_h = pack_pairs(gru.w_x), pack_pairs(gru.w_h)  # [3, H, pairs]
+    for gates in (slice(0, 2), slice(2, 3)):
+        for unit in range(gru.hidden):
+            words += [int(b) for b in gru.bias[gates, unit]]
+            for rows in (w_x[gates, unit], w_h[gates, unit]):
+                for first in range(0, rows.shape[1], 2):
+                    words += [int(w) for w in rows[:, first : first + 2].ravel()]
+    return words
+
+
+def lay_out_bytes(gru: IntegerGru) -> list[int]:
+    """Return the stream with recurrent weights of 8 bits, [H][7 + 3 (X + F)], F = ceil(H/4).
+
+    Unit by unit: biases r, u, n outside; blocks of features as `lay_out_pairs`; for each four of
+    the state a word of r, u, n, whose bytes are the first, third, second and fourth weight; then
+    the bias of n inside and the multipliers of r, u, n.
+    """
+    if gru.multiplier is None:
+        raise ValueError("weights of 16 bits")
+    words: list[int] = []
+    w_x = pack_pairs(gru.w_x)
+    fill = -gru.hidden % 4
+    fours = np.pad(gru.w_h.astype(np.int64), [(0, 0), (0, 0), (0, fill)]).reshape(
+        3, gru.hidden, -1, 4
+    )
+    swapped = fours[..., [0, 2, 1, 3]] & 0xFF
+    packed = (swapped << np.array([0, 8, 16, 24])).sum(axis=-1)  # [3, H, F]
+    packed = np.where(packed >= 2**31, packed - 2**32, packed)
+    for unit in range(gru.hidden):
+        words += [int(b) for b in gru.bias[:3, unit]]
+        for first in range(0, w_x.shape[2], 2):
+            words += [int(w) for w in w_x[:, unit, first : first + 2].ravel()]
+        words += [int(w) for w in packed[:, unit].T.ravel()]
+        words += [int(gru.bias[3, unit]), *(int(m) for m in gru.multiplier[:, unit])]
     return words
 
 
@@ -106,8 +165,12 @@ def arrange_by_unit(gru: IntegerGru, field: str) -> list[int]:
 
 FILTERS: dict[str, Callable[..., object]] = {
     "has_fast_kernels": has_fast_kernels,
+    "has_before_kernel": has_before_kernel,
+    "has_bytes_kernel": has_bytes_kernel,
     "by_unit": arrange_by_unit,
     "lay_out_pairs": lay_out_pairs,
+    "lay_out_before": lay_out_before,
+    "lay_out_bytes": lay_out_bytes,
     "lay_out_columns": lay_out_columns,
     "lay_out_rows": lay_out_rows,
     "lay_out_row_biases": lay_out_row_biases,

@@ -279,7 +279,7 @@ FAULTS = {
     "loop that cannot end": (C, r"k <( ZD_GRU_RELAX_STEPS; k)\+\+", r"k <\1--"),
     "read before written": (C, r"(int64_t sum) = features_bias\[i\];", r"\1;"),
     "octal size": (C, r"head_weights\[12\]", "head_weights[012]"),
-    "assembly at -Os": (C, r'"mov r7, #78', '"mov r7, #79'),
+    "assembly at -Os": (C, r'"movs r7, #78', '"movs r7, #79'),
     "assembly that reads neighbours": (C, r"ldr r4, \[r2, #0\]", "ldr r4, [r2, #2]"),
     "assembly of the smallest": (C, r"movs r5, #255", "movs r5, #254"),
     "assembly with another frame": (C, r'"sub sp, sp, #\d+', '"sub sp, sp, #4'),
@@ -421,3 +421,34 @@ LSTM_FAULTS: dict[str, tuple[str, str]] = {
 @pytest.mark.parametrize("fault", LSTM_FAULTS)
 def test_a_fault_in_the_lstm_s_assembly_is_noticed(fault: str) -> None:
     assert check_edited(LSTM, C, *LSTM_FAULTS[fault]), f"not noticed: {fault}"
+
+
+BEFORE = Shape(inputs=3, hidden=4, reset="before", code_limit=12000)
+BYTES = Shape(inputs=3, hidden=5, weights="int8", code_limit=12000)
+GRU_FAULTS: dict[str, tuple[Shape, str, str]] = {
+    "r h rounded elsewhere": (BEFORE, r"add r5, r5, #8192", "add r5, r5, #4096"),
+    "u not masked": (BEFORE, r"and r2, r2, r3", "mov r2, r2"),
+    "r h cut off on the smallest": (BEFORE, r"lsls r2, r2, #13", "lsls r2, r2, #12"),
+    "the reset after the product": (BEFORE, r"zd_gru_before_t gru", "zd_gru_pairs_t gru"),
+    "a stream too long": (
+        BEFORE,
+        r"(gru_stream\[)(\d+)\] = \{([^}]*)\n\}",
+        r"\g<1>\2 + 1] = {\3,\n    0\n}",
+    ),
+    "bytes in their own order": (BYTES, r"sxtb16 r5, r5, ror #8", "sxtb16 r5, r5, ror #16"),
+    "a multiplier's other shift": (BYTES, r"lsrs r5, r5, #(\d)", r"lsrs r5, r5, #1\1"),
+    "half of the four not cleared": (BYTES, r"mov r4, #0", "mov r4, #1"),
+    "shifts of another layer": (BYTES, r"(zd_gru_bytes_t gru = .*, )\d+\}\};", r"\g<1>3}};"),
+    "an accumulator's other shift": (
+        BYTES,
+        r"(zd_gru_bytes_t gru = \{gru_stream, )\{\d+",
+        r"\g<1>{31",
+    ),
+}
+"""What is wrong with a GRU's further assembly -> (shape, pattern, what it becomes)."""
+
+
+@pytest.mark.parametrize("fault", GRU_FAULTS)
+def test_a_fault_in_a_gru_s_further_assembly_is_noticed(fault: str) -> None:
+    shape, pattern, becomes = GRU_FAULTS[fault]
+    assert check_edited(shape, C, pattern, becomes), f"not noticed: {fault}"

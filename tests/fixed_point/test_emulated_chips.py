@@ -31,6 +31,10 @@ SHAPES = {
         front_end=("exp2", "root", "play", "clip", "late", "mix", "warm_up", "load"),
         hidden=4, inputs=3, outputs=2, code_limit=15000, drift_limit=1e5, measured=(1,),
     ),
+    "before": Shape(reset="before", hidden=9, inputs=3, gain=4.0, update_bias=-3.0),
+    "before, stack": Shape(reset="before", hidden=6, upper=(3,), inputs=1, outputs=2),
+    "int8": Shape(weights="int8", hidden=9, inputs=5, gain=4.0, update_bias=-3.0),
+    "int8, stack": Shape(weights="int8", hidden=6, upper=(16,), inputs=4, outputs=2, gain=20.0),
     "lstm": Shape(inputs=5, layered=(("lstm", 9, (0,)),), outputs=2, gain=3.0, forget_bias=4.0),
     "stack of lstms": Shape(
         inputs=1, layered=(("lstm", 4, (0,)), ("lstm", 7, (1,))), outputs=2, gain=12.0
@@ -45,6 +49,10 @@ QUICK = {
     ("cortex-m0plus", "everything"),
     ("cortex-m4", "everything"),
     ("cortex-m4", "int8 before"),
+    ("cortex-m0plus", "before"),
+    ("cortex-m4", "before"),
+    ("cortex-m4", "int8"),
+    ("cortex-m4", "int8, stack"),
     ("cortex-m4", "lstm"),
     ("cortex-m4", "stack of lstms"),
 }
@@ -84,15 +92,22 @@ def test_chip_equals_reference(core: str, shape: str, tmp_path: Path) -> None:
     assert chip.selftest() == 0
 
 
-@pytest.mark.parametrize("shape", ["lstm", "stack of lstms", "lstm on gru"])
 @pytest.mark.parametrize(
-    "flags", [("-Os",), ("-O2", "-DZD_NO_ASSEMBLY"), ("-O2", "-mno-unaligned-access")]
+    ("core", "shape"),
+    [
+        *(("cortex-m4", s) for s in SHAPES if s.startswith(("before", "int8, ", "lstm", "stack"))),
+        *(("cortex-m0plus", s) for s in ("before", "before, stack")),
+    ],
 )
-def test_lstm_is_the_same_in_every_build(
-    shape: str, flags: tuple[str, ...], tmp_path: Path
+@pytest.mark.parametrize(
+    "flags",
+    [("-Os",), ("-O2", "-DZD_NO_ASSEMBLY"), ("-O2", "-mno-unaligned-access")],
+)
+def test_layers_that_are_assembly_alone_are_the_same_in_every_build(
+    core: str, shape: str, flags: tuple[str, ...], tmp_path: Path
 ) -> None:
     model = draw_model(SHAPES[shape], 35)
-    chip = EmulatedModel(model, generate(model), "cortex-m4", tmp_path, flags)
+    chip = EmulatedModel(model, generate(model), core, tmp_path, flags)
     codes = draw_codes(len(model.channels))[::3].astype(model.code_type)
     for settled in (True, False):
         expected = Reference(model).run(codes[None], settled=settled)
@@ -101,12 +116,22 @@ def test_lstm_is_the_same_in_every_build(
         np.testing.assert_array_equal(flagged, expected.flags[0])
 
 
+COUNTED = {
+    "lstm": Shape(inputs=2, layered=(("lstm", 6, (0,)),), outputs=1, gain=8.0),
+    "before": Shape(reset="before", hidden=6, inputs=2, outputs=1, gain=8.0),
+    "int8": Shape(weights="int8", hidden=6, inputs=2, outputs=1, gain=8.0),
+}
+
+
 @pytest.mark.parametrize("flags", [("-O2",), ("-Os",)])
-def test_instruction_count_of_an_lstm_does_not_depend_on_the_data(
-    flags: tuple[str, ...], tmp_path: Path
+@pytest.mark.parametrize(
+    ("core", "shape"), [*(("cortex-m4", s) for s in COUNTED), ("cortex-m0plus", "before")]
+)
+def test_instruction_count_of_other_layers_does_not_depend_on_the_data(
+    core: str, shape: str, flags: tuple[str, ...], tmp_path: Path
 ) -> None:
-    model = draw_model(Shape(inputs=2, layered=(("lstm", 6, (0,)),), outputs=1, gain=8.0), 33)
-    chip = EmulatedModel(model, generate(model), "cortex-m4", tmp_path, flags)
+    model = draw_model(COUNTED[shape], 33)
+    chip = EmulatedModel(model, generate(model), core, tmp_path, flags)
     draw = Draw(7)
     features = [np.full(2, x, dtype=np.int16) for x in (-32768, 0, 1, 32767)]
     features += [draw.codes(-32768, 32767, 2) for _ in range(8)]
@@ -155,12 +180,37 @@ def test_instruction_count_does_not_depend_on_the_data(
     assert len(counts) == 1, sorted(counts)
 
 
-def test_an_lstm_on_the_dual_multiplier_takes_less_than_one_and_a_half_per_product(
-    tmp_path: Path,
+LARGE = {
+    "lstm": Shape(inputs=4, layered=(("lstm", 16, (0,)),), outputs=1),
+    "before": Shape(reset="before", hidden=16, inputs=4, outputs=1),
+    "int8": Shape(weights="int8", hidden=16, inputs=4, outputs=1),
+}
+
+
+@pytest.mark.parametrize(
+    ("core", "shape", "most"),
+    [
+        ("cortex-m4", "lstm", 1728),
+        ("cortex-m4", "before", 1400),
+        ("cortex-m0plus", "before", 7200),
+        ("cortex-m4", "int8", 1900),
+    ],
+)
+def test_a_step_of_16_units_takes_no_more_instructions_than_its_mark(
+    core: str, shape: str, most: int, tmp_path: Path
 ) -> None:
-    model = draw_model(Shape(inputs=4, layered=(("lstm", 16, (0,)),), outputs=1), 36)
-    chip = EmulatedModel(model, generate(model), "cortex-m4", tmp_path)
-    assert chip.count_layer() <= 1.35 * 4 * 16 * (16 + 4)
+    model = draw_model(LARGE[shape], 36)
+    assert EmulatedModel(model, generate(model), core, tmp_path).count_layer() <= most
+
+
+def test_weights_of_8_bits_save_an_eighth_of_the_layer_s_flash() -> None:
+    flash = [
+        measure_footprint(
+            generate(draw_model(Shape(weights=weights, hidden=16, inputs=4, outputs=1), 36))
+        ).layer_flash_bytes
+        for weights in ("int16", "int8")
+    ]
+    assert flash[1] <= 0.88 * flash[0]
 
 
 @pytest.mark.slow

@@ -5,13 +5,13 @@
 #include "zd_runtime.h"
 #include "zd_network.h"
 
-#if FRONT_END_CODE_ID != 2189251359
+#if FRONT_END_CODE_ID != 2167960237
 #error "front_end.h is not of the same generation as front_end.c: copy all files again"
 #endif
 #if ZD_RUNTIME_FORMAT != 3
 #error "front_end was generated for zerodrift runtime format 3: generate it again"
 #endif
-#if ZD_RUNTIME_ID != 0xdc4d1a73
+#if ZD_RUNTIME_ID != 0x08eba25e
 #error "zd_runtime.h is not the one that front_end.c was generated with: copy all files again"
 #endif
 
@@ -286,7 +286,7 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "mov r7, r11\n"
         "push {r4-r7}\n"
         "sub sp, #60\n"
-        "str r3, [sp, #4]\n"
+"str r3, [sp, #4]\n"
         "str r1, [sp, #8]\n"
         "add r4, sp, #12\n"
         "movs r5, #0\n"
@@ -312,7 +312,7 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "stm r4!, {r2, r3}\n"
         "cmp r1, r6\n"
         "bne 2b\n"
-        "3:\n"
+"3:\n"
         "ldm r0!, {r1-r4}\n" /* biases */
         "mov r8, r1\n"
         "mov r9, r2\n"
@@ -491,7 +491,7 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "adds r1, r1, r2\n"
 #endif
         "bx lr\n"
-        "7:\n" /* r1 <- zd_mul_high(r1, r2), of halves; changes r2 - r5 */
+"7:\n" /* r1 <- zd_mul_high(r1, r2), of halves; changes r2 - r5 */
         "asrs r3, r1, #16\n"
         "uxth r1, r1\n"
         "asrs r4, r2, #16\n"
@@ -524,7 +524,7 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "10:\n"
         ".word " ZD_TANH_OFFSET_NAME " + 1024\n"
 #endif
-    );
+);
 }
 #else
 /* zd_gru_step_pairs in assembly: no branch but the loop over the units. Saves what it changes, keeps
@@ -543,7 +543,7 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "movt r5, #:upper16:(" ZD_TANH_HALF_OFFSET_NAME " - 312)\n"
         "movw r6, #:lower16:(" ZD_TANH_HALF_SLOPE_NAME " - 156)\n"
         "movt r6, #:upper16:(" ZD_TANH_HALF_SLOPE_NAME " - 156)\n"
-        "mov r7, #78\n"
+        "movs r7, #78\n"
 #else
         "movw r5, #:lower16:(" ZD_TANH_OFFSET_NAME " + 1024)\n"
         "movt r5, #:upper16:(" ZD_TANH_OFFSET_NAME " + 1024)\n"
@@ -611,7 +611,7 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "smlad r2, r6, r10, r2\n"
         "smlad r4, r5, r11, r4\n"
         "smlad r4, r6, lr, r4\n"
-"ldm sp, {r7-r11}\n"
+        "ldm sp, {r7-r11}\n"
 #if defined(ZD_SMALL)
         "ssat r1, #20, r1, asr #11\n"
         "asr r5, r1, #11\n"
@@ -670,7 +670,8 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "cmp r12, r7\n"
         "bne 1b\n"
         "add sp, sp, #44\n"
-        "pop {r4-r11, pc}\n");
+        "pop {r4-r11, pc}\n"
+);
 }
 #endif
 #endif

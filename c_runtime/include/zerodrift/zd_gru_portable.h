@@ -7,7 +7,7 @@
 #ifndef ZD_GRU_PORTABLE_H
 #define ZD_GRU_PORTABLE_H
 
-#if ZD_RUNTIME_ID != 0xdc4d1a73
+#if ZD_RUNTIME_ID != 0x08eba25e
 #error                                                                                             \
     "zd_gru_portable.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
@@ -22,6 +22,17 @@ typedef struct {
     uint8_t shift[3];            /* accumulator of r, u, n -> t_q16 */
     uint8_t multiplier_shift[3]; /* 8-bit weights only */
 } zd_gru_t;
+
+/* Layers as the generated assembly reads them, which have no other kernel for their core. */
+typedef struct {
+    const int32_t *stream; /* [H][2 + 2 (X + R)] of r, u, then [H][1 + X + R] of n; X, R pairs */
+    uint8_t shift[3];      /* accumulator of r, u, n -> t_q16 */
+} zd_gru_before_t;
+typedef struct {
+    const int32_t *stream;       /* [H][7 + 3 (X + F)]; F fours of 8-bit weights */
+    uint8_t shift[3];            /* accumulator of r, u, n -> t_q16 */
+    uint8_t multiplier_shift[3]; /* below 32 */
+} zd_gru_bytes_t;
 
 /* An 8-bit row's product in its gate's accumulator format. */
 static inline int32_t zd_gru_rescale(const zd_gru_t *layer, uint32_t row, unsigned gate,

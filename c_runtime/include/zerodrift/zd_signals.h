@@ -7,7 +7,7 @@
 #ifndef ZD_SIGNALS_H
 #define ZD_SIGNALS_H
 
-#if ZD_RUNTIME_ID != 0xdc4d1a73
+#if ZD_RUNTIME_ID != 0x08eba25e
 #error "zd_signals.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 

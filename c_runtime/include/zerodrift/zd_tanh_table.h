@@ -9,19 +9,19 @@
 
 #include "zd_runtime.h"
 
-#if ZD_RUNTIME_ID != 0xdc4d1a73
+#if ZD_RUNTIME_ID != 0x08eba25e
 #error "zd_tanh_table.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
 /* Names as the linker knows them, for assembly. */
-#define ZD_TANH_HALF_OFFSET_NAME "zd_tanh_half_offset_q30_dc4d1a73"
-#define ZD_TANH_HALF_SLOPE_NAME "zd_tanh_half_slope_q19_dc4d1a73"
-#define ZD_TANH_OFFSET_NAME "zd_tanh_offset_q30_dc4d1a73"
-#define ZD_TANH_SLOPE_NAME "zd_tanh_slope_q19_dc4d1a73"
-#define zd_tanh_half_offset_q30 zd_tanh_half_offset_q30_dc4d1a73
-#define zd_tanh_half_slope_q19 zd_tanh_half_slope_q19_dc4d1a73
-#define zd_tanh_offset_q30 zd_tanh_offset_q30_dc4d1a73
-#define zd_tanh_slope_q19 zd_tanh_slope_q19_dc4d1a73
+#define ZD_TANH_HALF_OFFSET_NAME "zd_tanh_half_offset_q30_08eba25e"
+#define ZD_TANH_HALF_SLOPE_NAME "zd_tanh_half_slope_q19_08eba25e"
+#define ZD_TANH_OFFSET_NAME "zd_tanh_offset_q30_08eba25e"
+#define ZD_TANH_SLOPE_NAME "zd_tanh_slope_q19_08eba25e"
+#define zd_tanh_half_offset_q30 zd_tanh_half_offset_q30_08eba25e
+#define zd_tanh_half_slope_q19 zd_tanh_half_slope_q19_08eba25e
+#define zd_tanh_offset_q30 zd_tanh_offset_q30_08eba25e
+#define zd_tanh_slope_q19 zd_tanh_slope_q19_08eba25e
 
 /* clang-format off */
 #if defined(ZD_SMALL)
