@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 
 Codes = NDArray[np.int64]
 PHASES = ("header", "step", "node", "state", "saved", "damaged", "selftest", "bound")
-_LIMITS = {"int16_t": (-(2**15), 2**15 - 1), "int32_t": (-(2**31), 2**31 - 1)}
+_LIMITS = {
+    "int16_t": (-(2**15), 2**15 - 1),
+    "uint16_t": (0, 2**16 - 1),
+    "int32_t": (-(2**31), 2**31 - 1),
+}
 
 _PROGRAM = """\
 /* Judges @P@: a 64-bit hash per phase. ZD_CHIP: no C library, hashes left in `judged`. */
@@ -214,7 +218,7 @@ def render_driver(
         "PHASES": str(len(PHASES)),
         "C": str(len(types)),
         "K": outputs[1],
-        "CODE": "int32_t" if "int32_t" in types else "int16_t",
+        "CODE": "int16_t" if set(types) == {"int16_t"} else "int32_t",
         "CODES": "".join(
             "    {" + ", ".join(_literal(int(x)) for x in row) + "},\n"
             for part in rows
@@ -264,9 +268,11 @@ def draw_codes(types: list[str], steps: int) -> list[Codes]:
     ends = np.array([_LIMITS[kind] for kind in types], dtype=np.int64)
     low, high = ends.T
     shape = (steps, len(types))
-    middle = np.where(high > 40_000, 4_000_000, 12_800)
+    middle = np.select([high > 70_000, high > 40_000], [4_000_000, 60_000], 12_800)
     walk = np.clip(
-        rng.integers(-middle // 12, middle // 12 + 1, shape).cumsum(axis=0) + 3000, -5120, middle
+        rng.integers(-middle // 12, middle // 12 + 1, shape).cumsum(axis=0) + 3000,
+        np.maximum(low, -5120),
+        middle,
     )
     jumps = np.where(rng.random(shape) < 0.2, rng.integers(low, high + 1, shape), walk)
     part = np.linspace(0.0, 1.0, 2 * steps)[:, None]

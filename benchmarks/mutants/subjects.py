@@ -10,6 +10,7 @@ from typing import Any
 
 from tests.golden.model_factory import Shape, draw_model
 from tests.golden.models import CASES
+from tests.operations.test_conversion import make_model
 from tests.projects import render_toml
 from tests.verify.conftest import write_firmware
 
@@ -30,6 +31,8 @@ MODELS = (
     "physics",
     "stack",
     "guarded",
+    "lstm",
+    "raw",
 )
 _EXTRA = {
     "physics": Shape(
@@ -81,6 +84,8 @@ def read_subject(name: str, folder: Path, project: Path | None = None) -> Subjec
 
 def draw_subject(name: str) -> IntegerModel:
     """Return the integer model of one of `MODELS`."""
+    if name == "raw":
+        return make_model("ntc")
     shape = _EXTRA[name] if name in _EXTRA else CASES[name].shape
     return replace(draw_model(shape, sum(name.encode())), guarded=name == "guarded")
 
