@@ -20,6 +20,7 @@ from zerodrift.discovery.summary import PlanSummary
 from zerodrift.fleet.summary import FleetSummary
 from zerodrift.physics.description import EffectDescription
 from zerodrift.physics.summary import FittedCoefficient, ModelSummary, ParameterInterval
+from zerodrift.recording.summary import RecordingSummary
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Provenance
 from zerodrift.train.summary import TrainingSummary
@@ -200,6 +201,16 @@ class PlanResult(PlanSummary, Shown):
     """The next experiment: a programme of set points, and what it is expected to tell."""
 
     SCHEMA: ClassVar = "plan/1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordResult(RecordingSummary, Shown):
+    """A log that was recorded, and what it covers."""
+
+    SCHEMA: ClassVar = "record/1"
+
+    taught: tuple[str, ...]
+    """What the project's logs can teach now, in sentences; empty where they cannot be read yet."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -505,6 +516,7 @@ RESULTS: tuple[type, ...] = (
         PackageResult,
         PlanResult,
         ProposeResult,
+        RecordResult,
         RemoveResult,
         ReportResult,
         TrainResult,

@@ -11,7 +11,16 @@ from pathlib import Path
 
 from zerodrift import __version__
 from zerodrift.base.errors import InputError
-from zerodrift.base.extras import FLEET, PAGE, TRAIN, WORKBENCH, is_there
+from zerodrift.base.extras import (
+    FLEET,
+    PAGE,
+    RECORD_CAN,
+    RECORD_MQTT,
+    RECORD_SERIAL,
+    TRAIN,
+    WORKBENCH,
+    is_there,
+)
 from zerodrift.base.lock import LOCK, describe_holder, find_state, try_lock
 from zerodrift.c_runtime.compilers import find_compilers
 from zerodrift.c_runtime.cores import CORES, GCC_CORES, find_cross_compilers
@@ -28,9 +37,15 @@ PACKAGES: dict[str, str] = {
     "plotly": "draws the report and the page",
     "dash": "serves the page",
     "ray": "spreads a fleet over machines",
+    "serial": "records from serial ports",
+    "can": "records from CAN buses",
+    "paho.mqtt": "records from MQTT brokers",
 }
 """What zerodrift uses, and for what."""
-EXTRA_OF = {extra.package: extra.name for extra in (TRAIN, PAGE, WORKBENCH, FLEET)}
+DISTRIBUTIONS = {"serial": "pyserial", "can": "python-can", "paho.mqtt": "paho-mqtt"}
+"""Where the name to install is not the module's."""
+EXTRAS = (TRAIN, PAGE, WORKBENCH, FLEET, RECORD_SERIAL, RECORD_CAN, RECORD_MQTT)
+EXTRA_OF = {extra.package: extra.name for extra in EXTRAS}
 PROGRAMS: dict[str, tuple[tuple[str, ...], str]] = {
     "Chromium": (("chromium", "chromium-browser", "google-chrome"), "report as PDF and PNG"),
     "QEMU for Arm": (("qemu-system-arm",), "boards as a second opinion on the cores"),
@@ -150,7 +165,8 @@ def _list_packages() -> list[Item]:
             remedy = f"{use}; pip install {install}"
             items.append(Item("packages", name, "missing", remedy, is_missing=True))
         else:
-            items.append(Item("packages", name, importlib.metadata.version(name), use))
+            installed = importlib.metadata.version(DISTRIBUTIONS.get(name, name))
+            items.append(Item("packages", name, installed, use))
     return items
 
 

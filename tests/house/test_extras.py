@@ -12,9 +12,10 @@ import zerodrift
 
 BLOCKER = """
 import sys
+ABSENT = {"torch", "plotly", "dash", "ray", "serial", "can", "cantools", "paho"}
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {"torch", "plotly", "dash", "ray"}:
+        if name.split(".")[0] in ABSENT:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Absent())
 """
@@ -72,6 +73,9 @@ def test_who_lacks_an_extra_is_told_its_name(place: Path, tmp_path: Path) -> Non
     for words, extra in (
         (("train", "-C", project), "zerodrift[train]"),
         (("workbench", "-C", project), "zerodrift[page]"),
+        (("record", "serial:/dev/none", "--out", "log.parquet"), "zerodrift[record]"),
+        (("record", "mqtt:localhost/a", "--out", "log.parquet"), "zerodrift[record]"),
+        (("record", "can:virtual:a", "--out", "log.parquet"), "zerodrift[record]"),
     ):
         done = run(place, *words)
         assert done.returncode == 2, (words, done.stderr)

@@ -16,6 +16,7 @@ ORDER = (
         "c_runtime",
         "verify",
         "discovery",
+        "recording",
         "fleet",
         "report",
         "workbench",

@@ -25,6 +25,7 @@ COMMANDS: dict[str, str] = {
     "diagnose": "Name the physical effect that the model lacks.",
     "propose": "A formula where no effect of the catalogue explains what is left.",
     "plan": "The next experiment, computed: temperatures, loads and inputs over time.",
+    "record": "A log from a serial port, CAN, MQTT or a command, and what it still lacks.",
     "add": "Add an effect, refit, and show the held-out error before and after.",
     "remove": "Remove an effect, refit, and show the held-out error before and after.",
     "history": "The staircase of errors so far.",

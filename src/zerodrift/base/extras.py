@@ -20,6 +20,10 @@ TRAIN = Extra("train", "torch", "PyTorch")
 PAGE = Extra("page", "plotly", "Plotly")
 WORKBENCH = Extra("page", "dash", "Dash")
 FLEET = Extra("fleet", "ray", "Ray")
+RECORD_SERIAL = Extra("record", "serial", "pySerial")
+RECORD_CAN = Extra("record", "can", "python-can")
+RECORD_DBC = Extra("record", "cantools", "cantools")
+RECORD_MQTT = Extra("record", "paho.mqtt", "Eclipse Paho")
 
 
 def is_there(package: str) -> bool:

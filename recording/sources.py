@@ -1,0 +1,142 @@
+"""Where readings come from: a serial port, a CAN bus, an MQTT broker, a command's output."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from zerodrift.base.errors import InputError, nearest
+from zerodrift.recording.lines import LineReader, Values
+
+FORMS = {
+    "serial": "serial:PORT[@BAUD], such as serial:/dev/ttyUSB0@115200",
+    "can": "can:INTERFACE:CHANNEL[@BITRATE], such as can:socketcan:can0, with --dbc FILE",
+    "mqtt": "mqtt:HOST[:PORT]/TOPIC, such as mqtt:localhost/chamber/#",
+    "command": "command:COMMAND LINE, such as 'command:candump can0'",
+    "-": "-, lines on standard input",
+}
+"""Kind of a source -> how it is written."""
+BAUD = 115_200
+MQTT_PORT = 1883
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What came at one moment."""
+
+    at_s: float
+    """Of the monotonic clock, when it arrived."""
+    values: Values
+
+
+@dataclass(frozen=True)
+class SourceText:
+    """A source as it is written on the command line."""
+
+    kind: str
+    """serial | can | mqtt | command | -."""
+    place: str
+    """Port, channel, host or command line."""
+    detail: str = ""
+    """Interface of a CAN bus, topic of a broker."""
+    number: int = 0
+    """Baud, bits per second, or port; 0: none was given."""
+
+
+class LiveSource(Protocol):
+    """What readings come from."""
+
+    is_rows: bool
+    """Whether each reading is a row; else they are parts, put together at a period."""
+
+    def read(self, timeout_s: float) -> list[Reading] | None:
+        """Return what has come, waiting at most so long for the first; None: there will be no more.
+
+        Raises:
+            InputError: the source has failed.
+        """
+        ...
+
+    def list_strays(self) -> list[str]:
+        """Return a sentence for each kind of thing that came and is in no row."""
+        ...
+
+    def close(self) -> None:
+        """Let the source go."""
+        ...
+
+
+def parse_source(text: str) -> SourceText:
+    """Read a source as it is written.
+
+    Raises:
+        InputError: it is of no form of `FORMS`.
+    """
+    if text == "-":
+        return SourceText("-", "-")
+    kind, colon, rest = text.partition(":")
+    if kind not in FORMS or kind == "-":
+        known = "; ".join(FORMS.values())
+        raise InputError(f"source '{text}': expected one of {known}{nearest(kind, FORMS)}")
+    if kind == "command":
+        place, number = rest, ""
+    else:
+        place, _, number = rest.partition("@")
+    if kind == "mqtt":
+        host, slash, topic = place.removeprefix("//").partition("/")
+        host, _, number = host.partition(":")
+        if not (host and slash and topic):
+            raise InputError(f"source '{text}': expected {FORMS[kind]}")
+        return SourceText(kind, host, topic, _read_count(number or str(MQTT_PORT), text))
+    if kind == "can":
+        interface, _, channel = place.partition(":")
+        if not (interface and channel):
+            raise InputError(f"source '{text}': expected {FORMS[kind]}")
+        return SourceText(kind, channel, interface, _read_count(number or "0", text))
+    if not (colon and place.strip()):
+        raise InputError(f"source '{text}': expected {FORMS[kind]}")
+    return SourceText(kind, place, number=_read_count(number or "0", text))
+
+
+def _read_count(text: str, source: str) -> int:
+    if not text.isdecimal():
+        raise InputError(f"source '{source}': '{text}' is no whole number")
+    return int(text)
+
+
+def open_source(text: str, columns: tuple[str, ...], dbc: Path | None) -> LiveSource:
+    """Open a source.
+
+    Args:
+        text: as it is written on the command line.
+        columns: names of the columns, where its lines have numbers alone.
+        dbc: what the frames of a CAN bus mean.
+
+    Raises:
+        InputError: it cannot be opened; says why and what helps.
+    """
+    wanted = parse_source(text)
+    if dbc is not None and wanted.kind != "can":
+        raise InputError(f"--dbc {dbc}: is for a source can:..., and '{text}' is none.")
+    if wanted.kind == "can":
+        from zerodrift.recording.can_bus import CanSource
+
+        return CanSource(wanted, dbc)
+    if wanted.kind == "mqtt":
+        from zerodrift.recording.mqtt import MqttSource
+
+        return MqttSource(wanted, columns)
+    from zerodrift.recording.streams import LineSource, open_command, open_input, open_serial
+
+    if wanted.kind == "serial":
+        stream = open_serial(wanted.place, wanted.number or BAUD)
+    elif wanted.kind == "command":
+        stream = open_command(wanted.place)
+    else:
+        stream = open_input()
+    return LineSource(text, stream, LineReader(columns))
+
+
+def now_s() -> float:
+    """Return the monotonic clock."""
+    return time.monotonic()

@@ -1,0 +1,295 @@
+"""`zerodrift record`: a log from a live source, kept whole, and what it still lacks."""
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from zerodrift.app.commands.common import directory_option, json_option, packed, print_result
+from zerodrift.app.commands.console import open_console, open_table
+from zerodrift.base.errors import InputError
+from zerodrift.base.progress import is_watched, open_text_progress
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from zerodrift.recording.coverage import Covered, CoveredRange
+    from zerodrift.recording.recorder import Show
+    from zerodrift.report.results import RecordResult
+
+SHOWN_S = 0.5
+"""Between two pictures on the terminal."""
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """What the command line says; the options' help explains each."""
+
+    out: Path | None
+    recover_file: Path | None
+    columns: str | None
+    dbc: Path | None
+    period: float | None
+    hold: float | None
+    seconds: float | None
+    log: int | None
+    until_enough: bool
+
+
+@click.command()
+@click.argument("source", required=False)
+@directory_option
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="The log: a new file, .parquet.",
+)
+@click.option(
+    "--columns",
+    metavar="NAMES",
+    help="Names of the columns, with commas between, where the source sends numbers alone.",
+)
+@click.option(
+    "--dbc",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="What the frames of a CAN bus mean.",
+)
+@click.option(
+    "--period",
+    type=click.FloatRange(0.001, 86_400.0),
+    help="Seconds between rows of CAN and MQTT (default: the project's period, or 1).",
+)
+@click.option(
+    "--hold",
+    type=click.FloatRange(0.001, 864_000.0),
+    help="How long a value of CAN or MQTT counts where no newer one came (default: 5 periods).",
+)
+@click.option("--seconds", type=click.FloatRange(0.1), help="End after so long.")
+@click.option(
+    "--log", type=click.IntRange(1), help="Which log of the last plan this is (default: the first)."
+)
+@click.option("--until-enough", is_flag=True, help="End once all that is wanted is covered.")
+@click.option(
+    "--recover",
+    "recover_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="End a recording that was cut off, and nothing else.",
+)
+@json_option
+@packed(RecordOptions)
+def command(source: str | None, directory: Path, as_json: bool, options: RecordOptions) -> None:
+    """Record a log from SOURCE, showing what it covers and what is still to come.
+
+    \b
+    SOURCE  serial:/dev/ttyUSB0@115200       lines of a serial port
+            can:socketcan:can0 --dbc FILE    signals of a CAN bus
+            mqtt:localhost/chamber/#         topics of an MQTT broker
+            'command:PROGRAM ARGUMENTS'      lines that a program prints
+            -                                lines of standard input
+
+    A line is a row: columns below a header, a JSON object, or NAME=VALUE pairs. Beside the values
+    stand time_s, since the first row, and clock_s, Unix time, unless the source sends a time. What
+    should be covered comes from the last `zerodrift plan`, or from [experiment]. Ctrl-C ends it.
+    """
+    from zerodrift.recording.keep import recover
+
+    if options.recover_file is not None:
+        rows = recover(options.recover_file)
+        click.echo(f"{options.recover_file}: {rows} rows, whole again")
+        return
+    if source is None or options.out is None:
+        raise click.UsageError("expected SOURCE --out FILE, or --recover FILE")
+    result = record(source, directory, options, options.out, as_json)
+    if as_json:
+        print_result(result)
+    else:
+        print_record(result)
+
+
+def record(
+    source: str, directory: Path, options: RecordOptions, out: Path, as_json: bool
+) -> "RecordResult":
+    """Record until the end; return what was recorded.
+
+    Raises:
+        InputError: a source that cannot be opened, a file that cannot be written, bad options. What
+            was recorded before is kept.
+    """
+    from zerodrift.app.recording import explain_taught, find_wanted
+    from zerodrift.base.config import load_config
+    from zerodrift.recording.coverage import Coverage
+    from zerodrift.recording.keep import Keeper
+    from zerodrift.recording.recorder import Recording, RowRules, check_rules
+    from zerodrift.recording.sources import open_source
+    from zerodrift.report.results import RecordResult
+
+    config = load_config(directory) if (directory / "zerodrift.toml").is_file() else None
+    wanted = find_wanted(config, options.log)
+    if options.until_enough and not wanted.why:
+        raise InputError(
+            "--until-enough: nothing says what is enough; expected a plan or ranges under "
+            "[experiment]. Run: zerodrift plan"
+        )
+    names = tuple(name.strip() for name in (options.columns or "").split(",") if options.columns)
+    period_s = options.period or (config.sample_period_s if config else 1.0)
+    rules = RowRules(
+        time_column=config.time_column if config else "time_s",
+        period_s=period_s,
+        hold_s=options.hold or 5.0 * period_s,
+        most_s=options.seconds,
+        until_enough=options.until_enough,
+    )
+    check_rules(rules)
+    coverage = Coverage(config.temperature_column if config else "temperature_degC", wanted)
+    began_s = time.monotonic()
+    with ending_softly(), Keeper(out) as keeper:
+        opened = open_source(source, names, options.dbc)
+        try:
+            recorder = Recording(opened, keeper, coverage, rules)
+            with open_picture(quiet=as_json) as show:
+                interrupted = recorder.run(show)
+        finally:
+            opened.close()
+    notes = opened.list_strays()
+    if recorder.backwards:
+        notes.append(
+            f"{recorder.backwards} rows were left out: the source's own time ran backwards there"
+        )
+    covered = coverage.describe()
+    if not covered.rows:
+        told = f" {'; '.join(notes)}." if notes else ""
+        raise InputError(
+            f"{source}: no row came in {time.monotonic() - began_s:.0f} s; expected columns below "
+            "a header (or --columns), JSON objects, or NAME=VALUE pairs."
+            f"{told} No file was written."
+        )
+    return RecordResult(
+        **vars(covered),
+        file=str(out),
+        source=source,
+        interrupted=interrupted,
+        why=wanted.why,
+        notes=tuple(notes),
+        taught=tuple(explain_taught(config, out)) if config else (),
+    )
+
+
+@contextmanager
+def ending_softly() -> Iterator[None]:
+    """Let a service manager's SIGTERM end a recording as Ctrl-C does."""
+
+    def end(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def open_picture(*, quiet: bool) -> Iterator["Show"]:
+    """Give what shows a recording: a table on a terminal, else a line of progress, or nothing."""
+    shown_s = 0.0
+
+    def at_times(draw: Callable[["Covered", str], None]) -> "Show":
+        def show(covered: "Covered", silent: str) -> None:
+            nonlocal shown_s
+            if time.monotonic() - shown_s >= SHOWN_S:
+                shown_s = time.monotonic()
+                draw(covered, silent)
+
+        return show
+
+    if is_watched() and not quiet:
+        from rich.console import Console
+        from rich.live import Live
+
+        with Live(console=Console(stderr=True), transient=True, auto_refresh=False) as live:
+            yield at_times(
+                lambda covered, silent: live.update(draw_covered(covered, silent), refresh=True)
+            )
+        return
+    with open_text_progress() as say:
+        if say is None:
+            yield lambda *_: None
+            return
+        yield at_times(lambda covered, silent: say(tell_covered(covered, silent)))
+
+
+def tell_covered(covered: "Covered", silent: str) -> str:
+    """Return a recording so far in one line."""
+    from zerodrift.recording.summary import explain_missing
+
+    missing = explain_missing(covered)
+    parts = [f"{covered.rows} rows, {covered.seconds:.0f} s", silent, *missing[:2]]
+    return "; ".join(part for part in parts if part)
+
+
+def draw_covered(covered: "Covered", silent: str) -> "Table":
+    """Return a recording so far as a table, what is wanted beside what is covered."""
+    title = f"{covered.rows} rows, {covered.seconds:.0f} s" + (f"; {silent}" if silent else "")
+    if covered.enough:
+        title += "; enough: Ctrl-C ends it"
+    table = open_table(
+        title, ("column",), ("now", "lowest", "highest", "wanted", "covered", "no reading")
+    )
+    wanted = {one.what: one for one in covered.wanted}
+    for column in covered.columns:
+        table.add_row(
+            column.name,
+            *(write_number(value) for value in (column.last, column.low, column.high)),
+            *write_wanted(wanted.pop(column.name, None)),
+            str(column.missing or ""),
+        )
+    for one in wanted.values():
+        table.add_row(
+            f"{one.what} {one.unit}", "", "", write_number(one.high), *write_wanted(one), ""
+        )
+    return table
+
+
+def write_wanted(one: "CoveredRange | None") -> tuple[str, str]:
+    """Return what is wanted and how much of it is covered."""
+    if one is None:
+        return "", ""
+    span = f"{one.wanted_low:.6g} .. {one.wanted_high:.6g}"
+    return span, f"{100.0 * one.share:.0f} %" + ("" if one.enough else " *")
+
+
+def write_number(value: float | None) -> str:
+    """Return a number as a table shows it."""
+    return "-" if value is None else f"{value:.7g}"
+
+
+def print_record(result: "RecordResult") -> None:
+    """Print what was recorded, what is still missing, and what the logs teach now."""
+    from zerodrift.recording.summary import explain_missing
+
+    console = open_console()
+    for note in result.notes:
+        click.echo(f"note: {note}", err=True)
+    console.print(draw_covered(result, ""))
+    console.print(
+        f"Wrote {result.file}: {result.rows} rows, {result.seconds:.0f} s", soft_wrap=True
+    )
+    missing = explain_missing(result)
+    if missing:
+        console.print(f"\nStill to record, by {result.why}:")
+        for sentence in missing:
+            console.print(f"  {sentence}")
+    elif result.wanted:
+        console.print(f"All that {result.why} asks for is covered.")
+    if result.taught:
+        console.print("\nWhat the logs can teach now:")
+        for sentence in result.taught:
+            console.print(f"  {sentence}")
