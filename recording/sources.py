@@ -2,11 +2,10 @@
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 from zerodrift.base.errors import InputError, nearest
-from zerodrift.recording.lines import LineReader, Values
+from zerodrift.recording.lines import Values
 
 FORMS = {
     "serial": "serial:PORT[@BAUD], such as serial:/dev/ttyUSB0@115200",
@@ -16,7 +15,6 @@ FORMS = {
     "-": "-, lines on standard input",
 }
 """Kind of a source -> how it is written."""
-BAUD = 115_200
 MQTT_PORT = 1883
 
 
@@ -102,39 +100,6 @@ def _read_count(text: str, source: str) -> int:
     if not text.isdecimal():
         raise InputError(f"source '{source}': '{text}' is no whole number")
     return int(text)
-
-
-def open_source(text: str, columns: tuple[str, ...], dbc: Path | None) -> LiveSource:
-    """Open a source.
-
-    Args:
-        text: as it is written on the command line.
-        columns: names of the columns, where its lines have numbers alone.
-        dbc: what the frames of a CAN bus mean.
-
-    Raises:
-        InputError: it cannot be opened; says why and what helps.
-    """
-    wanted = parse_source(text)
-    if dbc is not None and wanted.kind != "can":
-        raise InputError(f"--dbc {dbc}: is for a source can:..., and '{text}' is none.")
-    if wanted.kind == "can":
-        from zerodrift.recording.can_bus import CanSource
-
-        return CanSource(wanted, dbc)
-    if wanted.kind == "mqtt":
-        from zerodrift.recording.mqtt import MqttSource
-
-        return MqttSource(wanted, columns)
-    from zerodrift.recording.streams import LineSource, open_command, open_input, open_serial
-
-    if wanted.kind == "serial":
-        stream = open_serial(wanted.place, wanted.number or BAUD)
-    elif wanted.kind == "command":
-        stream = open_command(wanted.place)
-    else:
-        stream = open_input()
-    return LineSource(text, stream, LineReader(columns))
 
 
 def now_s() -> float:

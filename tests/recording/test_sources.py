@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 
 from zerodrift.base.errors import InputError
-from zerodrift.recording.sources import LiveSource, Reading, open_source, parse_source
+from zerodrift.recording.open_source import open_source
+from zerodrift.recording.sources import LiveSource, Reading, parse_source
 
 DBC = """VERSION ""
 NS_ :

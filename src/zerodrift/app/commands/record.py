@@ -127,8 +127,8 @@ def record(
     from zerodrift.base.config import load_config
     from zerodrift.recording.coverage import Coverage
     from zerodrift.recording.keep import Keeper
+    from zerodrift.recording.open_source import open_source
     from zerodrift.recording.recorder import Recording, RowRules, check_rules
-    from zerodrift.recording.sources import open_source
     from zerodrift.report.results import RecordResult
 
     config = load_config(directory) if (directory / "zerodrift.toml").is_file() else None

@@ -1,0 +1,39 @@
+"""Opens a source by what is written on the command line."""
+
+from pathlib import Path
+
+from zerodrift.base.errors import InputError
+from zerodrift.recording.can_bus import CanSource
+from zerodrift.recording.lines import LineReader
+from zerodrift.recording.mqtt import MqttSource
+from zerodrift.recording.sources import LiveSource, parse_source
+from zerodrift.recording.streams import LineSource, open_command, open_input, open_serial
+
+BAUD = 115_200
+
+
+def open_source(text: str, columns: tuple[str, ...], dbc: Path | None) -> LiveSource:
+    """Open a source.
+
+    Args:
+        text: as it is written on the command line.
+        columns: names of the columns, where its lines have numbers alone.
+        dbc: what the frames of a CAN bus mean.
+
+    Raises:
+        InputError: it cannot be opened; says why and what helps.
+    """
+    wanted = parse_source(text)
+    if dbc is not None and wanted.kind != "can":
+        raise InputError(f"--dbc {dbc}: is for a source can:..., and '{text}' is none.")
+    if wanted.kind == "can":
+        return CanSource(wanted, dbc)
+    if wanted.kind == "mqtt":
+        return MqttSource(wanted, columns)
+    if wanted.kind == "serial":
+        stream = open_serial(wanted.place, wanted.number or BAUD)
+    elif wanted.kind == "command":
+        stream = open_command(wanted.place)
+    else:
+        stream = open_input()
+    return LineSource(text, stream, LineReader(columns))
