@@ -46,6 +46,7 @@ class LineSource:
         self._strays = 0
         self._first_stray = ""
         self._ended = False
+        self._why = ""
         threading.Thread(target=self._listen, daemon=True).start()
 
     def _listen(self) -> None:
@@ -58,27 +59,30 @@ class LineSource:
 
     def read(self, timeout_s: float) -> list[Reading] | None:
         """Return the rows that have come; see `LiveSource`."""
-        if self._ended:
-            return None
         found: list[Reading] = []
         wait_s = timeout_s
-        while True:
+        while not self._ended:
             try:
                 item = self._came.get(timeout=wait_s) if wait_s > 0 else self._came.get_nowait()
             except queue.Empty:
                 return found
             wait_s = 0.0
-            if isinstance(item, OSError):
-                raise InputError(
-                    f"{self._name}: can no longer be read ({item.strerror or item}); expected it "
-                    "to stay connected. What came before is kept."
-                )
+            if isinstance(item, tuple):
+                self._take(*item, found)
+                continue
+            self._ended = True
             if item is None:
-                self._ended = True
-                if why := self._stream.explain_end():
-                    raise InputError(f"{self._name}: {why}")
-                return found or None
-            self._take(*item, found)
+                self._why = self._stream.explain_end()
+            else:
+                self._why = (
+                    f"can no longer be read ({item.strerror or item}); expected it to stay "
+                    "connected. What came before is kept."
+                )
+        if found:
+            return found
+        if self._why:
+            raise InputError(f"{self._name}: {self._why}")
+        return None
 
     def _take(self, at_s: float, line: bytes, found: list[Reading]) -> None:
         try:
@@ -125,7 +129,10 @@ def open_serial(port: str, baud: int) -> Stream:
 
     def read_line() -> bytes:
         while device.is_open:
-            rest.extend(device.read_until(b"\n", LONGEST))
+            try:
+                rest.extend(device.read_until(b"\n", LONGEST))
+            except TypeError:  # pySerial's answer where the port is closed meanwhile
+                return b""
             if rest.endswith(b"\n") or len(rest) >= LONGEST:
                 line = bytes(rest)
                 rest.clear()
