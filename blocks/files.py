@@ -20,6 +20,9 @@ from zerodrift.blocks.design import FILE_NAME, BlockDesign, load_design
 
 SUFFIXES = (".bin", ".hex", ".json")
 """Of files that are read as blocks; the C array is for compilers."""
+BLOCK = "block"
+"""Stem of the files of a single unit, beside its program."""
+BLOCK_FILES = tuple(f"{BLOCK}{suffix}" for suffix in (*SUFFIXES, ".c"))
 HEX_BYTES = 16
 """In a record of Intel HEX."""
 END_OF_FILE = ":00000001FF"

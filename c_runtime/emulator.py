@@ -65,12 +65,12 @@ void chip_trace(uint32_t steps) {{
         (void)zd_pack(&chip_state, &chip_states[t * {width}u]);
     }}
 }}
-void chip_step(void) {{ (void){prefix}_step(&chip_state, &chip_input, chip_drift); }}
-void chip_settle(void) {{ {prefix}_settle(&chip_state, &chip_input); }}
-uint32_t chip_selftest(void) {{ return {prefix}_selftest(); }}
+void chip_step(void) {{ (void){prefix}_step(&chip_state{block}, &chip_input, chip_drift); }}
+void chip_settle(void) {{ {prefix}_settle(&chip_state{block}, &chip_input); }}
+uint32_t chip_selftest(void) {{ return zd_selftest(); }}
 uint8_t chip_saved[{PREFIX}_SAVED_BYTES];
 void chip_save(void) {{ {prefix}_save(&chip_state, chip_saved); }}
-uint32_t chip_restore(void) {{ return {prefix}_restore(&chip_state, chip_saved); }}
+uint32_t chip_restore(void) {{ return {prefix}_restore(&chip_state{block}, chip_saved); }}
 {layer}
 void _start(void) {{
     chip_start(0);
@@ -359,6 +359,7 @@ def _build(
         outputs=len(model.outputs),
         code_type=f"{np.dtype(model.code_type).name}_t",
         layer=_render_layer(model),
+        block=", zd_block" if code.design is not None else "",
     )
     main.write_text(text, encoding="utf-8")
     # string.h, which the harness names for the host's sake, is not there without a C library

@@ -167,7 +167,8 @@ class HostModel:
         """Take over a copy of `state_bytes` + 16 bytes; return what the C returns, 0 = accepted."""
         if len(saved) != self.state_bytes + SAVED_EXTRA_BYTES:
             raise ValueError(f"{len(saved)} bytes, not {self.state_bytes + SAVED_EXTRA_BYTES}")
-        function = self._lib[f"{self.prefix}_restore"]
+        own = f"{self._symbols}zd_restore_state"  # of a program that takes a block
+        function = self._lib[own if hasattr(self._lib, own) else f"{self.prefix}_restore"]
         function.restype = ctypes.c_uint32
         return int(function(self._state, saved))
 

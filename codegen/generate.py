@@ -1,12 +1,14 @@
 """Renders an integer model as one C header and one C source, deterministic to the byte."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import jinja2
+import numpy as np
 
 from zerodrift import __version__, operations
+from zerodrift.blocks.block import BlockNotes, encode
 from zerodrift.blocks.design import BlockDesign
 from zerodrift.codegen.block_text import (
     describe_block,
@@ -48,6 +50,15 @@ class GeneratedCode:
     """A host program's source that includes the model and runs it; never flashed."""
     runtime: Mapping[str, str] | None = None
     """The runtime's files beside it, by name; None for those of this version of zerodrift."""
+    design: BlockDesign | None = None
+    """Of a program whose numbers lie in a block."""
+    block: bytes = b""
+    """A unit's block, which the harness computes with."""
+
+    @property
+    def named(self) -> tuple[str, int] | None:
+        """What a design's C calls itself in the place of a model: hash and word of states."""
+        return None if self.design is None else (self.design.identity, self.design.words[0] or 1)
 
     @property
     def header_name(self) -> str:
@@ -75,8 +86,33 @@ def generate(model: IntegerModel) -> GeneratedCode:
     return _render(model, model.prove(), limits_of(model), None, context)
 
 
-def generate_design(design: BlockDesign) -> GeneratedCode:
+def generate_unit(design: BlockDesign, model: IntegerModel, notes: BlockNotes) -> GeneratedCode:
+    """Return the C of a design with a unit's block.
+
+    Args:
+        design: of the unit.
+        model: the unit's, in the design's format (`BlockDesign.fit`).
+        notes: serial, date and sequence.
+    """
+    return generate_design(design, encode(design, model, notes, compute_answers(design, model)))
+
+
+def compute_answers(design: BlockDesign, model: IntegerModel) -> int:
+    """Return the CRC of what a unit's self-test has to answer."""
+    return compute_selftest(model, widen(design))
+
+
+def generate_again(model: IntegerModel, code: GeneratedCode) -> GeneratedCode:
+    """Return what is generated now of the model, or of the design and block, that C is of."""
+    return generate(model) if code.design is None else generate_design(code.design, code.block)
+
+
+def generate_design(design: BlockDesign, block: bytes = b"") -> GeneratedCode:
     """Return the C of a design: its program computes with whatever block it is given.
+
+    Args:
+        design: of the program.
+        block: of a unit, which the harness computes with from the start; none if empty.
 
     Raises:
         CheckError: a bound does not hold for some block of the design's set.
@@ -87,10 +123,12 @@ def generate_design(design: BlockDesign) -> GeneratedCode:
         "identity": design.words[0] or 1,
         "drift_ends": [(low.low, high.high)] * len(design.model.outputs),
         "selftest_crc": 0,
+        "block_words": np.frombuffer(block, dtype="<u8").tolist(),
         **describe_block(design),
     }
     widest = limits_of(widen(design))
-    return _render(mark(design), design.prove(), widest, design, context)
+    code = _render(mark(design), design.prove(), widest, design, context)
+    return replace(code, design=design, block=block)
 
 
 def _render(

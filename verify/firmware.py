@@ -12,11 +12,20 @@ from zerodrift.base.errors import CheckError
 from zerodrift.base.journal import write_all
 from zerodrift.base.ownership import refuse_foreign
 from zerodrift.base.scratch import make_scratch
+from zerodrift.blocks.block import BlockNotes
+from zerodrift.blocks.design import FILE_NAME as DESIGN
+from zerodrift.blocks.design import load_design, make_design
+from zerodrift.blocks.files import BLOCK, BLOCK_FILES, render_block
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.footprint import Footprint, measure_footprint
 from zerodrift.c_runtime.host import HostModel, render_sources, write_sources
 from zerodrift.codegen.application import render_dbc
-from zerodrift.codegen.generate import GeneratedCode, generate
+from zerodrift.codegen.generate import (
+    GeneratedCode,
+    generate,
+    generate_design,
+    generate_unit,
+)
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.compose import (
     calibrate,
@@ -33,7 +42,7 @@ from zerodrift.export.integer_onnx import build_integer_onnx
 from zerodrift.export.quantize import Quantized
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
-from zerodrift.verify.certificate import certify
+from zerodrift.verify.certificate import certify, certify_design
 from zerodrift.verify.certificate_check import CertificateOutcome, check_certificate
 from zerodrift.verify.chip_check import ChipCheck, check_chip
 from zerodrift.verify.chip_error import ChipReplay
@@ -52,6 +61,8 @@ LEAST_VECTORS = 100_000
 """Steps compared at least; the logs are part of them."""
 LONGEST_LOG_STEPS = 20_000
 CORE = "cortex-m4"
+IN_A_BLOCK = "the numbers lie in a block, and the check of this bound reads those of the C"
+"""Why nothing is proven of the distance from the float model."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +131,7 @@ def build_firmware(
     """
     progress("quantizing")
     quantized, rounded = _compose(config, dataset, described, progress)
-    model = quantized.model
-    code = generate(model)
+    model, code = make_code(config, quantized.model)
     sequences = list_sequences(model, dataset)
     with make_scratch(config.directory) as scratch:
         check = check_firmware(model, code, sequences, scratch, progress).require()
@@ -132,8 +142,7 @@ def build_firmware(
         gate, replay = judge_firmware(described, check.host, dataset, left_out)
         forced = tuple(statement.text for statement in gate.refused) if force else ()
         if forced:
-            model = replace(model, notes={**model.notes, FORCED: "\n".join(forced)})
-            code = generate(model)
+            model, code = _mark_forced(model, code, "\n".join(forced))
         errors = tell_errors(described, check.host, runs)
         untuned: tuple[OutputError, ...] = ()
         if rounded is not None:
@@ -144,7 +153,7 @@ def build_firmware(
         budget = measure_budget(described, calibration, check.observed, plain_runs, plain=plain)
         footprint = measure_footprint(code, CORE)
         progress("proving how far the chip can be from the float model")
-        bound = bound_errors(quantized)
+        bound = bound_errors(quantized) if code.design is None else ErrorBound((), IN_A_BLOCK)
         progress("checking the certificate")
         certificate, outcome, bound = certify_checked(model, code, bound, scratch)
     files: tuple[Path, ...] = ()
@@ -173,6 +182,40 @@ def build_firmware(
         forced=forced,
         files=files,
     )
+
+
+def make_code(config: Config, own: IntegerModel) -> tuple[IntegerModel, GeneratedCode]:
+    """Return a project's integer model and its C, with the numbers where `[firmware]` puts them.
+
+    A design that lies in the folder of the C is kept, so that the program stays what it is.
+
+    Args:
+        config: the project.
+        own: its integer model, in the format of its own.
+
+    Raises:
+        CheckError: the model cannot stand in a block, or does not fit the design that is there.
+        InputError: the design's file is damaged.
+    """
+    if not config.block.in_block:
+        return own, generate(own)
+    path = config.firmware_out / DESIGN
+    design = load_design(path) if path.is_file() else make_design([own])
+    model = design.fit(own)
+    serial = config.block.serial or config.sensor_name
+    notes = BlockNotes(serial, config.block.calibrated, config.block.number)
+    return model, generate_unit(design, model, notes)
+
+
+def _mark_forced(
+    model: IntegerModel, code: GeneratedCode, why: str
+) -> tuple[IntegerModel, GeneratedCode]:
+    """Return a model and its C with what the gate found against them."""
+    model = replace(model, notes={**model.notes, FORCED: why})
+    if code.design is None:
+        return model, generate(model)
+    told = replace(code.design.model, notes={**code.design.model.notes, FORCED: why})
+    return model, generate_design(replace(code.design, model=told), code.block)
 
 
 def find_plain(
@@ -209,6 +252,9 @@ def certify_checked(
     Raises:
         CheckError: a claim beside the error bound does not hold.
     """
+    if code.design is not None:
+        certificate = certify_design(code.design, code)
+        return certificate, recheck(code, certificate, scratch), bound
     certificate = certify(model, code, bound)
     try:
         return certificate, recheck(code, certificate, scratch), bound
@@ -288,6 +334,9 @@ def write_artefacts(
         f"{code.prefix}.dbc": render_dbc(model),
     }
     firmware = {name: text.encode() for name, text in texts.items()}
+    if code.design is not None:
+        firmware[DESIGN] = code.design.to_text().encode()
+        firmware |= render_block(code.design, code.block, BLOCK, config.block.address)
     artefacts = {
         "model.json": model.to_text().encode(),
         CERTIFICATE: certificate.encode(),
@@ -301,7 +350,9 @@ def write_artefacts(
     firmware[MANIFEST] = manifest.encode()
     files = {out / name: content for name, content in firmware.items()}
     refuse_foreign(files, out)
-    write_all(
-        config.directory, files | {build / name: content for name, content in artefacts.items()}
-    )
+    changes: dict[Path, bytes | None] = {
+        out / name: None for name in (DESIGN, *BLOCK_FILES) if name not in firmware
+    }
+    changes |= files | {build / name: content for name, content in artefacts.items()}
+    write_all(config.directory, changes)
     return tuple(files)

@@ -17,7 +17,7 @@ from zerodrift.c_runtime.compilers import (
 )
 from zerodrift.c_runtime.cores import CORES, find_cross_compilers
 from zerodrift.c_runtime.host import HostModel
-from zerodrift.codegen.generate import GeneratedCode, generate
+from zerodrift.codegen.generate import GeneratedCode, generate_again
 from zerodrift.codegen.identity import (
     identify_again,
     identify_runtime,
@@ -89,7 +89,7 @@ def check_folder(
         progress: is told what is being done.
     """
     check = FolderCheck()
-    check.failures += compare_texts(code, generate(model))
+    check.failures += compare_texts(code, generate_again(model, code))
     plain = _check_host(check, model, code, golden, sequences, scratch, progress)
     _check_onnx(check, model, onnx, golden, sequences, plain, progress)
     if plain is not None or not find_compilers():  # what already fails here is told once
@@ -123,7 +123,7 @@ def _check_host(
     except CheckError as error:
         check.failures.append(f"host: {_tell_compiler(error, scratch)}")
         return None
-    check.header += check_header(model, code.prefix, plain.library)
+    check.header += check_header(model, code.prefix, plain.library, code.named)
     drawn = _list_stretches(sequences)
     answers = None
     for name, host in ((HOST, observed), ("host as flashed", plain)):
@@ -237,7 +237,7 @@ def _compare_afresh(
 
     No reference says what a state is refused for. Of another version it may be something else.
     """
-    fresh = generate(model)
+    fresh = generate_again(model, code)
     if _FORMAT.findall(fresh.header) == _FORMAT.findall(code.header):
         built = _build(model, fresh, scratch / "fresh", compiler, (), observe=False)
         if built.state_bytes == plain.state_bytes:

@@ -52,14 +52,22 @@ class HeaderFinding:
         return f"{self.name} {found}; the model gives {self.expected}"
 
 
-def list_expected(model: IntegerModel, prefix: str) -> dict[str, int | str]:
-    """Return every name that an application reads of the header -> what the model says of it."""
+def list_expected(
+    model: IntegerModel, prefix: str, named: tuple[str, int] | None = None
+) -> dict[str, int | str]:
+    """Return every name that an application reads of the header -> what the model says of it.
+
+    Args:
+        model: the integer model.
+        prefix: of the C names.
+        named: hash and word of states of a design; None: the model's own.
+    """
     upper = prefix.upper()
     outputs = name_outputs(model)
     expected: dict[str, int | str] = {
         "FORMAT": FORMAT,
-        "MODEL_HASH": model.hash,
-        "MODEL_ID": model.identity,
+        "MODEL_HASH": model.hash if named is None else named[0],
+        "MODEL_ID": model.identity if named is None else named[1],
         "MANIFEST": MANIFEST,
         "CHANNELS": len(model.channels),
         "OUTPUTS": len(model.outputs),
@@ -138,15 +146,18 @@ def has_avx2(library: Path) -> bool:
     return bool(ctypes.CDLL(str(library)).zd_has_avx2())
 
 
-def check_header(model: IntegerModel, prefix: str, library: Path) -> tuple[HeaderFinding, ...]:
+def check_header(
+    model: IntegerModel, prefix: str, library: Path, named: tuple[str, int] | None = None
+) -> tuple[HeaderFinding, ...]:
     """Return what a header says otherwise than the model.
 
     Args:
         model: the integer model.
         prefix: of the C names.
         library: a host build whose harness has the questions.
+        named: hash and word of states of a design; None: the model's own.
     """
-    expected = list_expected(model, prefix)
+    expected = list_expected(model, prefix, named)
     loaded = ctypes.CDLL(str(library))
     numbers = _list_numbers(model, prefix)
     channels = name_channels(model)

@@ -9,7 +9,11 @@ import numpy as np
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
 from zerodrift.base.scratch import make_scratch
-from zerodrift.codegen.generate import GeneratedCode, generate
+from zerodrift.blocks.block import apply, decode
+from zerodrift.blocks.design import FILE_NAME as DESIGN
+from zerodrift.blocks.design import load_design
+from zerodrift.blocks.files import BLOCK, read_block_file
+from zerodrift.codegen.generate import GeneratedCode, generate, generate_design
 from zerodrift.export.golden import GoldenVectors, load_golden
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
@@ -231,14 +235,31 @@ def read_code(model: IntegerModel, folder: Path) -> GeneratedCode:
     Raises:
         InputError: the model's header or source is missing, or a file is no UTF-8 text.
     """
-    fresh = generate(model)
+    fresh = _generate(model, folder)
     names = {path.name for path in folder.glob("zd_*.[ch]")}
     texts = {
         name: _read_text(folder / name)
         for name in sorted({*names, fresh.header_name, fresh.source_name})
     }
     header, source = texts.pop(fresh.header_name), texts.pop(fresh.source_name)
-    return GeneratedCode(fresh.prefix, header, source, fresh.harness, texts)
+    return replace(fresh, header=header, source=source, runtime=texts)
+
+
+def _generate(model: IntegerModel, folder: Path) -> GeneratedCode:
+    """Return the C of a model, or of the design and block in a folder that has them.
+
+    Raises:
+        InputError: design or block is damaged, or the block is not the model's.
+    """
+    if not (folder / DESIGN).is_file():
+        return generate(model)
+    design, path = load_design(folder / DESIGN), folder / f"{BLOCK}.bin"
+    content = read_block_file(path, design)
+    if apply(design, decode(design, content, str(path))).hash != model.hash:
+        raise InputError(
+            f"{path}: its numbers are not those of model.json ({model.hash[:12]}). {AGAIN}"
+        )
+    return generate_design(design, content)
 
 
 def _read_text(path: Path) -> str:

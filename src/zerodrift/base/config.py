@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
+from zerodrift.base.block_config import BLOCK_KEYS, BlockConfig, read_block_config
 from zerodrift.base.clock_config import (
     ROW_TIME,
     ClockConfig,
@@ -126,6 +127,8 @@ class Config:
     """What the C's names begin with, `{sensor}` standing for a fleet's sensor; empty: its name."""
     firmware_guard: bool = False
     """Whether the C keeps a checksum over its state."""
+    block: BlockConfig = field(default_factory=BlockConfig)
+    """`[firmware]`: whether the coefficients lie in a block, and what it says of its unit."""
     fleet: FleetConfig = field(default_factory=FleetConfig)
     """`[fleet]`: for `zerodrift fleet` alone."""
     experiment: ExperimentConfig = field(default_factory=ExperimentConfig)
@@ -208,7 +211,7 @@ def parse_config(text: str, path: Path) -> Config:
     sensor = root.table("sensor", ("name", "time", "temperature", "sample_period_s"))
     logs = root.table("logs", LOG_KEYS)
     quantization = root.table("quantization", ("weights",), optional=True)
-    firmware = root.table("firmware", ("out", "prefix", "guard"), optional=True)
+    firmware = root.table("firmware", ("out", "prefix", "guard", *BLOCK_KEYS), optional=True)
     outputs, converted_outputs = _read_outputs(root)
     inputs = root.table("inputs", None, optional=True)
     clocks = read_clocks(logs)
@@ -244,6 +247,7 @@ def parse_config(text: str, path: Path) -> Config:
         / (firmware.text("out") if "out" in firmware.values else "firmware"),
         firmware_prefix=_read_prefix(firmware),
         firmware_guard=firmware.flag("guard"),
+        block=read_block_config(firmware),
         plugin_files=_read_plugins(root),
         where=_read_where(logs),
         tared=_read_tared(logs),

@@ -11,6 +11,7 @@ from zerodrift.app.commands.common import (
     print_notes,
     print_result,
 )
+from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
 from zerodrift.base.ownership import MANIFEST, list_own, refuse_foreign, render_manifest
 
@@ -42,6 +43,13 @@ def command(kind: str, directory: Path, as_json: bool) -> None:
     print_notes(tuple(f"not checked: {n.what}: {n.why}" for n in check.not_checked))
     model = load_model(config.build_directory / "model.json")
     code = read_code(model, config.firmware_out)
+    if code.design is not None:
+        raise InputError(
+            "a program that takes its coefficients from a block has no package yet: where the"
+            " block lies in flash is the application's to say. Add the files of"
+            f" {show_path(config.firmware_out, config.directory)}/ to your build, or set [firmware]"
+            ' coefficients = "constants".'
+        )
     files = render_package(kind, model, code, code.runtime or {})
     place = config.firmware_out / "packages" / kind
     contents = {name: text.encode() for name, text in files.items()}
