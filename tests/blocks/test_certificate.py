@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from tests.blocks.test_blocks import find_code, find_design
+from tests.blocks.test_blocks import find_code, find_design, list_units
 from zerodrift.base.errors import CheckError
+from zerodrift.blocks.design import make_design
 from zerodrift.blocks.proof import prove_set
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
+from zerodrift.codegen.generate import generate_design
 from zerodrift.verify.certificate import certify_design
 from zerodrift.verify.certificate_check import CertificateOutcome, compare
 
@@ -32,6 +34,16 @@ def test_it_holds(network: bool) -> None:
     outcome = derive_again(network=network)
     assert outcome.understood and not outcome.failures
     assert outcome.holds > len(find_design(network).fields)
+
+
+def test_it_holds_of_a_guarded_state() -> None:
+    units = [replace(unit, guarded=True) for unit in list_units(network=True)[:3]]
+    design = make_design(units)
+    code = generate_design(design)
+    texts = {code.header_name: code.header, code.source_name: code.source}
+    texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    outcome = compare(json.loads(certify_design(design, code)), texts)
+    assert outcome.understood and not outcome.failures
 
 
 def swap(pattern: str, to: str):
