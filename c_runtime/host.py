@@ -151,6 +151,18 @@ class HostModel:
         self._hold_block(content)
         self._lib[f"{self._symbols}zd_force_block"](ctypes.c_void_p(self._block_at))
 
+    def choose_block(self, first: bytes, second: bytes) -> int | None:
+        """Return which of two slots of equal length the C chooses, 0 or 1; None for neither."""
+        slots = [ctypes.create_string_buffer(len(first) + 16) for _ in range(2)]
+        places = [-(-ctypes.addressof(slot) // 8) * 8 for slot in slots]
+        for place, content in zip(places, (first, second), strict=True):
+            ctypes.memmove(place, content, len(first))
+        function = self._lib[f"{self.prefix}_choose_block"]
+        function.restype = ctypes.c_void_p
+        arguments = (*map(ctypes.c_void_p, places), ctypes.c_size_t(len(first)))
+        found = function(*arguments)
+        return None if found is None else places.index(int(found))
+
     def _hold_block(self, content: bytes) -> None:
         """Keep a copy at an address that 8 divides, as in flash."""
         self._block = ctypes.create_string_buffer(len(content) + 16)

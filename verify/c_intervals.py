@@ -201,7 +201,8 @@ class IntervalMachine(Statements):
                 return self._replay(own, arguments)
             result = self.call(name, arguments)
             if own == "is_of" and isinstance(result, Value) and result.exact is None:
-                result = Value(*[self.choose(2)] * 2, "uint32_t")  # both are gone
+                way = self.choose(2)  # both are gone
+                result = Value(way, way, "uint32_t")
             if own.endswith("_sound") and isinstance(result, Value) and result.exact == 0:
                 self.fail(f"{name}: the tables are not those whose CRC is known here")
             return result
