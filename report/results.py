@@ -23,7 +23,7 @@ from zerodrift.physics.summary import FittedCoefficient, ModelSummary, Parameter
 from zerodrift.recording.summary import RecordingSummary
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Provenance
-from zerodrift.train.summary import TrainingSummary
+from zerodrift.train.summary import NetworkChoice, TrainingSummary
 from zerodrift.verify.machine import Item
 from zerodrift.verify.summary import (
     CertificateSummary,
@@ -249,6 +249,8 @@ class TrainResult(TrainingSummary, Shown):
 
     advice: AdviceSummary | None
     """What the logs can teach; null where no output moves."""
+    choice: NetworkChoice | None = None
+    """With `[network] kind = "auto"`: what was tried, and what it took."""
 
 
 @dataclass(frozen=True)

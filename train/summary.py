@@ -50,6 +50,40 @@ class HeldOutRuns:
 
 
 @dataclass(frozen=True)
+class TriedNetwork:
+    """One candidate of `[network] kind = "auto"`."""
+
+    name: str
+    """Kind, and the units of one with a state."""
+    rmse_left_out: Mapping[str, float] | None
+    """Output -> RMSE on the training runs left out, in its unit; null where it was not trained."""
+    times_best: float | None
+    """Error as a multiple of the best one's, mean over the outputs."""
+    instructions: int | None
+    """Of a step on the core; null where no compiler or emulator is installed."""
+    flash_bytes: int | None
+    products: int | None
+    """Multiplications of a step."""
+    as_good: bool
+    """Whether the error is within 5 % of the best."""
+    why: str
+    """Why it was not trained, or nothing."""
+
+
+@dataclass(frozen=True)
+class NetworkChoice:
+    """What `[network] kind = "auto"` tried and took."""
+
+    taken: str
+    tried: tuple[TriedNetwork, ...]
+    units: Mapping[str, str]
+    """Output -> its unit."""
+    core: str
+    explanation: str
+    """Which runs were left out."""
+
+
+@dataclass(frozen=True)
 class TrainingSummary:
     """What training achieved."""
 

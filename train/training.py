@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from zerodrift.base.config import Config
-from zerodrift.base.errors import ZerodriftError
+from zerodrift.base.config import AUTO, Config
+from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.dataset.chip_codes import refuse_unsayable
 from zerodrift.dataset.runs import Dataset
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
@@ -104,6 +104,11 @@ def _begin(
     config: Config, dataset: Dataset, settings: Settings, catalogue: Catalogue, report: Report
 ) -> Trained | Task:
     """Return the result where no network is trained by epochs, else what is to be trained."""
+    if config.network.kind == AUTO:
+        raise InputError(
+            f'{config.path}: [network] kind = "auto" chooses for one sensor. Run `zerodrift train`'
+            " there, and name here the kind that it takes."
+        )
     refuse_unsayable(config, dataset)
     if config.network.kind not in ("none", "lag_bank"):
         return Task(config, dataset, settings, prepare(config, dataset, settings, catalogue))

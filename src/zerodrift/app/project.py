@@ -305,11 +305,13 @@ class Project:
         from zerodrift.diagnosis.advice import advise
         from zerodrift.train.progress import show_progress as show_training
         from zerodrift.train.summary import summarise_training
-        from zerodrift.train.training import list_checkpoints, train
+        from zerodrift.train.training import list_checkpoints
+        from zerodrift.verify.network_choice import train_or_choose
 
         self._refuse_moved()
         with hold_project(self.directory), show_training("training") as report:
-            trained = train(self.config, self.dataset, report=report)
+            chosen = train_or_choose(self.config, self.dataset, report=report)
+            trained = chosen.trained
             trained.compensator.save(
                 self.directory,
                 self.config.build_directory,
@@ -317,7 +319,8 @@ class Project:
             )
         advice = advise(self.config, self.dataset)
         told = summarise_training(trained.compensator, trained.scores)
-        return TrainResult(**vars(told), advice=None if advice is None else advice.summarise())
+        advised = None if advice is None else advice.summarise()
+        return TrainResult(**vars(told), advice=advised, choice=chosen.choice)
 
     def firmware(self, *, force: bool = False) -> "FirmwareSummary":
         """Train if needed, quantize, generate C, check it bit for bit, and write it.

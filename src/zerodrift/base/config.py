@@ -36,7 +36,9 @@ DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
 MOST = {"starts": 1000, "epochs": 1_000_000}
 """Trainings from different weights, and passes over the logs, that are still meant."""
 MODEL_TABLES = ("effect", "network", "quantization", "firmware", "plugins", "fleet", "experiment")
-NETWORK_KINDS = ("lag_bank", "gru", "lstm", "mlp", "mlp_seq", "tcn", "none")
+NETWORK_KINDS = ("lag_bank", "gru", "lstm", "mlp", "mlp_seq", "tcn", "none", AUTO)
+CHOSEN_BY_AUTO = ("hidden", "memory", "spacing_s", "form", "learning_rate", "lags_s")
+"""Keys that mean nothing beside kind = "auto"."""
 RECURRENT_KINDS = ("gru", "lstm")
 """These carry a state, or run over a window."""
 WINDOWED_KINDS = ("mlp_seq", "tcn")
@@ -85,7 +87,7 @@ class NetworkConfig:
     """`[network]`: what learns the part that physics leaves."""
 
     kind: str = "none"
-    """lag_bank | gru | lstm | mlp | mlp_seq | tcn | none."""
+    """lag_bank | gru | lstm | mlp | mlp_seq | tcn | none | auto."""
     hidden: int = 16
     memory: str | int = "stream"
     """"stream", or the window's length in samples."""
@@ -380,6 +382,9 @@ def _read_network(table: TomlTable) -> NetworkConfig:
         if key in table.values:
             options[key] = table.positive(key)
     kind = table.choice("kind", NETWORK_KINDS, default.kind)
+    for key in CHOSEN_BY_AUTO if kind == AUTO else ():
+        if key in table.values:
+            raise table.error(key, f'kind = "auto" chooses that by itself; leave `{key}` out.')
     if kind in WINDOWED_KINDS and memory == "stream":
         memory = WINDOW
     if memory != "stream" and kind not in (*WINDOWED_KINDS, *RECURRENT_KINDS):

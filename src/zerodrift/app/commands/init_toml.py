@@ -39,7 +39,7 @@ def write_config(guess: Guess, selectors: Mapping[str, Sequence[str]]) -> str:
         "[[effect]]  # the physical model; `zerodrift effects` lists what there is",
         'kind = "zero_tempco"',
         "",
-        "[network]  # learns the rest: lag_bank | gru | lstm | mlp | mlp_seq | tcn | none",
+        "[network]  # learns the rest: lag_bank | gru | lstm | mlp | mlp_seq | tcn | none | auto",
         'kind = "lag_bank"',
         "",
         "[quantization]",

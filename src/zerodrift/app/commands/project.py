@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from zerodrift.train.compensator import Compensator
+    from zerodrift.train.summary import NetworkChoice
 
 
 def open_project(directory: Path, skip_invalid: bool = False) -> tuple[Config, Dataset]:
@@ -33,7 +34,8 @@ def train_project(config: Config, dataset: Dataset, console: "Console") -> "Comp
     from zerodrift.train.compensator import DESCRIPTION, Compensator
     from zerodrift.train.prepare import mark_inputs
     from zerodrift.train.progress import show_progress
-    from zerodrift.train.training import list_checkpoints, train
+    from zerodrift.train.training import list_checkpoints
+    from zerodrift.verify.network_choice import train_or_choose
 
     catalogue = load_catalogue(config.plugin_files)
     mark = mark_inputs(config, dataset)
@@ -48,8 +50,27 @@ def train_project(config: Config, dataset: Dataset, console: "Console") -> "Comp
             console.print(f"note: {error} It is trained again now.", markup=False)
     config.build_directory.mkdir(parents=True, exist_ok=True)
     with show_progress("training") as report:
-        trained = train(config, dataset, catalogue=catalogue, report=report)
-    trained.compensator.save(
+        chosen = train_or_choose(config, dataset, catalogue=catalogue, report=report)
+    if chosen.choice is not None:
+        print_choice(chosen.choice, console)
+    chosen.trained.compensator.save(
         config.directory, config.build_directory, done_with=list_checkpoints(config)
     )
-    return trained.compensator
+    return chosen.trained.compensator
+
+
+def print_choice(choice: "NetworkChoice", console: "Console") -> None:
+    """Print what `[network] kind = "auto"` tried, and what it took."""
+    from zerodrift.app.commands.console import open_table
+    from zerodrift.verify.network_choice import tabulate
+
+    heads, rows = tabulate(choice)
+    title = f"RMSE on runs left out, and a step on {choice.core}"
+    table = open_table(title, ("network",), heads)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+    console.print(
+        f"{choice.taken} is taken: the cheapest of those within 5 % of the best."
+        f" {choice.explanation}"
+    )

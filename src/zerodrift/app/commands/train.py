@@ -48,16 +48,20 @@ def command(
     by the next call, with the same result to the bit.
     """
     from zerodrift.app.commands.console import open_console, print_advice
-    from zerodrift.app.commands.project import open_project
+    from zerodrift.app.commands.project import open_project, print_choice
     from zerodrift.diagnosis.advice import advise
     from zerodrift.report.results import TrainResult
     from zerodrift.train.progress import show_progress
     from zerodrift.train.summary import summarise_training
-    from zerodrift.train.training import list_checkpoints, train
+    from zerodrift.train.training import list_checkpoints
+    from zerodrift.verify.network_choice import train_or_choose
 
     config, dataset = open_project(directory, skip_invalid)
     with show_progress("training") as report:
-        trained = train(config, dataset, epochs=epochs, starts=starts, resume=resume, report=report)
+        chosen = train_or_choose(
+            config, dataset, epochs=epochs, starts=starts, resume=resume, report=report
+        )
+    trained = chosen.trained
     trained.compensator.save(
         config.directory, config.build_directory, done_with=list_checkpoints(config)
     )
@@ -65,9 +69,15 @@ def command(
     if as_json:
         told = summarise_training(trained.compensator, trained.scores)
         print_result(
-            TrainResult(**vars(told), advice=advice.summarise() if advice is not None else None)
+            TrainResult(
+                **vars(told),
+                advice=advice.summarise() if advice is not None else None,
+                choice=chosen.choice,
+            )
         )
     else:
+        if chosen.choice is not None:
+            print_choice(chosen.choice, open_console())
         _print_table(trained.scores)
         print_advice(advice, open_console())
         print_notes((*dataset.notes, *trained.compensator.notes))
