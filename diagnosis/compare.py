@@ -29,6 +29,10 @@ Array = NDArray[np.float64]
 Predict = Callable[[Run], Array]
 
 
+TEMPERATURE = "temperature_degC"
+"""Beside the outputs of a run in `runs`: its range."""
+
+
 @dataclass(frozen=True)
 class ErrorSummary:
     """Errors of one output over some samples, in its unit."""
@@ -52,6 +56,8 @@ class RunErrors:
     name: str
     use: str
     """train | test."""
+    temperature_degc: tuple[float, float]
+    """Lowest and highest of the thermometer."""
     in_sample: tuple[ErrorSummary, ...] | None
     """[K]; None for runs that the model did not learn from."""
     held_out: tuple[ErrorSummary, ...] | None
@@ -98,7 +104,10 @@ class Comparison:
         return ComparisonSummary(
             outputs={name: _summarise_output(self, k) for k, name in enumerate(names)},
             runs={
-                run.name: {name: _summarise_run(run, k) for k, name in enumerate(names)}
+                run.name: {
+                    TEMPERATURE: run.temperature_degc,
+                    **{name: _summarise_run(run, k) for k, name in enumerate(names)},
+                }
                 for run in self.runs
             },
             worst=tuple(
@@ -231,6 +240,7 @@ def compare(
             RunErrors(
                 group,
                 "test" if group in tested else "train",
+                _find_range(told[group].runs),
                 _summarise([inside[group]]) if group in inside else None,
                 _summarise([outside[group]]) if group in outside else None,
             )
@@ -244,6 +254,12 @@ def compare(
         set_aside=_share_set_aside(list(told.values())),
         outliers=tell_outliers([run for e in told.values() for run in e.runs]),
     )
+
+
+def _find_range(runs: Sequence[Run]) -> tuple[float, float]:
+    """Return the lowest and the highest temperature of a run's stretches, degC."""
+    low = min(float(run.temperature_degC.min()) for run in runs)
+    return low, max(float(run.temperature_degC.max()) for run in runs)
 
 
 def _share_set_aside(errors: Sequence[RunError]) -> float:

@@ -91,8 +91,8 @@ class ComparisonSummary:
     """A model held against the measurements."""
 
     outputs: Mapping[str, OutputSummary]
-    runs: Mapping[str, Mapping[str, RunSummary]]
-    """Run -> output -> its errors."""
+    runs: Mapping[str, Mapping[str, RunSummary | tuple[float, float]]]
+    """Run -> output -> its errors; beside them `temperature_degC`, the run's range."""
     worst: tuple[WorstSegment, ...]
     patterns: tuple[PatternSummary, ...]
     effects: tuple[str, ...]
@@ -105,3 +105,11 @@ class ComparisonSummary:
     """Share of all samples that do not count: a converter stood at its rail."""
     outliers: OutlierCount = field(default_factory=lambda: OutlierCount(0, {}))
     """In the runs that the errors are told of."""
+
+    @property
+    def errors(self) -> dict[str, dict[str, RunSummary]]:
+        """Run -> output -> its errors alone."""
+        return {
+            run: {name: one for name, one in told.items() if isinstance(one, RunSummary)}
+            for run, told in self.runs.items()
+        }

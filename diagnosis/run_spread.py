@@ -33,7 +33,7 @@ def measure_spread(compared: ComparisonSummary) -> Mapping[str, RmseSpread]:
         rmse = output.rmse if output.rmse_heldout is None else output.rmse_heldout
         squares = [
             run[name].rmse ** 2
-            for run in compared.runs.values()
+            for run in compared.errors.values()
             if name in run and run[name].held_out == is_held_out and run[name].use == use
         ]
         error = None

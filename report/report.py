@@ -138,8 +138,8 @@ def choose_run(findings: Findings, output: str) -> str:
     if worst is not None:
         return worst
     names = [trace.run for trace in findings.traces]
-    told = [name for name in names if output in compared.runs.get(name, {})]
-    return max(told, key=lambda name: compared.runs[name][output].rmse, default=names[0])
+    told = [name for name in names if output in compared.errors.get(name, {})]
+    return max(told, key=lambda name: compared.errors[name][output].rmse, default=names[0])
 
 
 def list_pictures(findings: Findings) -> dict[str, Picture]:

@@ -132,7 +132,7 @@ def tabulate_runs(compared: ComparisonSummary) -> Table:
     """Return the RMSE per run and output."""
     outputs = compared.outputs
     rows = []
-    for run, told in compared.runs.items():
+    for run, told in compared.errors.items():
         held_out = any(told[name].held_out for name in outputs)
         numbers = (write_number(told[name].rmse) for name in outputs)
         rows.append((run, "held out" if held_out else "in sample", *numbers))

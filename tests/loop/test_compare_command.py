@@ -156,6 +156,8 @@ def test_run_of_ten_rows_is_compared(project, zerodrift):
     path.write_text("\n".join(path.read_text().splitlines()[:11]) + "\n")
     told = compare(zerodrift, project)
     assert set(told["runs"]) == {f"run_{i}" for i in range(5)}
+    low, high = told["runs"]["run_0"]["temperature_degC"]
+    assert -60.0 < low < high < 120.0
 
 
 def test_run_of_three_rows_is_refused_with_its_name(project, zerodrift):

@@ -120,6 +120,8 @@ def _read(kind: object, value: object, where: str) -> object:
             return None
         choices = [one for one in arguments if one is not NoneType]
         fitting = [one for one in choices[:-1] if one in PLAIN and type(value) in PLAIN[one]]
+        fitting += [one for one in choices if get_origin(one) is tuple and isinstance(value, list)]
+        fitting += [one for one in choices[::-1] if is_dataclass(one) and isinstance(value, dict)]
         return _read(fitting[0] if fitting else choices[-1], value, where)
     elif origin is Literal:
         if value in arguments:

@@ -71,6 +71,7 @@ def _list_rows(value: object) -> list[dict[str, object]]:
             {"": f"{key}, {each}", **_list_cells(record)}
             for key, records in value.items()
             for each, record in records.items()
+            if is_dataclass(record)
         ]
     if isinstance(value, tuple) and value and all(is_dataclass(v) for v in value):
         return [_list_cells(record) for record in value]
@@ -78,7 +79,7 @@ def _list_rows(value: object) -> list[dict[str, object]]:
 
 
 def _is_table(value: object) -> bool:
-    return isinstance(value, Mapping) and all(is_dataclass(record) for record in value.values())
+    return isinstance(value, Mapping) and any(is_dataclass(record) for record in value.values())
 
 
 def _list_cells(record: object) -> dict[str, object]:
