@@ -19,7 +19,13 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect: fitted unless the user holds it, or a choice with a default."""
+    """One number of an effect: fitted unless the user holds it, or a choice with a default.
+
+    Example:
+        >>> tau = Parameter("tau_s", "s", lower=1.0, upper=3000.0, typical=(10.0, 300.0))
+        >>> tau.scale, tau.default
+        ('log', None)
+    """
 
     name: str
     """With its unit at the end: tau_s, half_width_K."""
@@ -48,7 +54,12 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Feature(Generic[S]):
-    """One column of the linear model: drift_k = ... + A[j, k] * signal."""
+    """One column of the linear model: drift_k = ... + A[j, k] * signal.
+
+    Example:
+        >>> Feature("T squared", [1.0, 4.0], "K2").unit
+        'K2'
+    """
 
     name: str
     signal: S
@@ -106,7 +117,15 @@ def add_nothing(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[
 
 @dataclass(frozen=True)
 class Effect:
-    """A physical effect: its definition, its parameters and what a user should know about it."""
+    """A physical effect: its definition, its parameters and what a user should know about it.
+
+    Example:
+        >>> def build(ops, signals, p):
+        ...     return [Feature("T late", ops.lowpass(signals.temperature_degC, p["tau_s"]), "K")]
+        >>> tau = Parameter("tau_s", "s", lower=1.0, upper=3000.0, typical=(10.0, 300.0))
+        >>> Effect("late", "a late element", build, parameters=(tau,)).parameter("tau_s").unit
+        's'
+    """
 
     kind: str
     """The name in zerodrift.toml."""

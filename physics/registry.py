@@ -56,6 +56,11 @@ def register(effect: Effect) -> Effect:
 
     Raises:
         InputError: the name is taken by another declaration, or the declaration is not usable.
+
+    Example:
+        >>> register(Effect("no name", "its kind is no plain name"))
+        Traceback (most recent call last):
+        zerodrift.base.errors.InputError: ...
     """
     where, known = _declaring[-1] if _declaring else ("", registered)
     effect = replace(effect, file=where)

@@ -105,7 +105,12 @@ class FrameOptions(BeginningOptions, total=False):
 
 @dataclass(frozen=True)
 class Output:
-    """A quantity that drifts, by the columns of the frames."""
+    """A quantity that drifts, by the columns of the frames.
+
+    Example:
+        >>> zd.Output("fz_N", reference="ref_N", full_scale=2000.0).measured
+        'fz_N'
+    """
 
     measured: str
     """Column before compensation."""

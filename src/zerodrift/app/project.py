@@ -54,6 +54,13 @@ class Project:
 
     Raises:
         InputError: zerodrift.toml or a log is missing or wrong; the same messages as the commands'.
+
+    Example:
+        >>> zd.Project(folder)
+        Project('...'): zero_tempco
+        >>> zd.Project(folder / "nowhere")
+        Traceback (most recent call last):
+        zerodrift.base.errors.InputError: ...
     """
 
     def __init__(self, directory: str | Path, *, skip_invalid: bool = False) -> None:
@@ -90,6 +97,15 @@ class Project:
         Raises:
             InputError: a column is missing, or a frame holds what a log must not.
             TypeError: an option is not one of these.
+
+        Example:
+            >>> frames["run0"].columns  # seconds, degC, N
+            ['t', 'T', 'fz_N']
+            >>> project = zd.Project.from_frames(
+            ...     frames, time="t", temperature="T", outputs={"Fz": "fz_N"}, network="none"
+            ... )
+            >>> project.effects, project.config.outputs[0].unit
+            (('zero_tempco',), 'N')
         """
         from zerodrift.app.frames import Beginning, FrameColumns, Output, to_polars, write_project
 
@@ -112,12 +128,22 @@ class Project:
 
     @property
     def directory(self) -> Path:
-        """The folder of zerodrift.toml."""
+        """The folder of zerodrift.toml.
+
+        Example:
+            >>> project.directory == folder
+            True
+        """
         return self.config.directory
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The effects of the model, by name."""
+        """The effects of the model, by name.
+
+        Example:
+            >>> project.effects
+            ('zero_tempco',)
+        """
         return tuple(effect.kind for effect in self.config.effects)
 
     @cached_property
@@ -126,6 +152,11 @@ class Project:
 
         Raises:
             InputError: a log is missing, damaged, or holds what cannot be right.
+
+        Example:
+            >>> run = project.dataset.train[0]
+            >>> run.drift.shape, run.temperature_degC.shape
+            ((500, 1), (500,))
         """
         from zerodrift.dataset.load import load_dataset
 
@@ -140,6 +171,12 @@ class Project:
 
         Raises:
             InputError: the model asked for was not trained or built yet.
+
+        Example:
+            >>> found = project.compare()
+            >>> error = found.outputs["Fz"]
+            >>> error.unit, error.noise_floor < error.rmse_heldout < error.rmse_uncompensated
+            ('N', True)
         """
         from zerodrift.app.commands.predictors import compare_project
 
@@ -163,6 +200,11 @@ class Project:
 
         Args:
             auto: add what is missing, in mind, and look again until nothing is.
+
+        Example:
+            >>> verdict = project.diagnose()
+            >>> verdict.verdict, verdict.effect
+            ('missing', 'thermal_lag')
         """
         from zerodrift.app.commands.verdict import find_verdict, list_commands, summarise_verdict
         from zerodrift.diagnosis.advice import advise
@@ -203,6 +245,12 @@ class Project:
 
         Raises:
             InputError: limits that contradict each other, or nothing left to tell apart.
+
+        Example:
+            >>> wanted = ["thermal_lag", "thermal_gradient"]
+            >>> planned = project.plan(hours=4, between=wanted, budget_s=1.0)
+            >>> planned.hours <= 4.0 and len(planned.programme) > 0
+            True
         """
         from zerodrift.app.plan import find_plan, has_logs, read_within
         from zerodrift.discovery.plan import HOURS, Question
@@ -242,6 +290,13 @@ class Project:
         Raises:
             CheckError: runs left out are not predicted better; nothing was written.
             InputError: no effect was named, or it is unknown, or the folder has moved on.
+
+        Example:
+            >>> better = project.add("thermal_lag")
+            >>> better.effects, project.effects
+            (('zero_tempco', 'thermal_lag'), ('zero_tempco',))
+            >>> better.revision.helps
+            True
         """
         from zerodrift.app.commands.revise import add_to_project
         from zerodrift.diagnosis.revision import summarise_revision
@@ -272,6 +327,11 @@ class Project:
 
         Raises:
             InputError: the model has no such effect, or the folder has moved on.
+
+        Example:
+            >>> plain = project.add("thermal_lag").remove("thermal_lag")
+            >>> plain.effects
+            ('zero_tempco',)
         """
         from zerodrift.app.commands.revise import remove_from_project
         from zerodrift.diagnosis.revision import summarise_revision
@@ -287,7 +347,12 @@ class Project:
     """What the change that made this project brought; None for one that was opened."""
 
     def history(self) -> HistoryResult:
-        """Return the staircase of errors so far; `.plot()` draws it."""
+        """Return the staircase of errors so far; `.plot()` draws it.
+
+        Example:
+            >>> [step.step for step in project.add("thermal_lag").history().steps]
+            ['start', '+ thermal_lag']
+        """
         from zerodrift.app.commands.revise import open_history
         from zerodrift.diagnosis.history import list_steps
 
@@ -301,7 +366,13 @@ class Project:
         return with_picture(HistoryResult(tuple(step.summarise() for step in steps)), draw)
 
     def train(self) -> TrainResult:
-        """Fit the effects, then train what learns the rest; checkpoints go to build/."""
+        """Fit the effects, then train what learns the rest; checkpoints go to build/.
+
+        Example:
+            >>> trained = project.train()
+            >>> list(trained.outputs)
+            ['Fz']
+        """
         from zerodrift.diagnosis.advice import advise
         from zerodrift.train.progress import show_progress as show_training
         from zerodrift.train.summary import summarise_training
@@ -330,6 +401,11 @@ class Project:
 
         Raises:
             CheckError: the gate refuses the firmware, or a bit differs; nothing was written.
+
+        Example:
+            >>> firmware = built.firmware()
+            >>> firmware.bit_exact, "host" in firmware.backends
+            (True, True)
         """
         from rich.console import Console
 
@@ -379,6 +455,11 @@ class Project:
 
         Raises:
             InputError: no firmware was built yet, or a column is missing.
+
+        Example:
+            >>> applied = built.apply(frames["run0"])
+            >>> applied.columns[3:]
+            ['Fz_drift', 'Fz_compensated', 'Fz_uncertainty', 'flags']
         """
         import polars as pl
 
@@ -410,18 +491,26 @@ class Project:
         added = [name for name in added if name != frame.index.name]
         return frame.assign(**{name: applied[name].to_numpy() for name in added})
 
-    def report(self, out: str | Path | None = None, *, diagnose: bool = True) -> Path:
+    def report(
+        self, out: str | Path | None = None, *, diagnose: bool = True, datasheet: bool = False
+    ) -> Path:
         """Write the report, one HTML file that opens offline; return its path.
 
         Args:
             out: where; by default report.html in the project's folder.
             diagnose: whether to diagnose for it.
+            datasheet: whether it has TK0, TKC, creep, hysteresis and uncertainty.
+
+        Example:
+            >>> project.report(diagnose=False).name
+            'report.html'
         """
         from zerodrift.app.cli import cli
 
         target = Path(out) if out is not None else self.directory / "report.html"
         words = ["report", "-C", str(self.directory), "-o", str(target)]
         words += [] if diagnose else ["--no-diagnose"]
+        words += ["--datasheet"] if datasheet else []
         words += ["--skip-invalid"] if self._skip_invalid else []
         with contextlib.redirect_stdout(io.StringIO()):
             cli.main(words, standalone_mode=False)

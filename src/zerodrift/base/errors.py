@@ -5,7 +5,12 @@ from collections.abc import Iterable
 
 
 class ZerodriftError(Exception):
-    """Base of every error that is told to the user as one message, without a traceback."""
+    """Base of every error that is told to the user as one message, without a traceback.
+
+    Example:
+        >>> issubclass(zd.InputError, zd.ZerodriftError), zd.CheckError.exit_code
+        (True, 1)
+    """
 
     exit_code = 2
 

@@ -24,6 +24,11 @@ class Shown:
 
         Raises:
             TypeError: the result was read from a file, without what there is to draw.
+
+        Example:
+            >>> figure = project.compare().plot("Fz")
+            >>> type(figure).__name__
+            'Figure'
         """
         draw = getattr(self, "_draw", None)
         if draw is None:
