@@ -14,7 +14,7 @@ from benchmarks.bench_main_job import copy_example
 
 ROWS = 10_000_000
 COLUMNS_READ = 8
-"""Time, temperature and six outputs of the bundled example, as float64."""
+"""Time, temperature and six outputs of the bundled example, as float64: the log's numbers."""
 
 
 def main(quick: bool) -> None:

@@ -4,7 +4,7 @@ Unlike what is learnt from, such a log may lack readings, and needs no reference
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,11 @@ from zerodrift.dataset.tables import LogTable, Source
 
 FEWEST_ROWS = 2
 """Of a run; one row has no period."""
+
+
+StepOfRow = NDArray[np.int32] | NDArray[np.int64]
+MOST_SHORT = 2**31 - 1
+"""Steps that int32 can number."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +56,15 @@ class LogSteps:
     rows: int
     """Of the file, those that were dropped among them."""
     stretches: tuple[StepStretch, ...]
-    step_of_row: NDArray[np.int64]
+    steps: int
+    """Of all stretches."""
+    step_of_row: StepOfRow
     """[rows] the step that holds at each row of the file; -1 for a row that was dropped."""
     notes: tuple[str, ...]
 
-    @property
-    def steps(self) -> int:
-        """Number of steps of all stretches."""
-        return sum(one.stretch.steps for one in self.stretches)
+    def drop_values(self) -> "LogSteps":
+        """Return what the rows' steps need, without the columns' values, which take room."""
+        return replace(self, table=LogTable(self.source, {}, (), None), stretches=())
 
     def resample(self, column: str, one: StepStretch) -> Array:
         """Return a column's values [steps] over one stretch; NaN where half a step has none."""
@@ -81,7 +87,11 @@ class LogSteps:
 
 
 def read_log_steps(
-    config: Config, path: Path, columns: Mapping[str, str], skip_invalid: bool = False
+    config: Config,
+    path: Path,
+    columns: Mapping[str, str],
+    skip_invalid: bool = False,
+    streamed: frozenset[str] = frozenset(),
 ) -> LogSteps:
     """Read a log for a finished model.
 
@@ -90,6 +100,7 @@ def read_log_steps(
         path: the log.
         columns: column -> where it is named, of all that is needed.
         skip_invalid: drop rows whose time is no number or does not rise, instead of raising.
+        streamed: columns that have to be there, whose values are read from `source` row by row.
 
     Raises:
         InputError: a column is missing, the file is damaged, or a time cannot be right.
@@ -98,12 +109,12 @@ def read_log_steps(
     selection = Selection(path, tuple(list_files(path)), None, None, f"the log {path}")
     time = config.time_column
     needed = {time: "[sensor] time", **columns}
-    table, spans = open_log(config, selection, skip_invalid, notes, needed)
+    table, spans = open_log(config, selection, skip_invalid, notes, needed, streamed)
     measured = {output.measured for output in config.outputs}
     if len(selection.files) > 1 or table.source.part or measured & {*table.converted}:
         _make_source(table, path)
-    rows = int(table.positions.max()) + 1
-    step_of_row = np.full(rows, -1, dtype=np.int64)
+    rows = len(table) if table.kept is None else int(table.kept.max()) + 1
+    step_of_row: StepOfRow = np.full(rows, -1, dtype=np.int32)
     stretches: list[StepStretch] = []
     first = 0
     for run, start, stop in spans:
@@ -123,10 +134,14 @@ def read_log_steps(
         bridges, _ = plan_spans([one.time_s for one in planned], config.sample_period_s)
         for part, (stretch, bridge) in enumerate(zip(planned, (0, *bridges), strict=True)):
             own = slice(stretch.start, stretch.stop)
-            step_of_row[table.positions[own]] = first + _find_steps(stretch, time_s[own])
+            at = own if table.kept is None else table.kept[own]
+            if first + stretch.steps > MOST_SHORT:
+                step_of_row = step_of_row.astype(np.int64)
+            step_of_row[at] = _find_steps(stretch, time_s[own])
+            step_of_row[at] += first
             stretches.append(StepStretch(run, stretch, first, part, bridge, float(time_s[start])))
             first += stretch.steps
-    return LogSteps(table.source, table, rows, tuple(stretches), step_of_row, tuple(notes))
+    return LogSteps(table.source, table, rows, tuple(stretches), first, step_of_row, tuple(notes))
 
 
 def _make_source(table: LogTable, path: Path) -> None:
@@ -136,9 +151,11 @@ def _make_source(table: LogTable, path: Path) -> None:
     table.kept = None
 
 
-def _find_steps(stretch: Stretch, time_s: Array) -> NDArray[np.int64]:
+def _find_steps(stretch: Stretch, time_s: Array) -> StepOfRow:
     """Return the step that holds at each row [n]: the last one that is complete by then."""
     if stretch.method == "kept":
+        if time_s.size <= MOST_SHORT:
+            return np.arange(time_s.size, dtype=np.int32)
         return np.arange(time_s.size, dtype=np.int64)
     period_s = float(stretch.time_s[1] - stretch.time_s[0]) if stretch.steps > 1 else 0.0
     late = time_s + KEPT_TOLERANCE * period_s

@@ -25,13 +25,20 @@ class Part:
     """Column as zerodrift.toml names it -> its name in the file."""
 
 
-def read_log(config: Config, files: Sequence[Path], needed: Mapping[str, str]) -> list[LogTable]:
+def read_log(
+    config: Config,
+    files: Sequence[Path],
+    needed: Mapping[str, str],
+    streamed: frozenset[str] = frozenset(),
+) -> list[LogTable]:
     """Read the needed columns of a log, times in seconds: one table for each file that has some.
 
     Args:
         config: the project.
         files: one, or several that are one run.
         needed: column -> where the config names it; the times are called `config.time_column`.
+        streamed: columns that whoever asks reads again from the file, row by row; of one table
+            their values are read only where they are converted.
 
     Raises:
         InputError: a file cannot be read, a column is in none or in several of them.
@@ -41,7 +48,10 @@ def read_log(config: Config, files: Sequence[Path], needed: Mapping[str, str]) -
         opened = open_sources(files[0], label_log(files[0], config.directory), config.where)
         if len(opened) == 1:
             (source,) = opened
-            table = read_table(source, needed, clock=find_log_clock(config, source))
+            is_whole = bool(source.part)  # a sheet, group or topic: written from what is read
+            unread = frozenset() if is_whole else streamed.difference(config.conversions)
+            clock = find_log_clock(config, source)
+            table = read_table(source, needed, clock=clock, unread=unread)
             return [_convert(config, table)]
     sources, refused = _open_all(config, files)
     wanted = {name: role for name, role in needed.items() if name != config.time_column}

@@ -45,6 +45,7 @@ def open_log(
     skip_invalid: bool,
     notes: list[str],
     columns: Mapping[str, str] | None = None,
+    streamed: frozenset[str] = frozenset(),
 ) -> tuple[LogTable, list[tuple[str, int, int]]]:
     """Read one log; return its checked rows, and (run, first row, row after the last) of each.
 
@@ -55,6 +56,7 @@ def open_log(
         notes: what was noticed is added to them.
         columns: column -> where it is named, where not all that the config names are needed. Only
             the time must be valid then; what else is invalid becomes NaN.
+        streamed: those of them that are read again from the file, as `read_log` takes them.
 
     Raises:
         InputError: the log is missing, damaged, or holds what cannot be right.
@@ -73,7 +75,7 @@ def open_log(
         for column, kind in raw.items()
         if kind and column in needed
     ]
-    tables = read_log(config, selection.files, needed)
+    tables = read_log(config, selection.files, needed, streamed)
     for table in tables:
         notes += table.source.notes
         _keep_selected_runs(table, selection)

@@ -207,7 +207,11 @@ def _open_text(source: Source) -> Source:
 
 
 def read_table(
-    source: Source, needed: Mapping[str, str], run_column: bool = True, clock: Clock | None = None
+    source: Source,
+    needed: Mapping[str, str],
+    run_column: bool = True,
+    clock: Clock | None = None,
+    unread: frozenset[str] = frozenset(),
 ) -> LogTable:
     """Parse the needed columns of a log.
 
@@ -217,6 +221,7 @@ def read_table(
         run_column: whether a column named `run` splits the file.
         clock: how the times are written that are called `clock.name` in `needed`; None: they are
             a column of numbers like any other.
+        unread: columns that have to be there, as numbers, but whose values are not wanted.
 
     Raises:
         InputError: a column is missing or holds no numbers, rows have too many fields, the file is
@@ -235,15 +240,17 @@ def read_table(
         check_quotes(source.path, source.label, source.text.separator)
     has_runs = run_column and RUN_COLUMN in source.names and RUN_COLUMN not in needed
     try:
-        columns, runs = _parse(source, plain, clock, has_runs)
+        wanted = {name: role for name, role in plain.items() if name not in unread}
+        _refuse_dtypes(source, plain)
+        columns, runs = _parse(source, wanted, clock, has_runs)
     except PARSER_ERRORS as error:
-        return read_table(mend_source(source, error), needed, run_column, clock)
+        return read_table(mend_source(source, error), needed, run_column, clock, unread)
     if len(columns) == 0:
         raise InputError(_explain_no_rows(source))
     arrays = columns.finish()
     if clock is not None and clock.is_even and np.isnan(arrays[clock.name]).any():
         # Some row is no time, or is not written as evenly as the first ones.
-        return read_table(source, needed, run_column, replace(clock, is_even=False))
+        return read_table(source, needed, run_column, replace(clock, is_even=False), unread)
     codes = arrays.pop(RUN_COLUMN).astype(np.uint32) if has_runs else None
     if clock is not None and clock.kind == "rows":
         rows = next(iter(arrays.values())).size
@@ -261,7 +268,7 @@ def _parse(
     numbers = clock.columns if clock is not None and clock.kind == "number" else ()
     frame = source.scan((*needed, *numbers))
     schema = frame.collect_schema()
-    for column in (*needed, *numbers):
+    for column in numbers:
         _refuse_dtype(source, column, schema[column])
     wanted = [pl.col(column).cast(pl.Float64) for column in needed]
     if clock is not None and is_timed:
@@ -346,6 +353,12 @@ def _read_names(path: Path, label: str) -> tuple[str, ...]:
         return tuple(scan(path, glob=False).collect_schema().names())
     except PARSER_ERRORS as error:
         raise InputError(_explain_damaged(label, error, is_arrow)) from error
+
+
+def _refuse_dtypes(source: Source, columns: Mapping[str, str]) -> None:
+    schema = source.scan(tuple(columns)).collect_schema()
+    for column in columns:
+        _refuse_dtype(source, column, schema[column])
 
 
 def _refuse_dtype(source: Source, column: str, dtype: pl.DataType) -> None:

@@ -249,3 +249,24 @@ def test_an_older_models_uncertainty_is_not_stated(built: Path, tmp_path: Path) 
     result = apply(project, project / "logs/run3.csv", "--out", out)
     assert result.exit_code == 0 and "no uncertainty is stated" in result.output
     assert pl.read_csv(out)["y_uncertainty"].null_count() == 600
+
+
+def test_outputs_that_no_channel_takes_are_not_held(built: Path, tmp_path: Path) -> None:
+    """They have to be there, as numbers, and are read again when the rows are written."""
+    config, model = load_config(built), load(built)
+    columns = name_columns(config, ["temperature_degC", "measured:y"])
+    log = built / "logs/run3.csv"
+    steps = read_log_steps(config, log, columns, streamed=frozenset({"y_N"}))
+    assert list(steps.table.columns) == ["time_s", "temperature_degC"]
+    whole = read_log_steps(config, log, columns)
+    assert "y_N" in whole.table.columns
+    chip = Chip(model)
+    assert np.array_equal(answer(chip, config, steps).drift, answer(chip, config, whole).drift)
+    assert steps.drop_values().steps == steps.steps == 600
+    bare = tmp_path / "bare.csv"
+    bare.write_text("time_s,temperature_degC\n0,25\n1,25\n")
+    assert "there is no column 'y_N'" in refuse(built, bare, "--out", tmp_path / "x.csv")
+    worded = tmp_path / "worded.parquet"
+    rows = {"time_s": [0.0, 1.0], "temperature_degC": [25.0, 25.0], "y_N": ["a", "b"]}
+    pl.DataFrame(rows).write_parquet(worded)
+    assert "expected numbers" in refuse(built, worded, "--out", tmp_path / "x.csv")

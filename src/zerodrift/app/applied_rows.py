@@ -93,7 +93,7 @@ class AppliedRows:
         names = [name for name in source.names if not name.startswith("\0")]
         row = 0
         for batch in frame.select(names).collect_batches(chunk_size=BLOCK):
-            at = self.steps.step_of_row[row : row + len(batch)]
+            at = self.steps.step_of_row[row : row + len(batch)].astype(np.int64)
             lacking = len(batch) - at.size  # rows after the last that was kept
             if lacking:
                 at = np.concatenate([at, np.full(lacking, -1, dtype=np.int64)])

@@ -111,7 +111,8 @@ def apply_model(
         wanted = [c.source or c.name for c in model.channels]
         wanted += [f"{MEASURED}{output.name}" for output in model.outputs]
         columns = name_columns(config, wanted)
-        steps = read_log_steps(config, log, columns, skip_invalid)
+        streamed = frozenset[str]() if predict_float is not None else _find_streamed(config, model)
+        steps = read_log_steps(config, log, columns, skip_invalid, streamed)
         refuse_names(steps, config, model)
         say(f"computing {log.name} ({number} of {len(logs)})")
         answers = answer(chip, config, steps, with_range=uncertainty is not None)
@@ -119,11 +120,18 @@ def apply_model(
             drift = _predict_float(predict_float, config, model, steps)
             answers = replace(answers, drift=drift)
         say(f"writing {out.name} ({number} of {len(logs)})")
-        rows = AppliedRows(config, model, steps, answers, uncertainty)
+        rows = AppliedRows(config, model, steps.drop_values(), answers, uncertainty)
         write_rows(rows, out)
         notes = (*steps.notes, *answers.notes, *([chip.note] if chip.note else []))
         applied.append(summarise(log, out, rows, notes))
     return applied
+
+
+def _find_streamed(config: Config, model: IntegerModel) -> frozenset[str]:
+    """Return the columns that no channel takes: they are only written again, row by row."""
+    measured = {find_column(config, f"{MEASURED}{output.name}") for output in model.outputs}
+    taken = {find_column(config, c.source or c.name) for c in model.channels}
+    return frozenset(measured - taken)
 
 
 def answer(chip: Chip, config: Config, steps: LogSteps, *, with_range: bool = True) -> StepAnswers:
@@ -157,9 +165,11 @@ def answer(chip: Chip, config: Config, steps: LogSteps, *, with_range: bool = Tr
             for channel, out in zip(model.channels, counts, strict=True):
                 clipped[channel.name] += out
             at = slice(one.first_step + start, one.first_step + start + len(part))
-            drift[at], flags[at] = chip.run(codes, elapsed)
-            if beyond is not None:
-                beyond[at] = measure_beyond(model, codes)
+            drift[at], raised = chip.run(codes, elapsed)
+            if raised.any():  # pages of zeros that are never written take no memory
+                flags[at] = raised
+            if beyond is not None and (outside := measure_beyond(model, codes)).any():
+                beyond[at] = outside
             elapsed = None
         before = values[-1:]
     notes = [
