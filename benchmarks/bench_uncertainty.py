@@ -21,6 +21,7 @@ from benchmarks.real_units import DATA, UNITS, leave_out_each
 from zerodrift.app.applied_rows import UNSTATED
 from zerodrift.app.apply import Chip, measure_beyond
 from zerodrift.base.config import Config, NetworkConfig, load_config
+from zerodrift.base.errors import CheckError
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.run_errors import collect_errors
@@ -58,12 +59,19 @@ def main(quick: bool, sensors: int = 0, first: int = FIRST) -> None:
     pooled: list[float] = []
     for name, draw in (("couplers", draw_twin), ("foreign", draw_foreign)):
         shares: list[float] = []
+        refused = 0
         for seed in range(first, first + sensors):
             with tempfile.TemporaryDirectory() as scratch:
-                shares += cover(*draw(seed, Path(scratch)), lag_bank=bool(seed % 2))
-        print(f"{name} (simulated): {describe(np.array(shares))}", flush=True)
+                config, dataset = draw(seed, Path(scratch))
+                try:
+                    shares += cover(config, dataset, lag_bank=bool(seed % 2))
+                except CheckError as error:
+                    refused += 1
+                    print(f"  {name} {seed}: no firmware, so nothing is stated: {error}")
+        built = f"{sensors - refused} of {sensors} sensors"
+        print(f"{name} (simulated), {built}: {describe(np.array(shares))}", flush=True)
         pooled += shares
-    print(f"both, {2 * sensors} sensors: {describe(np.array(pooled))} (mark 93 to 97 %)")
+    print(f"both: {describe(np.array(pooled))} (mark 93 to 97 %)")
     leave_out_real(quick)
 
 
