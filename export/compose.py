@@ -41,6 +41,7 @@ from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.formats import RANGE_SPANS
 from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S
+from zerodrift.physics.summary import summarise_model
 from zerodrift.train.onnx_network import OnnxNetwork
 
 if TYPE_CHECKING:  # torch is not needed to read what training left
@@ -140,6 +141,7 @@ def describe_compensator(
         plan=physics.plan,
         tared=compensator.tared,
         set_aside=physics.set_aside,
+        effects=summarise_model(physics),
         physics=_describe_physics(compensator, config, runs),
     )
 

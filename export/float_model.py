@@ -21,6 +21,7 @@ from zerodrift.operations.backend import evaluate
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.physics.signals import SignalPlan, graph_inputs, read_signals
+from zerodrift.physics.summary import ModelSummary
 
 Array = NDArray[np.float64]
 
@@ -65,6 +66,8 @@ class FloatModel:
     """Outputs whose samples at a converter's rail say nothing of the drift."""
     physics: "FloatModel | None" = None
     """The physical model alone, where something was learnt beside it."""
+    effects: ModelSummary | None = None
+    """The physical model in words, for whoever reads the firmware; None where there is none."""
 
     def read_inputs(self, run: Run) -> dict[str, Array]:
         """Return the graph's signals [n] of a run by name, loads those of its reference."""

@@ -1,5 +1,6 @@
 """The main job's second half: quantize, generate, check bit for bit, tell the errors, write."""
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError
 from zerodrift.base.journal import write_all
 from zerodrift.base.ownership import refuse_foreign
+from zerodrift.base.records import to_dict
 from zerodrift.base.scratch import make_scratch
 from zerodrift.blocks.block import BlockNotes
 from zerodrift.blocks.design import FILE_NAME as DESIGN
@@ -41,6 +43,7 @@ from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx
 from zerodrift.export.quantize import Quantized
 from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.physics.summary import ModelSummary
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify, certify_design
 from zerodrift.verify.certificate_check import CertificateOutcome, check_certificate
@@ -63,6 +66,8 @@ LONGEST_LOG_STEPS = 20_000
 CORE = "cortex-m4"
 IN_A_BLOCK = "the numbers lie in a block, and the check of this bound reads those of the C"
 """Why nothing is proven of the distance from the float model."""
+MODEL, EFFECTS = "model.json", "effects.json"
+"""In the firmware's folder: the integer model, and its effects in words."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +166,14 @@ def build_firmware(
         progress("writing")
         golden = compute_golden(model, draw_golden(model, next(iter(sequences.values()))))
         files = write_artefacts(
-            config, model, code, certificate, golden, forced=forced, network=network
+            config,
+            model,
+            code,
+            certificate,
+            golden,
+            effects=described.effects,
+            forced=forced,
+            network=network,
         )
     return Firmware(
         model=model,
@@ -308,6 +320,7 @@ def write_artefacts(
     certificate: str,
     golden: GoldenVectors,
     *,
+    effects: ModelSummary | None = None,
     forced: tuple[str, ...] = (),
     network: tuple[Path, ...] = (),
 ) -> tuple[Path, ...]:
@@ -321,6 +334,7 @@ def write_artefacts(
         code: its C.
         certificate: its text.
         golden: its golden vectors.
+        effects: its physical model in words.
         forced: what was found against this firmware and overridden; goes into the manifest.
         network: the ONNX file that the network comes from.
 
@@ -332,13 +346,16 @@ def write_artefacts(
         **render_sources(code),
         CERTIFICATE: certificate,
         f"{code.prefix}.dbc": render_dbc(model),
+        MODEL: model.to_text(),
     }
+    if effects is not None:
+        texts[EFFECTS] = json.dumps(to_dict(effects), indent=1, ensure_ascii=False) + "\n"
     firmware = {name: text.encode() for name, text in texts.items()}
     if code.design is not None:
         firmware[DESIGN] = code.design.to_text().encode()
         firmware |= render_block(code.design, code.block, BLOCK, config.block.address)
     artefacts = {
-        "model.json": model.to_text().encode(),
+        MODEL: model.to_text().encode(),
         CERTIFICATE: certificate.encode(),
         "integer.onnx": build_integer_onnx(model),
         "golden.npz": golden.to_bytes(),

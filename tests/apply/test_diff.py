@@ -85,6 +85,53 @@ def test_what_cannot_be_is_refused(built: Path, other: Path, tmp_path: Path) -> 
     with pytest.raises(InputError, match=r"no model\.json here"):
         open_model(tmp_path)
     stale = Path(shutil.copytree(built, tmp_path / "stale"))
-    shutil.copy(other / "build/model.json", stale / "build/model.json")
+    shutil.copy(other / "build/model.json", stale / "firmware/model.json")
     with pytest.raises(InputError, match="its firmware is of the model"):
         open_model(stale / "firmware")
+
+
+def take_away(project: Path, place: Path) -> Path:
+    """Return a copy of a project's firmware folder, without the project."""
+    return Path(shutil.copytree(project / "firmware", place / "firmware"))
+
+
+def test_two_firmware_folders_suffice(built: Path, other: Path, tmp_path: Path) -> None:
+    """What is said of the folders alone is what is said of the projects."""
+    old, new = take_away(built, tmp_path / "old"), take_away(other, tmp_path / "new")
+    result = diff(old, new, "--json")
+    assert result.exit_code == 0 and result.stderr == ""
+    told, expected = json.loads(result.stdout), json.loads(diff(built, other, "--json").stdout)
+    assert told["changes"] == expected["changes"] and told["outputs"] == expected["outputs"]
+    assert "effect zero_tempco" in {change["what"] for change in told["changes"]}
+    same = json.loads(diff(old, built, "--json").stdout)
+    assert same["same"] and same["changes"] == []
+
+
+def test_folders_alone_read_logs_by_a_project_that_is_named(
+    built: Path, other: Path, tmp_path: Path
+) -> None:
+    old, new = take_away(built, tmp_path / "old"), take_away(other, tmp_path / "new")
+    log = built / "logs/run3.csv"
+    told = json.loads(diff(old, new, log, "-C", built, "--json").stdout)
+    expected = json.loads(diff(built, other, log, "--json").stdout)
+    assert told["outputs"] == expected["outputs"]
+    refused = diff(old, new, log)
+    assert isinstance(refused.exception, InputError) and "-C" in str(refused.exception)
+    assert diff(old, new, log, "-C", built, "--limit", 0.0001).exception.exit_code == 1
+
+
+def test_a_folder_of_an_older_version_is_told_apart(built: Path, tmp_path: Path) -> None:
+    """Without model.json it needs the build/ beside it; without effects.json these are not told."""
+    old = take_away(built, tmp_path / "old")
+    (old / "effects.json").unlink()
+    result = diff(old, built, "--json")
+    notes = " ".join(json.loads(result.stdout)["notes"])
+    assert "effects.json are not as manifest.json has them" in notes
+    assert "nothing there tells its effects" in notes
+    assert json.loads(result.stdout)["changes"] == []
+    (old / "model.json").unlink()
+    refused = diff(old, built)
+    assert isinstance(refused.exception, InputError) and refused.exception.exit_code == 2
+    assert "a folder that an older version wrote" in str(refused.exception)
+    shutil.copytree(built / "build", tmp_path / "old" / "build")
+    assert json.loads(diff(old, built, "--json").stdout)["same"]

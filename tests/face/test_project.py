@@ -1,12 +1,14 @@
 """The Python face: eight lines from frames to checked C, and the same messages as from files."""
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+import pandas
 import polars as pl
 import pytest
 from click.testing import CliRunner
@@ -124,8 +126,7 @@ def test_what_does_not_help_is_not_added(project: zd.Project) -> None:
 
 
 def test_pandas_frames_come_and_go_as_pandas(project: zd.Project) -> None:
-    pandas = pytest.importorskip("pandas")
-    plain = pandas.DataFrame({c: make_frame(3)[c].to_numpy() for c in ("t", "T", "fz_N")})
+    plain = to_pandas(make_frame(3))
     assert to_polars("x", plain).equals(make_frame(3))
     indexed = plain.assign(t=pandas.to_datetime(plain["t"], unit="s", utc=True)).set_index("t")
     assert to_polars("x", indexed)["t"].dtype.is_temporal()
@@ -155,6 +156,98 @@ def test_bad_frames_get_the_messages_of_files(tmp_path: Path) -> None:
     (tmp_path / "zerodrift.toml").write_text("")
     with pytest.raises(zd.InputError, match="exists already"):
         open_frames(make_frame(0), path=tmp_path)
+
+
+def to_pandas(frame: pl.DataFrame) -> "pandas.DataFrame":
+    return pandas.DataFrame({c: frame[c].to_numpy() for c in frame.columns})
+
+
+def open_pandas(first: "pandas.DataFrame", index: str | None = None) -> zd.Project:
+    """Return a project of three runs of pandas, the first one as given."""
+    others = [to_pandas(make_frame(i)) for i in (1, 2)]
+    frames = [first, *(f.set_index(index) for f in others)] if index else [first, *others]
+    return zd.Project.from_frames(
+        dict(zip("abc", frames, strict=True)),
+        time="t",
+        temperature="T",
+        outputs={"Fz": "fz_N"},
+        network="none",
+    )
+
+
+def refuse(first: "pandas.DataFrame", message: str, index: str | None = None) -> None:
+    with pytest.raises(zd.InputError, match=message):
+        open_pandas(first, index).compare()
+
+
+def test_times_with_zones_are_the_same_instants() -> None:
+    """The hour that daylight saving repeats too, in pandas and in Polars."""
+    instants = pandas.date_range("2024-10-27T00:55", periods=N, freq="s", tz="UTC")
+    rmse = set()
+    for zone in ("UTC", "Europe/Berlin", "Asia/Kolkata"):
+        plain = to_pandas(make_frame(0)).assign(t=instants.tz_convert(zone))
+        times = pl.Series("t", instants.tz_localize(None).to_numpy())
+        zoned = times.dt.replace_time_zone("UTC").dt.convert_time_zone(zone)
+        for frame in (plain, plain.set_index("t"), make_frame(0).with_columns(zoned)):
+            frames = {"a": frame, "b": make_frame(1), "c": make_frame(2)}
+            opened = zd.Project.from_frames(
+                frames, time="t", temperature="T", outputs={"Fz": "fz_N"}, network="none"
+            )
+            rmse.add(opened.compare().outputs["Fz"].rmse)
+    assert len(rmse) == 1
+
+
+def test_a_duplicated_index_is_told_by_its_times() -> None:
+    plain = to_pandas(make_frame(0))
+    plain.index = [0] * N  # a mere count may be anything
+    assert open_pandas(plain).compare().outputs["Fz"].rmse > 0.0
+    plain.loc[:, "t"] = [*range(10), 9, *range(11, N)]
+    refuse(plain.set_index("t"), r"a\.parquet: row 11: t repeats 9 s; expected rising times", "t")
+    levels = to_pandas(make_frame(0)).set_index(["t", "T"])
+    assert open_pandas(levels).compare().outputs["Fz"].rmse > 0.0
+
+
+@pytest.mark.parametrize("column", ["t", "T", "fz_N"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, "abc"])
+def test_no_numbers_get_the_messages_of_files(column: str, value: float | str) -> None:
+    plain = to_pandas(make_frame(0)).astype({column: object})
+    plain.loc[5, column] = value
+    expected = {"abc": "expected numbers|is no time|'abc'", "inf": "is inf", "nan": "is empty"}
+    refuse(plain, rf"a\.parquet.*({expected[str(value)]})")
+
+
+def test_frames_that_cannot_be_are_refused() -> None:
+    plain = to_pandas(make_frame(0))
+    refuse(pandas.concat([plain, plain[["T"]]], axis=1), "two columns are called 'T'")
+    refuse(plain.rename(columns={"fz_N": "force"}), "there is no column 'fz_N'; it has t, T, force")
+    refuse(plain.assign(fz_N="x"), "'fz_N' holds String; expected numbers")
+    refuse(plain.assign(fz_N=np.nan), "column 'fz_N' is NaN")
+    refuse(plain.head(1), r"a\.parquet: too few rows: 1")
+
+
+def test_what_apply_cannot_take_is_told_of_the_frame(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(zd.InputError, match="there is no integer model"):
+        zd.Project(folder).apply(make_frame(0))
+    kept = Path(shutil.copytree(folder, tmp_path / "kept"))
+    opened = zd.Project(kept).add("thermal_lag")
+    opened.firmware()
+    plain = to_pandas(make_frame(0))
+    for frame in (make_frame(0).drop("T"), plain.drop(columns="T")):
+        with pytest.raises(zd.InputError, match=r"^the frame: there is no column 'T'"):
+            opened.apply(frame)
+    with pytest.raises(zd.InputError, match=r"^the frame: row 6: t repeats 4 s"):
+        opened.apply(plain.assign(t=[*range(5), 4, *range(6, N)]))
+    with pytest.raises(zd.InputError, match="has a column 'Fz_drift' already"):
+        opened.apply(opened.apply(plain))
+    plain.loc[5:8, "T"] = np.nan
+    plain.index = [0] * N
+    applied = opened.apply(plain)
+    assert applied["flags"].tolist()[4:10] == [0, 64, 64, 64, 64, 0]
+    assert applied["Fz_uncertainty"].isna().sum() == 4
+    model = kept / "build/model.json"
+    model.write_text(model.read_text().replace('"format":3', '"format":99'))
+    with pytest.raises(zd.InputError, match="a model of format 99; expected format 2 or 3"):
+        opened.apply(make_frame(0))
 
 
 def test_a_users_effect_needs_one_import() -> None:

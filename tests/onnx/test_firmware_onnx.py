@@ -190,6 +190,7 @@ def test_command_writes_checked_firmware(project: Path) -> None:
         "zd_tanh_table.h",
         "certificate.json",
         "manifest.json",
+        "model.json",
         "cell.dbc",
     }
     assert (project / "build" / "integer.onnx").is_file()

@@ -1,5 +1,7 @@
 """What changed from one model to another, and what that does to the drift."""
 
+import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,14 +12,16 @@ from numpy.typing import NDArray
 from zerodrift.app.apply import Chip, answer, encode_values
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import from_json
 from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.log_steps import LogSteps, name_columns, read_log_steps
 from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.physics.summary import describe_parameters
+from zerodrift.physics.summary import ModelSummary, summarise_model
 from zerodrift.report.results import DiffResult, ModelChange, OutputDifference
 from zerodrift.train.compensator import DESCRIPTION, Compensator
+from zerodrift.verify.firmware import EFFECTS, MODEL
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import load_manifest
 
@@ -37,8 +41,11 @@ class OpenedModel:
 
     label: str
     model: IntegerModel
-    compensator: Compensator | None
-    """What it was made from; None where that is not there, or of another model."""
+    effects: ModelSummary | None
+    """Its effects; None where nothing there tells them."""
+    learnt: str | None
+    """What was learnt beside them; None likewise."""
+    notes: tuple[str, ...] = ()
 
 
 def open_model(path: Path, plugins: Sequence[Path] = ()) -> OpenedModel:
@@ -59,13 +66,46 @@ def open_model(path: Path, plugins: Sequence[Path] = ()) -> OpenedModel:
             f"{folder}: its firmware is of the model {stated[:12]}, {file} is {model.hash[:12]}; "
             "expected the same. Name the model.json that the firmware was built from."
         )
-    compensator = None
-    if (build / DESCRIPTION).is_file():
+    notes = _check_files(folder) if folder is not None else ()
+    effects, learnt = _read_effects(build, plugins)
+    if effects is None:
+        notes = (*notes, f"{path}: nothing there tells its effects; they are not compared")
+    return OpenedModel(str(path), model, effects, learnt, notes)
+
+
+def _check_files(folder: Path) -> tuple[str, ...]:
+    """Return what is to be said where a folder's files are not as its manifest has them."""
+    changed = []
+    for name, digest in load_manifest(folder / MANIFEST).firmware.items():
+        file = folder / name
+        if not file.is_file() or hashlib.sha256(file.read_bytes()).hexdigest() != digest:
+            changed.append(name)
+    if not changed:
+        return ()
+    return (
+        f"{folder}: {', '.join(changed)} are not as manifest.json has them; the model is compared, "
+        "not these files. `zerodrift verify` checks them.",
+    )
+
+
+def _read_effects(place: Path, plugins: Sequence[Path]) -> tuple[ModelSummary | None, str | None]:
+    """Return a model's effects and what was learnt beside them, as far as its folder tells them."""
+    if (place / EFFECTS).is_file():
         try:
-            compensator = Compensator.load(build, load_catalogue(tuple(plugins)))
-        except InputError:
-            compensator = None
-    return OpenedModel(str(path), model, compensator)
+            told = json.loads((place / EFFECTS).read_text(encoding="utf-8"))
+            return from_json(ModelSummary, told), None
+        except ValueError:
+            return None, None
+    if not (place / DESCRIPTION).is_file():
+        return None, None
+    try:
+        compensator = Compensator.load(place, load_catalogue(tuple(plugins)))
+    except InputError:
+        return None, None
+    learnt = "lag bank" if compensator.bank is not None else "none"
+    if compensator.network is not None:
+        learnt = "network"
+    return summarise_model(compensator.physics), learnt
 
 
 def find_project(path: Path) -> Path | None:
@@ -83,21 +123,24 @@ def _find_model(path: Path) -> tuple[Path, Path]:
     if path.is_file():
         return path, path.parent
     for file in (
-        path / "build" / "model.json",
-        path / "model.json",
-        path.parent / "build/model.json",
+        path / "build" / MODEL,
+        path / MODEL,
+        path.parent / "build" / MODEL,
     ):
         if file.is_file():
             return file, file.parent
     raise InputError(
         f"{path}: no model.json here or in build/; expected a project whose firmware was built, "
-        "its firmware folder, or a model.json. Run `zerodrift firmware`."
+        "its firmware folder, or a model.json. Run `zerodrift firmware`; a folder that an older "
+        "version wrote, and that was taken from its project, holds none."
     )
 
 
 def list_changes(old: OpenedModel, new: OpenedModel) -> tuple[ModelChange, ...]:
     """Return what the two state differently, the weightier first."""
-    before, after = _state(old), _state(new)
+    effects = old.effects is not None and new.effects is not None
+    learnt = old.learnt is not None and new.learnt is not None
+    before, after = (_state(one, effects=effects, learnt=learnt) for one in (old, new))
     names = list(dict.fromkeys([*before, *after]))
     return tuple(
         ModelChange(name, before.get(name, ""), after.get(name, ""))
@@ -106,12 +149,20 @@ def list_changes(old: OpenedModel, new: OpenedModel) -> tuple[ModelChange, ...]:
     )
 
 
-def _state(opened: OpenedModel) -> dict[str, str]:
-    """Return what a model states, name by name, in words."""
+def _state(opened: OpenedModel, *, effects: bool, learnt: bool) -> dict[str, str]:
+    """Return what a model states, name by name, in words.
+
+    Args:
+        opened: the model.
+        effects: whether to state them; only where both models' are known.
+        learnt: the same of what was learnt beside them.
+    """
     model = opened.model
     told = {"sample period": f"{model.sample_period_s:g} s"}
-    if opened.compensator is not None:
-        told |= _state_effects(opened.compensator)
+    if effects and opened.effects is not None:
+        told |= _state_effects(opened.effects)
+    if learnt and opened.learnt is not None:
+        told["learnt beside"] = opened.learnt
     guards = model.guards
     thermometer = model.channels[guards.temperature_channel]
     limits = ((guards.temperature_channel, guards.temperature_low, guards.temperature_high),)
@@ -145,15 +196,13 @@ def _state(opened: OpenedModel) -> dict[str, str]:
     return told
 
 
-def _state_effects(compensator: Compensator) -> dict[str, str]:
-    """Return effects with their parameters, and what learns the rest."""
+def _state_effects(effects: ModelSummary) -> dict[str, str]:
+    """Return effects with their parameters."""
     told = {}
-    for fitted in compensator.physics.terms:
-        parameters = describe_parameters(fitted).items()
+    for term in effects.terms:
+        parameters = term.parameters.items()
         values = ", ".join(f"{name} = {p.value:.4g} {p.unit}".strip() for name, p in parameters)
-        told[f"effect {fitted.term.name}"] = values or "present"
-    learnt = "lag bank" if compensator.bank is not None else "none"
-    told["learnt beside"] = "network" if compensator.network is not None else learnt
+        told[f"effect {term.name}"] = values or "present"
     return told
 
 
@@ -335,7 +384,7 @@ def diff_models(
     Raises:
         InputError: a log cannot be read, or the models have nothing in common.
     """
-    notes: tuple[str, ...] = ()
+    notes = (*old.notes, *new.notes)
     if logs:
         if config is None:
             raise InputError(
@@ -343,9 +392,10 @@ def diff_models(
                 "expected one. Name it by -C."
             )
         say("comparing over logs")
-        outputs, notes = measure_over_logs(
+        outputs, noted = measure_over_logs(
             old.model, new.model, config, logs, skip_invalid=skip_invalid
         )
+        notes = (*notes, *noted)
         over = ", ".join(str(log) for log in logs)
     else:
         say("comparing over the calibrated range")

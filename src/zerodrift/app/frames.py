@@ -55,8 +55,9 @@ class PandasIndex(Protocol):
     """The index of a pandas frame."""
 
     @property
-    def name(self) -> object:
-        """What it is called; None for a mere count."""
+    def names(self) -> Iterable[object]:
+        """What its levels are called; None for a mere count."""
+        ...
 
 
 class PandasFrame(Protocol):
@@ -168,22 +169,32 @@ def to_polars(name: str, frame: pl.DataFrame | pl.LazyFrame | PandasFrame) -> pl
             f"frame '{name}': is of type {type(frame).__name__}; expected a data frame of pandas "
             "or Polars."
         )
-    if frame.index.name is not None:
+    if any(level is not None for level in frame.index.names):
         frame = frame.reset_index()
-    columns = {}
+    columns: dict[str, object] = {}
+    for column in frame.columns:
+        if str(column) in columns:
+            raise InputError(
+                f"frame '{name}': two columns are called '{column}'; expected names that differ. "
+                "Rename or drop one of them."
+            )
+        columns[str(column)] = None
     for column in frame.columns:
         values = frame[column]
         zone = getattr(values.dtype, "tz", None)
         if zone is not None:  # the same instants without the zone
             values = values.dt.tz_convert("UTC").dt.tz_localize(None)
         array = values.to_numpy()
-        columns[str(column)] = array if array.dtype != object else [*map(_plain, array)]
+        columns[str(column)] = array if array.dtype != object else _unify(array.tolist())
     return pl.DataFrame(columns)
 
 
-def _plain(value: object) -> object:
-    """Return a cell of a column of objects; a missing one as None."""
-    return None if isinstance(value, float) and np.isnan(value) else value
+def _unify(values: Sequence[object]) -> list[object]:
+    """Return the cells of a column of objects: missing ones as None, and all text where some is."""
+    plain = [None if isinstance(v, float) and np.isnan(v) else v for v in values]
+    if not any(isinstance(v, str) for v in plain):
+        return plain
+    return [None if v is None else str(v) for v in plain]
 
 
 def write_project(
@@ -261,12 +272,20 @@ def measure_period_s(frames: Mapping[str, pl.DataFrame], time: str) -> float:
         column = frame[time]
         if column.dtype.is_temporal():
             column = column.cast(pl.Datetime("us")).dt.timestamp("us") / 1e6
-        steps = np.diff(column.cast(pl.Float64, strict=False).drop_nulls().to_numpy())
+        known = column.cast(pl.Float64, strict=False).drop_nulls().drop_nans()
+        steps = np.diff(known.to_numpy())
         if steps.size:
             intervals.append(float(np.median(steps)))
     if not intervals:
         raise InputError(f"from_frames: fewer than {LEAST_ROWS} rows; expected a run per frame.")
     return float(f"{np.median(intervals):.3g}")
+
+
+def _find_largest(column: pl.Series) -> float:
+    """Return the largest magnitude among a column's numbers; 0 where it has none."""
+    numbers = column.cast(pl.Float64, strict=False).drop_nulls().to_numpy()
+    finite = numbers[np.isfinite(numbers)]
+    return float(np.abs(finite).max()) if finite.size else 0.0
 
 
 def _render(
@@ -286,10 +305,7 @@ def _render(
         f"sample_period_s = {period_s:g}",
     ]
     for output, told in columns.outputs.items():
-        largest = max(
-            float(np.nanmax(np.abs(frame[told.measured].cast(pl.Float64).to_numpy())))
-            for frame in frames.values()
-        )
+        largest = max(_find_largest(frame[told.measured]) for frame in frames.values()) or 1.0
         reference = q(told.reference) if isinstance(told.reference, str) else told.reference
         lines += [
             "",

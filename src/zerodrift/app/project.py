@@ -474,21 +474,26 @@ class Project:
                 log = Path(frame)
             else:
                 to_polars("frame", frame).write_parquet(log)
-            with show_progress("applying") as say:
-                apply_model(
-                    self.config,
-                    opened.model,
-                    [(log, out)],
-                    uncertainty=opened.uncertainty,
-                    predict_float=opened.predict_float,
-                    skip_invalid=self._skip_invalid,
-                    say=say,
-                )
+            try:
+                with show_progress("applying") as say:
+                    apply_model(
+                        self.config,
+                        opened.model,
+                        [(log, out)],
+                        uncertainty=opened.uncertainty,
+                        predict_float=opened.predict_float,
+                        skip_invalid=self._skip_invalid,
+                        say=say,
+                    )
+            except InputError as error:
+                if log.parent != Path(scratch):
+                    raise
+                raise InputError(str(error).replace(str(log), "the frame")) from error
             applied = pl.read_parquet(out)
         if isinstance(frame, (str, Path, pl.DataFrame, pl.LazyFrame)):
             return applied
         added = [name for name in applied.columns if name not in frame.columns]
-        added = [name for name in added if name != frame.index.name]
+        added = [name for name in added if name not in frame.index.names]
         return frame.assign(**{name: applied[name].to_numpy() for name in added})
 
     def report(
