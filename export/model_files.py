@@ -126,8 +126,8 @@ def parse_model(path: str, body: object) -> IntegerModel:
         body: what its JSON holds.
     """
     if not isinstance(body, dict) or body.get("format") not in (OLDER_FORMAT, FORMAT):
-        of_another = isinstance(body, dict) and isinstance(body.get("format"), int)
-        found = f"a model of format {body['format']}" if of_another else "no integer model"
+        number = body.get("format") if isinstance(body, dict) else None
+        found = f"a model of format {number}" if isinstance(number, int) else "no integer model"
         raise InputError(
             f"{path}: {found}; expected format {OLDER_FORMAT} or {FORMAT}, which this version of"
             " zerodrift reads. Run `zerodrift firmware` to build it again, or use the version that"

@@ -11,9 +11,8 @@ from zerodrift.base.config import USES, Config
 from zerodrift.dataset.selectors import expand_selectors
 from zerodrift.export.integer_model import FORMAT as MODEL_FORMAT
 from zerodrift.fleet.result import FORMAT
+from zerodrift.fleet.sensors import FOLDER
 
-FOLDER = "fleet"
-"""Below build/: one folder per sensor, and the report."""
 RUNTIME = "runtime"
 """Below the firmware's folder: the C that all sensors share."""
 

@@ -6,13 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from zerodrift.base.config import TRAIN, USES, Config, locate_key
-from zerodrift.base.errors import InputError
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.fleet_config import PLACEHOLDER
 
 LOG_SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
 _SUFFIX = re.compile(r"(#[^#/]+)?(@[^@#/]*:[^@#/]*)?$")
 _GLOB = re.compile(r"\[!?\]?[^\]]*\]|.", re.DOTALL)
+FOLDER = "fleet"
+"""Below build/: one folder per sensor, and the report."""
 FOLDERS_SHOWN = 3
+SENSORS_SHOWN = 8
 RESERVED = frozenset({"runtime", "report.json", "report.csv", "report.md"})
 """What lies beside the sensors' folders, on disks that do not tell capitals apart too."""
 
@@ -126,6 +129,26 @@ def configure_sensor(config: Config, sensor: str) -> Config:
     }
     prefix = config.firmware_prefix.replace(PLACEHOLDER, sensor)
     return replace(config, firmware_prefix=prefix, **logs)  # type: ignore[arg-type]  # the three are tuples of text
+
+
+def open_sensor(config: Config, sensor: str) -> Config:
+    """Return the project of one sensor, its model and its C where `fleet` writes them.
+
+    Raises:
+        InputError: the project is no fleet, or has no such sensor.
+    """
+    names = find_sensors(config)
+    if sensor not in names:
+        shown = ", ".join(names[:SENSORS_SHOWN]) + (", ..." if len(names) > SENSORS_SHOWN else "")
+        raise InputError(
+            f"--sensor {sensor}: {config.path} has no such sensor{nearest(sensor, names) or '.'} "
+            f"It has {shown}; expected one of {len(names)}."
+        )
+    return replace(
+        configure_sensor(config, sensor),
+        unit_build=config.build_directory / FOLDER / sensor,
+        firmware_out=config.firmware_out / sensor,
+    )
 
 
 def explain_no_placeholder(config: Config, where: str) -> str:

@@ -125,6 +125,8 @@ class Config:
     """`[logs] where`: column -> the value that a row must have there to be read."""
     tared: bool | None = None
     """`[logs] tared`: whether each run is zeroed by itself; None ("auto"): as the logs tell."""
+    unit_build: Path | None = None
+    """Of a unit of a fleet: where its model lies; None: in build/."""
     firmware_prefix: str = ""
     """What the C's names begin with, `{sensor}` standing for a fleet's sensor; empty: its name."""
     firmware_guard: bool = False
@@ -153,8 +155,11 @@ class Config:
 
     @property
     def build_directory(self) -> Path:
-        """`build/` in the project directory: fitted values, checkpoints, artefacts."""
-        return self.directory / "build"
+        """`build/` in the project directory: fitted values, checkpoints, artefacts.
+
+        Of a unit of a fleet, its own folder there.
+        """
+        return self.unit_build or self.directory / "build"
 
 
 def load_config(path_or_directory: Path) -> Config:

@@ -10,6 +10,7 @@ from zerodrift.app.commands.common import (
     json_option,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
 )
 from zerodrift.app.commands.console import (
@@ -28,6 +29,7 @@ KINDS = INTEGER, FLOAT = ("integer", "float")
 @click.command()
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 @directory_option
+@sensor_option
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -49,6 +51,7 @@ KINDS = INTEGER, FLOAT = ("integer", "float")
 def command(
     logs: tuple[Path, ...],
     directory: Path,
+    sensor: str | None,
     out: Path | None,
     kind: str,
     as_json: bool,
@@ -62,14 +65,13 @@ def command(
     """
     from zerodrift.app.applied_model import choose_file, open_applied, refuse_taken
     from zerodrift.app.apply import apply_model
-    from zerodrift.app.commands.project import open_project
-    from zerodrift.base.config import load_config
+    from zerodrift.app.commands.project import open_config, open_project
     from zerodrift.report.results import ApplyResult
 
-    config = load_config(directory)
+    config = open_config(directory, sensor)
     pairs = [(log, choose_file(log, out, len(logs) > 1)) for log in logs]
     refuse_taken(pairs)
-    opened = open_applied(config, kind, load_logs=lambda: open_project(directory)[1])
+    opened = open_applied(config, kind, load_logs=lambda: open_project(directory, sensor=sensor)[1])
     with show_progress("applying") as say:
         applied = apply_model(
             config,

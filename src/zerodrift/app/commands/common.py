@@ -88,6 +88,16 @@ def skip_invalid_option(function: Command) -> Command:
     )(function)
 
 
+def sensor_option(function: Command) -> Command:
+    """Add `--sensor NAME`, a unit of a fleet, passed on as `sensor: str | None`."""
+    return click.option(
+        "--sensor",
+        default=None,
+        metavar="NAME",
+        help="A unit of a fleet ([fleet]): its logs, and the model that `fleet` made of them.",
+    )(function)
+
+
 def trust_option(function: Command) -> Command:
     """Add `--trust`, passed on as `trust: bool`."""
     return click.option(

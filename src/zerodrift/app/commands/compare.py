@@ -11,6 +11,7 @@ from zerodrift.app.commands.common import (
     json_option,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
 )
 from zerodrift.app.commands.console import (
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @directory_option
+@sensor_option
 @click.option(
     "--model",
     "kind",
@@ -60,6 +62,7 @@ if TYPE_CHECKING:
 @skip_invalid_option
 def command(
     directory: Path,
+    sensor: str | None,
     kind: str | None,
     worst: int,
     html: Path | None,
@@ -79,7 +82,7 @@ def command(
     from zerodrift.physics.catalogue import load_catalogue
 
     with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid)
+        config, dataset = open_project(directory, skip_invalid, sensor)
         catalogue = load_catalogue(config.plugin_files)
         compared = compare_project(config, dataset, catalogue, kind=kind, most=worst, say=say)
     predictor, comparison = compared.predictor, compared.comparison

@@ -10,6 +10,7 @@ from zerodrift.app.commands.common import (
     json_option,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, print_advice, show_progress
@@ -30,6 +31,7 @@ MOST_LISTED = 8
 
 @click.command()
 @directory_option
+@sensor_option
 @click.option(
     "--auto",
     is_flag=True,
@@ -38,7 +40,9 @@ MOST_LISTED = 8
 )
 @json_option
 @skip_invalid_option
-def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> None:
+def command(
+    directory: Path, sensor: str | None, auto: bool, as_json: bool, skip_invalid: bool
+) -> None:
     """Name the physical effect that the model lacks.
 
     Every effect of the catalogue that is not in the model is tried. What it would gain is judged
@@ -58,7 +62,7 @@ def command(directory: Path, auto: bool, as_json: bool, skip_invalid: bool) -> N
     from zerodrift.physics.catalogue import load_catalogue
 
     with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid)
+        config, dataset = open_project(directory, skip_invalid, sensor)
         catalogue = load_catalogue(config.plugin_files)
         verdict = find_verdict(config, dataset, catalogue, auto=auto, say=say)
         diagnosis, course = verdict.diagnosis, verdict.course

@@ -15,15 +15,31 @@ if TYPE_CHECKING:
     from zerodrift.train.summary import NetworkChoice
 
 
-def open_project(directory: Path, skip_invalid: bool = False) -> tuple[Config, Dataset]:
-    """Return a project's configuration and logs.
+def open_config(directory: Path, sensor: str | None = None) -> Config:
+    """Return a project's configuration, or that of one unit of a fleet.
+
+    Raises:
+        InputError: zerodrift.toml is missing or wrong, or has no such unit.
+    """
+    config = load_config(directory)
+    if sensor is None:
+        return config
+    from zerodrift.fleet.sensors import open_sensor
+
+    return open_sensor(config, sensor)
+
+
+def open_project(
+    directory: Path, skip_invalid: bool = False, sensor: str | None = None
+) -> tuple[Config, Dataset]:
+    """Return a project's configuration and logs, or those of one unit of a fleet.
 
     Raises:
         InputError: zerodrift.toml or a log is missing or wrong.
     """
     from zerodrift.dataset.load import load_dataset
 
-    config = load_config(directory)
+    config = open_config(directory, sensor)
     remember(config.plugin_files)
     return config, load_dataset(config, skip_invalid)
 

@@ -10,6 +10,7 @@ from zerodrift.app.commands.common import (
     json_option,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, show_progress
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @directory_option
+@sensor_option
 @click.option(
     "--write",
     "file",
@@ -30,7 +32,9 @@ if TYPE_CHECKING:
 )
 @json_option
 @skip_invalid_option
-def command(directory: Path, file: Path | None, as_json: bool, skip_invalid: bool) -> None:
+def command(
+    directory: Path, sensor: str | None, file: Path | None, as_json: bool, skip_invalid: bool
+) -> None:
     """Propose a formula where no effect of the catalogue explains what is left.
 
     Formulas grow from the operations that the chip has, over temperature, loads, inputs and time,
@@ -51,7 +55,7 @@ def command(directory: Path, file: Path | None, as_json: bool, skip_invalid: boo
     if file is not None and file.exists():
         raise InputError(f"--write {file}: is there already; name another file, or remove it.")
     with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid)
+        config, dataset = open_project(directory, skip_invalid, sensor)
         found = propose_formula(
             config,
             dataset,

@@ -12,6 +12,7 @@ from zerodrift.app.commands.common import (
     packed,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
     trust_option,
 )
@@ -46,6 +47,7 @@ FOLDERS = ("svg", "png")
 
 @click.command()
 @directory_option
+@sensor_option
 @click.option(
     "--format",
     "kind",
@@ -84,6 +86,7 @@ FOLDERS = ("svg", "png")
 @packed(ReportOptions)
 def command(
     directory: Path,
+    sensor: str | None,
     options: ReportOptions,
     trust: bool,
     as_json: bool,
@@ -111,6 +114,7 @@ def command(
     with show_progress("reading logs") as say:
         findings = survey_project(
             directory,
+            sensor=sensor,
             skip_invalid=skip_invalid,
             wants_diagnosis=not options.no_diagnose,
             wants_contribution=True,

@@ -55,6 +55,7 @@ PACKAGES = ("numpy", "scipy", "polars", "torch", "onnx", "onnxruntime", "plotly"
 def survey_project(
     directory: Path,
     *,
+    sensor: str | None = None,
     skip_invalid: bool = False,
     wants_diagnosis: bool = True,
     wants_contribution: bool = False,
@@ -66,6 +67,7 @@ def survey_project(
 
     Args:
         directory: of zerodrift.toml.
+        sensor: a unit of a fleet; None: the project has one sensor.
         skip_invalid: drop invalid rows of the logs.
         wants_diagnosis: whether to diagnose where no diagnosis of these logs is kept.
         wants_contribution: whether to compute what the named effect would explain.
@@ -75,7 +77,7 @@ def survey_project(
         InputError: as the commands do.
     """
     say("reading logs")
-    config, dataset = open_project(directory, skip_invalid)
+    config, dataset = open_project(directory, skip_invalid, sensor)
     catalogue = load_catalogue(config.plugin_files)
     say("fitting")
     predictor = open_predictor(None, config, dataset, catalogue)
