@@ -306,6 +306,32 @@ class CertificateResult:
 
 
 @dataclass(frozen=True)
+class ProvenPart:
+    """One thing that the C does, held against the specification for every input."""
+
+    what: str
+    """A function, a node, a table or a kernel."""
+    build: str
+    """Of which way to compile it; "" for all of them."""
+    verdict: str
+    """proven | tested, not proven | not proven."""
+    why: str
+    """Why it is not proven; else ""."""
+
+
+@dataclass(frozen=True)
+class ProofResult(Shown):
+    """Whether the C is the specification, part by part (`verify --prove`)."""
+
+    SCHEMA: ClassVar = "verify-prove/1"
+
+    proven: bool
+    """Nothing is left open; what is tested only is told beside it."""
+    model_hash: str
+    parts: tuple[ProvenPart, ...]
+
+
+@dataclass(frozen=True)
 class OutputApplied:
     """One output over a log, in its unit."""
 
@@ -517,6 +543,7 @@ RESULTS: tuple[type, ...] = (
         InitResult,
         PackageResult,
         PlanResult,
+        ProofResult,
         ProposeResult,
         RecordResult,
         RemoveResult,

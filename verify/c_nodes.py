@@ -173,6 +173,14 @@ class CFor(CNode):
 
 
 @dataclass(frozen=True)
+class CWhile(CNode):
+    """while (condition) body; the certificate's checker has no rule for it, and reads none."""
+
+    condition: "Expression"
+    body: CBlock
+
+
+@dataclass(frozen=True)
 class CDeclare(CNode):
     """A variable of a function."""
 
@@ -199,7 +207,7 @@ Expression: TypeAlias = (
     CInteger | CName | CField | CIndex | CCall | CUnary | CSizeof | CCast | CBinary | CChoose
 )
 Initialiser: TypeAlias = Expression | CNumbers | CList
-Statement: TypeAlias = CBlock | CReturn | CIf | CFor | CDeclare | CAssign | CAlone
+Statement: TypeAlias = CBlock | CReturn | CIf | CFor | CWhile | CDeclare | CAssign | CAlone
 
 
 def list_parts(node: CNode | Variable) -> Iterator[CNode]:

@@ -23,6 +23,7 @@ from zerodrift.verify.c_nodes import (
     CName,
     CNumbers,
     CReturn,
+    CWhile,
     Expression,
     Program,
     Statement,
@@ -124,6 +125,8 @@ class Statements(Expressions):
                 self._assign(node.operator, node.target, node.source)
             case CAlone():
                 self.evaluate(node.of)
+            case CWhile():
+                raise self.not_understood("a loop that is not counted by its own variable")
         return False
 
     def _run_branch(self, condition: Expression, then: CBlock, other: CBlock | CIf | None) -> bool:

@@ -9,6 +9,7 @@ from zerodrift.app.commands.common import directory_option, json_option, print_r
 from zerodrift.base.errors import CheckError, InputError
 
 if TYPE_CHECKING:
+    from zerodrift.base.config import Config
     from zerodrift.verify.replay import Replay
 
 
@@ -28,7 +29,15 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Instead, derive every bound of certificate.json again from the C alone.",
 )
-def command(directory: Path, as_json: bool, required: tuple[str, ...], certificate: bool) -> None:
+@click.option(
+    "--prove",
+    "proves",
+    is_flag=True,
+    help="Instead, show for every input that the C is the specification, part by part.",
+)
+def command(
+    directory: Path, as_json: bool, required: tuple[str, ...], certificate: bool, proves: bool
+) -> None:
     """Build and run what lies in the firmware folder, and hold it against the model.
 
     Every file is compared with firmware/manifest.json; the folder's own C and runtime are compiled
@@ -37,13 +46,17 @@ def command(directory: Path, as_json: bool, required: tuple[str, ...], certifica
     is told as not checked.
 
     Exit code 1: a file was changed, is missing or stale, a bit or a name in the header differs, a
-    core of --require was not checked, or with --certificate a claim does not hold.
+    core of --require was not checked, with --certificate a claim does not hold, or with --prove
+    something is not proven.
     """
     from zerodrift.app.commands.console import show_progress
     from zerodrift.base.config import load_config
     from zerodrift.base.journal import read_together
     from zerodrift.verify.replay import replay
 
+    if proves:
+        _prove(load_config(directory), as_json)
+        return
     if certificate:
         _check_certificate(load_config(directory).firmware_out, as_json)
         return
@@ -68,6 +81,47 @@ def _print(outcome: "Replay") -> None:
         click.echo(f"FORCED when it was built: {text}")
     for missing in outcome.not_checked:
         click.echo(f"NOT CHECKED: {missing.what}: {missing.why}")
+
+
+def _prove(config: "Config", as_json: bool) -> None:
+    """Tell what is shown of the C, part by part; needs the model's file and the firmware folder."""
+    from zerodrift.app.commands.console import show_progress
+    from zerodrift.export.model_files import load_model
+    from zerodrift.report.results import ProofResult, ProvenPart
+    from zerodrift.verify.prove import OPEN, TESTED, is_proven, prove
+    from zerodrift.verify.replay import read_code
+
+    model = load_model(config.build_directory / "model.json")
+    code = read_code(model, config.firmware_out)
+    texts = {code.header_name: code.header, code.source_name: code.source, **(code.runtime or {})}
+    with show_progress("proving") as say:
+        shown = prove(model, texts, say)
+    proven = is_proven(shown)
+    if as_json:
+        parts = tuple(ProvenPart(one.what, one.build, one.verdict, one.why) for one in shown)
+        print_result(ProofResult(proven, model.hash, parts))
+    else:
+        for one in shown:
+            if one.verdict == TESTED:
+                click.echo(f"TESTED, NOT PROVEN: {_name(one.what, one.build)}")
+    if not proven:
+        left = [one for one in shown if one.verdict == OPEN]
+        lines = "\n  ".join(f"{_name(one.what, one.build)}: {one.why}" for one in left)
+        raise CheckError(
+            f"{config.firmware_out}: {len(left)} of {len(shown)} parts of the C are not proven to"
+            f" be what the model says:\n  {lines}\nRun `zerodrift verify`, which compares bits; if"
+            " that fails too, do not flash this C."
+        )
+    if not as_json:
+        count = sum(one.verdict != TESTED for one in shown)
+        click.echo(
+            f"proven: {count} parts of the C compute what the specification says of model"
+            f" {model.hash[:12]}, for every input and state"
+        )
+
+
+def _name(what: str, build: str) -> str:
+    return f"{what} ({build})" if build else what
 
 
 def _check_certificate(folder: Path, as_json: bool) -> None:

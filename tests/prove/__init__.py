@@ -1,0 +1,1 @@
+"""The proof that C equals specification, and what must never pass it."""

@@ -1,0 +1,142 @@
+"""Golden models are proven; C that means something else is not."""
+
+from dataclasses import replace
+
+import pytest
+
+from tests.golden.models import CASES
+from tests.golden.vectors import load
+from zerodrift.c_runtime.compilers import RUNTIME_FILES
+from zerodrift.codegen.generate import generate
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.verify.prove import OPEN, TESTED, ShownPart, is_proven, prove
+
+Texts = dict[str, str]
+GUARDED = ("ordinary", "effects", "no_reading", "lstm")
+
+
+def write(model: IntegerModel) -> Texts:
+    code = generate(model)
+    runtime = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    return {**runtime, code.header_name: code.header, code.source_name: code.source}
+
+
+def tell(shown: tuple[ShownPart, ...]) -> list[str]:
+    return [f"{one.what} ({one.build}): {one.why}" for one in shown if one.verdict == OPEN]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_golden_models_are_proven(name: str) -> None:
+    model = load(name).model
+    shown = prove(model, write(model))
+    assert tell(shown) == []
+    assert is_proven(shown)
+    nodes = {one.what for one in shown if one.what.startswith("node ")}
+    assert nodes == {f"node {node.name}" for node in model.nodes[:-1]}
+
+
+@pytest.mark.parametrize("name", GUARDED)
+def test_guarded_models_are_proven(name: str) -> None:
+    model = replace(load(name).model, guarded=True)
+    assert tell(prove(model, write(model))) == []
+
+
+def test_kernels_of_intrinsics_and_assembly_are_told_as_tested() -> None:
+    model = load("front_end").model
+    shown = prove(model, write(model))
+    tested = [one for one in shown if one.verdict == TESTED and one.build]
+    builds = " ".join(one.build for one in tested)
+    assert all(k in builds for k in ("PAIRS", "ROWS", "COLUMNS", "ZD_GRU_ASSEMBLY"))
+
+
+CHANGES = {
+    "a limit of an input": ("in->temperature, -12000, 12000)", "in->temperature, -12000, 12001)"),
+    "a filter's coefficient": ("in_0, 803, 1683121056, 22u)", "in_0, 804, 1683121056, 22u)"),
+    "a filter at rest": ("zd_lowpass_rest(in_0, 803)", "zd_lowpass_rest(in_0, 802)"),
+    "a product's shift": ("offset_9 * offset_9, 25u)", "offset_9 * offset_9, 24u)"),
+    "operands": ("in_0 - lowpass_7", "lowpass_7 - in_0"),
+    "an offset": ("in_1 - (786432)", "in_1 - (786433)"),
+    "a ring's end": ("s->delay_6_oldest == 4u", "s->delay_6_oldest == 3u"),
+    "an entry of the features": ("729933130, 68032686", "729933131, 68032686"),
+    "a bias of the features": ("INT64_C(-1857043304325458)", "INT64_C(-1857043304325459)"),
+    "order of signals": ("lowpass_3, product_5, delay_6, difference_8, product_11};",
+                         "product_5, lowpass_3, delay_6, difference_8, product_11};"),
+    "a weight of the plain kernel": ("8944, 3105, 11529, -3715", "8944, 3105, 11529, -3716"),
+    "a weight in pairs": ("203498224, 11529, -1072565891", "203498224, 11528, -1072565891"),
+    "a shift of the kernel": ("gru_stream, {11, 11, 10}", "gru_stream, {11, 11, 11}"),
+    "a step relaxes": ("s->gru_h_q30, -1)", "s->gru_h_q30, 0)"),
+    "relaxing steps": ("k < ZD_GRU_RELAX_STEPS", "k < (ZD_GRU_RELAX_STEPS - 1u)"),
+    "a coefficient of the drift": ("301052314 * lowpass_3", "301052315 * lowpass_3"),
+    "a bias of the drift": ("INT64_C(1775521964752896)", "INT64_C(1775521964752898)"),
+    "a limit of the drift": ("INT64_C(750000))", "INT64_C(75000))"),
+    "the flag of a limit": ("if (limited != wide)", "if (limited == wide)"),
+    "warming up": ("if (s->steps < 5u) {\n        flags", "if (s->steps <= 5u) {\n        flags"),
+    "a range's flag": ("(temperature < -12000)", "(temperature <= -12000)"),
+    "a rate's flag": ("s->previous_temperature - temperature > 1000",
+                      "s->previous_temperature - temperature > 1001"),
+    "the last temperature": ("s->previous_temperature = (int16_t)temperature;", ""),
+    "counting": ("s->steps++", "s->steps += 2u"),
+    "the test of a filter": ("INT64_C(-824594253883605)", "INT64_C(-824594253883606)"),
+    "the test of the steps": ("if (s->steps > 5u)", "if (s->steps > 6u)"),
+    "the answer to damage": ("drift[k] = 0;", "drift[k] = 1;"),
+    "restoring": ("refused = 1u;", "refused = 0u;"),
+    "the identity": ("s->identity = FRONT_END_MODEL_ID;", "s->identity = FRONT_END_MODEL_ID + 1u;"),
+    "the self-test's answer": ("UINT32_C(1948274182)", "UINT32_C(1948274183)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_c_that_means_something_else_is_not_proven(what: str) -> None:
+    model = load("front_end").model
+    texts = write(model)
+    before, after = CHANGES[what]
+    assert before in texts["front_end.c"]
+    texts["front_end.c"] = texts["front_end.c"].replace(before, after)
+    assert tell(prove(model, texts))
+
+
+HEADER = {
+    "an index": ("#define FRONT_END_FX 0", "#define FRONT_END_FX 1"),
+    "a unit": ("FRONT_END_FY_LSB_PER_UNIT 10", "FRONT_END_FY_LSB_PER_UNIT 100"),
+    "a flag": ("RATE_RANGE UINT32_C(4)", "RATE_RANGE UINT32_C(2)"),
+    "the sample period": ("SAMPLE_PERIOD_US UINT32_C(500000)", "SAMPLE_PERIOD_US UINT32_C(50000)"),
+    "the inputs' order": (
+        "    int16_t temperature; /* temperature: 0 + 0.0078125 degC per count */\n",
+        "",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", HEADER)
+def test_header_that_says_something_else_is_not_proven(what: str) -> None:
+    model = load("front_end").model
+    texts = write(model)
+    before, after = HEADER[what]
+    assert before in texts["front_end.h"]
+    texts["front_end.h"] = texts["front_end.h"].replace(before, after)
+    if what == "the inputs' order":
+        last = "} front_end_input_t;"
+        texts["front_end.h"] = texts["front_end.h"].replace(last, before + last)
+    assert tell(prove(model, texts))
+
+
+RUNTIME = {
+    "a line of tanh": ("zd_tanh_table.h", "67584", "67585"),
+    "a product's rounding": ("zd_runtime.h", "+ ((int64_t)1 << 31), 32)", ", 32)"),
+    "a copy of the state": ("zd_runtime.h", "((int32_t)1 << 14), 15)", "((int32_t)1 << 13), 15)"),
+    "the update gate": ("zd_gru_portable.h", "bias[1] + from_x[1]", "bias[1] + from_x[0]"),
+    "a filter": ("zd_signals.h", "- y, 22)", "- y, 23)"),
+    "a dot product": ("zd_runtime.h", "zd_mac(acc, &w[i], &x[i])", "zd_mac(acc, &w[i], &x[0])"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", RUNTIME)
+def test_runtime_that_computes_something_else_is_not_proven(what: str) -> None:
+    """Its hash apart, which any change of its text changes."""
+    model = load("front_end").model
+    texts = write(model)
+    name, before, after = RUNTIME[what]
+    assert before in texts[name]
+    texts[name] = texts[name].replace(before, after)
+    found = [one for one in tell(prove(model, texts)) if not one.startswith("runtime, by its hash")]
+    assert found

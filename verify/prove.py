@@ -1,0 +1,732 @@
+"""C equals specification, for every input: both are run over terms, and must be the same terms.
+
+What is shown of a firmware folder's C, for a model's file: the state that `init` and `settle`
+leave, what `step` gives and leaves of any state and input, that `state_is_sound` lets through what
+the specification says and nothing else, what `save` and `restore` do, the names in the header, and
+the self-test's answer. Sums are exact integers: every operation of the C is shown to fit its type
+on the way. Kernels in plain C are shown apart (`prove_lemmas`); those of intrinsics and assembly
+are taken at the specification, once their tables are shown to be the model's, and told as such.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from zerodrift.codegen.names import name_prefix
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.verify.c_kernels import STRUCTS
+from zerodrift.verify.c_model import Runtime
+from zerodrift.verify.c_nodes import CInteger, CNode, Program, TypeName, Variable
+from zerodrift.verify.c_reader import PreprocessorWay, Tokens, parse_integer, read_ways
+from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError
+from zerodrift.verify.header import list_expected
+from zerodrift.verify.known_runtime import is_known
+from zerodrift.verify.prove_checksum import prove_checksum
+from zerodrift.verify.prove_kernels import Layers, Numbered
+from zerodrift.verify.prove_lemmas import prove_exp2, prove_layer, prove_power, prove_tanh
+from zerodrift.verify.prove_machine import Rule, TermMachine
+from zerodrift.verify.prove_memory import (
+    AddressOf,
+    CellBlock,
+    Found,
+    Instance,
+    Number,
+    Spot,
+)
+from zerodrift.verify.prove_parser import parse_all
+from zerodrift.verify.prove_reader import preprocess
+from zerodrift.verify.prove_rules import Used, exact, make_assembly, make_rules
+from zerodrift.verify.prove_specification import (
+    CHECK,
+    DRIFT,
+    IDENTITY,
+    STEPS,
+    Outcome,
+    Specification,
+    State,
+)
+from zerodrift.verify.prove_terms import UndecidedError, Whole
+
+PLAIN = {"ZD_KERNEL": "0"}
+BUILDS: tuple[tuple[str, Mapping[str, str]], ...] = (
+    ("plain C", {**PLAIN, "ZD_LANES": "1u"}),
+    ("plain C, two at a time", {**PLAIN, "ZD_LANES": "2u"}),
+    ("plain C, small", {**PLAIN, "ZD_LANES": "1u", "ZD_SMALL": ""}),
+)
+"""What is defined when the C is read; the second and third where there is a network."""
+UNCHECKED = (UndecidedError, NotUnderstoodError, FaultError, RecursionError, KeyError, ValueError)
+PROVEN, TESTED, OPEN = "proven", "tested, not proven", "not proven"
+
+
+@dataclass(frozen=True)
+class ShownPart:
+    """One thing that the C does, and whether it is what the specification says."""
+
+    what: str
+    """A function, a node, a table or a kernel."""
+    build: str
+    """Of which way to compile it."""
+    verdict: str
+    """proven | tested, not proven | not proven."""
+    why: str = ""
+    """Why it is not proven."""
+
+
+def prove(
+    model: IntegerModel, texts: Mapping[str, str], progress: Callable[[str], None] = lambda _: None
+) -> tuple[ShownPart, ...]:
+    """Return what is shown of a model's C.
+
+    Args:
+        model: as its file has it.
+        texts: file name -> content, of the model's header and source and of the runtime.
+        progress: is told what is being done.
+    """
+    prefix = name_prefix(model)
+    shown = [_show_runtime(texts)]
+    builds = BUILDS if model.recurrents or _has_network(texts, prefix) else BUILDS[:1]
+    try:
+        first: Proof | None = None
+        for name, defined in builds:
+            progress(f"proving {name}")
+            proof = Proof(model, texts, prefix, name, defined)
+            same = first is not None and proof.is_own_text(first)
+            shown += proof.run(whole=not same)
+            first = first or proof
+        if model.recurrents:
+            progress("other kernels' tables")
+            shown += show_kernels(model, texts, prefix)
+    except UNCHECKED as error:
+        shown.append(ShownPart("the C", "", OPEN, _tell(error)))
+    return tuple(shown)
+
+
+def is_proven(shown: Sequence[ShownPart]) -> bool:
+    """Return whether nothing is left open."""
+    return bool(shown) and all(one.verdict != OPEN for one in shown)
+
+
+def _has_network(texts: Mapping[str, str], prefix: str) -> bool:
+    return '"zd_network.h"' in texts[f"{prefix}.c"]
+
+
+def _tell(error: Exception) -> str:
+    return str(error) if str(error) else type(error).__name__
+
+
+def _show_runtime(texts: Mapping[str, str]) -> ShownPart:
+    """CRC, save, restore and what other compilers see of the runtime: its text is known."""
+    if is_known(texts):
+        return ShownPart("runtime, by its hash", "", TESTED)
+    return ShownPart(
+        "runtime, by its hash", "", OPEN, "no text that was compared with the reference"
+    )
+
+
+class Proof:
+    """One way to read the C, held against the specification."""
+
+    def __init__(
+        self,
+        model: IntegerModel,
+        texts: Mapping[str, str],
+        prefix: str,
+        build: str,
+        defined: Mapping[str, str],
+    ) -> None:
+        """Read the C.
+
+        Raises:
+            NotUnderstoodError, FaultError, UndecidedError: something without a rule.
+        """
+        self.model, self.prefix, self.build = model, prefix, build
+        self.tokens = preprocess(texts, f"{prefix}.c", defined)
+        self.program = parse_all(self.tokens)
+        self.used = Used()
+        self.sound: Callable[[TermMachine], Whole] | None = None
+        rules = make_rules(prefix, lambda: self.meaning.layers, self.used)
+        self.machine = TermMachine(self.program, rules)
+        self.meaning = Specification(self.machine.terms, model)
+        self.terms = self.machine.terms
+        self.nodes: dict[str, str] = {}
+        """Node -> why it differs; "" where it does not."""
+        self.machine.watch[f"{prefix}_advance"] = {}
+
+    # --- what is shown
+
+    def is_own_text(self, other: "Proof") -> bool:
+        """Return whether the model's files hold the same here as in another build."""
+        return self._list_own() == other._list_own()
+
+    def _list_own(self) -> list[object]:
+        program = self.program
+        files = (f"{self.prefix}.c:", f"{self.prefix}.h:")
+
+        def is_own(at: int) -> bool:
+            return program.place(at).startswith(files)
+
+        functions = [
+            (f.name, f.result, [_shape_variable(v) for v in f.parameters], _shape(f.body))
+            for f in program.functions.values()
+            if is_own(f.body.at)
+        ]
+        constants = [_shape_variable(v) for v in program.constants if is_own(v.at)]
+        structs = [(n, [_shape_variable(v) for v in f]) for n, f in program.structs.items()]
+        macros = [
+            (n, m) for n, m in self.tokens.macros.items() if n.startswith(self.prefix.upper())
+        ]
+        return [functions, constants, structs, macros]
+
+    def run(self, whole: bool = True) -> Iterator[ShownPart]:
+        """Yield what is shown; of the same text of the model, what the runtime may change."""
+        if whole:
+            yield self._show("header", self._header)
+            yield self._show("struct of the inputs", self._input_fields)
+            yield self._show("struct of the state", self._state_fields)
+        yield self._show("state_is_sound", self._soundness)
+        rules = self.machine.rules
+        if self.model.guarded:
+            yield self._show(
+                "sum_up", lambda: prove_checksum(self.machine, self.meaning, self.prefix)
+            )
+            rules[f"{self.prefix}_sum_up"] = self._sum_up
+        rules[f"{self.prefix}_state_is_sound"] = self._answer_sound
+        yield self._show("init", self._init)
+        yield self._show("settle", self._settle)
+        yield self._show("step, of a state that is not sound", lambda: self._step("unsound"))
+        yield self._show("step, of a new state", lambda: self._step("new"))
+        yield self._show("step", lambda: self._step("running"))
+        for node, why in self.nodes.items():
+            yield self._judge(f"node {node}", why)
+        if whole:
+            yield self._show("save", self._save)
+            yield self._show("restore", self._restore)
+            del rules[f"{self.prefix}_state_is_sound"]
+            yield self._show("selftest", self._selftest)
+        yield from self._lemmas()
+
+    def _judge(self, what: str, why: str) -> ShownPart:
+        return ShownPart(what, self.build, OPEN if why else PROVEN, why)
+
+    def _show(self, what: str, run: Callable[[], str]) -> ShownPart:
+        try:
+            return self._judge(what, run())
+        except UNCHECKED as error:
+            return self._judge(what, f"{self.machine.place}: {_tell(error)}")
+
+    def _lemmas(self) -> Iterator[ShownPart]:
+        machine, used, layers = self.machine, self.used, self.meaning.layers
+        if used.tanh or layers.layers:
+            yield self._show("table of tanh, line by line", lambda: prove_tanh(machine))
+        for top, exponents in used.exp2.items():
+            yield self._show(f"2^t, top {top}", partial(prove_exp2, machine, top, *exponents))
+        for name, ends in used.powers.items():
+            yield self._show(f"x^p of {name}", partial(prove_power, machine, name, *ends))
+        for name, relaxing in layers.given:
+            what = f"{name}, {'towards rest' if relaxing else 'a step'}"
+            yield self._show(what, partial(prove_layer, machine, layers, name, relaxing))
+
+    # --- header and structs
+
+    def _header(self) -> str:
+        macros = self.tokens.macros
+        for name, wanted in list_expected(self.model, self.prefix).items():
+            found = read_macro(macros.get(name, []))
+            if found != wanted:
+                return f"{name} is {found}; the model gives {wanted}"
+        return ""
+
+    def _fields_of(self, kind: str) -> list[tuple[str, str, tuple[int, ...]]]:
+        fields = self.program.structs.get(f"{self.prefix}_{kind}_t", ())
+        return [
+            (f.name, f.type.name, tuple(exact(self.machine.evaluate(s)) for s in f.sizes))
+            for f in fields
+        ]
+
+    def _input_fields(self) -> str:
+        kinds = [f"{channel.raw_type}_t" for channel in self.model.channels]
+        names = zip(self.meaning.channels, kinds, strict=True)
+        wanted: list[tuple[str, str, tuple[int, ...]]] = [(n, k, ()) for n, k in names]
+        found = self._fields_of("input")
+        return "" if found == wanted else f"{found}; the model gives {wanted}"
+
+    def _state_fields(self) -> str:
+        wanted = [(f.name, f.type, f.sizes) for f in self.meaning.fields]
+        found = self._fields_of("state")
+        return "" if found == wanted else f"{found}; the model gives {wanted}"
+
+    # --- states and inputs
+
+    def _any_state(self, scenario: str) -> State:
+        """Return a state of any bits, a new one, or one that passes the test of a state."""
+        state: State = {}
+        for field in self.meaning.fields:
+            low, high = TYPES[field.type]
+            if scenario == "running":
+                low = low if field.low is None else max(low, field.low)
+                high = high if field.high is None else min(high, field.high)
+                if field.name == "steps":
+                    low = 1
+            mark = f"{scenario} s->{field.name}"
+            state[field.name] = [
+                self.terms.symbol(f"{mark}[{k}]", low, high) for k in range(field.count)
+            ]
+        drift = self.model.drift
+        if scenario == "running" and self.model.feeds_back:
+            ends = zip(drift.low, drift.high, strict=True)
+            state[DRIFT] = [
+                self.terms.symbol(f"running s->drift[{k}]", int(a), int(b))
+                for k, (a, b) in enumerate(ends)
+            ]
+        if scenario != "unsound":
+            state[IDENTITY] = [self.terms.constant(self.model.identity)]
+        if scenario == "new":
+            state[STEPS] = [self.terms.constant(0)]
+            if self.model.feeds_back:  # as init left it; nothing but a step writes it
+                state[DRIFT] = [self.terms.constant(0)] * len(self.model.outputs)
+        return state
+
+    def _split_windows(self, state: State) -> Iterator[State]:
+        """Yield the state for every place that the oldest features of its windows can have."""
+        windows = [n.name for n in self.model.recurrents if not n.streams]
+        sizes = {f.name: f.sizes[0] for f in self.meaning.fields if f.name.endswith("_window")}
+        states = [state]
+        for name in windows:
+            states = [
+                {**one, f"{name}_oldest": [self.terms.constant(k)]}
+                for one in states
+                for k in range(sizes[f"{name}_window"])
+            ]
+        yield from states
+
+    def _as_instance(self, state: State | None) -> Instance:
+        made = self.machine.make_instance(f"{self.prefix}_state_t", "s")
+        for name, cells in (state or {}).items():
+            made.fields[name].cells = list(cells)
+        return made
+
+    def _raw(self) -> list[Whole]:
+        return [
+            self.terms.symbol(f"in->{name}", channel.raw_least, channel.raw_most)
+            for name, channel in zip(self.meaning.channels, self.model.channels, strict=True)
+        ]
+
+    def _as_input(self, raw: Sequence[Whole]) -> Instance:
+        made = self.machine.make_instance(f"{self.prefix}_input_t", "in")
+        for block, code in zip(made.fields.values(), raw, strict=True):
+            block.cells, block.constant = [code], True
+        return made
+
+    def _compare(self, found: Instance, wanted: State) -> str:
+        for name, block in found.fields.items():
+            for k, cell in enumerate(block.cells):
+                if cell is not wanted[name][k]:
+                    where = f"s->{name}[{k}]" if block.sizes else f"s->{name}"
+                    return f"{where} is another than the specification's"
+        return ""
+
+    def _answer_sound(self, machine: TermMachine, arguments: list[Found]) -> Found:
+        state = arguments[0]
+        if len(arguments) != 1 or not isinstance(state, AddressOf) or self.sound is None:
+            raise UndecidedError("state_is_sound of something else")
+        if state.of.type != f"{self.prefix}_state_t":
+            raise UndecidedError("state_is_sound of something else")
+        return Number(self.sound(machine), "uint32_t")
+
+    def _sum_up(self, machine: TermMachine, arguments: list[Found]) -> Found:
+        state = arguments[0]
+        if not isinstance(state, AddressOf) or state.of.type != f"{self.prefix}_state_t":
+            raise UndecidedError("sum_up of something else")
+        return Number(self.meaning.checksum(self._read(state.of)), "uint32_t")
+
+    def _read(self, instance: Instance) -> State:
+        state: State = {}
+        for name, block in instance.fields.items():
+            cells = [c for c in block.cells if isinstance(c, Whole)]
+            if len(cells) != len(block.cells) and name != "check":
+                raise UndecidedError(f"s->{name} is read before it is written")
+            state[name] = cells
+        return state
+
+    def _entry(self, name: str, *arguments: Found) -> Found:
+        return self.machine.call(f"{self.prefix}_{name}", arguments)
+
+    # --- functions
+
+    def _soundness(self) -> str:
+        state = self._any_state("unsound")
+        wanted = self.meaning.is_sound(state)
+        found: list[tuple[Mapping[int, int], Whole]] = []
+
+        def run() -> None:
+            answer = self._entry("state_is_sound", AddressOf(self._as_instance(state)))
+            if not isinstance(answer, Number):
+                raise UndecidedError("no number")
+            found.append((dict(self.machine.path.assumed), answer.term))
+
+        for _ in self.machine.explore(run):
+            pass
+        return self._join_paths(found, wanted, state)
+
+    def _join_paths(
+        self, found: list[tuple[Mapping[int, int], Whole]], wanted: Whole, state: State
+    ) -> str:
+        """A test that returns early: one path for steps = 0, one for others."""
+        if len(found) == 1:
+            return "" if found[0][1] is wanted else "another test than the specification's"
+        new = self.terms.equal(state[STEPS][0], self.terms.constant(0))
+        answers: dict[int, Whole] = {}
+        for assumed, answer in found:
+            if list(assumed) != [new.number]:
+                return "it returns early for another reason than a new state"
+            answers[assumed[new.number]] = answer
+        joined = self.terms.choose(new, answers[1], answers[0])
+        return "" if joined is wanted else "another test than the specification's"
+
+    def _init(self) -> str:
+        state = self._as_instance(None)
+        for _ in self.machine.explore(lambda: self._ignore(self._entry("init", AddressOf(state)))):
+            pass
+        return self._compare(state, self.meaning.blank())
+
+    def _ignore(self, found: Found) -> None:
+        del found
+
+    def _settle(self) -> str:
+        raw = self._raw()
+        state = self._as_instance(None)
+
+        def run() -> None:
+            for block in state.fields.values():
+                block.cells = [None] * len(block.cells)
+            self._entry("settle", AddressOf(state), AddressOf(self._as_input(raw)))
+
+        codes = self.meaning.convert(raw)
+        for _ in self.machine.explore(run):
+            lacks = self.machine.decide(self.meaning.lacks(codes))
+            if lacks.exact is None:
+                return "settle does not ask whether there is a reading"
+            wanted = self.meaning.blank() if lacks.exact else self.meaning.settle(codes)
+            if why := self._compare(state, wanted):
+                return why
+        return ""
+
+    def _step(self, scenario: str) -> str:
+        state = self._any_state(scenario)
+        self.sound = lambda machine: machine.terms.constant(int(scenario != "unsound"))
+        ways = self._split_windows(state) if scenario == "running" else iter([state])
+        for one in ways:
+            if why := self._step_one(scenario, one):
+                return why
+        return ""
+
+    def _step_one(self, scenario: str, state: State) -> str:
+        raw, meaning, machine = self._raw(), self.meaning, self.machine
+        made: list[tuple[Instance, CellBlock, Found]] = []
+
+        def run() -> None:
+            drift = CellBlock("drift", "int32_t", (len(self.model.outputs),), [])
+            drift.cells = [None] * len(self.model.outputs)
+            instance = self._as_instance(state)
+            place = Spot(drift, self.terms.constant(0), drift.sizes)
+            flags = self._entry("step", AddressOf(instance), AddressOf(self._as_input(raw)), place)
+            made.append((instance, drift, flags))
+
+        codes = meaning.convert(raw)
+        for _ in machine.explore(run):
+            wanted = self._say_step(scenario, state, codes)
+            instance, drift, flags = made.pop()
+            if why := self._compare(instance, wanted.state):
+                return why
+            for k, cell in enumerate(drift.cells):
+                if cell is not wanted.drift[k]:
+                    return f"drift[{k}] is another than the specification's"
+            if not isinstance(flags, Number) or flags.term is not wanted.flags:
+                return "the flags are others than the specification's"
+        return ""
+
+    def _say_step(self, scenario: str, state: State, codes: list[Whole]) -> Outcome:
+        """Return what the specification says of the path that the machine has just gone."""
+        meaning, machine = self.meaning, self.machine
+        if scenario == "unsound":
+            return meaning.damage()
+        if self.model.guarded:
+            same = self.terms.equal(state[CHECK][0], meaning.checksum(state))
+            decided = machine.decide(same)
+            if decided.exact is None:
+                raise UndecidedError("the step does not compare the checksum")
+            if not decided.exact:
+                return meaning.damage()
+        lacks = meaning.lacks(codes)
+        if scenario == "new":
+            if self.model.optional:
+                lacks = machine.decide(lacks)
+                if lacks.exact is None:
+                    raise UndecidedError("the first step does not ask whether there is a reading")
+                if lacks.exact:
+                    return meaning.wait(state)
+            begun = meaning.rest(state, codes, settled=False)
+            return meaning.step(begun, codes, codes, lacks)[0]
+        outcome, done = meaning.step(state, codes, meaning.hold(state, codes), lacks)
+        self._compare_nodes(done.values)
+        return outcome
+
+    def _compare_nodes(self, values: Mapping[str, list[Whole]]) -> None:
+        """Compare what the C's variables hold that are named after nodes."""
+        found = self.machine.watch[f"{self.prefix}_advance"]
+        for node in self.model.nodes[:-1]:
+            wanted, copied = values[node.name], found.get(f"{node.name}_q15")
+            holder = found.get(node.name) or copied
+            if not isinstance(holder, CellBlock):
+                self.nodes.setdefault(node.name, "no variable of its name in the C")
+                continue
+            if holder is copied:
+                wanted = [self.meaning.round_shift(one, 15) for one in wanted]
+            same = len(holder.cells) == len(wanted) and all(
+                cell is term for cell, term in zip(holder.cells, wanted, strict=False)
+            )
+            below = [n for n in node.inputs if self.nodes.get(n)]
+            if same:
+                self.nodes.setdefault(node.name, "")
+            elif below:
+                self.nodes[node.name] = f"it reads {below[0]}, which is not proven"
+            else:
+                self.nodes[node.name] = "computes something else than the specification"
+
+    def _save(self) -> str:
+        self.used.saved.clear()
+        state = self._as_instance(self._any_state("unsound"))
+        saved = self._saved()
+        for _ in self.machine.explore(
+            lambda: self._ignore(self._entry("save", AddressOf(state), saved))
+        ):
+            pass
+        if self.used.saved != [(f"{self.model.identity}", True)]:
+            return "save does not copy the state once, as this model's"
+        return self._compare(state, self._any_state("unsound"))
+
+    def _saved(self) -> Spot:
+        block = CellBlock("saved", "uint8_t", (1 << 30,), [None])
+        return Spot(block, self.terms.constant(0), block.sizes)
+
+    def _restore(self) -> str:
+        """Refused or not sound: as after init, and 1. Otherwise the copy's bits, and 0."""
+        machine, terms = self.machine, self.terms
+        before = self._any_state("unsound")
+        answers: list[int] = []
+
+        def answer(machine: TermMachine) -> Whole:
+            answers.append(1 - machine.fork(2))
+            return machine.terms.constant(answers[-1])
+
+        self.sound = answer
+        made: list[tuple[Instance, Found]] = []
+
+        def run() -> None:
+            answers.clear()
+            machine.forking = True
+            instance = self._as_instance(before)
+            made.append((instance, self._entry("restore", AddressOf(instance), self._saved())))
+
+        paths = 0
+        for _ in machine.explore(run):
+            instance, found = made.pop()
+            paths += 1
+            copy = {
+                f.name: [
+                    terms.symbol(f"restored {f.name}[{k}]", *TYPES[f.type]) for k in range(f.count)
+                ]
+                for f in self.meaning.fields
+            }
+            refused = self.used.restored == 1
+            if not refused and not answers:
+                return "restore does not ask whether the state is sound"
+            sound = not refused and answers == [1]
+            if sound and self.model.guarded:
+                same = terms.equal(copy[CHECK][0], self.meaning.checksum(copy))
+                decided = machine.decide(same).exact
+                if decided is None:
+                    return "restore does not compare the checksum"
+                sound = decided == 1
+            wanted = copy if sound else self.meaning.blank()
+            if why := self._compare(instance, wanted):
+                return why
+            code = found.term.exact if isinstance(found, Number) else None
+            if code != int(not sound):
+                return f"restore returns {code} where {int(not sound)} was expected"
+        machine.forking = False
+        return "" if paths > 2 else "restore does not try to restore"
+
+    def _selftest(self) -> str:
+        """It replays known inputs: with these tables it answers 0."""
+        found: list[Found] = []
+        for _ in self.machine.explore(lambda: found.append(self._entry("selftest"))):
+            pass
+        if len(found) != 1 or not isinstance(found[0], Number) or found[0].term.exact != 0:
+            return "it does not answer 0"
+        return ""
+
+
+def read_macro(words: Sequence[str]) -> int | str | None:
+    """Return the number or text that a macro stands for."""
+    words = [w for w in words if w not in ("UINT32_C", "INT32_C", "(", ")")]
+    if not words:
+        return None
+    if words[0][0] == '"':
+        return words[0].strip('"') if len(words) == 1 else None
+    sign = -1 if words[0] == "-" else 1
+    words = words[1:] if sign < 0 else words
+    if len(words) != 1 or not words[0][0].isdigit():
+        return None
+    return sign * parse_integer(words[0])[0]
+
+
+# --- the kernels of other cores
+
+
+def show_kernels(model: IntegerModel, texts: Mapping[str, str], prefix: str) -> Iterator[ShownPart]:
+    """Yield what is shown of each other way to compile the model.
+
+    Nothing but the layers' tables and the calls of their kernels may differ from the plain C, and
+    each kernel's table must hold the model's weights in its order. Intrinsics and assembly
+    themselves are tested (docs/reference/kernels.md), not proven.
+    """
+    runtime = Runtime(texts)
+    ways = read_ways(texts, prefix, runtime.numbers)
+    programs = [(way, _parse_way(tokens)) for way, tokens in ways]
+    plain = next(p for way, p in programs if _is_plain(way))
+    for way, program in programs:
+        if _is_plain(way):
+            continue
+        try:
+            why = _hold_way(model, program, plain, prefix)
+        except UNCHECKED as error:
+            why = _tell(error)
+        yield ShownPart("kernels of recurrent layers", way.name, OPEN if why else TESTED, why)
+
+
+def _is_plain(way: PreprocessorWay) -> bool:
+    assembly = {"ZD_GRU_ASSEMBLY", "ZD_ASSEMBLY"} & {*way.defined}
+    return way.defined.get("ZD_KERNEL", 0) == 0 and not assembly
+
+
+def _parse_way(tokens: Tokens) -> Program:
+    program = parse_all(tokens, tuple(STRUCTS))
+    for name, fields in STRUCTS.items():
+        program.structs[name] = tuple(
+            Variable(
+                TypeName(of.removeprefix("const ").removesuffix(" *"), True, of.endswith("*")),
+                field,
+                () if not count else (_integer(count),),
+                0,
+            )
+            for field, of, count in fields
+        )
+    return program
+
+
+def _integer(value: int) -> CInteger:
+    return CInteger(0, str(value), value)
+
+
+def _hold_way(model: IntegerModel, program: Program, plain: Program, prefix: str) -> str:
+    used = Used()
+    holder: list[Specification] = []
+    rules: dict[str, Rule] = make_rules(prefix, lambda: holder[0].layers, used)
+    own = program.constants
+    machine_program = replace(program, claims=[], constants=[])
+    machine = TermMachine(machine_program, rules)
+    meaning = Specification(machine.terms, model)
+    holder.append(meaning)
+    names = {*meaning.layers.layers}
+    apart = {f"{name}_{end}" for name in names for end in ("step", "is_sound", "assembly")}
+    tables = {v.name for v in own} - {v.name for v in plain.constants}
+    tables |= {
+        f"{name}_{end}" for name in names for end in ("w_x", "w_h", "bias", "multiplier", "stream")
+    }
+    if why := _find_difference(program, plain, apart, names | tables):
+        return why
+    for variable in own:
+        machine._declare(variable, machine.globals)
+    for name in sorted(names):
+        layer = meaning.layers.layers[name]
+        constants = machine.globals[name]
+        assert isinstance(constants, Instance)
+        if f"{name}_assembly" in program.assembly:
+            rules[f"{name}_assembly"] = make_assembly(lambda: meaning.layers, layer, constants)
+        for relaxing in (False, True):
+            if why := _hold_step(machine, meaning.layers, layer, relaxing):
+                return why
+        sound = machine.call(f"{name}_is_sound", [])
+        if not isinstance(sound, Number) or sound.term.exact != 1:
+            return f"{name}_is_sound does not know its own tables"
+    return ""
+
+
+def _hold_step(machine: TermMachine, layers: Layers, layer: Numbered, relaxing: bool) -> str:
+    """Return why a layer's own function is no step of it, its kernel taken as specified."""
+    from zerodrift.verify.prove_kernels import CELL_LIMIT, H_LIMIT_Q30
+
+    terms, hidden = machine.terms, layer.hidden
+    x = [terms.symbol(f"x{i}", -32768, 32767) for i in range(layer.inputs)]
+    h = [terms.symbol(f"h{j}", -H_LIMIT_Q30, H_LIMIT_Q30) for j in range(hidden)]
+    c = [terms.symbol(f"c{j}", -CELL_LIMIT, CELL_LIMIT) for j in range(hidden)]
+    c = c if layer.kind == "lstm" else []
+    blocks = [CellBlock("x", "int16_t", (layer.inputs,), list(x))]
+    blocks.append(CellBlock("h", "int32_t", (hidden,), list(h)))
+    if c:
+        blocks.append(CellBlock("c", "int32_t", (hidden,), list(c)))
+    given: list[Found] = [Spot(b, terms.constant(0), b.sizes) for b in blocks]
+    mode = machine.constant(int(relaxing), "uint32_t") if c else machine.constant(int(relaxing) - 1)
+    machine.call(f"{layer.name}_step", [*given, mode])
+    wanted = layers.step(layer.name, x, h, c, relaxing)
+    for block, numbers in zip(blocks[1:], wanted, strict=False):
+        if any(cell is not term for cell, term in zip(block.cells, numbers, strict=True)):
+            return f"{layer.name}_step is no step of the layer"
+    return ""
+
+
+def _find_difference(program: Program, plain: Program, apart: set[str], tables: set[str]) -> str:
+    """Return what differs from the plain C beside the layers' functions and tables."""
+    for one, other in ((program, plain), (plain, program)):
+        for name, function in one.functions.items():
+            if name in apart:
+                continue
+            twin = other.functions.get(name)
+            if twin is None or _shape(twin.body) != _shape(function.body):
+                return f"{name} is another than in plain C"
+        for variable in one.constants:
+            if variable.name in tables:
+                continue
+            twins = [v for v in other.constants if v.name == variable.name]
+            if len(twins) != 1 or _shape_variable(twins[0]) != _shape_variable(variable):
+                return f"{variable.name} is another than in plain C"
+        if one.structs.keys() != other.structs.keys():
+            return "other structs than in plain C"
+        for name, fields in one.structs.items():
+            own = [_shape_variable(v) for v in fields]
+            if own != [_shape_variable(v) for v in other.structs[name]]:
+                return f"{name} is another than in plain C"
+    return ""
+
+
+def _shape_variable(variable: Variable) -> tuple[object, ...]:
+    first = None if variable.first is None else _shape(variable.first)
+    return variable.type, variable.name, tuple(_shape(s) for s in variable.sizes), first
+
+
+def _shape(node: CNode) -> tuple[object, ...]:
+    """Return a node without the places of its tokens."""
+    parts: list[object] = [type(node).__name__]
+    for name, value in vars(node).items():
+        if name == "at":
+            continue
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, CNode):
+                parts.append(_shape(one))
+            elif isinstance(one, Variable):
+                parts.append(_shape_variable(one))
+            else:
+                parts.append(tuple(one) if isinstance(one, list) else one)
+        parts.append(name)
+    return tuple(parts)
