@@ -21,7 +21,7 @@ BUMP_OF_K = (0.118597600000e00, -0.118343200000e-03, 0.126968600000e03)
 
 
 @dataclass(frozen=True)
-class Piece:
+class CouplePiece:
     """A polynomial over a range of temperatures."""
 
     low_degC: float
@@ -32,9 +32,9 @@ class Piece:
     """a0, a1, a2 of K."""
 
 
-COUPLES: dict[str, tuple[Piece, ...]] = {
+COUPLES: dict[str, tuple[CouplePiece, ...]] = {
     "B": (
-        Piece(
+        CouplePiece(
             0.0,
             630.615,
             (
@@ -47,7 +47,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
                 6.2990347094e-19,
             ),
         ),
-        Piece(
+        CouplePiece(
             630.615,
             1820.0,
             (
@@ -64,7 +64,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
         ),
     ),
     "E": (
-        Piece(
+        CouplePiece(
             -270.0,
             0.0,
             (
@@ -84,7 +84,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
                 -3.4657842013e-29,
             ),
         ),
-        Piece(
+        CouplePiece(
             0.0,
             1000.0,
             (
@@ -103,7 +103,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
         ),
     ),
     "J": (
-        Piece(
+        CouplePiece(
             -210.0,
             760.0,
             (
@@ -118,7 +118,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
                 1.5631725697e-23,
             ),
         ),
-        Piece(
+        CouplePiece(
             760.0,
             1200.0,
             (
@@ -132,7 +132,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
         ),
     ),
     "K": (
-        Piece(
+        CouplePiece(
             -270.0,
             0.0,
             (
@@ -149,7 +149,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
                 -1.6322697486e-23,
             ),
         ),
-        Piece(
+        CouplePiece(
             0.0,
             1372.0,
             (
@@ -168,7 +168,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
         ),
     ),
     "N": (
-        Piece(
+        CouplePiece(
             -270.0,
             0.0,
             (
@@ -183,7 +183,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
                 -9.3419667835e-20,
             ),
         ),
-        Piece(
+        CouplePiece(
             0.0,
             1300.0,
             (
@@ -202,7 +202,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
         ),
     ),
     "R": (
-        Piece(
+        CouplePiece(
             -50.0,
             1064.18,
             (
@@ -218,7 +218,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
                 -2.81038625251e-27,
             ),
         ),
-        Piece(
+        CouplePiece(
             1064.18,
             1664.5,
             (
@@ -230,7 +230,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
                 -2.93359668173e-16,
             ),
         ),
-        Piece(
+        CouplePiece(
             1664.5,
             1768.1,
             (
@@ -243,7 +243,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
         ),
     ),
     "S": (
-        Piece(
+        CouplePiece(
             -50.0,
             1064.18,
             (
@@ -258,7 +258,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
                 2.71443176145e-24,
             ),
         ),
-        Piece(
+        CouplePiece(
             1064.18,
             1664.5,
             (
@@ -269,7 +269,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
                 1.29989605174e-14,
             ),
         ),
-        Piece(
+        CouplePiece(
             1664.5,
             1768.1,
             (
@@ -282,7 +282,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
         ),
     ),
     "T": (
-        Piece(
+        CouplePiece(
             -270.0,
             0.0,
             (
@@ -303,7 +303,7 @@ COUPLES: dict[str, tuple[Piece, ...]] = {
                 7.9795153927e-31,
             ),
         ),
-        Piece(
+        CouplePiece(
             0.0,
             400.0,
             (

@@ -71,7 +71,17 @@ def _cover_junction(
     )
     first, last = (round((end - codes.offset) / codes.lsb) for end in ends)
     first, last = (min(max(code, codes.codes[0]), codes.codes[1]) for code in (first, last))
-    return JunctionCodes(index, codes.bits, codes.lsb, codes.offset, codes.no_reading, first, last)
+    by = make_channel(index, codes).conversion
+    return JunctionCodes(
+        channel=index,
+        bits=codes.bits,
+        lsb=codes.lsb,
+        offset=codes.offset,
+        none=codes.no_reading,
+        low=first,
+        high=last,
+        error=0.0 if by is None else by.error,
+    )
 
 
 def _find_codes(

@@ -11,6 +11,7 @@ from zerodrift.base.conversion_config import ConversionConfig, junction_formula,
 from zerodrift.base.errors import CheckError
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.raw_codes import RAW_LIMITS, RawCover
+from zerodrift.dataset.thermocouples import measure_slope
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray
 from zerodrift.operations.conversion import MOST_LINES, IntegerConversion
 
@@ -56,6 +57,8 @@ class JunctionCodes:
     low: int
     high: int
     """Codes that the table covers; beyond them they are limited."""
+    error: float = 0.0
+    """What its own conversion is off by, in K."""
 
 
 @lru_cache(maxsize=64)
@@ -89,6 +92,9 @@ def design_conversion(
         of_sum = replace(cover, raw="int32", fraction_bits=None)
         made = _design(name, index, of_sum, sum_formula(formula, bits), lsb, offset, none)
         cold = _design_junction(name, formula, bits, junction)
+        cold_degC = np.linspace(junction.low, junction.high, 1025) * junction.lsb + junction.offset
+        steepest = measure_slope(formula.couple or "", cold_degC).max()
+        own = junction.error * float(steepest) * 2.0**bits / abs(formula.scale) * BETWEEN_SAMPLES
         worth = tuple(2.0**bits * one for one in made.worth)
         return replace(
             made,
@@ -98,7 +104,7 @@ def design_conversion(
             junction=cold,
             fraction_bits=bits,
             worth=(worth[0], worth[1]),
-            error=made.error + cold.error * made.worth[1],
+            error=made.error + (cold.error + own) * made.worth[1] * BETWEEN_SAMPLES,
         )
     return _design(name, index, cover, formula, lsb, offset, none)
 
@@ -169,16 +175,18 @@ def _design(
 def _measure(
     made: IntegerConversion, places: IntArray, wanted: Array, lsb: float, offset: float
 ) -> IntegerConversion:
-    """Return the conversion with its error over all codes, and what one of them is worth."""
+    """Return the conversion with its error over all codes, and what one of them is worth.
+
+    The error is for any number between codes too, as the check of the error bound derives it: the
+    lines' largest distance from the formula, a little more for what lies between the codes at
+    which they are compared, and half a code for the rounding of the result.
+    """
     codes = places + made.low
     readings = ~made.find_missing(codes)
-    if places.size > made.high - made.low:
-        error = np.abs(made.convert(codes) * lsb + offset - wanted)[readings].max()
-    else:
-        bits = made.shift - made.block_bits
-        fine = replace(made, shift=made.block_bits, lowest=INT32_MIN, highest=INT32_MAX)
-        lines = fine.convert(codes) * 2.0**-bits * lsb + offset
-        error = np.abs(lines - wanted)[readings].max() * BETWEEN_SAMPLES + (0.5 + 2.0**-bits) * lsb
+    bits = made.shift - made.block_bits
+    fine = replace(made, shift=made.block_bits, lowest=INT32_MIN, highest=INT32_MAX, none=None)
+    lines = fine.convert(codes) * 2.0**-bits * lsb + offset
+    error = np.abs(lines - wanted)[readings].max() * BETWEEN_SAMPLES + (0.5 + 2.0**-bits) * lsb
     steps = np.abs(np.diff(wanted)) / np.diff(places)
     return replace(
         made,

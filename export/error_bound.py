@@ -1,7 +1,8 @@
 """How far the chip's answer can ever be from the float model in real arithmetic, output by output.
 
 The float model is the graph with the parameters as they were before rounding, limited where the
-chip is; both are given the same codes and were at rest under the same ones. The bound goes through
+chip is; both are given the same codes and were at rest under the same ones. Where the chip converts
+raw codes, the float model has their exact quantity. The bound goes through
 what the answers stand for (`Real`) and asks each integer node for its error (`bound_error`).
 """
 
@@ -15,12 +16,13 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import Quantized
 from zerodrift.operations.enclosure import shorten
 from zerodrift.operations.errors import NONE, Error, Known, bound_in_place
+from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.signals import Real, Signal
 
 HOLDS = "same start, any input, any run length; the float model is limited where the chip is"
-BEHIND = "; both are given the codes behind the conversion of raw ones"
+EXACT = "; both are given the same raw codes, the float model exactly converted"
 ROUNDS = 60
 """Of the loop in which a load's error is that of the drift before; it closes, or no bound holds."""
 SPARE = Fraction(1, 1 << 20)
@@ -55,7 +57,7 @@ def bound_errors(quantized: Quantized) -> ErrorBound:
     ]
     try:
         drift = [NONE] * len(quantized.model.outputs)
-        holds = HOLDS + (BEHIND if quantized.model.conversions else "")
+        holds = HOLDS + (EXACT if quantized.model.conversions else "")
         for _ in range(ROUNDS):
             found = _Pass(quantized.model, known, drift).bound(quantized.answers)
             if all(a.covers(b) for a, b in zip(drift, found, strict=True)):
@@ -129,7 +131,20 @@ class _Pass:
             return bound_in_place(signal, real, out, inputs)
         if real.operation == "load":
             inputs = [self._know_drift(signal)]
-        return self._nodes[signal.node].bound_error(real, out, inputs)
+        error = self._nodes[signal.node].bound_error(real, out, inputs)
+        if real.operation == "input":
+            error += self._find_conversion(signal)
+        return error
+
+    def _find_conversion(self, signal: Signal) -> Error:
+        """Return how far the code of an input is from the exact quantity of what the chip is given.
+
+        Limits of codes, which both models have, bring the two no further apart.
+        """
+        node = self._nodes[signal.node]
+        assert isinstance(node, IntegerInput)
+        by = self._model.channels[node.channel].conversion
+        return NONE if by is None else Error(conversion=Fraction(by.error))
 
     def _know_with_error(self, signal: Signal) -> Known:
         known, error = self._know(signal), self._bound(signal)

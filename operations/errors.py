@@ -34,6 +34,8 @@ class Error:
     """Weights and biases of the network's layers."""
     output: Fraction = ZERO
     """The answer, rounded to a count of the output."""
+    conversion: Fraction = ZERO
+    """Raw codes that a table brings to the quantity."""
 
     @property
     def total(self) -> Fraction:

@@ -455,6 +455,32 @@ class InitResult:
     """What was seen of each column of the first run."""
 
 
+@dataclass(frozen=True)
+class UpgradedInput:
+    """The codes of an input that zerodrift.toml states now."""
+
+    column: str
+    raw: str
+    """int16 or int32."""
+    lsb: float
+    """One code, in the column's unit."""
+
+
+@dataclass(frozen=True)
+class UpgradeResult:
+    """What `init --upgrade` wrote into zerodrift.toml."""
+
+    SCHEMA: ClassVar = "upgrade/1"
+
+    file: str
+    units: int
+    """Of the fleet, whose logs all fit; 1 for a project."""
+    changed: Mapping[str, UpgradedInput]
+    """Input -> its codes; nothing was written where there is none."""
+    kept: Mapping[str, str]
+    """Input -> why its codes do not follow from logs."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class CalibrateResult(CalibrationSummary):
     """A calibration matrix, and what it leaves."""
@@ -549,6 +575,7 @@ RESULTS: tuple[type, ...] = (
         RemoveResult,
         ReportResult,
         TrainResult,
+        UpgradeResult,
         VerifySummary,
     ),
 )

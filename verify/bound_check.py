@@ -12,6 +12,7 @@ from fractions import Fraction
 
 from zerodrift.verify import bound_numbers as numbers
 from zerodrift.verify.bound_claims import ErrorClaim, FloatLine, Place, read_bound
+from zerodrift.verify.bound_conversion import ConversionCheck
 from zerodrift.verify.bound_forms import CODE, LOAD, NodeForm, find_list, read_forms
 from zerodrift.verify.c_model import Model
 from zerodrift.verify.c_values import Block, NotUnderstoodError, Pointer, Struct
@@ -66,7 +67,7 @@ def check_bound(told: Mapping[str, object], model: Model) -> tuple[int, list[str
     for k, claim in enumerate(claims):
         if lines[claim.signal].place != ("drift", k):
             return 0, [f"{claim.output}: its bound is about another signal than drift[{k}]"]
-    derived = _BoundCheck(model, lines, claims).derive()
+    derived = _BoundCheck(model, lines, claims, told.get("conversions")).derive()
     failures = [
         f"{claim.output}: an error of at most {float(claim.bound):.17g} is claimed, "
         f"{float(found):.17g} was derived"
@@ -78,11 +79,18 @@ def check_bound(told: Mapping[str, object], model: Model) -> tuple[int, list[str
 
 class _BoundCheck:
     def __init__(
-        self, model: Model, lines: Sequence[FloatLine], claims: Sequence[ErrorClaim]
+        self,
+        model: Model,
+        lines: Sequence[FloatLine],
+        claims: Sequence[ErrorClaim],
+        conversions: object,
     ) -> None:
         self._model, self._lines, self._claims = model, lines, claims
         self._forms = read_forms(model.program, model.prefix)
         self._vectors: dict[str, list[tuple[int, int]]] = {}
+        self._conversions = ConversionCheck(
+            conversions, model.program.tokens.words, model.prefix, model.constants
+        )
 
     def derive(self) -> list[Fraction]:
         """Return the bound of each output.
@@ -200,7 +208,7 @@ class _BoundCheck:
         for code in (low, high):
             q = code * factor + form.constant
             gaps.append(abs(out.at(q) - (offset + lsb * code - taken_off)))
-        return max(gaps)
+        return max(gaps) + self._conversions.bound(form.table, lsb, offset)
 
     def _load(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         if form.call != LOAD or form.constant or form.shift:

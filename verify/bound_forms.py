@@ -49,6 +49,7 @@ class NodeForm:
     numbers: tuple[int, ...] = ()
     """The other arguments of that."""
     table: str = ""
+    """Of a power; of a code the field of the input."""
     load: int = -1
     """Index of the drift that a load is less by."""
 
@@ -182,7 +183,7 @@ def _read_call(
     if name in ("zd_clamp32", "zd_clamp64"):
         low, high = _number(arguments[1]), _number(arguments[2])
         if isinstance(arguments[0], CField):
-            return NodeForm({(CODE,): 1}, call=CODE, numbers=(low, high))
+            return NodeForm({(CODE,): 1}, call=CODE, numbers=(low, high), table=arguments[0].name)
         form = _read(arguments[0], local)
         if form.low is not None or form.call:
             raise NotUnderstoodError("two limits")

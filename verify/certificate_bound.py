@@ -4,6 +4,7 @@ from zerodrift.export.error_bound import ErrorBound, round_up
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.errors import CAUSES
 from zerodrift.operations.signals import Real, Signal
+from zerodrift.verify.certificate_conversions import describe_conversions
 
 Line = dict[str, object]
 
@@ -34,7 +35,9 @@ def describe_bound(bound: ErrorBound, model: IntegerModel) -> dict[str, object]:
         }
         for output, answer, error in zip(model.outputs, bound.answers, bound.outputs, strict=True)
     ]
-    return {"holds": bound.holds, "error_bound": claims, "float_model": lines}
+    conversions = describe_conversions(model)
+    told = {"conversions": conversions} if conversions else {}
+    return {"holds": bound.holds, "error_bound": claims, "float_model": lines, **told}
 
 
 def _meaning(signal: Signal) -> Real:

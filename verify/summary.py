@@ -45,6 +45,8 @@ class ErrorCauses:
     """Weights and biases of the network."""
     output: float
     """The answer, rounded to a count."""
+    conversion: float = field(default=0.0, metadata=OPTIONAL)
+    """Raw codes that a table brings to the quantity."""
 
 
 @dataclass(frozen=True, kw_only=True)

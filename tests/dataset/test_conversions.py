@@ -118,7 +118,7 @@ def test_value_that_the_conversion_does_not_know_is_refused_with_its_line(tmp_pa
         ('{ column = "adc", convert = "pt100", unit = "V" }', 'convert = "pt100" is from ohm'),
         ('{ column = "adc", beta_K = 3950 }', 'beta_K belongs to convert = "ntc"'),
         ('{ column = "adc", convert = "table", points = [[0, 0], [2, 1], [1, 2]] }', "x rising or"),
-        ('{ column = "adc", convert = "tc" }', "expected one of ntc, pt100, pt1000, table, poly"),
+        ('{ column = "adc", convert = "tc" }', "expected one of ntc, pt100, pt1000, thermocouple"),
         ('{ column = "adc", divider = { series_ohm = 1, counts = 2 } }', "gives ohm; expected"),
     ],
 )

@@ -131,7 +131,7 @@ def test_firmware_of_a_thermistor_is_given_its_counts(tmp_path: Path) -> None:
     assert (conversion["raw"], conversion["readings"]) == ("uint16", [64, 65471])
     assert conversion["error"] <= 0.0078125 and conversion["table_bytes"] <= 1024
     assert list(told["conversions"]) == ["temperature"]
-    assert "behind the conversion of raw ones" in told["error_bound"]["P"]["holds"]
+    assert "the float model exactly converted" in told["error_bound"]["P"]["holds"]
     rmse = told["rmse"]
     assert abs(rmse["integer"]["P"] - rmse["float"]["P"]) < 2e-5 < 0.01 * rmse["float"]["P"]
     assert rmse["integer"]["P"] < 0.01 * rmse["uncompensated"]["P"]

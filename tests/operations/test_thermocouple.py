@@ -58,7 +58,9 @@ def make_formula(couple: str) -> ConversionConfig:
     return ConversionConfig(kind="thermocouple", couple=couple, scale=2.5e-6, junction="board")
 
 
-def make_conversion(couple: str, lsb: float = LSB) -> IntegerConversion:
+def make_conversion(
+    couple: str, lsb: float = LSB, board: Channel | None = None
+) -> IntegerConversion:
     by, span = make_formula(couple), SPANS[couple]
     bits = choose_fraction_bits(by, span, lsb)
     of_sum = sum_formula(by, bits)
@@ -66,7 +68,8 @@ def make_conversion(couple: str, lsb: float = LSB) -> IntegerConversion:
     assert isinstance(found, RawRange), found
     cover = cover_range(of_sum, found, "int16", (span[0] - 3, span[1] + 3), NONE, bits)
     low, high = (round(end / BOARD_LSB) for end in COLD)
-    junction = JunctionCodes(1, 16, BOARD_LSB, 0.0, NONE, low, high)
+    own = 0.0 if board is None or board.conversion is None else board.conversion.error
+    junction = JunctionCodes(1, 16, BOARD_LSB, 0.0, NONE, low, high, own)
     return design_conversion(0, cover, by, lsb, 0.0, NONE, junction)
 
 
@@ -90,11 +93,12 @@ def make_model(couple: str, converted: bool = False) -> IntegerModel:
     x = ops.input("x0")
     nodes = [ops.lowpass(x, 9.0), ops.product(x, ops.input("x1"))]
     floating, calibration = describe_graph(nodes, draw_codes(3))
-    by = make_conversion(couple)
+    board = make_board(converted)
+    by = make_conversion(couple, board=board)
     first = Channel("x0", "degC", LSB, no_reading=NONE, conversion=by)
     low, high = by.lowest + 300, by.highest - 300
     model = quantize(
-        replace(floating, channels=(first, make_board(converted))),
+        replace(floating, channels=(first, board)),
         replace(calibration, code_limits=((low, high), (0, 15_000)), temperature_range=(low, high)),
     )
     return replace(model, guards=replace(model.guards, rate_max=900))

@@ -1,6 +1,6 @@
 """`zerodrift firmware`: logs in, host-checked C out."""
 
-from dataclasses import astuple, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -384,15 +384,18 @@ def _print_bound(told: FirmwareSummary, firmware: "Firmware", console: "Console"
         why = next((bound.why for bound in found.values()), "")
         console.print(f"no bound is proven on the chip's distance from the float model: {why}")
         return
+    causes = [cause.name for cause in fields(ErrorCauses)]
+    if not any(bound.causes.conversion for bound in proven.values() if bound.causes):
+        causes.remove("conversion")
     table = open_table(
         "Proven: the chip is never further from the float model than this, by cause",
         ("output", "unit"),
-        ("bound", "% FS", *(cause.name for cause in fields(ErrorCauses))),
+        ("bound", "% FS", *causes),
     )
     scales = {output.name: output.full_scale for output in firmware.model.outputs}
     for name, bound in proven.items():
         assert bound.value is not None and bound.causes is not None
-        shares = (f"{share:.2g}" for share in astuple(bound.causes))
+        shares = (f"{getattr(bound.causes, cause):.2g}" for cause in causes)
         percent = 100.0 * bound.value / scales[name]
         table.add_row(name, bound.unit, f"{bound.value:.3g}", f"{percent:.2g}", *shares)
     console.print(table)

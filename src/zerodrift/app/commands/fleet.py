@@ -97,6 +97,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
     spoils its own sensor only. Exit code 1: a sensor has no result, is refused by the gate and not
     forced, or exceeds a limit.
     """
+    from zerodrift.app.upgrade import find_unstated
     from zerodrift.base.config import load_config
     from zerodrift.base.errors import CheckError
     from zerodrift.fleet.design import Design
@@ -114,6 +115,13 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
         executor = OverRay(options.ray_address, jobs)
     else:
         executor = Processes(jobs) if jobs > 1 else Serial()
+    for name in find_unstated(config):
+        click.echo(
+            f"note: the codes of '{name}' follow from each unit's own logs, so that one may be"
+            " worth something else from unit to unit; `zerodrift init --upgrade` writes down one"
+            " for all",
+            err=True,
+        )
     state = _RunState()
     try:
         with _show_progress(state) as tell:

@@ -24,7 +24,7 @@ USE_WORDS = {"dwell": ("dwell", "isothermal", "noise"), "test": ("test", "walk",
 
 
 @click.command()
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG...")
+@click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="[LOG...]")
 @directory_option
 @click.option("--force", is_flag=True, help=f"Overwrite an existing {FILE_NAME}.")
 @click.option(
@@ -35,6 +35,12 @@ USE_WORDS = {"dwell": ("dwell", "isothermal", "noise"), "test": ("test", "walk",
     help="Interval between rows, for logs without times.",
 )
 @click.option("--interactive", is_flag=True, help="Ask wherever there is a choice.")
+@click.option(
+    "--upgrade",
+    "is_upgrade",
+    is_flag=True,
+    help=f"Write into an existing {FILE_NAME} what its logs chose so far: the codes of inputs.",
+)
 @json_option
 def command(
     logs: tuple[Path, ...],
@@ -42,6 +48,7 @@ def command(
     force: bool,
     period_s: float | None,
     interactive: bool,
+    is_upgrade: bool,
     as_json: bool,
 ) -> None:
     """Write a commented zerodrift.toml guessed from LOG...
@@ -51,8 +58,25 @@ def command(
     then in DIR. Columns are told by name, unit and values: time_s, temperature_degC, Fz_N,
     ref_Fz_N, supply_V. What was seen is printed, and what to check; in the file, `# check:` names
     what else a value may be.
+
+    --upgrade takes no LOG and guesses nothing. Where a project leaves the codes of its inputs to
+    its logs, so that units of one design may get different ones, those chosen so far are written
+    down: of a fleet those that hold the logs of every unit.
     """
     target = directory / FILE_NAME
+    if is_upgrade:
+        if logs or force or interactive or period_s is not None:
+            raise InputError(
+                "init --upgrade: reads the logs that zerodrift.toml names and guesses nothing; "
+                "expected no LOG, --force, --interactive or --period-s beside it. Take them out."
+            )
+        _upgrade(directory, as_json)
+        return
+    if not logs:
+        raise InputError(
+            "init: no log is named; expected files or folders to guess from, such as `zerodrift "
+            "init logs/`, or --upgrade for a project that there is."
+        )
     if target.exists() and not force:
         raise InputError(f"{target}: exists already; --force overwrites it.")
     places = [log if log.exists() else directory / log for log in logs]
@@ -71,6 +95,16 @@ def command(
         print_result(_summarise(target, guess, selectors))
         return
     click.echo(_describe_guess(target, guess, selectors))
+
+
+def _upgrade(directory: Path, as_json: bool) -> None:
+    from zerodrift.app.upgrade import describe, upgrade
+
+    result = upgrade(directory)
+    if as_json:
+        print_result(result)
+    else:
+        click.echo(describe(result))
 
 
 def ask(guess: Guess) -> Guess:
