@@ -5,7 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
+from zerodrift.base.errors import nearest
 from zerodrift.base.toml_table import TomlTable
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
@@ -66,6 +68,29 @@ def fits(path: Path, pattern: str) -> bool:
     return fnmatchcase("/".join(path.parts[-parts:]), pattern)
 
 
+def _read_zone(table: TomlTable) -> str:
+    """Return a zone's name, or a difference to UTC.
+
+    Raises:
+        InputError: this machine knows zones, and none of that name.
+    """
+    zone = table.text("zone")
+    if read_fixed_zone(zone) is not None:
+        return zone
+    try:
+        ZoneInfo(zone)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        names = available_timezones()
+        if names and zone not in names:
+            raise table.error(
+                "zone",
+                f"there is no time zone '{zone}'; expected a name such as Europe/Berlin, or "
+                f"a difference to UTC such as +02:00{nearest(zone, names) or '.'} Correct "
+                f"{table.label('zone')}.",
+            ) from None
+    return zone
+
+
 def read_fixed_zone(zone: str) -> float | None:
     """Return the seconds by which a zone such as `-05:00` is before UTC; None for a name."""
     match = _FIXED.fullmatch(zone.strip())
@@ -105,7 +130,7 @@ def read_time(table: TomlTable, key: str) -> TimeConfig:
         columns,
         inner.choice("unit", tuple(TIME_UNITS), "s") if "unit" in inner.values else "",
         inner.text("format") if "format" in inner.values else "",
-        inner.text("zone") if "zone" in inner.values else "",
+        _read_zone(inner) if "zone" in inner.values else "",
     )
 
 
