@@ -5,7 +5,14 @@ import importlib
 import time
 
 NAMES = (
-    *("bench_main_job", "bench_kernels", "bench_cores", "bench_effects", "bench_logs"),
+    *(
+        "bench_main_job",
+        "bench_kernels",
+        "bench_cores",
+        "bench_recurrent",
+        "bench_effects",
+        "bench_logs",
+    ),
     "bench_text",
     *("bench_loop", "bench_real", "bench_training", "bench_fleet"),
     *("bench_random", "bench_certificate", "bench_int8", "bench_builds", "bench_six_axis"),

@@ -110,6 +110,12 @@ def draw_slow_compensator(rng: np.random.Generator, codes: NDArray[np.int16]) ->
 
 def draw_fast_model(weights: str, hidden: int = HIDDEN) -> IntegerModel:
     """Return a GRU(16) on four raw inputs: the shape whose speed is told everywhere."""
+    drawn = draw_fast_float(hidden)
+    return quantize(drawn.model, drawn.calibration, weights)
+
+
+def draw_fast_float(hidden: int = HIDDEN) -> Compensator:
+    """Return the same in float, and ranges as if it had been calibrated."""
     rng = np.random.default_rng(1)
     ops = GraphOperations(1.0)
     names = [f"in{i}" for i in range(INPUTS)]
@@ -141,7 +147,7 @@ def draw_fast_model(weights: str, hidden: int = HIDDEN) -> IntegerModel:
         rate_max=1000,
         warm_up_steps=0,
     )
-    return quantize(model, calibration, weights)
+    return Compensator(model, calibration)
 
 
 def time_kernels(rounds: int) -> None:

@@ -43,6 +43,39 @@ SUPPORTED = (
     " states; Relu, LeakyRelu, PRelu, Clip, Tanh, Sigmoid and HardSigmoid"
 )
 
+_NORMALIZED = (
+    "it divides by a deviation that it computes anew at every sample, for which the chip has no"
+    " operation. Train with BatchNorm, which is folded into the weights, or without normalisation"
+)
+REMEDIES = {
+    **dict.fromkeys(
+        (
+            "LayerNormalization",
+            "SkipLayerNormalization",
+            "SimplifiedLayerNormalization",
+            "RMSNormalization",
+            "GroupNormalization",
+            "InstanceNormalization",
+            "MeanVarianceNormalization",
+        ),
+        _NORMALIZED,
+    ),
+    "ReduceMean": "it takes a mean over values of one sample, as a layer normalisation does; then"
+    f" {_NORMALIZED}",
+    **dict.fromkeys(
+        ("Loop", "Scan", "If"),
+        "it is control flow. Export the operators GRU and LSTM, or one step of the network with its"
+        " states as inputs and outputs",
+    ),
+    "RNN": "train a GRU or an LSTM in its place",
+    **dict.fromkeys(
+        ("CumSum", "CumProd", "LogCumSumExp"),
+        "it sums over time, as cells trained by parallel scans (minGRU, minLSTM) do, which are not"
+        " read. Train a GRU or an LSTM in its place",
+    ),
+}
+"""Operator that is refused -> why, and what to change."""
+
 
 def bind_features(value: Value, position: int) -> OnnxSignal:
     """Return data as a signal; the features of an input are taken to lie along an axis.
@@ -126,7 +159,8 @@ def elementwise(node: onnx.NodeProto, _: Attributes, values: list[Value]) -> lis
     if is_data(other):
         raise Unsupported(
             "it is a product of two signals; only recurrent layers and cells, sums and"
-            " concatenations may join branches. Put one of them into the network's inputs"
+            " concatenations may join branches. Put one of them into the network's inputs; where"
+            " this is a gated cell of another kind (minGRU, SRU), train a GRU or an LSTM"
         )
     array = pick_array(other, "second operand").astype(np.float64)
     if data is b and op == "Div":

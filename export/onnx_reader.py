@@ -22,7 +22,7 @@ from zerodrift.export.onnx_assemble import build_network
 from zerodrift.export.onnx_cells import restore_cells
 from zerodrift.export.onnx_files import LARGEST_FILE, complete_shapes, load_external_data
 from zerodrift.export.onnx_fold import fold_constants
-from zerodrift.export.onnx_operators import OPERATORS, SUPPORTED
+from zerodrift.export.onnx_operators import OPERATORS, REMEDIES, SUPPORTED
 from zerodrift.export.onnx_shapes import RESHAPING
 from zerodrift.export.onnx_values import (
     Axis,
@@ -282,7 +282,8 @@ def _evaluate(
         if node.op_type in RESHAPING and isinstance(inputs[0], Fill):
             return [inputs[0]] * outputs
         if node.op_type not in OPERATORS:
-            raise Unsupported("not supported")
+            remedy = REMEDIES.get(node.op_type)
+            raise Unsupported(f"not supported: {remedy}" if remedy else "not supported")
         return OPERATORS[node.op_type](node, dict(attributes), inputs)
     except Unsupported as error:
         message = f"{name}: {error}"

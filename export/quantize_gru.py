@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, choose_exponent
 from zerodrift.operations.gru.cell import GATES, FloatGru, IntegerGru
+from zerodrift.operations.lstm.cell import FloatLstm
 
 Array = NDArray[np.float64]
 SHIFT_LIMIT = 30
@@ -77,10 +78,7 @@ def quantize_gru(gru: FloatGru, feature_exponents: NDArray[np.int64], weights: s
     Raises:
         CheckError: a gate's weights are so large that no scale is safe, or not finite.
     """
-    for name, array in (("w_x", gru.w_x), ("w_h", gru.w_h), ("bias", gru.bias)):
-        if not np.isfinite(array).all():
-            at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-            raise CheckError(f"GRU {name}{list(at)} is not finite; the model is refused")
+    refuse_not_finite("GRU", gru)
     formats = [
         choose_gate(
             GateRows(
@@ -115,6 +113,19 @@ def quantize_gru(gru: FloatGru, feature_exponents: NDArray[np.int64], weights: s
             formats[2].multiplier_shift,
         ),
     )
+
+
+def refuse_not_finite(kind: str, layer: FloatGru | FloatLstm) -> None:
+    """Raise CheckError where a weight of a layer is infinite or no number.
+
+    Args:
+        kind: for the message: "GRU", "LSTM".
+        layer: its weights in float.
+    """
+    for name, array in (("w_x", layer.w_x), ("w_h", layer.w_h), ("bias", layer.bias)):
+        if not np.isfinite(array).all():
+            at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+            raise CheckError(f"{kind} {name}{list(at)} is not finite; the model is refused")
 
 
 def choose_gate(gate: GateRows, feature_exponents: NDArray[np.int64], weights: str) -> GateFormat:

@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.errors import CheckError
-from zerodrift.export.quantize_gru import GateRows, choose_gate
+from zerodrift.export.quantize_gru import GateRows, choose_gate, refuse_not_finite
 from zerodrift.operations.lstm.cell import (
     CELL_BITS,
     CELL_LIMIT,
@@ -30,10 +29,7 @@ def quantize_lstm(
     Raises:
         CheckError: a gate's weights are so large that no scale is safe, or not finite.
     """
-    for name, array in (("w_x", lstm.w_x), ("w_h", lstm.w_h), ("bias", lstm.bias)):
-        if not np.isfinite(array).all():
-            at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-            raise CheckError(f"LSTM {name}{list(at)} is not finite; the model is refused")
+    refuse_not_finite("LSTM", lstm)
     formats = [
         choose_gate(
             GateRows(

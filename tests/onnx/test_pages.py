@@ -1,12 +1,18 @@
 """The Python in the pages about ONNX runs as it stands there."""
 
+import json
 import re
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from click.testing import CliRunner
 from tests.golden.model_factory import Shape, draw_model
 
+from zerodrift.app.cli import cli
+from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.export.integer_onnx import save_integer_onnx
 from zerodrift.export.onnx_reader import read_imported
 from zerodrift.export.reference import Reference
@@ -51,3 +57,36 @@ def test_page_on_the_integer_onnx_computes_the_chips_numbers(
     np.testing.assert_array_equal(again[0][:, 0], longer.drift[0, len(codes) :])
     np.testing.assert_array_equal(again[1][:, 0], longer.flags[0, len(codes) :])
     assert str(trace.drift[0, -1]) in capsys.readouterr().out
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_page_on_five_minutes_runs_from_the_network_to_the_c(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name = "how-to/network-in-five-minutes.md"
+    page = (DOCS / name).read_text("utf-8")
+    variables = run_page(name)
+    (toml,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "zerodrift.toml").write_text(toml)
+    (command,) = re.findall(r"```sh\nzerodrift (.*)\n```", page)
+    told = CliRunner().invoke(cli, [*command.split(), "--json"])
+    assert told.exit_code == 0, told.output
+    found = json.loads(told.stdout)
+    assert found["bit_exact"] and found["written"]
+    spread = float(np.std(variables["y"]))
+    assert found["rmse_integer_to_float"]["y"] < 0.005 * spread
+    (text,) = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "main.c").write_text(text)
+    sources = [
+        str(tmp_path / file) for file in ("main.c", "firmware/net.c", "firmware/zd_runtime.c")
+    ]
+    program = tmp_path / "main"
+    find_compiler().run(["-std=c99", f"-I{tmp_path / 'firmware'}", *sources, "-o", str(program)])
+    lines = subprocess.run([program], capture_output=True, text=True, check=True).stdout.split("\n")
+    network, at_rest = variables["network"], torch.zeros(1, 1, 16)
+    x = torch.tensor([[[0.05, -0.02]] * 400])
+    with torch.no_grad():
+        wanted = float(network(x, at_rest, at_rest)[0][0, -1, 0])
+    assert [line.split()[-1] for line in lines[:5]] == ["0"] * 5
+    assert abs(float(lines[4].split()[0]) - wanted) < 0.01 * spread

@@ -299,6 +299,17 @@ def test_other_recurrence_is_refused() -> None:
         (lambda g, y: g.op("Add", y, g.constant(np.ones((5, 1, 1, 1)))), "along the time axis"),
         (lambda g, y: g.op("Gather", y, g.constant(2, np.int64), axis=0), "not the last"),
         (lambda g, y: g.op("ReduceMean", y, axes=[0]), "ReduceMean"),
+        (lambda g, y: g.op("ReduceMean", y, axes=[2]), "layer normalisation"),
+        (
+            lambda g, y: g.op("LayerNormalization", y, g.constant(np.ones(4))),
+            "LayerNormalization 'LayerNormalization_1': not supported: it divides by a deviation",
+        ),
+        (
+            lambda g, y: g.op("LayerNormalization", y, g.constant(np.ones(4))),
+            "Train with BatchNorm",
+        ),
+        (lambda g, y: g.op("CumSum", y, g.constant(0, np.int64)), "minGRU"),
+        (lambda g, y: g.op("Mul", y, g.op("Sigmoid", "x")), "train a GRU or an LSTM"),
         (lambda g, y: g.op("Reshape", y, g.constant([2, -1], np.int64)), "Reshape"),
         (lambda g, y: g.op("Cast", y, to=onnx.TensorProto.INT32), "whole numbers"),
         (lambda g, y: g.op("MatMul", y, g.constant(np.ones((7, 2)))), "not the features"),
