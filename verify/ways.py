@@ -54,11 +54,12 @@ _CORES_FAST = (
 
 _CORES_ANY = (
     Way("cortex-m4: ZD_SMALL", "cortex-m4", ("-DZD_SMALL",)),
+    Way("cortex-m4: aligned", "cortex-m4", ("-mno-unaligned-access",)),
     Way("cortex-m4: intrinsics", "cortex-m4", ("-DZD_NO_ASSEMBLY",)),
     Way("cortex-m0plus: ZD_SMALL", "cortex-m0plus", ("-DZD_SMALL",)),
     Way("cortex-m0plus: portable", "cortex-m0plus", ("-DZD_NO_ASSEMBLY",)),
 )
-"""Of a network that has no kernel of its own: its table of tanh, and the code beside assembly."""
+"""Of a network without a kernel for each core: tables, assembly, and the C beside it."""
 
 
 def list_host_ways(model: IntegerModel) -> tuple[Way, ...]:
@@ -73,7 +74,8 @@ def list_core_ways(model: IntegerModel) -> tuple[Way, ...]:
     plain = tuple(Way(core, core) for core in CORES)
     if _is_fast(model):
         return plain + _CORES_FAST
-    return plain + _CORES_ANY if any(TANH in node.parts for node in model.nodes) else plain
+    bends = bool(model.recurrents) or any(TANH in node.parts for node in model.nodes)
+    return plain + _CORES_ANY if bends else plain
 
 
 def _is_fast(model: IntegerModel) -> bool:

@@ -358,10 +358,11 @@ def test_compiler_without_sanitizers_is_told_and_required_fails(
     assert "sanitizer" in [n["what"] for n in outcome.json["not_checked"]]
 
 
-def test_network_without_a_kernel_runs_with_small_tables_on_cores() -> None:
-    names = {way.name for way in ways.list_core_ways(load("int8").model)}
-    assert {"cortex-m4: ZD_SMALL", "cortex-m0plus: portable"} < names
-    assert "cortex-m4: aligned" not in names
+@pytest.mark.parametrize("name", ["int8", "reset_before", "lstm"])
+def test_network_with_assembly_alone_runs_in_all_its_forms_on_cores(name: str) -> None:
+    names = {way.name for way in ways.list_core_ways(load(name).model)}
+    assert {"cortex-m4: ZD_SMALL", "cortex-m4: aligned", "cortex-m0plus: portable"} < names
+    assert "cortex-m4: portable" not in names, "that is the one without assembly"
 
 
 @pytest.mark.parametrize("how", ["cut", "nonsense", "other shapes", "other codes"])
