@@ -68,7 +68,7 @@ class Design:
             [[e.kind, dict(e.held), dict(e.options)] for e in c.effects],
             [c.network.kind, c.network.hidden, c.network.memory, c.network.seed],
             [dict(c.network.options), list(c.network.lags_s)],
-            [c.firmware_prefix, c.firmware_guard],
+            [c.firmware_prefix, c.firmware_guard, *([True] if c.block.in_block else [])],
         ]
         digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
         for file in c.plugin_files:

@@ -116,7 +116,7 @@ def find_kept(design: Design, sensor: str) -> SensorResult | None:
             return kept
         if kept.refused and kept.forced != design.force:
             return None
-        if kept.refused and not kept.forced:
+        if (kept.refused and not kept.forced) or design.config.block.in_block:
             return kept
         place = design.firmware_folder(sensor)  # logs and design are in the mark
         check = check_manifest(config, folder=place, build=folder, wants_inputs=False)

@@ -16,7 +16,7 @@ FOLDER = "fleet"
 """Below build/: one folder per sensor, and the report."""
 FOLDERS_SHOWN = 3
 SENSORS_SHOWN = 8
-RESERVED = frozenset({"runtime", "report.json", "report.csv", "report.md"})
+RESERVED = frozenset({"runtime", "program", "blocks", "report.json", "report.csv", "report.md"})
 """What lies beside the sensors' folders, on disks that do not tell capitals apart too."""
 
 

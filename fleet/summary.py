@@ -72,6 +72,22 @@ class SensorSummary:
 
 
 @dataclass(frozen=True)
+class BlocksSummary:
+    """One program for all units, and a block of each."""
+
+    design: str
+    """The identity of the program's design."""
+    bytes: int
+    """Of each block."""
+    units: int
+    """That have a block."""
+    vectors: int
+    """Steps at which program and block gave the reference's bits."""
+    refused: Mapping[str, str]
+    """Units without a block, and why."""
+
+
+@dataclass(frozen=True)
 class FleetSummary:
     """All sensors, judged, and how the fleet spreads."""
 
@@ -91,6 +107,8 @@ class FleetSummary:
     outlier_z: float
     outputs: Mapping[str, SpreadSummary]
     results: tuple[SensorSummary, ...]
+    blocks: BlocksSummary | None = field(default=None, metadata=OPTIONAL)
+    """With `[firmware] coefficients = "block"`: the one program, and the units' blocks."""
 
 
 @dataclass(frozen=True)

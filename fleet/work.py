@@ -299,6 +299,8 @@ def _render(
     if job.code is not None and job.model is not None and is_written:
         out = design.firmware_folder(job.sensor)
         files[build / "model.json"] = job.model.to_text().encode()
+        if design.config.block.in_block:  # one program for all, and a block of each, come after
+            return files
         firmware = {
             PARAMETERS: text.encode(),
             job.code.header_name: job.code.header.encode(),

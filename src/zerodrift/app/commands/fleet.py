@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from zerodrift.app.commands.common import (
 )
 
 if TYPE_CHECKING:
+    from zerodrift.fleet.blocks import FleetBlocks
     from zerodrift.fleet.report import FleetReport
     from zerodrift.fleet.run import FleetProgress
 
@@ -91,7 +92,8 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
 
     The design is zerodrift.toml; {sensor} in [fleet] folder or in the selectors of [logs] stands
     for a sensor's name. Writes firmware/SENSOR/ with header, source, parameters and certificate,
-    the shared firmware/runtime/, and build/fleet/report.json, .csv and .md.
+    the shared firmware/runtime/, and build/fleet/report.json, .csv and .md. With [firmware]
+    coefficients = "block" one firmware/program/ in their place, and firmware/blocks/SENSOR.*.
 
     A rerun works only on sensors whose logs or design have changed, or that failed. A bad log
     spoils its own sensor only. Exit code 1: a sensor has no result, is refused by the gate and not
@@ -138,12 +140,36 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
         raise
     report = judge_fleet(design, outcomes)
     paths = write_report(design, report)
+    blocks = None
+    if config.block.in_block and options.with_firmware:
+        from zerodrift.fleet.blocks import write_blocks
+        from zerodrift.fleet.summary import BlocksSummary
+
+        blocks = write_blocks(design, outcomes)
     if as_json:
-        print_result(summarise_report(report))
+        summary = summarise_report(report)
+        if blocks is not None:
+            told = BlocksSummary(
+                blocks.program, blocks.bytes, len(blocks.units), blocks.vectors, blocks.refused
+            )
+            summary = replace(summary, blocks=told)
+        print_result(summary)
     else:
         _print(report, [str(path) for path in paths], config.directory)
-    if report.count(ERROR) or report.count(FAIL):
+        if blocks is not None:
+            _print_blocks(blocks)
+    if report.count(ERROR) or report.count(FAIL) or (blocks is not None and blocks.refused):
         sys.exit(CheckError.exit_code)
+
+
+def _print_blocks(blocks: "FleetBlocks") -> None:
+    """Print the one program and the units that have a block for it."""
+    for sensor, why in blocks.refused.items():
+        click.echo(f"no block for {sensor}: {why}", err=True)
+    click.echo(
+        f"one program (design {blocks.program[:16]}) and {len(blocks.units)} blocks of"
+        f" {blocks.bytes} bytes; {blocks.vectors} steps on reference = host, 0 LSB"
+    )
 
 
 def choose_device(device: str, needed: bool) -> str:
