@@ -35,6 +35,9 @@ WIDEST = 2**31 - 1
 ROW_BIAS = 2**29
 """A dense row's bias is at most this, and its weights reach 2^31 - 1 less it: a row that needs
 more gets a shift of one less."""
+SHARED_BITS = 6
+"""All outputs have one shift where none loses more bits of its coefficients' 31 by it: their rows
+are then a loop where the C is compiled for size, in a third of the flash."""
 Node = TypeVar("Node", bound=IntegerNode)
 
 
@@ -426,6 +429,8 @@ def _align_drift(
         ]
         own = _choose_row_shift(rows, f"drift[{k}]")
         shifts.append(own if design is None else design.shift[k])
+    if design is None and max(shifts) - min(shifts) <= SHARED_BITS:
+        shifts = [min(shifts)] * len(shifts)
     out: list[IntegerNode] = []
     for node, matrix in zip(nodes, scaled, strict=True):
         by_row = [to - s for to, s in zip(shifts, node.shift, strict=True)]

@@ -71,6 +71,17 @@ def test_one_program_computes_what_each_units_reference_does(network: bool, tmp_
             assert check.mismatch is None, check.mismatch
 
 
+def test_the_loop_over_outputs_gives_the_same_bits(tmp_path: Path) -> None:
+    design, code = find_design(network=True), find_code(network=True)
+    assert "#if defined(ZD_SMALL)" in code.source
+    host = HostModel(design.model, code, tmp_path, flags=("-Os", "-DZD_SMALL"))
+    model = design.fit(list_units(True)[3])
+    assert host.use_block(make_block(design, model)) == 0
+    host.model = model
+    for settled, codes in enumerate(draw_sequences(model, 1000).values()):
+        assert check_host(host, codes, settled=settled % 2 == 0).mismatch is None
+
+
 def test_the_common_format_costs_next_to_nothing(tmp_path: Path) -> None:
     design = find_design(network=True)
     for seed in SEEDS:
