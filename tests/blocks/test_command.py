@@ -28,6 +28,8 @@ def test_firmware_and_verify(folder: Path, zerodrift) -> None:
     assert '"reference","host"' in built.out.replace(" ", "").replace("\n", "")
     assert zerodrift("verify", "-C", folder, "--require", "manifest").code == 0
     assert zerodrift("verify", "-C", folder, "--certificate").code == 0
+    unproven = zerodrift("verify", "-C", folder, "--prove")
+    assert unproven.code == 2 and "lie in a block" in unproven.err
     shown = zerodrift("block", "show", out / "block.hex")
     assert "SN7" in shown.out and "2026-03-01" in shown.out
     refused = zerodrift("package", "cmake", "-C", folder)

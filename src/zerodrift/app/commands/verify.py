@@ -85,6 +85,15 @@ def _print(outcome: "Replay") -> None:
 
 def _prove(config: "Config", as_json: bool) -> None:
     """Tell what is shown of the C, part by part; needs the model's file and the firmware folder."""
+    from zerodrift.base.errors import InputError
+    from zerodrift.blocks.design import FILE_NAME as DESIGN
+
+    if (config.firmware_out / DESIGN).is_file():
+        raise InputError(
+            f"{config.firmware_out / DESIGN}: the numbers of this C lie in a block, which --prove"
+            " does not read yet. `zerodrift verify` compares bits with the block in place, and"
+            " `zerodrift verify --certificate` shows that no block that the chip accepts overflows."
+        )
     from zerodrift.app.commands.console import show_progress
     from zerodrift.export.model_files import load_model
     from zerodrift.report.results import ProofResult, ProvenPart
