@@ -28,7 +28,7 @@ from zerodrift.verify.summary import (
 from zerodrift.verify.vectors import count_lines, draw_golden, draw_sequences
 
 SHIPPED = {
-    *("front_end.h", "front_end.c", "front_end.dbc", "certificate.json"),
+    *("front_end.h", "front_end.c", "front_end.dbc", "model.json", "certificate.json"),
     *(path.name for path in RUNTIME_FILES),
 }
 BUILT = {"model.json", "integer.onnx", "golden.npz", "certificate.json"}
