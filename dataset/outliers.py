@@ -242,7 +242,7 @@ def _follow(x: Array, signals: Array) -> Array:
         factors = np.linalg.solve(weighted.T @ design + ridge, weighted.T @ target)
     followed = np.zeros_like(x)
     for lag, part in zip(LAGS, np.split(factors, len(LAGS)), strict=True):
-        followed += np.roll(signals, lag, axis=0) @ part
+        followed += np.roll(signals @ part, lag)
     # Rolled round the ends, the first and last samples are none.
     followed[:edge] = followed[edge]
     followed[-edge:] = followed[-edge - 1]

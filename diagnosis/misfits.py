@@ -33,7 +33,10 @@ AGREE = 0.8
 EXPLAINED = 0.35
 """... and it is told what is wrong if that takes its error below this share, ..."""
 ORDINARY = 1.8
-"""... and to this many times the others' error."""
+"""... and to this many times the others' error; ..."""
+CLEAR = 0.1
+"""... where it takes the error below this share, a run of a kind of its own may be left more, as
+little as another sensor's would not be."""
 OTHER, OF_DRIFT = 4.0, 0.5
 """Without any such explanation it is another sensor's from this misfit on, if that is this share
 of the run's own drift too: compensated by the others' model it would hardly be better off."""
@@ -49,6 +52,8 @@ ENOUGH, SOME = 0.4, 0.1
 """Share of a run's rows that must lie among the others' once it is read another way."""
 OF_COURSE = 0.12
 """With few runs an error of this share of the run's own drift is ordinary too."""
+MANY_WILD = 0.05
+"""A run of which a larger share of the rows would be weighted is taken as it was measured."""
 FAMILIAR_GAINS = (1000.0, 100.0, 10.0, 2.0, 9.80665, 4.44822)
 RATE = 12.0
 """A run's time is in another unit if its temperature moves this many times faster or slower."""
@@ -72,7 +77,9 @@ class _Course:
 
 
 def _read(run: Run) -> _Course:
-    measured = run.reference + run.steady_drift
+    wild = float((run.weights < 1.0).any(axis=1).mean())
+    # What is wild all over is no outlier: a fast load in another column's place is.
+    measured = run.measured if wild > MANY_WILD else run.reference + run.steady_drift
     return _Course(run, run.temperature_degC, dict(run.inputs), measured, run.reference)
 
 
@@ -254,6 +261,8 @@ class Bench:
         return DataNote(course.run.group, column, (0, len(course.run) - 1), kind, text)
 
     def _passes(self, now: float, before: float, usual: float) -> bool:
+        if now <= CLEAR * before and now <= OTHER * usual:
+            return True
         return now <= ORDINARY * usual and now <= EXPLAINED * before
 
     def _try_thermometer(
@@ -375,10 +384,9 @@ class Bench:
             if (
                 abs(gain - 1.0) > max(WRONG_GAIN, SURE_GAIN * doubt)
                 and doubt < SURE_GAIN * max(abs(gain), 1e-12)
-                and now <= ORDINARY * usual[k]
-                and now * abs(gain) <= EXPLAINED * error[k]
+                and self._passes(now, error[k] / max(abs(gain), 1e-12), usual[k])
             ):
-                return self._note(course, name, *_tell_gain(gain, "the column"))
+                return self._note(course, name, *tell_gain(gain, "the column"))
         power = float(r @ r)
         if power > 0.0:
             gain = float((m - p) @ r) / power
@@ -387,7 +395,7 @@ class Bench:
             if abs(gain - 1.0) > WRONG_GAIN and self._passes(now, error[k], usual[k]):
                 factor = 1.0 / gain if gain else np.inf
                 return self._note(
-                    course, f"reference of {name}", *_tell_gain(factor, "the reference")
+                    course, f"reference of {name}", *tell_gain(factor, "the reference")
                 )
         return None
 
@@ -453,12 +461,12 @@ def find_load_gains(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNot
         if len(slopes) > 1 and 3 * len(wrong) > len(slopes) + 1:
             continue
         for group, (run, slope) in wrong.items():
-            kind, text = _tell_gain(slope, "the column")
+            kind, text = tell_gain(slope, "the column")
             notes.append(DataNote(group, name, (0, len(run) - 1), kind, text))
     return notes
 
 
-def _tell_gain(gain: float, what: str) -> tuple[str, str]:
+def tell_gain(gain: float, what: str) -> tuple[str, str]:
     """Return kind and text for a column that is so many times what it should be."""
     if gain < 0.0 and abs(gain + 1.0) <= WRONG_GAIN:
         return "sign", (

@@ -19,6 +19,7 @@ from zerodrift.diagnosis.misfits import (
     find_load_gains,
     find_time_units,
 )
+from zerodrift.diagnosis.noise_gains import find_noise_gains
 from zerodrift.diagnosis.standing import find_cut_off, find_leaps, find_standing
 
 FURTHER = 0.1
@@ -45,6 +46,8 @@ def review(dataset: Dataset) -> tuple[DataNote, ...]:
     for check in (find_standing, find_cut_off, find_load_columns, find_load_gains, find_leaps):
         told = {(note.run, note.column) for note in notes}
         notes += [n for n in check(runs, outputs) if (n.run, n.column) not in told]
+    told = {(note.run, note.column) for note in notes}
+    notes += [n for n in find_noise_gains(runs, outputs) if (n.run, n.column) not in told]
     notes += find_time_units(runs)
     spoilt = {note.run for note in notes}
     whole = [

@@ -57,7 +57,9 @@ register(
 
 
 def rewrite_thermal_lag(ops: Operations[S], signals: Signals[S], p: Values) -> Signals[S]:
-    """Let the element follow the thermometer through one or two first-order lags."""
+    """Let the element follow the thermometer through one or two lags, unless it acts on its own."""
+    if p["own_terms"]:
+        return signals
     temperature = signals.temperature_degC
     lagged = ops.lowpass(temperature, p["tau_s"])
     if p["time_constants"] == 2:
@@ -66,6 +68,13 @@ def rewrite_thermal_lag(ops: Operations[S], signals: Signals[S], p: Values) -> S
             ops.affine(lagged, 1.0 - p["slow_share"], 0.0), ops.affine(slow, p["slow_share"], 0.0)
         )
     return replace(signals, temperature_degC=lagged)
+
+
+def build_thermal_lag(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
+    """Return LP(T) where it has coefficients of its own."""
+    if not p["own_terms"]:
+        return ()
+    return (Feature("slow T", ops.lowpass(signals.temperature_degC, p["tau_s"]), "K"),)
 
 
 def put_slower_last(p: Values) -> Values:
@@ -81,6 +90,7 @@ register(
         kind="thermal_lag",
         title="thermal lag of the element behind the chip",
         rewrite=rewrite_thermal_lag,
+        build=build_thermal_lag,
         tidy=put_slower_last,
         parameters=(
             Parameter(
@@ -122,19 +132,33 @@ register(
                 meaning="share of the response that takes the slow way",
                 when={"time_constants": 2},
             ),
+            Parameter(
+                "own_terms",
+                "1",
+                0,
+                1,
+                (0, 1),
+                scale="linear",
+                default=0,
+                choices=(0, 1),
+                meaning="0: all temperature terms see the lag; 1: a slow zero shift beside them, "
+                "with coefficients of its own (a part that lags, or the gradient of a body: the "
+                "thermometer's temperature less the lagged one)",
+            ),
         ),
         needs=("temperature",),
         physics="The thermometer sits on the board, the element on the body. Heat reaches the "
         "element later, through a thermal resistance into a heat capacity, so the element's "
         "temperature is the chip's, low-passed. Heat that comes by two ways gives two time "
         "constants.",
-        equation="tau dTe/dt + Te = T;  two: Te = (1-w) LP(T, tau) + w LP(T, slow_tau)",
+        equation="tau dTe/dt + Te = T;  two: Te = (1-w) LP(T, tau) + w LP(T, slow_tau);  "
+        "own: drift = k LP(T, tau)",
         fingerprint="Loops of drift against T, wider the faster the ramp; decays "
         "exponentially after a ramp ends; every temperature term is delayed alike.",
         provoke="Ramps at two clearly different rates with dwells of several tau between them.",
         cure="Move the thermometer onto the element's body; couple both with a thermal pad.",
         source="lumped heat capacity; Incropera, Fundamentals of Heat and Mass Transfer, ch. 5",
-        variants=({"time_constants": 1}, {"time_constants": 2}),
+        variants=({"time_constants": 1}, {"time_constants": 2}, {"own_terms": 1}),
     )
 )
 

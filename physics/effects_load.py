@@ -9,6 +9,9 @@ from zerodrift.operations.backend import Operations
 from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values
 from zerodrift.physics.registry import register
 
+LOG_CREEP_PARTS = 5
+"""Lowpasses that a logarithmic creep is made of: from tau to 256 tau."""
+
 CROSS_AXES = Parameter(
     "cross_axes",
     "1",
@@ -80,14 +83,39 @@ register(
 
 
 def build_creep(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
-    """Return the load filtered by tau, and by a second, slower one where asked."""
+    """Return the load filtered by tau, and by a second, slower one where asked.
+
+    A logarithmic creep is the mean of lowpasses a factor of 4 apart. A rate that follows the
+    temperature is told by its first order: with a rate 1 + b (T - T0), the creep is x + b x1, and
+    x1 is the lowpass of (T - T0)(load - x).
+    """
+    if p["logarithmic"]:
+        return of_each_load(
+            signals, p, "log creep {}", "load", lambda _, x: _creep_logarithmically(ops, x, p)
+        )
     fast = of_each_load(signals, p, "creep {}", "load", lambda _, x: ops.lowpass(x, p["tau_s"]))
+    if p["of_temperature"]:
+        rise = ops.affine(signals.temperature_degC, 1.0, -signals.reference_temperature_degC)
+
+        def hasten(_: str, load: S) -> S:
+            open_yet = ops.difference(load, ops.lowpass(load, p["tau_s"]))
+            return ops.lowpass(ops.product(rise, open_yet), p["tau_s"])
+
+        fast += of_each_load(signals, p, "creep rate {}", "K x load", hasten)
     if p["time_constants"] == 1:
         return fast
     slow_tau_s = p["slow_tau_s"]
     return fast + of_each_load(
         signals, p, "slow creep {}", "load", lambda _, x: ops.lowpass(x, slow_tau_s)
     )
+
+
+def _creep_logarithmically(ops: Operations[S], load: S, p: Values) -> S:
+    """Return the mean of lowpasses whose time constants lie a factor of 4 apart."""
+    total = ops.lowpass(load, p["tau_s"])
+    for n in range(1, LOG_CREEP_PARTS):
+        total = ops.total(total, ops.lowpass(load, 4.0**n * p["tau_s"]))
+    return ops.affine(total, 1.0 / LOG_CREEP_PARTS, 0.0)
 
 
 def put_slower_last(p: Values) -> Values:
@@ -134,11 +162,35 @@ register(
                 meaning="second retardation time",
                 when={"time_constants": 2},
             ),
+            Parameter(
+                "logarithmic",
+                "1",
+                0,
+                1,
+                (0, 1),
+                scale="linear",
+                default=0,
+                choices=(0, 1),
+                meaning="1: the creep goes on with the logarithm of time, from tau_s to 256 tau_s",
+            ),
+            Parameter(
+                "of_temperature",
+                "1",
+                0,
+                1,
+                (0, 1),
+                scale="linear",
+                default=0,
+                choices=(0, 1),
+                meaning="1: warm, the load creeps faster; to first order in T - T0",
+            ),
         ),
         needs=("load",),
         physics="Adhesive, gauge carrier and polymer bodies yield slowly under load and recover "
         "slowly when it is gone, as springs and dampers side by side (Kelvin-Voigt).",
-        equation="drift = k LP(load, tau)  [+ k2 LP(load, slow_tau)]",
+        equation="drift = k LP(load, tau)  [+ k2 LP(load, slow_tau)]  "
+        "[+ kT LP((T-T0)(load - LP(load, tau)), tau)]; "
+        "logarithmic: mean of LP(load, 4^n tau), n = 0..4",
         fingerprint="After a step of load an exponential approach over minutes; after its removal "
         "the mirror image; independent of temperature's course.",
         provoke="Step the load on, hold it for half an hour, take it off, wait as long.",
@@ -148,6 +200,8 @@ register(
             {"time_constants": 1, "cross_axes": 0},
             {"time_constants": 2, "cross_axes": 0},
             {"time_constants": 1, "cross_axes": 1},
+            {"logarithmic": 1},
+            {"of_temperature": 1},
         ),
     )
 )

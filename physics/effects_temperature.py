@@ -10,11 +10,10 @@ from zerodrift.physics.registry import register
 def build_zero_tempco(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
     """Return (T - T0), (T - T0)^2, ... up to the order."""
     rise = ops.affine(signals.temperature_degC, 1.0, -signals.reference_temperature_degC)
-    units = {1: "K", 2: "K2", 3: "K3"}
-    names = {1: "T - T0", 2: "(T - T0)^2", 3: "(T - T0)^3"}
-    return tuple(
-        Feature(names[n], rise if n == 1 else ops.power(rise, n), units[n])
-        for n in range(1, round(p["order"]) + 1)
+    first = Feature("T - T0", rise, "K")
+    return first, *(
+        Feature(f"(T - T0)^{n}", ops.power(rise, n), f"K{n}")
+        for n in range(2, round(p["order"]) + 1)
     )
 
 
@@ -28,24 +27,25 @@ register(
                 "order",
                 "1",
                 1,
-                3,
+                5,
                 (1, 3),
                 scale="linear",
                 default=1,
-                choices=(1, 2, 3),
+                choices=(1, 2, 3, 4, 5),
                 meaning="degree of the polynomial",
             ),
         ),
         needs=("temperature",),
         physics="Thermal expansion of body, adhesive and gauge, and the tempco of resistors and "
         "offset voltages, move the unloaded reading with temperature, at once and reversibly.",
-        equation="drift = k1 (T-T0) [+ k2 (T-T0)^2 + k3 (T-T0)^3]",
+        equation="drift = k1 (T-T0) [+ k2 (T-T0)^2 + ... up to (T-T0)^5]",
         fingerprint="A straight line, or with higher order a smooth curve, against T; the same on "
         "the way up and down and at every ramp rate.",
         provoke="Slow ramps over the whole temperature range, unloaded.",
         cure="Matched gauges, a full bridge, a compensating resistor.",
-        source="VDI/VDE/DKD 2638: TK0; strain gauges about 0.05 % of full scale per 10 K",
-        variants=({"order": 1}, {"order": 2}, {"order": 3}),
+        source="VDI/VDE/DKD 2638: TK0; strain gauges about 0.05 % of full scale per 10 K; "
+        "quartz crystals: frequency against temperature to third and, at the ends, fifth order",
+        variants=({"order": 1}, {"order": 2}, {"order": 3}, {"order": 4}, {"order": 5}),
     )
 )
 

@@ -46,11 +46,16 @@ register(
 
 
 def build_ageing(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
-    """Return t, or t^p for `power_law` = 1, in days."""
-    days = ops.affine(signals.clock_s, 1.0 / DAY_S, 0.0)
+    """Return t, or t^p for `power_law` = 1, in days; that of the span beside it where asked."""
+    age, name, unit = ops.affine(signals.clock_s, 1.0 / DAY_S, 0.0), "age", "day"
     if p["power_law"]:
-        return (Feature("age^p", ops.power(days, p["exponent"]), "day^p"),)
-    return (Feature("age", days, "day"),)
+        age, name, unit = ops.power(age, p["exponent"]), "age^p", "day^p"
+    if not p["of_span"]:
+        return (Feature(name, age, unit),)
+    return Feature(name, age, unit), *(
+        Feature(f"{name} x {output}", ops.product(age, load), f"{unit} x load", output)
+        for output, load in signals.load.items()
+    )
 
 
 register(
@@ -80,15 +85,28 @@ register(
                 meaning="power of time",
                 when={"power_law": 1},
             ),
+            Parameter(
+                "of_span",
+                "1",
+                0,
+                1,
+                (0, 1),
+                scale="linear",
+                default=0,
+                choices=(0, 1),
+                meaning="1: the span ages too, by a share of the load",
+            ),
         ),
         needs=("clock",),
         physics="Stress relaxes, adhesives cure, LEDs lose light: the zero wanders with age, fast "
         "at first.",
-        equation="drift = k t  or  k t^p",
-        fingerprint="A slope in time that goes on from run to run, whatever the temperature.",
-        provoke="The same temperature cycle again after days, with an absolute clock in the logs.",
+        equation="drift = k t  or  k t^p  [+ ks t load]",
+        fingerprint="A slope in time that goes on from run to run, whatever the temperature; that "
+        "of the span under load alone, in proportion to it.",
+        provoke="The same temperature cycle and the same weight again after days, "
+        "with an absolute clock in the logs.",
         cure="Burn-in before calibration; recalibration.",
         source="LED lumen maintenance; OIML R 60: zero stability",
-        variants=({"power_law": 0}, {"power_law": 1}),
+        variants=({"power_law": 0}, {"power_law": 1}, {"of_span": 1}),
     )
 )

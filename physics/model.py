@@ -13,7 +13,7 @@ from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.model_record import ModelRecord, TermRecord
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.signals import SignalPlan, name_signals, read_signals
-from zerodrift.physics.terms import Term, build_features
+from zerodrift.physics.terms import Term, build_features, list_defaults
 from zerodrift.physics.tracks import build_stretches
 
 Array = NDArray[np.float64]
@@ -207,7 +207,13 @@ class PhysicalModel:
             units=record.units,
             terms=tuple(
                 FittedTerm(
-                    Term(catalogue[term.kind], dict(term.values), term.held, term.signal),
+                    # A choice that the effect got since then stands at its default.
+                    Term(
+                        catalogue[term.kind],
+                        {**list_defaults(catalogue[term.kind]), **term.values},
+                        term.held,
+                        term.signal,
+                    ),
                     term.std_errors,
                     term.intervals,
                     term.at_bound,

@@ -71,6 +71,11 @@ def tidy_terms(terms: Sequence[Term]) -> list[Term]:
     return tidied
 
 
+def list_defaults(effect: Effect) -> dict[str, float]:
+    """Return the values of an effect's choices where nobody chose."""
+    return {p.name: p.default for p in effect.parameters if p.default is not None}
+
+
 def start_term(
     catalogue: Catalogue, config: EffectConfig, choices: Mapping[str, float] | None = None
 ) -> Term:

@@ -1,4 +1,5 @@
 import textwrap
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,12 +19,13 @@ CONTRACT = [
     *("warm_up", "thermal_hysteresis", "creep", "load_hysteresis", "load_nonlinearity"),
     *("crosstalk", "supply_sensitivity", "humidity", "ambient_light", "inertial_load"),
     *("ageing", "clock_delay", "adc_saturation"),
+    *("excitation_heating", "barometric_pressure"),
 ]
 
 
 def draw_signals(length=200):
     rng = np.random.default_rng(0)
-    channels = ["supply", "humidity", "ambient_light"]
+    channels = ["supply", "humidity", "ambient_light", "pressure"]
     channels += ["acceleration_x", "acceleration_y", "acceleration_z"]
     return Signals(
         temperature_degC=25.0 + rng.normal(size=length).cumsum() * 0.2,
@@ -127,8 +129,8 @@ def test_unknown_parameter_names_the_nearest():
 def test_held_value_out_of_bounds_is_refused():
     with pytest.raises(InputError, match=r"tau_s = -3 s; expected 1 \.\. 100000"):
         start_term(load_catalogue(), EffectConfig("thermal_lag", {"tau_s": -3.0}))
-    with pytest.raises(InputError, match=r"order = 4; expected one of 1, 2, 3"):
-        start_term(load_catalogue(), EffectConfig("zero_tempco", {"order": 4.0}))
+    with pytest.raises(InputError, match=r"order = 6; expected one of 1, 2, 3, 4, 5"):
+        start_term(load_catalogue(), EffectConfig("zero_tempco", {"order": 6.0}))
 
 
 def test_unknown_option_is_refused():
@@ -262,3 +264,64 @@ def test_users_effect_cannot_take_a_built_in_name(tmp_path):
 
 def test_effects_name_their_feature_type():
     assert Feature("x", 1.0).unit == "1"
+
+
+def test_creep_that_follows_the_temperature_is_right_to_first_order():
+    signals, columns, term = build_alone("creep", {"of_temperature": 1})
+    tau_s, hasten = term.values["tau_s"], 1e-4
+    load = signals.load["Fz"]
+    rate = 1.0 + hasten * (signals.temperature_degC - signals.reference_temperature_degC)
+    x = np.full(2, load[0])
+    exact = [x]
+    for n in range(1, load.size):
+        for share in (np.arange(50) + 0.5) / 50:
+            now = load[n - 1] + share * (load[n] - load[n - 1])
+            speed = np.array([rate[n - 1] + share * (rate[n] - rate[n - 1]), 1.0])
+            x = x + (now - x) * speed / (tau_s * 50)
+        exact.append(x)
+    hastened, plain = np.array(exact).T
+    changed = columns["creep: creep rate Fz"]
+    assert np.abs(changed).max() > 0.0
+    beyond = hastened - plain
+    assert beyond == pytest.approx(hasten * changed, abs=0.05 * np.abs(hasten * changed).max())
+
+
+def test_logarithmic_creep_goes_on_with_the_logarithm_of_time():
+    effect = load_catalogue()["creep"]
+    term = start_term(load_catalogue(), EffectConfig("creep", {"tau_s": 10.0, "logarithmic": 1}))
+    time_s = np.arange(2600.0)
+    load = (time_s > 0.0).astype(np.float64)
+    signals = replace(draw_signals(time_s.size), load={"Fz": load}, outputs=("Fz",))
+    ops = NumpyOperations(1.0, time_s.shape)
+    (feature,) = effect.build(ops, signals, term.values)
+    # From 2 tau to half of the slowest time constant about the same in each factor of 4.
+    steps = np.diff(feature.signal[[20, 80, 320, 1280]])
+    assert steps == pytest.approx(np.full(3, 0.2), rel=0.15)
+
+
+def test_heat_comes_from_the_power_where_it_is_logged_and_from_the_supply_otherwise():
+    effect = load_catalogue()["excitation_heating"]
+    signals = draw_signals()
+    ops = NumpyOperations(1.0, signals.temperature_degC.shape)
+    values = {"tau_s": 30.0}
+    (squared,) = effect.build(ops, signals, values)
+    assert squared.signal == pytest.approx(ops.lowpass(signals.channels["supply"] ** 2, 30.0))
+    power = np.abs(signals.temperature_degC)
+    logged = replace(signals, channels={**signals.channels, "power": power})
+    (heat,) = effect.build(ops, logged, values)
+    assert heat.signal == pytest.approx(ops.lowpass(power, 30.0))
+
+
+@pytest.mark.parametrize(
+    ("kind", "choices", "names"),
+    [
+        ("thermal_lag", {"own_terms": 1}, ["slow T"]),
+        ("ageing", {"of_span": 1}, ["age", "age x Fz", "age x Mx"]),
+        ("humidity", {"of_rate": 1}, ["moisture gradient"]),
+        ("humidity", {"of_span": 1}, ["moisture", "moisture x Fz", "moisture x Mx"]),
+        ("zero_tempco", {"order": 5}, ["T - T0", *(f"(T - T0)^{n}" for n in (2, 3, 4, 5))]),
+        ("barometric_pressure", {}, ["air pressure"]),
+    ],
+)
+def test_options_have_the_columns_that_their_equations_say(kind, choices, names):
+    assert list(build_alone(kind, choices)[1]) == [f"{kind}: {name}" for name in names]

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from tests.physics.conftest import SLOPE, follow, make_dataset
 
+from zerodrift.diagnosis.misfits import Bench
+from zerodrift.diagnosis.noise_gains import find_noise_gains
 from zerodrift.diagnosis.referee import review
 
 
@@ -133,3 +135,33 @@ def test_coarse_converter_at_rest_does_not_wrap(clean):
     rest = np.random.default_rng(1).integers(0, 3, 600)[:, None] * np.array([1.0, 0.01])
     still = spoil(clean, measured=clean.train[2].reference + 0.0 * rest + rest)
     assert all(note.kind != "wrapped" for note in review(still))
+
+
+def test_another_unit_shows_by_its_noise_in_a_run_of_a_kind_of_its_own(clean):
+    rng = np.random.default_rng(5)
+
+    def shake(run):
+        return run.measured + 3.0 * rng.standard_normal(run.measured.shape) * [0.05, 0.0005]
+
+    shaken = spoil(clean, measured=shake(clean.train[2]))
+    assert not find_noise_gains(shaken.train, clean.outputs)
+    thousandfold = clean.train[2].measured * [1000.0, 1.0]
+    (note,) = find_noise_gains(spoil(clean, measured=thousandfold).train, clean.outputs)
+    assert (note.run, note.column, note.kind) == ("run_2", clean.outputs[0], "gain")
+    assert "1000 times" in note.text
+
+
+def test_more_noise_alone_is_no_other_unit(clean):
+    rng = np.random.default_rng(6)
+    run = clean.train[2]
+    louder = run.measured + np.outer(2.0 * rng.standard_normal(len(run)), [1.0, 0.0])
+    assert not find_noise_gains(spoil(clean, measured=louder).train, clean.outputs)
+
+
+@pytest.mark.parametrize(("every", "as_measured"), [(97, False), (11, True)])
+def test_what_is_wild_all_over_is_taken_as_it_was_measured(every, as_measured, clean):
+    measured = clean.train[2].measured.copy()
+    measured[5::every, 0] += 400.0
+    train = spoil(clean, measured=measured).train
+    course = Bench(train, clean.outputs, np.array(clean.full_scale)).courses[2]
+    assert np.array_equal(course.measured, measured) == as_measured
