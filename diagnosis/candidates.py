@@ -182,7 +182,7 @@ def _upgrade(effect: Effect, terms: Sequence[Term], place: int) -> list[Proposal
     present = terms[place]
     now = _find_variant(effect, present)
     proposals = []
-    for choices in effect.variants[now + 1 :]:
+    for choices in (*effect.variants, *effect.upgrades)[now + 1 :]:
         values = {**present.values, **choices}
         changed = Term(effect, values, present.held, present.signal)
         proposals.append(
@@ -195,10 +195,10 @@ def _find_variant(effect: Effect, term: Term) -> int:
     """Return the index of the last variant whose choices the term has."""
     fitting = [
         i
-        for i, choices in enumerate(effect.variants)
+        for i, choices in enumerate((*effect.variants, *effect.upgrades))
         if all(term.values[name] == value for name, value in choices.items())
     ]
-    return fitting[-1] if fitting else len(effect.variants) - 1
+    return fitting[-1] if fitting else len(effect.variants) + len(effect.upgrades) - 1
 
 
 def try_candidates(

@@ -138,12 +138,13 @@ def propose_forms(
     else:
         present = config.effects[names.index(name_effect(effect))]
         values = start_term(catalogue, replace(present, line=0)).values
+        forms_known = (*declared.variants, *declared.upgrades)
         fitting = [
             i
-            for i, form in enumerate(declared.variants)
+            for i, form in enumerate(forms_known)
             if all(values[name] == value for name, value in form.items())
         ]
-        richer = declared.variants[fitting[-1] + 1 :] if fitting else ()
+        richer = forms_known[fitting[-1] + 1 :] if fitting else ()
         # Without a richer form the refusal below says that the effect is there.
         forms = [dict(form) for form in richer] or [{}]
     return tuple(

@@ -154,6 +154,9 @@ class Effect:
     source: str = ""
     variants: tuple[Values, ...] = ({},)
     """Choices that the diagnosis tries, simplest first; the first one is the default."""
+    upgrades: tuple[Values, ...] = ()
+    """Richer choices that are tried once the effect is in the model: beside its simple form their
+    values are shown by little, and few runs tempt to take them for it."""
     file: str = ""
     """The user's file it was declared in; empty for a built-in."""
 

@@ -116,7 +116,7 @@ register(
                 scale="linear",
                 default=0,
                 choices=(0, 1),
-                meaning="1: the moisture changes the span too",
+                meaning="1: the moisture changes the span too, counted from dry",
             ),
         ),
         needs=("humidity",),
@@ -127,7 +127,8 @@ register(
         provoke="Step the humidity at constant temperature and wait for several hours.",
         cure="Hermetic sealing, coating, metal bellows.",
         source="OIML R 60: CH and SH humidity tests; diffusion into thin layers",
-        variants=({"of_rate": 0, "of_span": 0}, {"of_rate": 1}, {"of_span": 1}),
+        variants=({"of_rate": 0, "of_span": 0}, {"of_rate": 1}),
+        upgrades=({"of_span": 1},),
     )
 )
 

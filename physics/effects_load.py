@@ -201,8 +201,8 @@ register(
             {"time_constants": 2, "cross_axes": 0},
             {"time_constants": 1, "cross_axes": 1},
             {"logarithmic": 1},
-            {"of_temperature": 1},
         ),
+        upgrades=({"of_temperature": 1},),
     )
 )
 

@@ -45,7 +45,8 @@ register(
         cure="Matched gauges, a full bridge, a compensating resistor.",
         source="VDI/VDE/DKD 2638: TK0; strain gauges about 0.05 % of full scale per 10 K; "
         "quartz crystals: frequency against temperature to third and, at the ends, fifth order",
-        variants=({"order": 1}, {"order": 2}, {"order": 3}, {"order": 4}, {"order": 5}),
+        variants=({"order": 1}, {"order": 2}, {"order": 3}),
+        upgrades=({"order": 4}, {"order": 5}),
     )
 )
 

@@ -107,6 +107,7 @@ register(
         "with an absolute clock in the logs.",
         cure="Burn-in before calibration; recalibration.",
         source="LED lumen maintenance; OIML R 60: zero stability",
-        variants=({"power_law": 0}, {"power_law": 1}, {"of_span": 1}),
+        variants=({"power_law": 0}, {"power_law": 1}),
+        upgrades=({"of_span": 1},),
     )
 )

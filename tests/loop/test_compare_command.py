@@ -223,3 +223,13 @@ def test_model_of_other_effects_is_refused(make_project, zerodrift):
     assert result.code == 2
     assert "zerodrift train" in result.err
     assert compare(zerodrift, project)["model"] == "physics"
+
+
+def test_offsets_that_are_taken_off_are_told_beside_the_error(project, zerodrift):
+    toml = project.toml.read_text()
+    project.toml.write_text(toml.replace("[logs]\n", "[logs]\ntared = true\n"))
+    told = compare(zerodrift, project)["outputs"]["Fz"]
+    said = " ".join(zerodrift("compare", "-C", project.directory).out.split())
+    error = told["rmse_left_out"]
+    assert told["run_offset"] > 0.0
+    assert f"Fz {told['run_offset']:.4g} beside {error:.4g} N" in said

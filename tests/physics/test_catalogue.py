@@ -7,6 +7,8 @@ from tests.physics.conftest import FULL_SCALE, OUTPUTS, UNITS, linear, make_data
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
+from zerodrift.diagnosis.candidates import propose
+from zerodrift.diagnosis.case import open_case
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.catalogue import load_catalogue, register
 from zerodrift.physics.effect import Effect, Feature, Parameter, Signals
@@ -14,6 +16,7 @@ from zerodrift.physics.fit import fit
 from zerodrift.physics.registry import READING_ORDER
 from zerodrift.physics.terms import build_features, start_term
 
+LAG = "thermal_lag"
 CONTRACT = [
     *("zero_tempco", "dark_current", "span_tempco", "thermal_lag", "thermal_gradient"),
     *("warm_up", "thermal_hysteresis", "creep", "load_hysteresis", "load_nonlinearity"),
@@ -70,7 +73,7 @@ def test_effect_tells_all_that_a_reader_asks(kind):
 
 @pytest.mark.parametrize("kind", CONTRACT)
 def test_effect_builds_in_every_variant(kind):
-    for choices in load_catalogue()[kind].variants:
+    for choices in (*load_catalogue()[kind].variants, *load_catalogue()[kind].upgrades):
         _, columns, term = build_alone(kind, choices)
         assert columns or term.effect.rewrite is not None or term.effect.sets_aside
         assert all(np.isfinite(column).all() for column in columns.values())
@@ -325,3 +328,17 @@ def test_heat_comes_from_the_power_where_it_is_logged_and_from_the_supply_otherw
 )
 def test_options_have_the_columns_that_their_equations_say(kind, choices, names):
     assert list(build_alone(kind, choices)[1]) == [f"{kind}: {name}" for name in names]
+
+
+def test_a_slow_zero_shift_is_tried_once_the_lag_is_known():
+    catalogue = load_catalogue()
+    campaign = open_case(
+        make_dataset(linear, runs=3, length=200), catalogue, [EffectConfig("zero_tempco")]
+    ).campaign
+
+    def list_lags(*kinds):
+        terms = [start_term(catalogue, EffectConfig(kind)) for kind in kinds]
+        return [dict(p.choices) for p in propose(catalogue, terms, campaign)[0] if p.kind == LAG]
+
+    assert list_lags("zero_tempco") == [{"time_constants": 1}, {"time_constants": 2}]
+    assert list_lags("zero_tempco", LAG) == [{"time_constants": 2}, {"own_terms": 1}]

@@ -129,7 +129,14 @@ def explain_figures(comparison: "Comparison") -> list[str]:
     if comparison.tared:
         sentences.append(
             "The logs are zeroed one by one, so a run's own offset says nothing about the model: "
-            "it is taken off every error, and its RMS over the runs stands in the table."
+            "it is taken off every error. RMS of what is taken off, beside the error: "
+            + ", ".join(
+                f"{name} {told.offset:.4g} beside {told.rmse:.4g} {unit}"
+                for name, unit, told in zip(
+                    comparison.outputs, comparison.units, comparison.told, strict=True
+                )
+            )
+            + "."
         )
     if comparison.set_aside > 0.0:
         sentences.append(
@@ -156,8 +163,7 @@ def _finish(sentence: str) -> str:
 
 def _print_outputs(comparison: "Comparison", console: "Console") -> None:
     headings = "uncompensated|in sample|held out|% FS|largest|noise floor|x floor|explained"
-    columns = [*headings.split("|"), *(("offsets off",) if comparison.tared else ())]
-    table = open_table("RMSE per output", ("output", "unit"), columns)
+    table = open_table("RMSE per output", ("output", "unit"), headings.split("|"))
     for k, name in enumerate(comparison.outputs):
         told, floor = comparison.told[k], float(comparison.floor.rms[k])
         held_out = comparison.held_out
@@ -172,7 +178,6 @@ def _print_outputs(comparison: "Comparison", console: "Console") -> None:
             f"{floor:.4g}",
             f"{told.rmse / floor:.2f}" if floor > 0.0 else "-",
             f"{100.0 * told.explained:.2f} %",
-            *((f"{told.offset:.4g}",) if comparison.tared else ()),
         )
     console.print(table)
 
