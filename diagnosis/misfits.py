@@ -199,6 +199,16 @@ class Bench:
                 break
         return notes
 
+    def agrees(self, group: str, output: str) -> bool:
+        """Return whether a fit of the other runs explains an output of a run as well as theirs."""
+        places = [i for i, course in enumerate(self.courses) if course.run.group == group]
+        if not places or len(self.courses) < FEWEST_RUNS:
+            return False
+        fit = self.fit_without(frozenset(places))
+        k = self.outputs.index(output)
+        drift, expected, inside = self.hold(fit, self.courses[places[0]])
+        return bool(_measure(drift - expected, inside)[k] <= ORDINARY * fit.left[k])
+
     def _list_suspects(self, accused: frozenset[int]) -> list[int]:
         """Return the run without which the others agree much better, and those far from them."""
         rest = [i for i in range(len(self.courses)) if i not in accused]

@@ -165,3 +165,12 @@ def test_what_is_wild_all_over_is_taken_as_it_was_measured(every, as_measured, c
     train = spoil(clean, measured=measured).train
     course = Bench(train, clean.outputs, np.array(clean.full_scale)).courses[2]
     assert np.array_equal(course.measured, measured) == as_measured
+
+
+def test_a_drift_that_goes_with_the_load_is_no_other_gain(clean):
+    # In one run alone the load and the temperature move together.
+    bench = Bench(clean.train, clean.outputs, np.array(clean.full_scale))
+    assert bench.agrees("run_2", clean.outputs[0])
+    doubled = spoil(clean, measured=2.0 * clean.train[2].measured)
+    bench = Bench(doubled.train, clean.outputs, np.array(clean.full_scale))
+    assert not bench.agrees("run_2", clean.outputs[0])
