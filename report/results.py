@@ -17,6 +17,12 @@ from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.remainder import RemainderPattern
 from zerodrift.diagnosis.summary import AdviceSummary, RevisionSummary, StepSummary
 from zerodrift.discovery.summary import PlanSummary
+from zerodrift.field.summary import (
+    MonitorResult,
+    NeighbourResult,
+    RegistryResult,
+    UnitHistoryResult,
+)
 from zerodrift.fleet.summary import FleetSummary
 from zerodrift.physics.description import EffectDescription
 from zerodrift.physics.summary import FittedCoefficient, ModelSummary, ParameterInterval
@@ -567,15 +573,19 @@ RESULTS: tuple[type, ...] = (
     *(EffectResult, EffectsResult, ExportResult, FirmwareSummary, FleetSummary, HistoryResult),
     *(
         InitResult,
+        MonitorResult,
+        NeighbourResult,
         PackageResult,
         PlanResult,
         ProofResult,
         ProposeResult,
         RecordResult,
+        RegistryResult,
         RemoveResult,
         ReportResult,
         TrainResult,
         UpgradeResult,
+        UnitHistoryResult,
         VerifySummary,
     ),
 )

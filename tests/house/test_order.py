@@ -10,19 +10,8 @@ from setup import ROOT, find_stages
 
 ORDER = (
     *("base", "dataset", "operations", "physics", "calibration", "diagnosis", "train", "export"),
-    *(
-        "blocks",
-        "codegen",
-        "c_runtime",
-        "verify",
-        "discovery",
-        "recording",
-        "fleet",
-        "report",
-        "workbench",
-        "app",
-        "lab",
-    ),
+    *("blocks", "codegen", "c_runtime", "verify", "discovery", "recording", "field", "fleet"),
+    *("report", "workbench", "app", "lab"),
 )
 FOLDERS = {name: ROOT / name for name in find_stages()} | {
     name: ROOT / "src/zerodrift" / name for name in ("base", "app")

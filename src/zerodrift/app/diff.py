@@ -265,14 +265,15 @@ def measure_over_range(old: IntegerModel, new: IntegerModel) -> dict[str, Output
     The temperature goes from the middle to the top, back, to the bottom and back, at half of the
     calibrated rate, and rests at each place; then each further input does so in turn.
     """
-    times, profiles = _plan_sweep(old, new)
+    times, profiles = plan_sweep(old, new)
     answers = []
     for model in (old, new):
         step = model.sample_period_s
         count = min(int(times[-1] / step) + 1, MOST_STEPS)
         grid = step * np.arange(count)
         values = np.stack(
-            [np.interp(grid, times, profiles[_key(channel)]) for channel in model.channels], axis=1
+            [np.interp(grid, times, profiles[key_of(channel)]) for channel in model.channels],
+            axis=1,
         )
         _, codes = encode_values(model, values)
         drift, _ = Chip(model).run(codes, 0)
@@ -283,7 +284,7 @@ def measure_over_range(old: IntegerModel, new: IntegerModel) -> dict[str, Output
     return _summarise(old, new, np.stack(columns, axis=1))
 
 
-def _plan_sweep(old: IntegerModel, new: IntegerModel) -> tuple[Array, dict[str, Array]]:
+def plan_sweep(old: IntegerModel, new: IntegerModel) -> tuple[Array, dict[str, Array]]:
     """Return the sweep's corner times in seconds, and each channel's values [corners]."""
     ranges: dict[str, list[tuple[float, float]]] = {}
     for model in (old, new):
@@ -293,7 +294,7 @@ def _plan_sweep(old: IntegerModel, new: IntegerModel) -> tuple[Array, dict[str, 
         for index, channel in enumerate(model.channels):
             codes = limits.get(index, (0, 0))
             first, last = (code * channel.lsb + channel.offset for code in codes)
-            ranges.setdefault(_key(channel), []).append((first, last))
+            ranges.setdefault(key_of(channel), []).append((first, last))
     common = {
         key: (max(low for low, _ in ends), min(high for _, high in ends))
         for key, ends in ranges.items()
@@ -302,7 +303,7 @@ def _plan_sweep(old: IntegerModel, new: IntegerModel) -> tuple[Array, dict[str, 
         m.guards.rate_max * m.channels[m.guards.temperature_channel].lsb / m.sample_period_s
         for m in (old, new)
     )
-    thermometer = _key(new.channels[new.guards.temperature_channel])
+    thermometer = key_of(new.channels[new.guards.temperature_channel])
     low, high = common[thermometer]
     if high <= low:
         raise InputError(
@@ -328,7 +329,8 @@ def _plan_sweep(old: IntegerModel, new: IntegerModel) -> tuple[Array, dict[str, 
     return times, profiles
 
 
-def _key(channel: Channel) -> str:
+def key_of(channel: Channel) -> str:
+    """Return where a log has what a channel is given."""
     return channel.source or channel.name
 
 

@@ -104,6 +104,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
     from zerodrift.base.errors import CheckError
     from zerodrift.fleet.design import Design
     from zerodrift.fleet.executors import Executor, OverRay, Processes, Serial, import_ray
+    from zerodrift.fleet.register import enter_fleet
     from zerodrift.fleet.report import ERROR, FAIL, judge_fleet, summarise_report, write_report
     from zerodrift.fleet.run import run_fleet
 
@@ -138,6 +139,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
     except (KeyboardInterrupt, CheckError):
         click.echo(state.explain_stop(), err=True)
         raise
+    enter_fleet(design, outcomes)
     report = judge_fleet(design, outcomes)
     paths = write_report(design, report)
     blocks = None

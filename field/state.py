@@ -1,0 +1,119 @@
+"""What `monitor` keeps from one call to the next: a sealed JSON file of some tens of kilobytes."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.base.errors import InputError
+from zerodrift.base.files import write_whole
+from zerodrift.base.records import from_json, to_dict
+from zerodrift.base.sealed import read_format, read_sealed, render_sealed
+from zerodrift.field.watch import BlockMeans, ChangeFound, Learned
+
+FORMAT = 1
+FILE_NAME = "monitor.json"
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OutputState:
+    """One output's means, and what they told."""
+
+    place: tuple[int, ...] = ()
+    count: tuple[float, ...] = ()
+    residual: tuple[float, ...] = ()
+    temperature: tuple[float, ...] = ()
+    learned: Learned | None = None
+    finding: ChangeFound | None = None
+
+    @property
+    def blocks(self) -> BlockMeans:
+        """The means."""
+        return BlockMeans(
+            np.array(self.place, dtype=np.int64),
+            np.array(self.count, dtype=np.float64),
+            np.array(self.residual, dtype=np.float64),
+            np.array(self.temperature, dtype=np.float64),
+        )
+
+
+def keep_output(
+    blocks: BlockMeans, learned: Learned | None, finding: ChangeFound | None
+) -> OutputState:
+    """Return the state of an output; the numbers are kept to 9 digits."""
+
+    def shorten(values: Array) -> tuple[float, ...]:
+        return tuple(float(f"{value:.9g}") for value in values)
+
+    return OutputState(
+        tuple(int(p) for p in blocks.place),
+        shorten(blocks.count),
+        shorten(blocks.residual),
+        shorten(blocks.temperature),
+        learned,
+        finding,
+    )
+
+
+@dataclass(frozen=True)
+class LogSeen:
+    """A log that was read."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class MonitorState:
+    """A unit since its model came into use."""
+
+    sensor: str
+    model_hash: str
+    block_s: float
+    per_month: float
+    learn_s: float
+    last_s: float | None = None
+    """Time of the last step that was read."""
+    steps: int = 0
+    flags: Mapping[str, int] = field(default_factory=dict)
+    outputs: Mapping[str, OutputState] = field(default_factory=dict)
+    logs: tuple[LogSeen, ...] = ()
+
+
+def load_state(path: Path) -> MonitorState | None:
+    """Return the state that an earlier call left; None where there is none.
+
+    Raises:
+        InputError: the file is damaged, of another format, or cannot be read.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); expected the state of `zerodrift monitor`."
+        ) from error
+    try:
+        if read_format(content) != FORMAT:
+            raise ValueError(f"format {read_format(content)!r}; expected {FORMAT}")
+        body = {key: value for key, value in read_sealed(content).items() if key != "format"}
+        return from_json(MonitorState, body)
+    except (ValueError, json.JSONDecodeError) as error:
+        raise InputError(
+            f"{path}: is no state of `zerodrift monitor` ({error}); expected what it wrote."
+            " Take it from a backup, or begin anew with --reset."
+        ) from error
+
+
+def save_state(path: Path, state: MonitorState) -> None:
+    """Write the state, whole or not at all.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    write_whole(path, render_sealed({"format": FORMAT, **to_dict(state)}))

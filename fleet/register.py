@@ -1,0 +1,37 @@
+"""What a fleet's run adds to the registry: each unit's calibration, and the logs it came from."""
+
+from collections.abc import Sequence
+
+from zerodrift.field.registry import FILE_NAME, open_registry
+from zerodrift.fleet.design import Design
+from zerodrift.fleet.result import SensorOutcome
+from zerodrift.fleet.sensors import configure_sensor
+from zerodrift.verify.manifest import hash_inputs
+
+
+def enter_fleet(design: Design, outcomes: Sequence[SensorOutcome]) -> None:
+    """Enter the units that went through into the registry beside zerodrift.toml, if there is one.
+
+    A unit without firmware, or whose firmware was refused, has no calibration to enter.
+
+    Raises:
+        InputError: the registry cannot be written, or a unit is of another design there.
+    """
+    path = design.directory / FILE_NAME
+    if not path.is_file():
+        return
+    with open_registry(path) as registry:
+        known = {(unit.serial, unit.model_hash) for unit in registry.list_units()}
+        for outcome in outcomes:
+            result = outcome.result
+            if result is None or not result.model_hash or (result.refused and not result.forced):
+                continue
+            if (outcome.sensor, result.model_hash) in known:
+                continue
+            logs = hash_inputs(configure_sensor(design.config, outcome.sensor)).logs
+            registry.add_calibration(
+                outcome.sensor,
+                design.config.sensor_name,
+                result.model_hash,
+                tuple((sha256, name) for name, sha256 in logs.items()),
+            )

@@ -1,0 +1,198 @@
+"""`zerodrift monitor`: the deployed model against new logs, and whether it still holds."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from zerodrift.app.commands.common import (
+    directory_option,
+    json_option,
+    packed,
+    print_notes,
+    print_result,
+    skip_invalid_option,
+)
+from zerodrift.app.commands.console import open_console, open_table, show_progress
+from zerodrift.base.errors import CheckError, InputError
+
+if TYPE_CHECKING:
+    from zerodrift.field.summary import MonitorResult
+
+STANDARD_INPUT = "-"
+COMMAND_MARK = "command:"
+
+
+@dataclass(frozen=True)
+class MonitorOptions:
+    """How a unit is watched, as the command line says."""
+
+    sensor: str | None
+    loads: tuple[str, ...]
+    when: str | None
+    alarms_per_unit_month: float
+    learn_days: float
+    block_hours: float
+    state: Path | None
+    metrics: Path | None
+    reset: bool
+    every_s: float
+
+
+@click.command()
+@click.argument("sources", nargs=-1, metavar="LOG|SOURCE...")
+@directory_option
+@click.option("--sensor", default=None, metavar="NAME", help="A unit of a fleet.")
+@click.option(
+    "--load",
+    "loads",
+    multiple=True,
+    metavar="OUTPUT=VALUE",
+    help="True value of an output in these logs, such as Fz=0 for an unloaded sensor.",
+)
+@click.option(
+    "--when",
+    default=None,
+    metavar="COLUMN=VALUE",
+    help="Only rows with this number in this column have the known load (zero checks).",
+)
+@click.option(
+    "--false-alarms",
+    "alarms_per_unit_month",
+    type=click.FloatRange(1e-6, 0.5),
+    default=0.01,
+    show_default=True,
+    metavar="RATE",
+    help="False alarms per unit and month of 30 days, all outputs together.",
+)
+@click.option(
+    "--learn-days",
+    type=click.FloatRange(1.0, 3650.0),
+    default=14.0,
+    show_default=True,
+    help="The first days, which the noise in use is learnt from.",
+)
+@click.option(
+    "--block-hours",
+    type=click.FloatRange(0.02, 240.0),
+    default=4.0,
+    show_default=True,
+    help="Samples are averaged over so long before they are tested.",
+)
+@click.option(
+    "--state",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=None,
+    metavar="FILE",
+    help="What is kept from call to call (default: build/monitor.json, of a fleet's unit its own).",
+)
+@click.option(
+    "--metrics",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=None,
+    metavar="FILE",
+    help="Also write Prometheus' text, for node_exporter's textfile collector.",
+)
+@click.option("--reset", is_flag=True, help="Forget what was seen: the unit was mended or moved.")
+@click.option(
+    "--every-s",
+    type=click.FloatRange(1.0),
+    default=3600.0,
+    show_default=True,
+    help="Of a live source: time of the log between two looks.",
+)
+@json_option
+@skip_invalid_option
+@packed(MonitorOptions)
+def command(
+    sources: tuple[str, ...],
+    directory: Path,
+    as_json: bool,
+    skip_invalid: bool,
+    options: MonitorOptions,
+) -> None:
+    """Hold the model of the last `firmware` against new logs of its unit.
+
+    LOG is a file as [logs] names them; SOURCE is - (CSV on standard input) or "command:CMD" (CSV
+    that a command prints). Tells flags, the range that is used and, where the true value is known,
+    whether the zero ages, has stepped, or another model or unit is in use.
+
+    Exit code 1: an alarm stands. The state goes on from call to call; another model begins anew.
+    """
+    from zerodrift.app.monitor import Monitor
+    from zerodrift.app.watched import enter, live_chunks, open_deployed, open_state
+    from zerodrift.base.lock import lock_project
+    from zerodrift.field.metrics import write_metrics
+    from zerodrift.field.state import save_state
+
+    if not sources:
+        raise InputError("nothing to read; expected a log, - or command:CMD. Name one.")
+    deployed, place, notes = open_deployed(directory, options)
+    with lock_project(place.parent):
+        state, more = open_state(place, deployed, options)
+        notes = (*notes, *more)
+        monitor = Monitor(deployed, state)
+
+        def look() -> "MonitorResult":
+            with show_progress("testing") as say:
+                told = monitor.judge(say)
+            save_state(place, monitor.state)
+            if options.metrics is not None:
+                write_metrics(options.metrics, (told,))
+            return told
+
+        for source in sources:
+            if source == STANDARD_INPUT or source.startswith(COMMAND_MARK):
+                for chunk in live_chunks(source.removeprefix(COMMAND_MARK), deployed, options):
+                    monitor.read(chunk, skip_invalid=skip_invalid, overlap=True)
+                    _tell_live(look())
+                continue
+            if not Path(source).exists():
+                raise InputError(
+                    f"{source}: there is no such log; expected a file or folder, - or command:CMD."
+                )
+            with show_progress(f"reading {Path(source).name}"):
+                monitor.read(Path(source), skip_invalid=skip_invalid)
+        told = look()
+        notes = (*notes, *enter(directory, told, monitor.state.logs))
+    if as_json:
+        print_result(told)
+    else:
+        print_notes((*notes, *told.notes))
+        _print(told)
+    if told.alarm:
+        texts = [o.text for o in told.outputs.values() if o.verdict.cause]
+        raise CheckError("; ".join(texts) + ".")
+
+
+def _tell_live(told: "MonitorResult") -> None:
+    """Say on stderr how a live source stands."""
+    texts = "; ".join(f"{name}: {o.text}" for name, o in told.outputs.items())
+    click.echo(f"{told.steps_in_all} steps; {texts}", err=True)
+
+
+def _print(told: "MonitorResult") -> None:
+    console = open_console()
+    table = open_table(
+        f"{told.sensor}: {told.steps} steps read, {told.steps_in_all} in all",
+        ("output", "state"),
+        ("RMS residual", "calibrated", "zero moved", "blocks"),
+    )
+    for name, o in told.outputs.items():
+        shown = [
+            "-" if value is None else f"{value:.3g} {o.unit}"
+            for value in (o.rms_residual, o.uncertainty, o.zero_moved)
+        ]
+        table.add_row(name, o.state, *shown, str(o.blocks))
+    console.print(table)
+    for name, used in told.ranges.items():
+        console.print(
+            f"{name}: {used.low:.4g} .. {used.high:.4g} {used.unit} of"
+            f" {used.calibrated_low:.4g} .. {used.calibrated_high:.4g} calibrated"
+            + (f"; outside for {100.0 * used.outside:.2g} % of the steps" if used.outside else "")
+        )
+    for text, count in told.flags.items():
+        console.print(f"flag at {count} of {told.steps} steps: {text}")
+    for name, o in told.outputs.items():
+        console.print(f"{name}: {o.text}")

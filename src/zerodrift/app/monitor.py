@@ -1,0 +1,396 @@
+"""The deployed model against new logs: flags, range used, residual, and the sequential test."""
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.app.applied_rows import FLAG_NAMES
+from zerodrift.app.apply import Chip, answer
+from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError
+from zerodrift.dataset.code_format import MEASURED
+from zerodrift.dataset.log_steps import LogSteps, find_column, name_columns, read_log_steps
+from zerodrift.dataset.selectors import list_files
+from zerodrift.export.integer_model import FLAG_NO_READING, IntegerModel
+from zerodrift.field.blocks import join_blocks, make_blocks
+from zerodrift.field.state import LogSeen, MonitorState, OutputState, keep_output
+from zerodrift.field.summary import (
+    ALARM,
+    LEARNING,
+    NO_REFERENCE,
+    SOUND,
+    ChangeVerdict,
+    MonitorResult,
+    OutputWatched,
+    RangeUsed,
+)
+from zerodrift.field.watch import (
+    AGEING,
+    OTHER_MODEL,
+    OTHER_UNIT,
+    STEP,
+    BlockMeans,
+    Followed,
+    Rules,
+    follow,
+)
+from zerodrift.verify.manifest import hash_file
+from zerodrift.verify.uncertainty import Uncertainty
+
+Array = NDArray[np.float64]
+
+ABSOLUTE_S = 1e8
+"""Times from here on are dates: 1973 and later; smaller ones count from the log's begin."""
+DAY_S = 86_400.0
+UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True)
+class Deployed:
+    """A unit in use, and how it is watched."""
+
+    sensor: str
+    config: Config
+    model: IntegerModel
+    uncertainty: Uncertainty | None
+    loads: Mapping[str, float]
+    """Output -> its true value in the logs, where that is known and no column."""
+    when: tuple[str, float] | None = None
+    """(column, value) of the rows at which the load is known; None: all."""
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What one log holds, step by step."""
+
+    time_s: Array
+    flags: NDArray[np.uint32]
+    channels: Array
+    """[n, C]"""
+    temperature: Array
+    residuals: Mapping[str, Array]
+    """NaN where nothing is known."""
+    notes: tuple[str, ...]
+
+
+class Monitor:
+    """A unit, shown one log after the other."""
+
+    def __init__(self, deployed: Deployed, state: MonitorState) -> None:
+        self.deployed, self.state = deployed, state
+        self._chip = Chip(deployed.model)
+        self._flags: dict[str, int] = {}
+        self._squares: dict[str, tuple[float, int]] = {}
+        self._ranges: dict[str, RangeUsed] = {}
+        self._logs: list[str] = []
+        self._steps = 0
+        self._notes: list[str] = [self._chip.note] if self._chip.note else []
+
+    def read(self, log: Path, *, skip_invalid: bool = False, overlap: bool = False) -> None:
+        """Take a log in.
+
+        Args:
+            log: the log; one that was read before is passed over.
+            skip_invalid: drop rows whose time is no number or does not rise.
+            overlap: rows up to the last time seen are expected, and only let the model settle.
+
+        Raises:
+            InputError: it cannot be read, or lacks what the model takes.
+        """
+        digest = hash_log(log)
+        if any(seen.sha256 == digest for seen in self.state.logs):
+            self._notes.append(f"{log}: was read before; it is passed over")
+            return
+        told = self._answer(log, skip_invalid)
+        self._notes += told.notes
+        time_s = self._place(told.time_s, log, overlap)
+        new = np.ones(time_s.size, dtype=np.bool_)
+        if self.state.last_s is not None:
+            new = time_s > self.state.last_s
+            if not new.all() and not overlap:
+                self._notes.append(
+                    f"{log}: {int((~new).sum())} of {new.size} steps are not later than what was"
+                    " read before; they are passed over"
+                )
+        if not new.any():
+            return
+        self._count(told, new)
+        outputs = dict(self.state.outputs)
+        for name, residual in told.residuals.items():
+            usable = new & (told.flags == 0) & np.isfinite(residual)
+            blocks = make_blocks(
+                time_s[usable], residual[usable], told.temperature[usable], self.state.block_s
+            )
+            before = outputs.get(name, OutputState())
+            joined = join_blocks(before.blocks, blocks)
+            outputs[name] = keep_output(joined, before.learned, before.finding)
+            squares, count = self._squares.get(name, (0.0, 0))
+            own = residual[usable]
+            self._squares[name] = (squares + float(own @ own), count + own.size)
+        seen = () if overlap else (LogSeen(log.name, digest),)
+        self._logs.append(str(log))
+        self.state = replace(
+            self.state,
+            last_s=float(time_s[-1]),
+            steps=self.state.steps + int(new.sum()),
+            outputs=outputs,
+            logs=(*self.state.logs, *seen),
+        )
+
+    def _place(self, time_s: Array, log: Path, overlap: bool) -> Array:
+        """Return times that go on from the last log, where the log's own begin anew."""
+        last = self.state.last_s
+        if time_s[0] >= ABSOLUTE_S or overlap or last is None:
+            return time_s
+        if last >= ABSOLUTE_S:
+            raise InputError(
+                f"{log}: its times count from its begin; expected dates, as in the logs before."
+                " State [sensor] time with its format, or begin anew with --reset."
+            )
+        if time_s[0] > last:
+            return time_s
+        shift = last + self.deployed.config.sample_period_s - float(time_s[0])
+        self._notes.append(
+            f"{log}: its times begin anew; it is taken to follow the log before without a gap"
+        )
+        return time_s + shift
+
+    def _answer(self, log: Path, skip_invalid: bool) -> _Read:
+        """Return what the model leaves of a log."""
+        deployed, config, model = self.deployed, self.deployed.config, self.deployed.model
+        wanted = [c.source or c.name for c in model.channels]
+        wanted += [f"{MEASURED}{output.name}" for output in model.outputs]
+        columns = name_columns(config, wanted)
+        if deployed.when is not None:
+            columns.setdefault(deployed.when[0], "--when")
+        known = dict.fromkeys(
+            o.reference
+            for o in config.outputs
+            if isinstance(o.reference, str) and o.name not in deployed.loads
+        )
+        notes: list[str] = []
+        try:
+            asked = {**columns, **dict.fromkeys(known, "[outputs] reference")}
+            steps = read_log_steps(config, log, asked, skip_invalid)
+        except InputError as error:
+            if not known:
+                raise
+            steps = read_log_steps(config, log, columns, skip_invalid)
+            notes.append(f"{log}: no true value is read ({str(error).split(';')[0]})")
+            known = {}
+        answers = answer(self._chip, config, steps, with_range=False)
+        notes += [*steps.notes, *answers.notes]
+        residuals = {}
+        here = np.ones(steps.steps, dtype=np.bool_)
+        if deployed.when is not None:
+            column, value = deployed.when
+            here = _resample(steps, column) == value
+        for k, output in enumerate(model.outputs):
+            stated = next(o for o in config.outputs if o.name == output.name)
+            if output.name in deployed.loads:
+                true: Array | float = deployed.loads[output.name]
+            elif stated.reference in known:
+                true = _resample(steps, str(stated.reference))
+            else:
+                continue
+            measured = _resample(steps, stated.measured)
+            drift = answers.drift[:, k] / float(output.lsb_per_unit)
+            residuals[output.name] = np.where(here, measured - drift - true, np.nan)
+        channels = np.column_stack(
+            [_resample(steps, find_column(config, c.source or c.name)) for c in model.channels]
+        )
+        guards = model.guards
+        thermometer = model.channels[guards.temperature_channel]
+        low, high = (
+            thermometer.offset + code * thermometer.lsb
+            for code in (guards.temperature_low, guards.temperature_high)
+        )
+        warm = channels[:, guards.temperature_channel]
+        share = (warm - 0.5 * (low + high)) / max(0.5 * (high - low), 1e-9)
+        time_s = np.concatenate([one.stretch.time_s for one in steps.stretches])
+        return _Read(time_s, answers.flags, channels, share, residuals, tuple(notes))
+
+    def _count(self, told: _Read, new: NDArray[np.bool_]) -> None:
+        """Count flags and the ranges that the inputs used."""
+        model = self.deployed.model
+        flags, told_flags = told.flags[new], dict(self.state.flags)
+        for bit, text in FLAG_NAMES.items():
+            count = int(np.count_nonzero(flags & bit))
+            if count:
+                self._flags[text] = self._flags.get(text, 0) + count
+                told_flags[text] = told_flags.get(text, 0) + count
+        self.state = replace(self.state, flags=told_flags)
+        guards = model.guards
+        first = (guards.temperature_channel, guards.temperature_low, guards.temperature_high)
+        for index, low, high in (first, *guards.ranges):
+            channel = model.channels[index]
+            values = told.channels[new, index]
+            values = values[np.isfinite(values) & (flags & FLAG_NO_READING == 0)]
+            if not values.size:
+                continue
+            limits = [channel.offset + code * channel.lsb for code in (low, high)]
+            outside = float(np.mean((values < limits[0]) | (values > limits[1])))
+            used = (float(values.min()), float(values.max()))
+            before = self._ranges.get(channel.name)
+            if before is not None:
+                used = (min(used[0], before.low), max(used[1], before.high))
+                part = values.size / (self._steps + values.size)
+                outside = part * outside + (1.0 - part) * before.outside
+            self._ranges[channel.name] = RangeUsed(
+                channel.unit, *used, limits[0], limits[1], outside
+            )
+        self._steps += int(new.sum())
+
+    def judge(self, say: Callable[[str], None] = lambda _: None) -> MonitorResult:
+        """Run the test on all that was read; return what it says."""
+        outputs, watched = dict(self.state.outputs), {}
+        state = self.state
+        number = max(1, len(outputs))
+        for output in self.deployed.model.outputs:
+            uncertainty = None
+            if self.deployed.uncertainty is not None:
+                found = self.deployed.uncertainty.outputs.get(output.name)
+                uncertainty = found.standard if found is not None else None
+            own = outputs.get(output.name)
+            if own is None or not own.place:
+                watched[output.name] = _tell_nothing(output.unit, uncertainty)
+                continue
+            say(f"testing {output.name}")
+            rules = Rules(
+                state.per_month / number,
+                state.block_s,
+                uncertainty if uncertainty is not None else float(np.std(own.residual)),
+                state.learn_s,
+            )
+            blocks = _whole_blocks(own.blocks, self.deployed.config.sample_period_s, rules)
+            followed = follow(blocks, rules, own.learned)
+            settled = own.finding if own.finding is not None and own.finding.told else None
+            finding = settled or followed.finding or own.finding
+            followed = Followed(followed.learned, finding, followed.ready)
+            outputs[output.name] = keep_output(own.blocks, followed.learned, finding)
+            squares, count = self._squares.get(output.name, (0.0, 0))
+            told, verdict, text = _tell(
+                self.deployed.sensor, output.name, output.unit, blocks, followed, rules
+            )
+            watched[output.name] = OutputWatched(
+                unit=output.unit,
+                state=told,
+                verdict=verdict,
+                text=text,
+                blocks=blocks.place.size,
+                blocks_to_learn=followed.ready,
+                rms_residual=float(np.sqrt(squares / count)) if count else None,
+                uncertainty=uncertainty,
+                zero_moved=_measure_move(blocks, followed, rules),
+            )
+        self.state = replace(state, outputs=outputs)
+        return MonitorResult(
+            sensor=self.deployed.sensor,
+            model_hash=self.deployed.model.hash,
+            alarm=any(one.state == ALARM for one in watched.values()),
+            alarms_per_unit_month=state.per_month,
+            logs=tuple(self._logs),
+            steps=self._steps,
+            steps_in_all=state.steps,
+            flags=self._flags,
+            flags_in_all=state.flags,
+            ranges=self._ranges,
+            outputs=watched,
+            last_s=state.last_s,
+            notes=tuple(dict.fromkeys(self._notes)),
+        )
+
+
+def hash_log(log: Path) -> str:
+    """Return the SHA-256 of a log's files.
+
+    Raises:
+        InputError: one cannot be read.
+    """
+    digest = hashlib.sha256()
+    for path in list_files(log):
+        digest.update(hash_file(path).encode())
+    return digest.hexdigest()
+
+
+def _resample(steps: LogSteps, column: str) -> Array:
+    """Return a column [n] at all steps of a log."""
+    return np.concatenate([steps.resample(column, one) for one in steps.stretches])
+
+
+def _whole_blocks(blocks: BlockMeans, period_s: float, rules: Rules) -> BlockMeans:
+    """Return the blocks without the last one, if that may still gain samples."""
+    if not blocks.place.size or blocks.count[-1] >= round(rules.block_s / period_s):
+        return blocks
+    return blocks.first(blocks.place.size - 1)
+
+
+def _measure_move(blocks: BlockMeans, followed: Followed, rules: Rules) -> float | None:
+    """Return the median of the last day's means less that of the days that were learnt from."""
+    if followed.learned is None:
+        return None
+    later = blocks.place > blocks.place[-1] - DAY_S / rules.block_s
+    begin = blocks.residual[: followed.learned.blocks]
+    return float(np.median(blocks.residual[later]) - np.median(begin))
+
+
+def _tell_nothing(unit: str, uncertainty: float | None) -> OutputWatched:
+    return OutputWatched(
+        unit=unit,
+        state=NO_REFERENCE,
+        blocks=0,
+        blocks_to_learn=0,
+        rms_residual=None,
+        uncertainty=uncertainty,
+        zero_moved=None,
+        verdict=ChangeVerdict(),
+        text="the true value is not known: flags and range alone are watched",
+    )
+
+
+def tell_date(time_s: float) -> str:
+    """Return a time as a date, or, on a clock that counts from the first log, in days."""
+    if time_s < ABSOLUTE_S:
+        return f"day {time_s / DAY_S:.1f}"
+    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _tell(
+    sensor: str, output: str, unit: str, blocks: BlockMeans, followed: Followed, rules: Rules
+) -> tuple[str, ChangeVerdict, str]:
+    """Return the state of an output, what was found, and what to do."""
+    finding = followed.finding
+    if finding is None:
+        if followed.learned is None:
+            text = f"learning the noise: {blocks.place.size} of {followed.ready} blocks"
+            return LEARNING, ChangeVerdict(), text
+        return SOUND, ChangeVerdict(), "nothing has changed"
+    alarm_at, since = (
+        tell_date(float(blocks.place[i]) * rules.block_s) for i in (finding.alarm, finding.since)
+    )
+    cause = finding.cause if finding.told is not None else UNDECIDED
+    moved = f"the zero of {output} moved by {finding.size:.2g} {unit}"
+    text = {
+        STEP: f"recalibrate {sensor}: {moved} at once, {since}",
+        AGEING: f"recalibrate {sensor}: {moved} since {since}, along a line",
+        OTHER_MODEL: (
+            f"check {sensor}: {output} follows temperature as with the right model it would not,"
+            " from the first sample on; another unit's model or block is in use, or the unit was"
+            " swapped before"
+        ),
+        OTHER_UNIT: (
+            f"check {sensor}: since {since} {output} has another zero and follows temperature;"
+            " another unit, or another block, is in its place"
+        ),
+        UNDECIDED: (
+            f"watch {sensor}: {output} has changed; what it is, is not sure yet, most likely"
+            f" {finding.cause} ({100.0 * finding.probability:.0f} %)"
+        ),
+    }[cause]
+    size = finding.size if cause in (STEP, AGEING) else None
+    return ALARM, ChangeVerdict(cause, finding.probability, alarm_at, since, size), text

@@ -1,0 +1,262 @@
+"""What `monitor` opens: the deployed model, the state of the last call, and live sources."""
+
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Protocol
+
+from zerodrift.app.applied_model import open_applied
+from zerodrift.app.monitor import Deployed
+from zerodrift.base.config import Config, load_config
+from zerodrift.base.errors import CheckError, InputError, nearest
+from zerodrift.dataset.runs import Dataset
+from zerodrift.export.model_files import load_model
+from zerodrift.field.registry import FILE_NAME as REGISTRY
+from zerodrift.field.registry import open_registry
+from zerodrift.field.state import FILE_NAME, LogSeen, MonitorState, load_state
+from zerodrift.field.summary import MonitorResult
+from zerodrift.fleet.design import Design
+from zerodrift.fleet.sensors import configure_sensor, find_sensors
+from zerodrift.verify.manifest import check_manifest
+
+OVERLAP_S = 7200.0
+"""Of a live source: how much is computed again with the next rows, so that memory settles."""
+FEWEST_LINES = 3
+
+
+class Options(Protocol):
+    """What of the command line matters here."""
+
+    @property
+    def sensor(self) -> str | None:
+        """A unit of a fleet."""
+        ...
+
+    @property
+    def loads(self) -> tuple[str, ...]:
+        """OUTPUT=VALUE."""
+        ...
+
+    @property
+    def when(self) -> str | None:
+        """COLUMN=VALUE."""
+        ...
+
+    @property
+    def alarms_per_unit_month(self) -> float:
+        """False alarms."""
+        ...
+
+    @property
+    def learn_days(self) -> float:
+        """Days that the noise is learnt from."""
+        ...
+
+    @property
+    def block_hours(self) -> float:
+        """Length of a block."""
+        ...
+
+    @property
+    def state(self) -> Path | None:
+        """File of the state."""
+        ...
+
+    @property
+    def reset(self) -> bool:
+        """Whether to begin anew."""
+        ...
+
+    @property
+    def every_s(self) -> float:
+        """Time between two looks at a live source."""
+        ...
+
+
+def open_deployed(directory: Path, options: Options) -> tuple[Deployed, Path, tuple[str, ...]]:
+    """Return the unit as it is in use, the file of its state, and what is to be noted.
+
+    Raises:
+        InputError: there is no firmware, no such unit, or an option cannot be read.
+        CheckError: the files of the firmware are not those that were built and checked.
+    """
+    config = load_config(directory)
+    if options.sensor is not None:
+        return _open_unit(config, options.sensor, options)
+    applied = open_applied(config, load_logs=load_nothing)
+    changed = [f for f in check_manifest(config, wants_inputs=False).findings if not f.is_stale]
+    if changed:
+        raise CheckError("the firmware is not what was built and checked: " + changed[0].text)
+    loads, when = _read_loads(config, options)
+    deployed = Deployed(config.sensor_name, config, applied.model, applied.uncertainty, loads, when)
+    return deployed, options.state or config.build_directory / FILE_NAME, applied.notes
+
+
+def _open_unit(
+    config: Config, sensor: str, options: Options
+) -> tuple[Deployed, Path, tuple[str, ...]]:
+    design = Design(config)
+    sensors = find_sensors(config)
+    if sensor not in sensors:
+        raise InputError(
+            f"--sensor {sensor}: the fleet of {config.path} has no such unit"
+            f"{nearest(sensor, sensors)} It has {len(sensors)}. Correct the name."
+        )
+    own, folder = configure_sensor(config, sensor), design.build_folder(sensor)
+    model = load_model(folder / "model.json")
+    place = design.firmware_folder(sensor)
+    check = check_manifest(own, folder=place, build=folder, wants_inputs=False).require(sensor)
+    notes = tuple(f"{item.what}: {item.why}" for item in check.not_checked)
+    loads, when = _read_loads(config, options)
+    deployed = Deployed(sensor, own, model, None, loads, when)
+    return deployed, options.state or folder / FILE_NAME, notes
+
+
+def load_nothing() -> Dataset:
+    """Stand for a project's logs, which the integer model does not need."""
+    raise AssertionError("the integer model needs no logs")
+
+
+def _read_loads(
+    config: Config, options: Options
+) -> tuple[dict[str, float], tuple[str, float] | None]:
+    """Return the loads that are known, and the rows for which they are."""
+    names = [output.name for output in config.outputs]
+    loads = {}
+    for text in options.loads:
+        name, value = _read_pair("--load", text, "Fz=0")
+        if name not in names:
+            raise InputError(
+                f"--load {text}: there is no output '{name}'{nearest(name, names)} Expected one of"
+                f" {', '.join(names)}."
+            )
+        loads[name] = value
+    when = None if options.when is None else _read_pair("--when", options.when, "idle=1")
+    return loads, when
+
+
+def _read_pair(option: str, text: str, example: str) -> tuple[str, float]:
+    name, found, value = text.rpartition("=")
+    try:
+        if found and name:
+            return name.strip(), float(value)
+    except ValueError:
+        pass
+    raise InputError(f"{option} {text}: expected a name and a number, such as {example}.")
+
+
+def open_state(
+    place: Path, deployed: Deployed, options: Options
+) -> tuple[MonitorState, tuple[str, ...]]:
+    """Return the state to go on from, and what is to be noted.
+
+    Raises:
+        InputError: it is damaged, or was begun with other options.
+    """
+    fresh = MonitorState(
+        deployed.sensor,
+        deployed.model.hash,
+        options.block_hours * 3600.0,
+        options.alarms_per_unit_month,
+        options.learn_days * 86_400.0,
+    )
+    if options.reset:
+        return fresh, ()
+    kept = load_state(place)
+    if kept is None:
+        return fresh, ()
+    if kept.sensor != deployed.sensor:
+        raise InputError(
+            f"{place}: is the state of {kept.sensor}; expected that of {deployed.sensor}. Name"
+            " another file by --state."
+        )
+    if kept.model_hash != deployed.model.hash:
+        return fresh, (f"{place.name}: is of another model; the unit is learnt anew",)
+    if (kept.block_s, kept.per_month, kept.learn_s) != (
+        fresh.block_s,
+        fresh.per_month,
+        fresh.learn_s,
+    ):
+        raise InputError(
+            f"{place}: was begun with --block-hours {kept.block_s / 3600.0:g} --false-alarms"
+            f" {kept.per_month:g} --learn-days {kept.learn_s / 86_400.0:g}; expected the same, as a"
+            " test that changes on the way has no stated rate. Repeat them, or begin anew with"
+            " --reset."
+        )
+    return kept, ()
+
+
+def enter(directory: Path, told: MonitorResult, logs: Sequence[LogSeen]) -> tuple[str, ...]:
+    """Enter logs and alarms into the registry where there is one; return what is to be noted.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    path = directory / REGISTRY
+    if not path.is_file():
+        return ()
+    with open_registry(path) as registry:
+        if not registry.knows(told.sensor):
+            return (f"{path.name}: there is no unit {told.sensor}; nothing was entered",)
+        registry.add_logs(told.sensor, tuple((log.sha256, log.name) for log in logs))
+        for name, output in told.outputs.items():
+            if output.verdict.cause:
+                registry.add_finding(told.sensor, name, output.verdict.cause, output.text)
+    return ()
+
+
+def live_chunks(source: str, deployed: Deployed, options: Options) -> Iterator[Path]:
+    """Yield files with the last rows of a live source, whenever enough have come.
+
+    Args:
+        source: - or a command, which prints CSV with a header, a row for each sample.
+        deployed: says how much the model must see to settle.
+        options: how often to look.
+
+    Raises:
+        InputError: the command cannot be started, or nothing came.
+    """
+    config = deployed.config
+    warm_s = deployed.model.guards.warm_up_steps * config.sample_period_s
+    kept = max(FEWEST_LINES, round(max(OVERLAP_S, warm_s) / config.sample_period_s))
+    wanted = max(FEWEST_LINES, round(options.every_s / config.sample_period_s))
+    with tempfile.TemporaryDirectory(prefix="zerodrift-") as scratch, _open(source) as stream:
+        header = stream.readline()
+        if not header.strip():
+            raise InputError(f"{source}: gave nothing; expected CSV with a header.")
+        path, lines, new = Path(scratch) / "live.csv", [], 0
+        for line in stream:
+            if not line.strip():
+                continue
+            lines.append(line)
+            new += 1
+            if new >= wanted:
+                path.write_text(header + "".join(lines), encoding="utf-8")
+                yield path
+                lines, new = lines[-kept:], 0
+        if new and len(lines) >= FEWEST_LINES:
+            path.write_text(header + "".join(lines), encoding="utf-8")
+            yield path
+
+
+@contextmanager
+def _open(source: str) -> Iterator[IO[str]]:
+    """Open standard input, or what a command prints; the command ends with the block."""
+    if source == "-":
+        yield sys.stdin
+        return
+    try:
+        process = subprocess.Popen(shlex.split(source), stdout=subprocess.PIPE, text=True)
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(f"command:{source}: cannot be started ({error}). Correct it.") from error
+    assert process.stdout is not None
+    try:
+        yield process.stdout
+    finally:
+        process.stdout.close()
+        process.terminate()
+        process.wait()

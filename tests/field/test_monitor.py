@@ -1,0 +1,162 @@
+"""`monitor` on simulated logs of a unit in use: what it tells, keeps, writes and refuses."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from tests.field.conftest import BEGIN_S, DAY, write_log
+
+from zerodrift.app.cli import cli
+from zerodrift.field.summary import MonitorResult
+from zerodrift.report.results import read_result
+
+
+def watch(unit: Path, state: Path, *arguments: object) -> Result:
+    texts = [str(argument) for argument in arguments]
+    return CliRunner().invoke(
+        cli, ["monitor", *texts, "-C", str(unit), "--state", str(state / "s.json"), "--json"]
+    )
+
+
+def read(result: Result) -> MonitorResult:
+    told = read_result(result.stdout)
+    assert isinstance(told, MonitorResult), result.output
+    return told
+
+
+def test_monitor_stays_silent_over_a_sound_month_and_says_what_was_used(unit, tmp_path) -> None:
+    log = write_log(tmp_path / "a.csv", 10, 30, begin_s=BEGIN_S)
+    result = watch(unit, tmp_path, log)
+    assert result.exit_code == 0, result.output
+    told = read(result)
+    assert told.outputs["y"].state == "sound"
+    assert told.steps == told.steps_in_all == 30 * DAY
+    used = told.ranges["temperature"]
+    assert used.low >= 14 and used.high <= 36
+    assert used.calibrated_low < used.low + 1
+
+
+@pytest.mark.parametrize(
+    ("fault", "cause"),
+    [("step", "step"), ("ageing", "ageing"), ("unit", "other unit"), ("model", "other model")],
+)
+def test_monitor_names_the_cause(unit, tmp_path, fault: str, cause: str) -> None:
+    n = 30 * DAY
+    day = np.arange(n) / DAY
+    warm = 25 + 7 * np.sin(2 * np.pi * day) + 3 * np.sin(2 * np.pi * day / 5.3 + 11)
+    zero = {
+        "step": 0.5 * (day >= 20),
+        "ageing": 0.02 * day,
+        "unit": (day >= 20) * (1.0 + 0.05 * (warm - 25)),
+        "model": 0.05 * (warm - 25),
+    }[fault]
+    log = write_log(tmp_path / "a.csv", 11, 30, begin_s=BEGIN_S, zero=zero)
+    result = watch(unit, tmp_path, log)
+    assert result.exit_code == 1, result.output
+    verdict = read(result).outputs["y"].verdict
+    assert verdict.cause == cause
+    assert verdict.probability is not None and verdict.probability >= 0.95
+    if fault == "step":
+        assert verdict.size == pytest.approx(0.5, abs=0.05)
+        assert verdict.since.startswith("2026-01-2")
+        assert "recalibrate small: the zero of y moved by" in str(result.exception)
+
+
+def test_monitor_goes_on_where_the_last_call_ended(unit, tmp_path) -> None:
+    zero = 0.5 * (np.arange(30 * DAY) >= 20 * DAY)
+    for part in range(6):
+        own = slice(part * 5 * DAY, (part + 1) * 5 * DAY)
+        begin_s = BEGIN_S + part * 5 * 86_400.0
+        log = write_log(tmp_path / f"{part}.csv", 20 + part, 5, begin_s=begin_s, zero=zero[own])
+        result = watch(unit, tmp_path, log)
+        assert result.exit_code == (1 if part >= 4 else 0), result.output
+        assert read(result).steps_in_all == (part + 1) * 5 * DAY
+    assert read(result).outputs["y"].verdict.cause == "step"
+    again = watch(unit, tmp_path, tmp_path / "5.csv")
+    assert again.exit_code == 1
+    assert read(again).steps == 0
+    assert "read before" in " ".join(read(again).notes)
+
+
+def test_times_that_begin_anew_follow_the_log_before(unit, tmp_path) -> None:
+    for part in range(2):
+        log = write_log(tmp_path / f"{part}.csv", 30 + part, 3)
+        told = read(watch(unit, tmp_path, log))
+    assert told.steps_in_all == 6 * DAY
+    assert any("begin anew" in note for note in told.notes)
+
+
+def test_a_known_load_replaces_the_reference(unit, tmp_path) -> None:
+    log = write_log(tmp_path / "a.csv", 40, 3, begin_s=BEGIN_S, with_true=False)
+    told = read(watch(unit, tmp_path, log))
+    assert told.outputs["y"].state == "no reference"
+    told = read(watch(unit, tmp_path, log, "--reset", "--load", "y=0"))
+    assert told.outputs["y"].state == "learning"
+
+
+def test_zero_checks_are_taken_from_the_named_rows_alone(unit, tmp_path) -> None:
+    log = write_log(tmp_path / "a.csv", 41, 3, begin_s=BEGIN_S)
+    told = read(watch(unit, tmp_path, log, "--load", "y=0", "--when", "true_N=0"))
+    assert told.outputs["y"].rms_residual < 0.1  # 10 N of load are not among them
+
+
+def test_spikes_alarm_nobody(unit, tmp_path) -> None:
+    zero = np.zeros(30 * DAY)
+    zero[:: DAY // 3] = 50.0
+    log = write_log(tmp_path / "a.csv", 42, 30, begin_s=BEGIN_S, zero=zero)
+    assert watch(unit, tmp_path, log).exit_code == 0
+
+
+def test_metrics_are_what_prometheus_reads(unit, tmp_path) -> None:
+    log = write_log(tmp_path / "a.csv", 43, 3, begin_s=BEGIN_S)
+    assert watch(unit, tmp_path, log, "--metrics", tmp_path / "m.prom").exit_code == 0
+    lines = (tmp_path / "m.prom").read_text().splitlines()
+    samples = [line for line in lines if not line.startswith("#")]
+    assert 'zerodrift_monitor_alarm{sensor="small",output="y",unit="N"} 0' in samples
+    for line in samples:
+        name, value = line.rsplit(" ", 1)
+        float(value)
+        family = name.split("{")[0]
+        assert f"# TYPE {family} gauge" in lines or f"# TYPE {family} counter" in lines
+    assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_a_live_source_gives_what_the_file_gives(unit, tmp_path) -> None:
+    log = write_log(tmp_path / "a.csv", 44, 3, begin_s=BEGIN_S)
+    from_file = read(watch(unit, tmp_path, log))
+    live = tmp_path / "live"
+    live.mkdir()
+    told = read(watch(unit, live, f"command:cat {log}", "--every-s", "43200"))
+    assert told.steps_in_all == from_file.steps_in_all
+    kept = [json.loads((place / "s.json").read_text()) for place in (tmp_path, live)]
+    one, other = (np.array(state["outputs"]["y"]["residual"]) for state in kept)
+    assert one == pytest.approx(other, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--load", "z=0"], "no output 'z'"),
+        (["--load", "y"], "a name and a number"),
+        (["--sensor", "SN1"], "{sensor}"),
+        (["nowhere.csv"], "no such log"),
+    ],
+)
+def test_wrong_usage_is_told_and_writes_nothing(unit, tmp_path, arguments, told: str) -> None:
+    log = write_log(tmp_path / "a.csv", 45, 0.1, begin_s=BEGIN_S)
+    result = watch(unit, tmp_path, *arguments, *([] if "nowhere.csv" in arguments else [log]))
+    assert result.exception is not None
+    assert told in str(result.exception)
+    assert not (tmp_path / "s.json").exists()
+
+
+def test_a_state_that_was_edited_or_begun_otherwise_is_refused(unit, tmp_path) -> None:
+    log = write_log(tmp_path / "a.csv", 46, 1, begin_s=BEGIN_S)
+    assert watch(unit, tmp_path, log).exit_code == 0
+    other = watch(unit, tmp_path, log, "--false-alarms", "0.1")
+    assert "--false-alarms 0.01" in str(other.exception)
+    state = tmp_path / "s.json"
+    state.write_text(state.read_text().replace('"steps": 1440', '"steps": 1441'))
+    assert "its hash is not its own" in str(watch(unit, tmp_path, log).exception)

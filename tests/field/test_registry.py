@@ -1,0 +1,154 @@
+"""The registry: what it keeps, what it refuses, and many processes that write at a time."""
+
+import json
+import multiprocessing
+import sqlite3
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from tests.field.conftest import BEGIN_S, write_log
+
+from zerodrift.app.cli import cli
+from zerodrift.base.errors import InputError
+from zerodrift.field.registry import open_registry
+
+WRITERS, UNITS = 6, 15
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "registry.sqlite"
+    with open_registry(path, make=True):
+        return path
+
+
+def call(file: Path, *arguments: object):
+    texts = [str(argument) for argument in arguments]
+    return CliRunner().invoke(cli, ["registry", *texts, "--registry", str(file)])
+
+
+def write_many(path: str, writer: int, design: str) -> int:
+    """Enter the same units as every other writer does, and some of its own; return the refused."""
+    refused = 0
+    with open_registry(Path(path), make=True) as registry:
+        for number in range(UNITS):
+            try:
+                registry.add_unit(f"SHARED{number}", design)
+            except InputError as error:
+                assert "is there since" in str(error)
+                refused += 1
+            registry.add_calibration(f"OWN{writer}-{number}", design, f"{writer:x}{number:x}" * 8)
+            sha256 = registry.add_block(f"OWN{writer}-{number}", f"{writer} {number}".encode())
+            registry.load_block(f"OWN{writer}-{number}", sha256)
+    return refused
+
+
+def test_many_processes_write_and_nothing_is_lost_or_twice(tmp_path) -> None:
+    path = tmp_path / "registry.sqlite"  # made by whoever is first
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(WRITERS) as pool:
+        jobs = [(str(path), writer, "ft40") for writer in range(WRITERS)]
+        refused = pool.starmap(write_many, jobs)
+    assert sum(refused) == (WRITERS - 1) * UNITS
+    with open_registry(path) as registry:
+        units = registry.list_units()
+        kinds = [event.kind for event in registry.tell_history("OWN3-7")]
+    assert len(units) == len({unit.serial for unit in units}) == (WRITERS + 1) * UNITS
+    assert all(unit.block for unit in units if unit.serial.startswith("OWN"))
+    assert kinds == ["added", "calibrated", "block", "loaded"]
+    assert sqlite3.connect(path).execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    assert sqlite3.connect(path).execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
+def test_a_second_writer_is_told_who_waits_for_whom(file) -> None:
+    other = sqlite3.connect(file, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    with open_registry(file, wait_s=0.2) as registry:
+        with pytest.raises(InputError, match="another program holds it"):
+            registry.add_unit("SN1", "ft40")
+        assert registry.list_units() == ()  # a reader is not held up
+        other.execute("ROLLBACK")
+        registry.add_unit("SN1", "ft40")
+        assert registry.knows("SN1")
+
+
+def test_a_serial_number_is_entered_once(file) -> None:
+    assert call(file, "add", "SN1", "--design", "ft40").exit_code == 0
+    again = call(file, "add", "SN1", "--design", "ft80")
+    assert "SN1 is there since" in str(again.exception)
+    with open_registry(file) as registry, pytest.raises(InputError, match="of the design ft40"):
+        registry.add_calibration("SN1", "ft80", "a" * 64)
+
+
+def test_a_block_is_on_its_own_unit_alone(file, tmp_path) -> None:
+    for number, content in enumerate((b"one", b"two")):
+        (tmp_path / f"{number}.bin").write_bytes(content)
+        assert call(file, "add", f"SN{number}", "--design", "ft40").exit_code == 0
+    assert call(file, "block", "SN0", tmp_path / "0.bin", "--loaded").exit_code == 0
+    twice = call(file, "block", "SN1", tmp_path / "0.bin")
+    assert "is of SN0; expected one of SN1" in str(twice.exception)
+    assert call(file, "block", "SN1", tmp_path / "1.bin").exit_code == 0
+    units = json.loads(call(file, "list", "--json").stdout)["units"]
+    blocks = {unit["serial"]: unit["block"] for unit in units}
+    assert blocks["SN0"] and not blocks["SN1"]
+    wrong = call(file, "loaded", "SN1", blocks["SN0"][:8])
+    assert "would compensate another" in str(wrong.exception)
+    events = json.loads(call(file, "history", "SN0", "--json").stdout)["events"]
+    assert [event["kind"] for event in events] == ["added", "block", "loaded"]
+
+
+def test_what_fails_leaves_nothing(file) -> None:
+    with open_registry(file) as registry:
+        with pytest.raises(InputError, match="no unit SN9"):
+            registry.add_block("SN9", b"x")
+        with pytest.raises(InputError, match="SQLite refuses it"):
+            registry.add_calibration("", "ft40", "a" * 64)
+        assert registry.list_units() == ()
+        registry.add_unit("SN1", "ft40")  # the connection still writes
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [(None, "there is no registry"), (b"no database at all" * 99, "is damaged, or no registry")],
+)
+def test_what_is_no_registry_is_refused(tmp_path, content: bytes | None, told: str) -> None:
+    path = tmp_path / "r.sqlite"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=told), open_registry(path):
+        pass
+    assert (path.read_bytes() if content is not None else None) == content
+
+
+def test_another_programs_file_and_a_later_version_are_left_alone(file, tmp_path) -> None:
+    foreign = tmp_path / "other.sqlite"
+    connection = sqlite3.connect(foreign)
+    connection.execute("CREATE TABLE unit (a)")
+    connection.commit()
+    for make in (False, True):
+        with pytest.raises(InputError, match="of another program"):  # noqa: SIM117
+            with open_registry(foreign, make=make):
+                pass
+    later = sqlite3.connect(file)
+    later.execute("PRAGMA user_version = 2")
+    later.commit()
+    with pytest.raises(InputError, match="of version 2"), open_registry(file):
+        pass
+
+
+def test_monitor_enters_its_logs_and_alarms(unit, tmp_path) -> None:
+    place = unit / "registry.sqlite"
+    try:
+        log = write_log(tmp_path / "a.csv", 70, 4, begin_s=BEGIN_S, slope=0.5)
+        with open_registry(place, make=True) as registry:
+            registry.add_unit("small", "small")
+        arguments = ["monitor", str(log), "-C", str(unit), "--state", str(tmp_path / "s.json")]
+        assert CliRunner().invoke(cli, arguments).exit_code == 1
+        with open_registry(place) as registry:
+            told = registry.tell_history("small")
+        assert [event.kind for event in told] == ["added", "log", "finding"]
+        assert "other model" in told[-1].text
+    finally:
+        for path in unit.glob("registry.sqlite*"):
+            path.unlink()
