@@ -18,7 +18,8 @@ NAMES = (
     *("bench_random", "bench_certificate", "bench_int8", "bench_builds", "bench_six_axis"),
     "bench_conversion",
     *("bench_gate", "bench_copies", "bench_memory", "crash_points"),
-    *("bench_apply", "bench_uncertainty", "bench_install", "bench_bound", "bench_blocks"),
+    *("bench_apply", "bench_uncertainty", "bench_install", "bench_bound"),
+    "bench_proof",
 )
 """Modules of this folder, each with `main(quick: bool)`."""
 

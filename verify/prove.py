@@ -82,8 +82,15 @@ def prove(
         texts: file name -> content, of the model's header and source and of the runtime.
         progress: is told what is being done.
     """
+    return tuple(list_shown(model, texts, progress))
+
+
+def list_shown(
+    model: IntegerModel, texts: Mapping[str, str], progress: Callable[[str], None] = lambda _: None
+) -> Iterator[ShownPart]:
+    """Yield what `prove` returns, part by part."""
     prefix = name_prefix(model)
-    shown = [_show_runtime(texts)]
+    yield _show_runtime(texts)
     builds = BUILDS if model.recurrents or _has_network(texts, prefix) else BUILDS[:1]
     try:
         first: Proof | None = None
@@ -91,14 +98,13 @@ def prove(
             progress(f"proving {name}")
             proof = Proof(model, texts, prefix, name, defined)
             same = first is not None and proof.is_own_text(first)
-            shown += proof.run(whole=not same)
+            yield from proof.run(whole=not same)
             first = first or proof
         if model.recurrents:
             progress("other kernels' tables")
-            shown += show_kernels(model, texts, prefix)
+            yield from show_kernels(model, texts, prefix)
     except UNCHECKED as error:
-        shown.append(ShownPart("the C", "", OPEN, _tell(error)))
-    return tuple(shown)
+        yield ShownPart("the C", "", OPEN, _tell(error))
 
 
 def is_proven(shown: Sequence[ShownPart]) -> bool:

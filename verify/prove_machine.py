@@ -443,9 +443,12 @@ class TermMachine(Numbers):
         )
         if len(items) != len(made.fields) or (numbers and not items):
             raise UndecidedError(f"{len(items)} values for {len(made.fields)} fields of {name}")
-        for block, item in zip(made.fields.values(), items, strict=True):
+        fields = self.program.structs[kind]
+        for variable, block, item in zip(fields, made.fields.values(), items, strict=True):
             if block.type == "pointer":
                 found = self.evaluate(item)
+                if isinstance(found, Spot) and found.block.type != variable.type.name:
+                    raise UndecidedError(f"{block.name} points to another type")
                 if isinstance(found, Number) and found.term.exact == 0:
                     block.cells = [self.terms.constant(0)]
                 elif isinstance(found, Spot | AddressOf):

@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TypeAlias
 
 from zerodrift.verify.c_gru import (
     unpack_before,
@@ -59,19 +60,43 @@ def make_rules(prefix: str, layers: Callable[[], Layers], used: Used) -> dict[st
         "zd_save": lambda m, a: _save(m, a, prefix, used),
         "zd_restore": lambda m, a: _restore(m, a, prefix, used),
         "sizeof": lambda m, _: Number(m.terms.symbol("sizeof", 1, 2**31), "uint64_t"),
-        "ZD_PAIR_SCRATCH": lambda m, _: m.constant(1 << 12),
-        "ZD_ROW_VECTORS": lambda m, _: m.constant(1 << 9),
-        "ZD_COLUMN_UNITS": lambda m, _: m.constant(1 << 9),
-        "ZD_COLUMN_PAIRS": lambda m, _: m.constant(1 << 12),
+        "ZD_PAIR_SCRATCH": lambda m, a: _size(m, scratch_of_pairs(*map(exact, a))[0]),
+        "ZD_ROW_VECTORS": lambda m, a: _size(m, -(-exact(a[0]) // 8)),
+        "ZD_COLUMN_UNITS": lambda m, a: _size(m, -(-exact(a[0]) // 8) * 8),
+        "ZD_COLUMN_PAIRS": lambda m, a: _size(m, scratch_of_columns(*map(exact, a))[1]),
     }
-    packed: dict[str, tuple[tuple[str, ...], Callable[..., object]]] = {
-        "zd_gru_step_pairs": (("stream",), unpack_pairs),
-        "zd_gru_step_columns": (("stream",), unpack_columns),
-        "zd_gru_step_rows": (("weights", "bias"), unpack_rows),
+    packed: dict[str, tuple[tuple[str, ...], Callable[..., object], Scratch]] = {
+        "zd_gru_step_pairs": (("stream",), unpack_pairs, scratch_of_pairs),
+        "zd_gru_step_columns": (("stream",), unpack_columns, scratch_of_columns),
+        "zd_gru_step_rows": (("weights", "bias"), unpack_rows, scratch_of_rows),
     }
-    for name, (tables, unpack) in packed.items():
-        rules[name] = _make_packed(layers, tables, unpack)
+    for name, (tables, unpack, scratch) in packed.items():
+        rules[name] = _make_packed(layers, tables, unpack, scratch)
     return rules
+
+
+Scratch: TypeAlias = Callable[[int, int], list[int]]
+"""(inputs, units) -> how many numbers each scratch array of a kernel must have."""
+
+
+def scratch_of_pairs(inputs: int, hidden: int) -> list[int]:
+    """Return what the kernel of pairs needs where a pair takes two words."""
+    return [2 * (-(-inputs // 2) - (-hidden // 2))]
+
+
+def scratch_of_rows(inputs: int, hidden: int) -> list[int]:
+    """Return what the kernel of rows needs."""
+    return [8 * (-(-inputs // 8) - (-hidden // 8))]
+
+
+def scratch_of_columns(inputs: int, hidden: int) -> list[int]:
+    """Return what the kernel of columns needs."""
+    units = -(-hidden // 8)
+    return [8 * units, -(-inputs // 2) + 4 * units]
+
+
+def _size(machine: TermMachine, count: int) -> Number:
+    return machine.constant(count, "uint32_t")
 
 
 def as_number(found: Found) -> Number:
@@ -225,12 +250,15 @@ def _forget(machine: TermMachine, found: Found, count: int) -> None:
 
 
 def _make_packed(
-    layers: Callable[[], Layers], names: tuple[str, ...], unpack: Callable[..., object]
+    layers: Callable[[], Layers],
+    names: tuple[str, ...],
+    unpack: Callable[..., object],
+    scratch: Scratch,
 ) -> Rule:
     """Return the rule of a kernel that has the weights in another order."""
 
     def rule(machine: TermMachine, arguments: list[Found]) -> Found:
-        address, inputs, hidden, x, h, *_, keep = arguments
+        address, inputs, hidden, x, h, *given, keep = arguments
         layer = _find_layer(address, layers(), "gru", exact(inputs), exact(hidden))
         assert isinstance(address, AddressOf)
         tables = [list_numbers(address.of, name) for name in names]
@@ -240,6 +268,8 @@ def _make_packed(
             raise UndecidedError("u_keep is neither 0 nor -1")
         places = as_place(x, "int16_t"), as_place(h, "int32_t")
         _step(machine, layers(), layer, *places, exact(keep) == 0)
+        for array, count in zip(given, scratch(layer.inputs, layer.hidden), strict=True):
+            _forget(machine, array, count)
         return None
 
     return rule

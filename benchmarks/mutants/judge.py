@@ -44,8 +44,23 @@ class Mutant:
         return "\n".join(list(lines)[2:])
 
 
-def draw_mutant(subject: Subject, seed: int, number: int, kinds: tuple[str, ...] = ()) -> Mutant:
-    """Return the mutant of a number: the same one whenever it is asked for."""
+def draw_mutant(
+    subject: Subject,
+    seed: int,
+    number: int,
+    kinds: tuple[str, ...] = (),
+    *,
+    model_share: float = _MODEL_SHARE,
+) -> Mutant:
+    """Return the mutant of a number: the same one whenever it is asked for.
+
+    Args:
+        subject: whose files are mutated.
+        seed: of all mutants.
+        number: of this one.
+        kinds: of `OPERATORS`; empty for all.
+        model_share: how many are in the model's own two files.
+    """
     rng = random.Random(f"{seed}/{number}")
     names = sorted(subject.files)
     own = [n for n in names if not n.startswith("zd_")]
@@ -53,7 +68,7 @@ def draw_mutant(subject: Subject, seed: int, number: int, kinds: tuple[str, ...]
     classes = {k: v for k, v in OPERATORS.items() if not kinds or k in kinds}
     while True:
         kind = rng.choices(list(classes), [weight for _, weight in classes.values()])[0]
-        pool = own if rng.random() < _MODEL_SHARE else others
+        pool = own if rng.random() < model_share else others
         weights = [len(subject.files[n]) ** 0.5 for n in pool]
         name = rng.choices(pool, weights)[0]
         source = _read_source(name, subject.files[name])

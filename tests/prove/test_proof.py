@@ -63,6 +63,11 @@ CHANGES = {
                          "product_5, lowpass_3, delay_6, difference_8, product_11};"),
     "a weight of the plain kernel": ("8944, 3105, 11529, -3715", "8944, 3105, 11529, -3716"),
     "a weight in pairs": ("203498224, 11529, -1072565891", "203498224, 11528, -1072565891"),
+    "the type of a table": ("static const int16_t gru_rows", "static const int64_t gru_rows"),
+    "scratch of the pairs": (
+        "v[ZD_PAIR_SCRATCH(3u, 8u)]",
+        "v[ZD_PAIR_SCRATCH(3u, 8u) - 1u]",
+    ),
     "a shift of the kernel": ("gru_stream, {11, 11, 10}", "gru_stream, {11, 11, 11}"),
     "a step relaxes": ("s->gru_h_q30, -1)", "s->gru_h_q30, 0)"),
     "relaxing steps": ("k < ZD_GRU_RELAX_STEPS", "k < (ZD_GRU_RELAX_STEPS - 1u)"),

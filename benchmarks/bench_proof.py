@@ -1,0 +1,127 @@
+"""Random models proven, with the CPU time of each; and faults planted in C and tables, none proven.
+
+    python -m benchmarks bench_proof [--quick]
+    python -m benchmarks.bench_proof --models 500 --seed 5
+    python -m benchmarks.bench_proof --faults 1000 --seed 5
+
+Faults are drawn by `benchmarks.mutants`, which knows nothing of the prover, in the model's own two
+files; assembly, which is tested and not proven, is left out. Whatever is proven all the same is
+given to the oracle of `benchmarks.mutants` (every bit and sanitizers, every layout on this host):
+it must mean the same. Of every tenth that is not proven the oracle is asked too, so that the share
+of faults among them is known. Exit code 1: a random model is not proven, or a fault is.
+"""
+
+import argparse
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.bench_copies import bound as bound_rate
+from benchmarks.mutants.judge import draw_mutant
+from benchmarks.mutants.operators import OPERATORS
+from benchmarks.mutants.subjects import MODELS, Subject, draw_subject, make_folder
+from benchmarks.random_models import draw_case
+from zerodrift.c_runtime.compilers import RUNTIME_FILES
+from zerodrift.codegen.generate import generate
+from zerodrift.verify.prove import OPEN, ShownPart, list_shown
+
+KINDS = tuple(kind for kind in OPERATORS if kind != "assembly")
+HARMLESS = ("equivalent", "does not compile")
+ASKED = 10
+"""Of so many faults that are not proven, the oracle is asked of one."""
+LIMIT_S = 30.0
+
+
+def main(quick: bool) -> None:
+    """Prove 20 random models and plant 40 faults, or 500 and 1,000."""
+    good = prove_models(20 if quick else 500, seed=5)
+    good = plant(40 if quick else 1000, seed=5) and good
+    if not good:
+        raise SystemExit(1)
+
+
+def prove_models(count: int, seed: int, first: int = 0) -> bool:
+    """Prove random models of every sort; print how many, and the CPU time of each."""
+    runtime = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    seconds, failed, slow = [], 0, 0
+    sorts: Counter[str] = Counter()
+    for number in range(first, first + count):
+        case = draw_case(seed, number)
+        code = generate(case.model)
+        texts = {**runtime, code.header_name: code.header, code.source_name: code.source}
+        began = time.process_time()
+        shown = tuple(list_shown(case.model, texts))
+        seconds.append(time.process_time() - began)
+        left = [one for one in shown if one.verdict == OPEN]
+        sorts[case.sort] += 1
+        slow += seconds[-1] > LIMIT_S
+        failed += bool(left)
+        if left:
+            print(f"case {number} ({case.sort}): {_tell(left)}", flush=True)
+    kinds = ", ".join(f"{n} {sort}" for sort, n in sorted(sorts.items()))
+    print(f"random models proven: {count - failed} of {count} ({kinds}; seed {seed});"
+          f" not proven at most {100 * bound_rate(failed, count):.2f} %")  # fmt: skip
+    middle, most = float(np.median(seconds)), max(seconds)
+    print(f"CPU time: median {middle:.1f} s, most {most:.1f} s; above {LIMIT_S:.0f} s: {slow}")
+    return failed == 0
+
+
+def _tell(left: Sequence[ShownPart]) -> str:
+    return "; ".join(f"{one.what} ({one.build}): {one.why}" for one in left[:3])
+
+
+def plant(count: int, seed: int, first: int = 0, only: Sequence[str] = ()) -> bool:
+    """Plant faults and prove what comes of them; print what was missed."""
+    names = [name for name in MODELS if not only or name in only]
+    told: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as scratch:
+        subjects = {name: make_folder(name, Path(scratch) / name) for name in names}
+        models = {name: draw_subject(name) for name in names}
+        oracles = {name: subject.make_oracle(chips=False) for name, subject in subjects.items()}
+        for number in range(first, first + count):
+            name = names[number % len(names)]
+            subject = subjects[name]
+            mutant = draw_mutant(subject, seed, number, KINDS, model_share=1.0)
+            texts = {**subject.files, mutant.file: mutant.text}
+            why = next(
+                (one.why for one in list_shown(models[name], texts) if one.verdict == OPEN), ""
+            )
+            told["not proven" if why else "proven"] += 1
+            if why and number // len(names) % ASKED:
+                continue
+            finding = oracles[name].judge(mutant.file, mutant.text, mutant.lines, bit_suffices=True)
+            told[f"{'not proven' if why else 'proven'}: {finding.kind}"] += 1
+            if not why and finding.kind not in HARMLESS:
+                print(
+                    f"MISSED {name} {number}: {finding}\n{_diff(subject, mutant.file, mutant.text)}"
+                )
+    missed = sum(n for what, n in told.items() if what.startswith("proven: "))
+    missed -= sum(told[f"proven: {kind}"] for kind in HARMLESS)
+    print(f"faults drawn: {count} in {len(names)} models (seed {seed})")
+    for what, n in sorted(told.items()):
+        print(f"  {what}: {n}")
+    print(f"proven although they mean something else: {missed} of {count};"
+          f" at most {100 * bound_rate(missed, count):.2f} %")  # fmt: skip
+    return missed == 0
+
+
+def _diff(subject: Subject, name: str, text: str) -> str:
+    pairs = zip(subject.files[name].split("\n"), text.split("\n"), strict=False)
+    return "\n".join(f"- {a}\n+ {b}" for a, b in pairs if a != b)[:600]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.bench_proof", description=__doc__)
+    parser.add_argument("--models", type=int, default=0)
+    parser.add_argument("--faults", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--only", nargs="*", default=[], metavar="SUBJECT")
+    given = parser.parse_args()
+    held = not given.models or prove_models(given.models, given.seed, given.first)
+    held = (not given.faults or plant(given.faults, given.seed, given.first, given.only)) and held
+    raise SystemExit(0 if held else 1)
