@@ -73,7 +73,7 @@ CHANGES = {
     "relaxing steps": ("k < ZD_GRU_RELAX_STEPS", "k < (ZD_GRU_RELAX_STEPS - 1u)"),
     "a coefficient of the drift": ("301052314 * lowpass_3", "301052315 * lowpass_3"),
     "a bias of the drift": ("INT64_C(1775521964752896)", "INT64_C(1775521964752898)"),
-    "a limit of the drift": ("INT64_C(750000))", "INT64_C(75000))"),
+    "a limit of the drift": ("INT64_C(750000))", "INT64_C(5))"),
     "the flag of a limit": ("if (limited != wide)", "if (limited == wide)"),
     "warming up": ("if (s->steps < 5u) {\n        flags", "if (s->steps <= 5u) {\n        flags"),
     "a range's flag": ("(temperature < -12000)", "(temperature <= -12000)"),
