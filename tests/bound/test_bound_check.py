@@ -54,7 +54,7 @@ def test_a_change_of_a_parameter_of_the_float_model_is_noticed() -> None:
             for j, x in enumerate(line["numbers"])
             if x and line["operation"] in ("linear", "lowpass", "input", "dense_tanh", "play")
         ]
-        for i, j in draw.sample(places, 12):
+        for i, j in draw.sample(places, min(12, len(places))):
             changed = _copy(told)
             changed["float_model"][i]["numbers"][j] *= 1.001
             tried += 1
@@ -64,7 +64,7 @@ def test_a_change_of_a_parameter_of_the_float_model_is_noticed() -> None:
 
 
 def test_a_change_of_a_number_in_the_c_is_noticed() -> None:
-    told, texts = _certify(2)
+    told, texts = _certify(0)
     name = next(name for name in texts if name.endswith(".c") and not name.startswith("zd_"))
     draws = random.Random(5)
     found = list(re.finditer(r"\(\(int64_t\)(-?\d{6,})", texts[name]))

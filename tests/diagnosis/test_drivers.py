@@ -68,6 +68,7 @@ def test_effect_suspects_the_channel_that_it_declares(kind, parameters, expected
 
 def test_every_effect_of_the_catalogue_suspects_something():
     channels = ("temperature", "load Fz", "supply", "humidity", "ambient_light", "acceleration_x")
+    channels = (*channels, "pressure")
     for effect in load_catalogue().listed():
         assert suspect(effect.needs, {}, (*channels, "time"), "Fz"), effect.kind
 

@@ -64,7 +64,7 @@ def test_candidates_say_why_and_why_not():
     diagnosed = told("missing", "creep", candidates=candidates)
     text = read(show_candidates(find(diagnosed), ("creep",)))
     assert "It is what is missing: with it 10.0 % of the held-out RMSE is left" in text
-    assert "helps too few runs to rule out chance (p = 0.3); with it 50.0 %" in text
+    assert "helps too few runs to rule out chance (< 1 % likely, p = 0.3); with it 50.0 %" in text
     assert "does not lower the held-out error; with it 101.0 %" in text
     assert text.count("Draw it over what is left") == 1
 
