@@ -21,7 +21,7 @@ COLDEST_DEGC = -200.0
 HOTTEST_DEGC = 500.0
 LARGEST = 1e30
 """No measured value is larger, in any unit; powers of it stay finite in double precision."""
-_SKIP = "or pass --skip-invalid to drop"
+SKIP = "or pass --skip-invalid to drop"
 
 
 def widen_plausible(stated: tuple[float, float] | None) -> Limits:
@@ -78,45 +78,45 @@ def explain_invalid_row(
         shown = " ".join(place.values.get(name) or "" for name in clock.columns).strip()
         return InputError(
             f"{place.text}: {column} holds '{shown[:40]}', which is no time as those of the other "
-            f"rows are; expected one such. Correct the row, {_SKIP} {rows}."
+            f"rows are; expected one such. Correct the row, {SKIP} {rows}."
         )
     if text is None or not text.strip():
         return InputError(
-            f"{place.text}: column '{column}' is empty; expected a number. Fill it in, {_SKIP} "
+            f"{place.text}: column '{column}' is empty; expected a number. Fill it in, {SKIP} "
             f"{rows}."
         )
     if np.isnan(value) and column in table.converted:
         return InputError(
             f"{place.text}: column '{column}' holds '{text[:40]}', which its conversion in "
             f"zerodrift.toml makes no quantity of; expected a value within it. Correct scale, "
-            f"divider or table, or the row, {_SKIP} {rows}."
+            f"divider or table, or the row, {SKIP} {rows}."
         )
     if np.isnan(value) and text.strip().lower().lstrip("+-") != "nan":
         hint = _explain_text(text)
         return InputError(
             f"{place.text}: column '{column}' holds '{text[:40]}', which is no number; expected a "
-            f"finite number.{hint} Correct the row, {_SKIP} {rows}."
+            f"finite number.{hint} Correct the row, {SKIP} {rows}."
         )
     if not np.isfinite(value):
         return InputError(
             f"{place.text}: column '{column}' is {text.strip()}; expected a finite number. "
-            f"Correct the row, {_SKIP} {rows}."
+            f"Correct the row, {SKIP} {rows}."
         )
     if column not in temperatures:
         return InputError(
             f"{place.text}: column '{column}' is {text.strip()}; expected a measured value, within "
-            f"{LARGEST:g} of 0. Correct the row, {_SKIP} {rows}."
+            f"{LARGEST:g} of 0. Correct the row, {SKIP} {rows}."
         )
     if value == UNREADY_DEGC:
         return InputError(
             f"{place.text}: {column} is -256 degC; the chip reports that before its first "
-            f"conversion; expected a measured temperature. Drop the row, {_SKIP} {rows}."
+            f"conversion; expected a measured temperature. Drop the row, {SKIP} {rows}."
         )
     low, high = temperatures[column]
     hint = guess_temperature_unit(column, values[np.isfinite(values)])
     return InputError(
         f"{place.text}: {column} is {value:g} degC; expected {low:g} to {high:g} degC.{hint} "
-        f"Correct the unit or the row, {_SKIP} {rows}; a sensor that measures beyond says so by "
+        f"Correct the unit or the row, {SKIP} {rows}; a sensor that measures beyond says so by "
         f'{{ column = "{column}", range = [low, high] }}.'
     )
 
@@ -163,12 +163,12 @@ def check_time(table: LogTable, column: str, start: int, stop: int) -> None:
         raise InputError(
             f"{place.text}: {column} repeats {now:.10g} s; expected rising times within a run. "
             "Write the time with more digits, select one unit of several by [logs] where, "
-            f"{_SKIP} {rows} not move on."
+            f"{SKIP} {rows} not move on."
         )
     raise InputError(
         f"{place.text}: {column} goes back from {before:.10g} to {now:.10g} s; expected rising "
         "times within a run. If a new run begins here, split the file or add a `run` column; if "
-        f"a counter wrapped, unwrap it; {_SKIP} {rows} not move on."
+        f"a counter wrapped, unwrap it; {SKIP} {rows} not move on."
     )
 
 

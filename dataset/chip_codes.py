@@ -22,6 +22,7 @@ from zerodrift.dataset.raw_codes import (
     find_range,
 )
 from zerodrift.dataset.runs import Array, Dataset, Run
+from zerodrift.dataset.tables import label_log
 from zerodrift.dataset.thermocouples import emf, find_span
 
 TEMPERATURE_LSB_DEGC = 0.0078125
@@ -355,7 +356,13 @@ def refuse_unsayable(config: Config, dataset: Dataset) -> None:
 def _explain_row(config: Config, codes: ChipCodes, run: Run, row: int) -> InputError:
     """Return the error about a run's value, at the row of its log that no code stands for."""
     columns = {config.time_column: "[sensor] time", codes.column: "a channel of the chip"}
-    (table,) = read_log(config, run.files or (run.source,), columns)
+    tables = read_log(config, run.files or (run.source,), columns)
+    if len(tables) > 1:  # a thermocouple and its cold junction; its quantity is in no one file
+        outputs = [output.name for output in config.outputs]
+        value = float(read_source(outputs, codes.source, run)[row])
+        where = label_log(run.source, config.directory)
+        return codes.explain(f"{where}: at {run.time_s[row]:g} s", run, value)
+    (table,) = tables
     source = table.source
     values = table.columns[codes.column]
     time_s = table.columns[config.time_column]

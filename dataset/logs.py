@@ -69,8 +69,7 @@ def add_junctions(config: Config, needed: Mapping[str, str]) -> Mapping[str, str
 def _convert(config: Config, table: LogTable) -> LogTable:
     """Bring the columns that zerodrift.toml converts to the quantity that the model takes.
 
-    Raises:
-        InputError: a thermocouple's cold junction is in another file of the run.
+    A thermocouple whose cold junction is in another file waits for it (`joined_couples`).
     """
     own = {c: by for c, by in config.conversions.items() if c in table.columns}
     for column, by in own.items():
@@ -80,14 +79,11 @@ def _convert(config: Config, table: LogTable) -> LogTable:
         if by.junction is None:
             continue
         cold = config.inputs[by.junction]
-        if cold not in table.columns:
-            raise InputError(
-                f"{table.source.label}: '{column}' is a thermocouple whose cold junction "
-                f"'{cold}' is in another file of the run; expected both in one, row by row. Log "
-                "them together, or write the cold junction's temperature as a number."
-            )
-        table.columns[column] = convert(table.columns[column], by, table.columns[cold])
-    table.converted += tuple(own)
+        if cold in table.columns:
+            table.columns[column] = convert(table.columns[column], by, table.columns[cold])
+        else:
+            table.deferred += (column,)
+    table.converted += tuple(column for column in own if column not in table.deferred)
     return table
 
 

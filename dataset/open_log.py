@@ -17,6 +17,7 @@ from zerodrift.dataset.checks import (
     widen_plausible,
 )
 from zerodrift.dataset.join import join_tables
+from zerodrift.dataset.joined_couples import convert_joined
 from zerodrift.dataset.locate import find_blank_rows, locate_row
 from zerodrift.dataset.logs import read_log
 from zerodrift.dataset.selectors import Selection
@@ -84,6 +85,8 @@ def open_log(
     if len(tables) == 1:
         return table, spans
     joined = join_tables(config, tables, label_log(selection.path, config.directory), notes)
+    holes = columns is not None
+    convert_joined(config, joined, tables, skip_invalid, holes, notes)
     return joined, [("", 0, len(joined))]
 
 
@@ -120,6 +123,7 @@ def _check_values(
         if "temperature" in name or column.endswith("degC"):
             stated = config.input_codes.get(name, CodesConfig())
             temperatures[column] = widen_plausible(stated.range)
+    temperatures = {name: ends for name, ends in temperatures.items() if name not in table.deferred}
     invalid = find_invalid_rows(table, temperatures)
     if invalid is not None:
         blank = find_blank_rows(table.source)

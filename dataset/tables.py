@@ -154,6 +154,8 @@ class LogTable:
     """How its times were read."""
     converted: tuple[str, ...] = ()
     """Columns that are no longer as they were logged."""
+    deferred: tuple[str, ...] = ()
+    """Thermocouples still in their voltage: another file of the run has their cold junction."""
 
     def __len__(self) -> int:
         """Return the number of rows."""

@@ -7,8 +7,11 @@ from tests.projects import FORCE, render_toml
 from zerodrift.base.config import load_config
 from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.chip_codes import refuse_outside
+from zerodrift.dataset.code_format import TEMPERATURE, ChipCodes
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.load import load_dataset
+from zerodrift.dataset.log_steps import read_log_steps
 from zerodrift.dataset.thermocouples import COUPLES, emf, find_sure_span, invert
 
 MICROVOLT_ROUNDED = 0.5e-6
@@ -130,14 +133,81 @@ def test_an_unknown_type_and_a_wrong_unit_are_refused(tmp_path):
         load_config(folder)
 
 
-def test_a_cold_junction_in_another_file_is_refused(tmp_path):
-    folder = write_project(tmp_path, COUPLE % ', cold_junction = "board"')
-    rows = [line.split(",") for line in (folder / "log.csv").read_text().splitlines()]
-    (folder / "run").mkdir()
-    for name, columns in (("meter", (0, 1, 4, 5)), ("climate", (0, 2))):
-        text = "\n".join(",".join(row[k] for k in columns) for row in rows)
-        (folder / "run" / f"{name}.csv").write_text(text + "\n")
-    toml = folder / "zerodrift.toml"
+def write_run(folder, junction_s, volts_of=None):
+    """Write a run of two files: a meter's voltages, 1 s apart, and the junction's logger."""
+    toml = write_project(folder, COUPLE % ', cold_junction = "board"') / "zerodrift.toml"
     toml.write_text(toml.read_text().replace('["log.csv"]', '["run"]'))
-    with pytest.raises(InputError, match=r"cold junction 'board_degC' is in another file of the"):
-        load_dataset(load_config(folder))
+    (folder / "run").mkdir()
+    time_s = np.arange(60.0)
+    volts = emf("J", 200.0 + time_s) - emf("J", 22.0 + time_s / 20)
+    if volts_of is not None:
+        volts[30] = volts_of
+    meter = [f"{t},{1e6 * v:.3f},{1000 * t},0" for t, v in zip(time_s, volts, strict=True)]
+    names = "time_s,tc_uV,Fz_N,ref_Fz_N"
+    (folder / "run" / "meter.csv").write_text("\n".join([names, *meter]) + "\n")
+    climate = [f"{t},{22.0 + t / 20:.4f}" for t in junction_s]
+    (folder / "run" / "climate.csv").write_text("\n".join(["time_s,board_degC", *climate]) + "\n")
+    return load_config(folder)
+
+
+@pytest.mark.parametrize("step_s", [0.4, 1.0, 1.3])
+def test_a_cold_junction_may_come_from_another_file_of_the_run(tmp_path, step_s):
+    """Its logger may be faster or slower, and begin later: rows without it are left out."""
+    config = write_run(tmp_path, np.arange(2.7, 58.0, step_s))
+    dataset = load_dataset(config)
+    (run,) = dataset.train
+    ends = (run.time_s[0], run.time_s[-1])
+    assert ends[0] >= 2.7 and ends[1] <= 58.0 and run.time_s.size >= 50
+    # a step is the mean of the period that it ends, in which a row holds until the next one
+    late_s = 0.5 + step_s / 2 + 0.05
+    assert np.abs(run.temperature_degC - (200.0 + run.time_s)).max() < late_s
+    slope = np.diff(run.temperature_degC)
+    assert np.abs(slope - 1.0).max() < 0.05
+    assert np.abs(run.inputs["board"] - (22.0 + run.time_s / 20)).max() < 0.05
+    assert any("joined on time" in note for note in dataset.notes)
+
+
+def test_a_junction_in_another_file_gives_what_one_in_the_same_file_gives(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    one = write_project(tmp_path / "a", COUPLE % ', cold_junction = "board"')
+    (whole,) = load_dataset(load_config(one)).train
+    (joined,) = load_dataset(write_run(tmp_path / "b", np.arange(60.0))).train
+    assert joined.temperature_degC.tobytes() == whole.temperature_degC.tobytes()
+
+
+def test_a_hole_in_the_junctions_log_is_a_gap_of_the_run(tmp_path):
+    at = np.concatenate([np.arange(0.0, 25.0), np.arange(35.0, 60.0)])
+    runs = load_dataset(write_run(tmp_path, at)).train
+    assert [run.time_s.size for run in runs] == [25, 25]
+
+
+def test_a_row_beyond_the_function_is_refused_in_the_file_that_holds_it(tmp_path):
+    config = write_run(tmp_path, np.arange(0.0, 60.0, 1.2), volts_of=0.2)
+    told = (
+        r"run/meter\.csv:32: column 'tc_uV' holds '200000\.000', which with its cold junction "
+        r"'board_degC' at 23\.5 degC makes no temperature by type J; expected a temperature .*or "
+        r"pass --skip-invalid to drop it"
+    )
+    with pytest.raises(InputError, match=told):
+        load_dataset(config)
+    dataset = load_dataset(config, skip_invalid=True)
+    assert sum(run.time_s.size for run in dataset.train) == 59  # the row is bridged
+    assert any("dropped 1 of 59 rows whose voltage and cold" in note for note in dataset.notes)
+
+
+def test_a_folder_with_its_junction_in_another_file_is_applied_to(tmp_path):
+    config = write_run(tmp_path, np.arange(0.0, 60.0, 1.2), volts_of=0.2)
+    columns = {config.temperature_column: "[sensor] temperature"}
+    steps = read_log_steps(config, tmp_path / "run", columns)
+    found = steps.table.columns[config.temperature_column]
+    assert np.flatnonzero(np.isnan(found)).tolist() == [30]  # a hole, as every model's reading
+    assert np.abs(np.delete(found - (200.0 + np.arange(59.0)), 30)).max() < 1e-3
+
+
+def test_what_no_code_says_of_a_joined_thermocouple_is_told_by_its_time(tmp_path):
+    """Voltage and junction lie in two files, so that the message gives the run and the time."""
+    config = write_run(tmp_path, np.arange(0.0, 60.0, 1.2))
+    codes = ChipCodes("t", TEMPERATURE, "tc_uV", "degC", 16, 0.0078125, None, "Correct it.")
+    with pytest.raises(InputError, match=r"^run: at 56 s: run .*255\.9999\d* degC; .*Correct it\."):
+        refuse_outside(config, [codes], load_dataset(config).train)
