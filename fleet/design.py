@@ -13,9 +13,6 @@ from zerodrift.export.integer_model import FORMAT as MODEL_FORMAT
 from zerodrift.fleet.result import FORMAT
 from zerodrift.fleet.sensors import FOLDER
 
-RUNTIME = "runtime"
-"""Below the firmware's folder: the C that all sensors share."""
-
 
 @dataclass(frozen=True)
 class Design:

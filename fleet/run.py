@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from zerodrift.base.config import locate_key
 from zerodrift.base.errors import InputError, ZerodriftError
-from zerodrift.base.fleet_config import PLACEHOLDER
+from zerodrift.base.fleet_config import PLACEHOLDER, SHARED_RUNTIME
 from zerodrift.base.journal import write_all
 from zerodrift.base.ownership import refuse_foreign
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.identifiers import sanitize_prefix
-from zerodrift.fleet.design import RUNTIME, Design
+from zerodrift.fleet.design import Design
 from zerodrift.fleet.executors import Batch, Executor
 from zerodrift.fleet.result import RESULT, SensorOutcome, SensorResult, load_result
 from zerodrift.fleet.sensors import configure_sensor, find_sensors
@@ -131,7 +131,7 @@ def write_runtime(design: Design) -> None:
     Raises:
         InputError: a file that zerodrift did not write stands in the place of one.
     """
-    folder = design.config.firmware_out / RUNTIME
+    folder = design.config.firmware_out / SHARED_RUNTIME
     contents = {folder / path.name: path.read_bytes() for path in RUNTIME_FILES}
     changed = {
         target: content

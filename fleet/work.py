@@ -13,6 +13,7 @@ import numpy as np
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, ZerodriftError
 from zerodrift.base.files import explain_refusal
+from zerodrift.base.fleet_config import SHARED_RUNTIME
 from zerodrift.base.ownership import refuse_foreign
 from zerodrift.base.records import to_dict
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
@@ -27,7 +28,7 @@ from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.fleet.assess import assess, describe_parameters
-from zerodrift.fleet.design import RUNTIME, Design
+from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import SensorOutcome, SensorResult, save_result
 from zerodrift.fleet.sensors import configure_sensor
 from zerodrift.fleet.summary import EffectValues, SensorConfiguration
@@ -309,7 +310,7 @@ def _render(
         }
         refuse_foreign((out / name for name in (*firmware, MANIFEST)), out)
         files |= {out / name: content for name, content in firmware.items()}
-        shared = {f"../{RUNTIME}/{path.name}": path.read_bytes() for path in RUNTIME_FILES}
+        shared = {f"../{SHARED_RUNTIME}/{path.name}": path.read_bytes() for path in RUNTIME_FILES}
         own = {name: content for name in ("model.json",) if (content := files[build / name])}
         files[out / MANIFEST] = write_manifest(
             job.config,

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from zerodrift.base.fleet_config import SHARED_RUNTIME
 from zerodrift.verify.bound_check import check_bound
 from zerodrift.verify.c_checksum import FIELD as SUM
 from zerodrift.verify.c_claims import CertificateClaims, read_claims
@@ -47,12 +48,18 @@ def check_certificate(folder: Path) -> CertificateOutcome:
     """
     try:
         claims = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
-        texts = {name: (folder / name).read_bytes() for name in read_claims(claims).files}
+        texts = {n: find_file(folder, n).read_bytes() for n in read_claims(claims).files}
         return compare(claims, {name: text.decode() for name, text in texts.items()})
     except MALFORMED as error:
         return CertificateOutcome(
             0, (f"{folder}: not a certificate and its C ({type(error).__name__}: {error})",)
         )
+
+
+def find_file(folder: Path, name: str) -> Path:
+    """Return a file of a firmware folder; of a unit of a fleet, the runtime that all share."""
+    shared = folder.parent / SHARED_RUNTIME / name
+    return shared if shared.is_file() and not (folder / name).exists() else folder / name
 
 
 def compare(claims: Mapping[str, object], texts: dict[str, str]) -> CertificateOutcome:

@@ -8,14 +8,16 @@ import numpy as np
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
+from zerodrift.base.fleet_config import SHARED_RUNTIME
 from zerodrift.base.scratch import make_scratch
 from zerodrift.blocks.block import apply, decode
 from zerodrift.blocks.design import FILE_NAME as DESIGN
 from zerodrift.blocks.design import load_design
 from zerodrift.blocks.files import BLOCK, read_block_file
 from zerodrift.codegen.generate import GeneratedCode, generate, generate_design
-from zerodrift.export.golden import GoldenVectors, load_golden
+from zerodrift.export.golden import GoldenVectors, compute_golden, load_golden
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.integer_onnx import build_integer_onnx
 from zerodrift.export.model_files import load_model
 from zerodrift.verify.expected import Expected, expect
 from zerodrift.verify.firmware_check import Failure, Progress
@@ -25,7 +27,7 @@ from zerodrift.verify.manifest import ManifestCheck, ManifestFinding, NotChecked
 from zerodrift.verify.mismatch import find_mismatch
 from zerodrift.verify.records import check_records
 from zerodrift.verify.summary import VerifySummary
-from zerodrift.verify.vectors import draw_sequences, draw_starts
+from zerodrift.verify.vectors import draw_golden, draw_sequences, draw_starts
 from zerodrift.verify.ways import HOST
 
 RANDOM_STEPS = 20_000
@@ -34,6 +36,11 @@ COLD_STEPS = 200
 BEYOND = ("cortex-m55",)
 """Cores whose kernel runs lane by lane on the host only: nothing installed here emulates them."""
 AGAIN = "Run `zerodrift firmware` again."
+GOLDEN, ONNX = "golden.npz", "integer.onnx"
+MADE_AGAIN = NotChecked(
+    f"{GOLDEN}, {ONNX}",
+    "`fleet` keeps neither of a unit; both were made again from its model.json",
+)
 
 
 @dataclass(frozen=True)
@@ -149,6 +156,8 @@ def replay(
         check = check_folder(model, code, vectors, sequences, onnx, scratch, progress)
     records = check_records(config, model.hash)
     files = replace(files, findings=(*files.findings, *records))
+    if is_lean(config):
+        files = replace(files, not_checked=(*files.not_checked, MADE_AGAIN))
     return _conclude(files, check, model.hash)
 
 
@@ -195,7 +204,11 @@ def _conclude(
 def _read(config: Config) -> tuple[IntegerModel, GoldenVectors, GeneratedCode, bytes]:
     """Return model, golden vectors, C and ONNX as they lie there."""
     model = load_model(config.build_directory / "model.json")
-    path = config.build_directory / "golden.npz"
+    if is_lean(config):
+        drawn = np.concatenate(list(draw_sequences(model, RANDOM_STEPS).values()))
+        golden = compute_golden(model, draw_golden(model, drawn))
+        return model, golden, read_code(model, config.firmware_out), build_integer_onnx(model)
+    path = config.build_directory / GOLDEN
     golden = load_golden(path)
     if golden.model_hash != model.hash:
         raise InputError(
@@ -212,8 +225,14 @@ def _read(config: Config) -> tuple[IntegerModel, GoldenVectors, GeneratedCode, b
         model,
         golden,
         read_code(model, config.firmware_out),
-        _read_bytes(config.build_directory / "integer.onnx"),
+        _read_bytes(config.build_directory / ONNX),
     )
+
+
+def is_lean(config: Config) -> bool:
+    """Return whether this is a unit of a fleet as `fleet` leaves it: C and model.json alone."""
+    build = config.build_directory
+    return config.unit_build is not None and not any((build / n).exists() for n in (GOLDEN, ONNX))
 
 
 def check_golden(model: IntegerModel, golden: GoldenVectors) -> tuple[Expected, Failure | None]:
@@ -232,15 +251,17 @@ def check_golden(model: IntegerModel, golden: GoldenVectors) -> tuple[Expected, 
 def read_code(model: IntegerModel, folder: Path) -> GeneratedCode:
     """Return the C and the runtime that lie in `folder`, with the harness that the model needs.
 
+    Units of a fleet share a runtime, which lies beside their folders.
+
     Raises:
         InputError: the model's header or source is missing, or a file is no UTF-8 text.
     """
     fresh = _generate(model, folder)
-    names = {path.name for path in folder.glob("zd_*.[ch]")}
-    texts = {
-        name: _read_text(folder / name)
-        for name in sorted({*names, fresh.header_name, fresh.source_name})
-    }
+    own = sorted(folder.glob("zd_*.[ch]")) or sorted(
+        (folder.parent / SHARED_RUNTIME).glob("zd_*.[ch]")
+    )
+    paths = [*own, folder / fresh.header_name, folder / fresh.source_name]
+    texts = {path.name: _read_text(path) for path in paths}
     header, source = texts.pop(fresh.header_name), texts.pop(fresh.source_name)
     return replace(fresh, header=header, source=source, runtime=texts)
 

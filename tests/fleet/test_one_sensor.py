@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 from tests.fleet.conftest import SENSORS
 
+import zerodrift as zd
 from zerodrift.app.cli import cli
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
@@ -68,6 +69,115 @@ def test_diagnose_and_report_take_it_too(worked_on: Path, tmp_path: Path) -> Non
     words = ("--sensor", sensor, "--no-diagnose", "-o", page)
     assert invoke("report", "-C", worked_on, *words).exit_code == 0
     assert page.is_file()
+
+
+@pytest.fixture
+def own_copy(worked_on: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(worked_on, tmp_path / "project"))
+
+
+def list_files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def succeed(project: Path, *words: object, sensor: str = SENSORS[0]) -> Result:
+    result = invoke(*words, "-C", project, "--sensor", sensor)
+    assert result.exit_code == 0, (result.output, result.exception)
+    return result
+
+
+def test_train_and_export_write_into_the_units_folder_alone(own_copy: Path) -> None:
+    before = list_files(own_copy)
+    told = json.loads(succeed(own_copy, "train", "--json").stdout)
+    assert set(told["outputs"]) == {"Fz", "Mx"}
+    files = json.loads(succeed(own_copy, "export", "--json").stdout)["files"]
+    assert "build/fleet/SN01/model.json" in files
+    assert all((own_copy / name).is_file() for name in files)
+    changed = {n for n, content in list_files(own_copy).items() if before.get(n) != content}
+    assert changed and all(name.startswith("build/fleet/SN01/") for name in changed)
+
+
+def test_firmware_of_one_unit_is_that_of_the_fleet_and_fleet_goes_on(own_copy: Path) -> None:
+    told = json.loads(succeed(own_copy, "firmware", "--json").stdout)
+    assert told["bit_exact"] and "firmware/SN01/ft40.c" in told["files"]
+    report = json.loads((own_copy / "build/fleet/report.json").read_text())
+    hashes = {one["sensor"]: one["model_hash"] for one in report["results"]}
+    assert told["model_hash"] == hashes["SN01"]  # the same model by either road
+    assert json.loads(succeed(own_copy, "verify", "--json").stdout)["bit_exact"]
+    again = json.loads(invoke("fleet", "-C", own_copy, "--jobs", 1, "--json").stdout)
+    kept = {one["sensor"]: one["kept"] for one in again["results"]}
+    assert kept == {"SN01": False, "SN02": True, "SN03": True}
+    assert {one["sensor"]: one["model_hash"] for one in again["results"]} == hashes
+
+
+def test_verify_holds_what_fleet_wrote(own_copy: Path) -> None:
+    told = json.loads(succeed(own_copy, "verify", "--json").stdout)
+    assert told["bit_exact"] and {"reference", "onnx"} <= set(told["backends"])
+    assert [n for n in told["not_checked"] if "golden.npz" in n["what"]]
+    assert json.loads(succeed(own_copy, "verify", "--certificate", "--json").stdout)
+    assert json.loads(succeed(own_copy, "verify", "--prove", "--json").stdout)["proven"]
+    source = own_copy / "firmware/SN01/ft40.c"
+    source.write_text(source.read_text().replace("drift", "dirft", 1))
+    spoilt = invoke("verify", "-C", own_copy, "--sensor", "SN01")
+    assert spoilt.exit_code != 0 and "ft40.c: was changed" in str(spoilt.exception)
+    assert succeed(own_copy, "verify", sensor="SN02")
+
+
+def test_a_unit_is_packaged_with_the_runtime_that_all_share(own_copy: Path) -> None:
+    succeed(own_copy, "package", "cmake")
+    place = own_copy / "firmware/SN01/packages/cmake"
+    assert (place / "src/ft40.c").read_bytes() == (own_copy / "firmware/SN01/ft40.c").read_bytes()
+    runtime = (own_copy / "firmware/runtime/zd_runtime.c").read_bytes()
+    assert (place / "src/zd_runtime.c").read_bytes() == runtime
+
+
+def test_a_change_judged_on_one_unit_is_one_of_the_design(own_copy: Path) -> None:
+    before = (own_copy / "zerodrift.toml").read_text()
+    kept = succeed(own_copy, "add", "thermal_lag", "--force")
+    assert "judged on SN01 alone" in kept.stderr
+    assert "thermal_lag" in (own_copy / "zerodrift.toml").read_text()
+    steps = json.loads(succeed(own_copy, "history", "--json").stdout)["steps"]
+    assert [step["step"] for step in steps] == ["start", "+ thermal_lag"]
+    assert not json.loads(succeed(own_copy, "history", "--json", sensor="SN02").stdout)["steps"]
+    assert "judged on SN01 alone" in succeed(own_copy, "remove", "thermal_lag").stderr
+    assert (own_copy / "zerodrift.toml").read_text() == before
+    succeed(own_copy, "history", "--restore", 1)
+    assert "thermal_lag" in (own_copy / "zerodrift.toml").read_text()
+
+
+def test_plan_and_neighbour_take_it_too(own_copy: Path, tmp_path: Path) -> None:
+    words = ("--hours", 1, "--budget", 1, "--between", "thermal_lag", "creep")
+    told = json.loads(succeed(own_copy, "plan", *words, "--json").stdout)
+    assert told["programme"] and (own_copy / "build/fleet/SN01/plan.json").is_file()
+    out = tmp_path / "drift.csv"
+    succeed(own_copy, "neighbour", "polynomial", "--out", out)
+    assert out.is_file()
+
+
+def test_the_python_face_opens_one_unit(own_copy: Path, worked_on: Path) -> None:
+    unit = zd.Project(own_copy, sensor="SN02")
+    assert "sensor='SN02'" in repr(unit)
+    (log,) = (own_copy / "fleet/SN02").glob("test_*.csv")
+    assert unit.apply(log).height > 0
+    told = json.loads(invoke("compare", "-C", own_copy, "--sensor", "SN02", "--json").stdout)
+    assert unit.compare().outputs["Fz"].rmse_heldout == told["outputs"]["Fz"]["rmse_heldout"]
+    follower = unit.add("thermal_lag", force=True)
+    assert follower.sensor == "SN02" and len(follower.history().steps) == 2
+    with pytest.raises(InputError, match="no such sensor"):
+        zd.Project(own_copy, sensor="SN99")
+
+
+def test_units_of_one_program_are_built_by_fleet_alone(fleet: Path) -> None:
+    text = (fleet / "zerodrift.toml").read_text()
+    (fleet / "zerodrift.toml").write_text(text + '\n[firmware]\ncoefficients = "block"\n')
+    for words in (("firmware",), ("verify",), ("package", "cmake")):
+        refused = invoke(*words, "-C", fleet, "--sensor", "SN01").exception
+        assert isinstance(refused, InputError) and "no unit has C of its own" in str(refused)
+
+
+def test_a_fleet_without_a_named_unit_is_told_what_it_lacks(fleet: Path) -> None:
+    refused = invoke("train", "-C", fleet).exception
+    assert isinstance(refused, InputError) and "--sensor NAME" in str(refused)
 
 
 def test_a_unit_that_is_not_there_is_refused_by_name(worked_on: Path, tmp_path: Path) -> None:

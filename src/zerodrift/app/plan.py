@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from zerodrift.base.config import Config, load_config
+from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.experiment_config import read_experiment
 from zerodrift.base.files import write_whole
@@ -113,7 +113,7 @@ def keep_plan(config: Config, plan: PlanResult, runs: int) -> None:
     """Keep what a plan predicts, for the next one to compare with what came of it."""
     if plan.probability is None:
         return
-    config.build_directory.mkdir(exist_ok=True)
+    config.build_directory.mkdir(parents=True, exist_ok=True)
     kept = json.dumps(to_dict(KeptPlan(runs, plan)))
     write_whole(config.build_directory / KEPT, kept.encode())
 
@@ -139,7 +139,6 @@ def _compare_past(config: Config, dataset: Dataset, catalogue: Catalogue) -> Pas
     return PastPlan(kinds, plan.probability, found.verdict, found.effect, alone)
 
 
-def load_limits(directory: Path, within: str | None) -> Config:
+def load_limits(config: Config, within: str | None) -> Config:
     """Return a project's configuration with the limits that are asked for."""
-    config = load_config(directory)
     return read_within(config, within) if within is not None else config

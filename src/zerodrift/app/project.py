@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast, overload
 
 from zerodrift.app.commands.console import show_progress
+from zerodrift.app.commands.project import open_config
 from zerodrift.app.trust import remember
-from zerodrift.base.config import Config, EffectConfig, load_config
+from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.journal import hold_project, settle_project
 from zerodrift.base.shown import with_picture
@@ -51,6 +52,7 @@ class Project:
     Args:
         directory: the folder with zerodrift.toml.
         skip_invalid: drop invalid rows of the logs instead of raising.
+        sensor: a unit of a fleet: its logs, its model and its C, as `--sensor` has them.
 
     Raises:
         InputError: zerodrift.toml or a log is missing or wrong; the same messages as the commands'.
@@ -63,11 +65,14 @@ class Project:
         zerodrift.base.errors.InputError: ...
     """
 
-    def __init__(self, directory: str | Path, *, skip_invalid: bool = False) -> None:
+    def __init__(
+        self, directory: str | Path, *, skip_invalid: bool = False, sensor: str | None = None
+    ) -> None:
         self._scratch: tempfile.TemporaryDirectory[str] | None = None
         self._skip_invalid = skip_invalid
+        self.sensor = sensor
         settle_project(Path(directory))
-        self.config: Config = load_config(Path(directory))
+        self.config: Config = open_config(Path(directory), sensor)
         self._text = self.config.path.read_bytes()
         remember(self.config.plugin_files)
         self._catalogue: Catalogue = load_catalogue(self.config.plugin_files)
@@ -410,11 +415,12 @@ class Project:
         from rich.console import Console
 
         from zerodrift.app.commands.firmware import make_firmware
-        from zerodrift.app.commands.project import train_project
+        from zerodrift.app.commands.project import refuse_shared_program, train_project
         from zerodrift.export.compose import describe_compensator
         from zerodrift.verify.left_out import leave_out
 
         self._refuse_moved()
+        refuse_shared_program(self.directory, self.sensor)
         with hold_project(self.directory):
             compensator = train_project(self.config, self.dataset, Console(file=io.StringIO()))
             described = describe_compensator(compensator, self.config, self.dataset.train)
@@ -517,6 +523,7 @@ class Project:
         words += [] if diagnose else ["--no-diagnose"]
         words += ["--datasheet"] if datasheet else []
         words += ["--skip-invalid"] if self._skip_invalid else []
+        words += ["--sensor", self.sensor] if self.sensor is not None else []
         with contextlib.redirect_stdout(io.StringIO()):
             cli.main(words, standalone_mode=False)
         return target
@@ -531,7 +538,7 @@ class Project:
 
     def _follow(self, told: AddResult | RemoveResult, revision: "Revision") -> "Project":
         """Return the project as it is after a change of its effects."""
-        follower = Project(self.directory, skip_invalid=self._skip_invalid)
+        follower = Project(self.directory, skip_invalid=self._skip_invalid, sensor=self.sensor)
         follower._scratch = self._scratch
         follower.__dict__["dataset"] = self.dataset
 
@@ -546,4 +553,5 @@ class Project:
 
     def __repr__(self) -> str:
         """Return the folder and the model's effects."""
-        return f"Project({str(self.directory)!r}): {', '.join(self.effects) or 'no effects'}"
+        unit = f", sensor={self.sensor!r}" if self.sensor is not None else ""
+        return f"Project({str(self.directory)!r}{unit}): {', '.join(self.effects) or 'no effects'}"

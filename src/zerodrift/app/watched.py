@@ -10,17 +10,15 @@ from pathlib import Path
 from typing import IO, Protocol
 
 from zerodrift.app.applied_model import open_applied
+from zerodrift.app.commands.project import open_config
 from zerodrift.app.monitor import Deployed
-from zerodrift.base.config import Config, load_config
+from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
 from zerodrift.dataset.runs import Dataset
-from zerodrift.export.model_files import load_model
 from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import open_registry
 from zerodrift.field.state import FILE_NAME, LogSeen, MonitorState, load_state
 from zerodrift.field.summary import MonitorResult
-from zerodrift.fleet.design import Design
-from zerodrift.fleet.sensors import configure_sensor, find_sensors
 from zerodrift.verify.manifest import check_manifest
 
 OVERLAP_S = 7200.0
@@ -84,36 +82,15 @@ def open_deployed(directory: Path, options: Options) -> tuple[Deployed, Path, tu
         InputError: there is no firmware, no such unit, or an option cannot be read.
         CheckError: the files of the firmware are not those that were built and checked.
     """
-    config = load_config(directory)
-    if options.sensor is not None:
-        return _open_unit(config, options.sensor, options)
+    config = open_config(directory, options.sensor)
     applied = open_applied(config, load_logs=load_nothing)
     changed = [f for f in check_manifest(config, wants_inputs=False).findings if not f.is_stale]
     if changed:
         raise CheckError("the firmware is not what was built and checked: " + changed[0].text)
     loads, when = _read_loads(config, options)
-    deployed = Deployed(config.sensor_name, config, applied.model, applied.uncertainty, loads, when)
+    name = options.sensor or config.sensor_name
+    deployed = Deployed(name, config, applied.model, applied.uncertainty, loads, when)
     return deployed, options.state or config.build_directory / FILE_NAME, applied.notes
-
-
-def _open_unit(
-    config: Config, sensor: str, options: Options
-) -> tuple[Deployed, Path, tuple[str, ...]]:
-    design = Design(config)
-    sensors = find_sensors(config)
-    if sensor not in sensors:
-        raise InputError(
-            f"--sensor {sensor}: the fleet of {config.path} has no such unit"
-            f"{nearest(sensor, sensors)} It has {len(sensors)}. Correct the name."
-        )
-    own, folder = configure_sensor(config, sensor), design.build_folder(sensor)
-    model = load_model(folder / "model.json")
-    place = design.firmware_folder(sensor)
-    check = check_manifest(own, folder=place, build=folder, wants_inputs=False).require(sensor)
-    notes = tuple(f"{item.what}: {item.why}" for item in check.not_checked)
-    loads, when = _read_loads(config, options)
-    deployed = Deployed(sensor, own, model, None, loads, when)
-    return deployed, options.state or folder / FILE_NAME, notes
 
 
 def load_nothing() -> Dataset:

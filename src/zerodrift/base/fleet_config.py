@@ -10,6 +10,8 @@ from zerodrift.base.toml_table import TomlTable
 
 PLACEHOLDER = "{sensor}"
 """Stands for a sensor's name in `[fleet] folder` and in the selectors of `[logs]`."""
+SHARED_RUNTIME = "runtime"
+"""Beside the folders of a fleet's units: the C that all of them share."""
 FLEET_KEYS = ("folder", "limits", "ratio_limit", "outlier_z")
 OUTLIER_Z = 5.0
 """Robust z-score from which a sensor is an outlier: beyond it lies one value in two million of a

@@ -12,6 +12,7 @@ from zerodrift.app.commands.common import (
     json_option,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
 )
 from zerodrift.base.errors import InputError
@@ -54,6 +55,7 @@ def _split(texts: tuple[str, ...], option: str, example: str) -> dict[str, str]:
 @click.command()
 @click.argument("effect")
 @directory_option
+@sensor_option
 @click.option(
     "--hold",
     "hold",
@@ -75,6 +77,7 @@ def _split(texts: tuple[str, ...], option: str, example: str) -> dict[str, str]:
 def command(
     effect: str,
     directory: Path,
+    sensor: str | None,
     hold: tuple[str, ...],
     options: tuple[str, ...],
     force: bool,
@@ -91,7 +94,7 @@ def command(
     in the model already, richer forms are tried, and --hold sets other values.
     """
     from zerodrift.app.commands.console import open_console, show_progress
-    from zerodrift.app.commands.project import open_project
+    from zerodrift.app.commands.project import open_project, tell_design
     from zerodrift.app.commands.revise import add_to_project, print_revision
     from zerodrift.base.config import EffectConfig
     from zerodrift.diagnosis.revision import summarise_revision
@@ -100,11 +103,11 @@ def command(
 
     held, texts = read_held(hold), _split(options, "--set", "signal=body_temperature")
     with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid)
+        config, dataset = open_project(directory, skip_invalid, sensor)
         catalogue = load_catalogue(config.plugin_files)
         wanted = EffectConfig(effect, held, texts)
         revision, is_kept = add_to_project(config, dataset, catalogue, wanted, force=force, say=say)
-    print_notes(dataset.notes)
+    print_notes((*dataset.notes, *(tell_design(config, sensor) if is_kept else ())))
     if as_json:
         print_result(AddResult(**vars(summarise_revision(revision)), added=is_kept))
     else:

@@ -10,22 +10,25 @@ from zerodrift.app.commands.common import (
     json_option,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
 )
 
 
 @click.command()
 @directory_option
+@sensor_option
 @json_option
 @skip_invalid_option
 @changes_project
-def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
+def command(directory: Path, sensor: str | None, as_json: bool, skip_invalid: bool) -> None:
     """Write build/: network.onnx (float), model.json, integer.onnx, golden.npz, certificate.json.
 
     The integer model is proven free of overflow for every input, or refused with the reason.
     """
     from rich.console import Console
 
+    from zerodrift.app.commands.firmware import show_path
     from zerodrift.app.commands.project import open_project, train_project
     from zerodrift.base.journal import write_all
     from zerodrift.codegen.generate import generate
@@ -43,7 +46,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
     from zerodrift.verify.vectors import draw_golden
 
     console = Console(stderr=True)
-    config, dataset = open_project(directory, skip_invalid)
+    config, dataset = open_project(directory, skip_invalid, sensor)
     print_notes(dataset.notes)
     compensator = train_project(config, dataset, console)
     with console.status("quantizing"):
@@ -62,14 +65,9 @@ def command(directory: Path, as_json: bool, skip_invalid: bool) -> None:
         build / "certificate.json": certificate.encode(),
     }
     write_all(config.directory, contents)
-    files = ["build/network.onnx"] if compensator.network is not None else []
-    files += [
-        "build/compensator.json",
-        "build/model.json",
-        "build/integer.onnx",
-        "build/golden.npz",
-        "build/certificate.json",
-    ]
+    names = ["network.onnx"] if compensator.network is not None else []
+    names += ["compensator.json", *(path.name for path in contents)]
+    files = [show_path(build / name, config.directory) for name in names]
     bounds = model.prove()
     if as_json:
         print_result(ExportResult(model.hash, len(bounds), tuple(files)))

@@ -12,6 +12,7 @@ from zerodrift.app.commands.common import (
     json_option,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, print_chip_error, show_progress
@@ -64,6 +65,7 @@ BUDGET_ROWS = 5
 
 @click.command()
 @directory_option
+@sensor_option
 @json_option
 @skip_invalid_option
 @click.option(
@@ -74,7 +76,12 @@ BUDGET_ROWS = 5
 @onnx_options
 @changes_project
 def command(
-    directory: Path, as_json: bool, skip_invalid: bool, force: bool, request: OnnxRequest
+    directory: Path,
+    sensor: str | None,
+    as_json: bool,
+    skip_invalid: bool,
+    force: bool,
+    request: OnnxRequest,
 ) -> None:
     """Train if needed, quantize, generate C, and check it bit for bit on this host.
 
@@ -91,18 +98,19 @@ def command(
     """
     from rich.console import Console
 
-    from zerodrift.app.commands.project import open_project, train_project
+    from zerodrift.app.commands.project import open_project, refuse_shared_program, train_project
     from zerodrift.export.compose import describe_compensator
     from zerodrift.verify.left_out import leave_out
 
+    refuse_shared_program(directory, sensor)
     console = Console(stderr=True)
     trained_out = None
     if request:
-        config, dataset, described, notes = open_import(request, directory, skip_invalid)
+        config, dataset, described, notes = open_import(request, directory, skip_invalid, sensor)
         print_notes((*dataset.notes, *notes))
     else:
         with show_progress("reading logs"):
-            config, dataset = open_project(directory, skip_invalid)
+            config, dataset = open_project(directory, skip_invalid, sensor)
         print_notes(dataset.notes)
         compensator = train_project(config, dataset, console)
         described = describe_compensator(compensator, config, dataset.train)

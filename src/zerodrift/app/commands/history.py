@@ -6,7 +6,13 @@ from pathlib import Path
 
 import click
 
-from zerodrift.app.commands.common import directory_option, json_option, print_result
+from zerodrift.app.commands.common import (
+    directory_option,
+    json_option,
+    print_notes,
+    print_result,
+    sensor_option,
+)
 from zerodrift.app.commands.console import open_console, open_table
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
@@ -28,6 +34,7 @@ def draw_bar(ratio: float, largest: float, width: int = BAR_WIDTH) -> str:
 
 @click.command()
 @directory_option
+@sensor_option
 @click.option(
     "--html",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -42,7 +49,9 @@ def draw_bar(ratio: float, largest: float, width: int = BAR_WIDTH) -> str:
     help="Write the effects of step N into zerodrift.toml again; all else there stays.",
 )
 @json_option
-def command(directory: Path, html: Path | None, restore: int | None, as_json: bool) -> None:
+def command(
+    directory: Path, sensor: str | None, html: Path | None, restore: int | None, as_json: bool
+) -> None:
     """Show every effect that was added or removed, with the held-out errors it brought.
 
     The table gives the errors in their units; the bars give them as multiples of the noise floor,
@@ -50,14 +59,15 @@ def command(directory: Path, html: Path | None, restore: int | None, as_json: bo
     """
     if html is not None:
         require(PAGE, "zerodrift history --html")
+    from zerodrift.app.commands.project import open_config, tell_design
     from zerodrift.app.commands.revise import open_history
-    from zerodrift.base.config import load_config
     from zerodrift.diagnosis.history import list_steps
 
-    config = load_config(directory)
+    config = open_config(directory, sensor)
     if restore is not None:
         with hold_project(directory):
             restore_step(config, restore)
+        print_notes(tell_design(config, sensor))
     path, entries = open_history(config)
     steps = list_steps(entries)
     if html is not None:

@@ -12,6 +12,7 @@ from zerodrift.app.commands.common import (
     packed,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, show_progress
@@ -43,7 +44,7 @@ class MonitorOptions:
 @click.command()
 @click.argument("sources", nargs=-1, metavar="LOG|SOURCE...")
 @directory_option
-@click.option("--sensor", default=None, metavar="NAME", help="A unit of a fleet.")
+@sensor_option
 @click.option(
     "--load",
     "loads",

@@ -11,6 +11,7 @@ from zerodrift.app.commands.common import (
     packed,
     print_notes,
     print_result,
+    sensor_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, show_progress
 
@@ -34,6 +35,7 @@ class NeighbourOptions:
 @click.argument("kind", type=click.Choice(NAMES))
 @click.argument("logs", nargs=-1, type=click.Path(path_type=Path, exists=True))
 @directory_option
+@sensor_option
 @click.option(
     "--output",
     "outputs",
@@ -64,7 +66,12 @@ class NeighbourOptions:
 @json_option
 @packed(NeighbourOptions)
 def command(
-    kind: str, logs: tuple[Path, ...], directory: Path, as_json: bool, options: NeighbourOptions
+    kind: str,
+    logs: tuple[Path, ...],
+    directory: Path,
+    sensor: str | None,
+    as_json: bool,
+    options: NeighbourOptions,
 ) -> None:
     """Write the model of the last `firmware` as another program takes it, and tell what that loses.
 
@@ -73,15 +80,15 @@ def command(
     of [logs]) and over the calibrated range.
     """
     from zerodrift.app.applied_model import open_applied
+    from zerodrift.app.commands.project import open_config
     from zerodrift.app.neighbours import render_neighbour
     from zerodrift.app.watched import load_nothing
-    from zerodrift.base.config import load_config
     from zerodrift.base.errors import InputError
     from zerodrift.base.files import write_whole
     from zerodrift.field.neighbours import KINDS
     from zerodrift.field.summary import NeighbourResult
 
-    config = load_config(directory)
+    config = open_config(directory, sensor)
     applied = open_applied(config, load_logs=load_nothing)
     place = options.out if options.out is not None else Path(KINDS[kind].file)
     if place.exists() and "written by zerodrift" not in place.read_text("utf-8", "replace")[:200]:

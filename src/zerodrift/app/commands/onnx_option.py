@@ -105,7 +105,7 @@ def _read_memory(memory: str | None) -> str | int | None:
 
 
 def open_import(
-    request: OnnxRequest, directory: Path, skip_invalid: bool
+    request: OnnxRequest, directory: Path, skip_invalid: bool, sensor: str | None = None
 ) -> tuple["Config", "Dataset", "FloatModel", list[str]]:
     """Return the project, its logs, the network as their float model, and what is to be noted.
 
@@ -120,7 +120,7 @@ def open_import(
 
     assert request.path is not None
     imported = read_imported(request.path, request.output)
-    config, notes = _open_config(request.calibrate, directory)
+    config, notes = _open_config(request.calibrate, directory, sensor)
     dataset = load_dataset(config, skip_invalid)
     model, more = describe_imported(
         imported, config, dataset.train, request.features, request.memory
@@ -135,10 +135,13 @@ def open_import(
     return config, dataset, model, notes + more
 
 
-def _open_config(calibrate: Sequence[Path], directory: Path) -> tuple["Config", list[str]]:
+def _open_config(
+    calibrate: Sequence[Path], directory: Path, sensor: str | None
+) -> tuple["Config", list[str]]:
     from zerodrift.app.commands.init import find_logs
     from zerodrift.app.commands.init_toml import write_config
-    from zerodrift.base.config import FILE_NAME, load_config, parse_config
+    from zerodrift.app.commands.project import open_config
+    from zerodrift.base.config import FILE_NAME, parse_config
     from zerodrift.dataset.guess import guess_project
     from zerodrift.dataset.selectors import expand_selectors
 
@@ -150,7 +153,7 @@ def _open_config(calibrate: Sequence[Path], directory: Path) -> tuple["Config", 
                 " folder of them."
             )
     selectors = [str(path) for path in logs]
-    if not (directory / FILE_NAME).exists():
+    if sensor is None and not (directory / FILE_NAME).exists():
         if not logs:
             raise InputError(
                 f"{directory / FILE_NAME}: there is no such file, and no logs by --calibrate;"
@@ -162,7 +165,7 @@ def _open_config(calibrate: Sequence[Path], directory: Path) -> tuple["Config", 
         outputs = ", ".join(f"{o.name} in {o.unit}" for o in config.outputs)
         notes = [f"no {FILE_NAME}: outputs ({outputs}) and inputs are guessed from the logs"]
         return replace(config, effects=()), notes + [f"check: {check}" for check in guess.checks]
-    config = load_config(directory)
+    config = open_config(directory, sensor)
     if not logs:
         return config, []
     config = replace(config, train_logs=tuple(selectors))

@@ -10,6 +10,7 @@ from zerodrift.app.commands.common import (
     json_option,
     print_notes,
     print_result,
+    sensor_option,
 )
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
@@ -19,9 +20,10 @@ from zerodrift.base.ownership import MANIFEST, list_own, refuse_foreign, render_
 @click.command()
 @click.argument("kind", type=click.Choice(["cmake", "zephyr", "arduino", "platformio"]))
 @directory_option
+@sensor_option
 @json_option
 @changes_project
-def command(kind: str, directory: Path, as_json: bool) -> None:
+def command(kind: str, directory: Path, sensor: str | None, as_json: bool) -> None:
     """Write the model as a package into <out>/packages/KIND, in place of the one that lies there.
 
     Files that zerodrift did not write stay, and are never replaced.
@@ -31,14 +33,15 @@ def command(kind: str, directory: Path, as_json: bool) -> None:
     it is stale.
     """
     from zerodrift.app.commands.firmware import show_path
-    from zerodrift.base.config import load_config
+    from zerodrift.app.commands.project import open_config, refuse_shared_program
     from zerodrift.codegen.packages import render_package
     from zerodrift.export.model_files import load_model
     from zerodrift.report.results import PackageResult
     from zerodrift.verify.manifest import check_manifest
     from zerodrift.verify.replay import read_code
 
-    config = load_config(directory)
+    refuse_shared_program(directory, sensor)
+    config = open_config(directory, sensor)
     check = check_manifest(config).require(f"{show_path(config.firmware_out, config.directory)}/")
     print_notes(tuple(f"not checked: {n.what}: {n.why}" for n in check.not_checked))
     model = load_model(config.build_directory / "model.json")

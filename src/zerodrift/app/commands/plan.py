@@ -12,6 +12,7 @@ from zerodrift.app.commands.common import (
     packed,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, show_progress
@@ -30,6 +31,7 @@ MOST_LISTED = 40
 class PlanOptions:
     """What the command line says; the options' help explains each."""
 
+    sensor: str | None
     hours: float | None
     within: str | None
     between: tuple[str, ...]
@@ -44,6 +46,7 @@ class PlanOptions:
 
 @click.command()
 @directory_option
+@sensor_option
 @click.option(
     "--hours",
     type=click.FloatRange(0.05, 2000.0),
@@ -115,9 +118,10 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOpt
     programme is chosen that makes the right verdict of `diagnose` most probable. It works before
     the first log too.
     """
-    from zerodrift.app.commands.project import open_project
+    from zerodrift.app.commands.project import open_config
     from zerodrift.app.plan import find_plan, has_logs, keep_plan, load_limits
     from zerodrift.app.trust import remember
+    from zerodrift.dataset.load import load_dataset
     from zerodrift.discovery.files import list_protocols, write_plan
     from zerodrift.discovery.plan import HOURS, Question
     from zerodrift.physics.catalogue import load_catalogue
@@ -127,9 +131,9 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOpt
     if options.picture is not None and options.picture.suffix != ".html":
         raise InputError(f"--picture {options.picture}: expected a name that ends in .html.")
     with show_progress("reading logs") as say:
-        config = load_limits(directory, options.within)
+        config = load_limits(open_config(directory, options.sensor), options.within)
         remember(config.plugin_files)
-        dataset = open_project(directory, skip_invalid)[1] if has_logs(config) else None
+        dataset = load_dataset(config, skip_invalid) if has_logs(config) else None
         question = Question(
             hours=options.hours or config.experiment.hours or HOURS,
             between=tuple(dict.fromkeys(kind for pair in options.between for kind in pair)),

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from zerodrift.app.trust import remember
 from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import InputError
+from zerodrift.base.fleet_config import PLACEHOLDER
 from zerodrift.dataset.runs import Dataset
 
 if TYPE_CHECKING:
@@ -29,6 +30,24 @@ def open_config(directory: Path, sensor: str | None = None) -> Config:
     return open_sensor(config, sensor)
 
 
+def refuse_shared_program(directory: Path, sensor: str | None) -> None:
+    """Refuse to speak of one unit's own C where all units of a fleet share one program.
+
+    Raises:
+        InputError: `[firmware] coefficients = "block"`, and a unit was named.
+    """
+    if sensor is None:
+        return
+    config = load_config(directory)
+    if config.block.in_block:
+        raise InputError(
+            f"--sensor {sensor}: {config.path} has coefficients in a block, so that no unit has C"
+            " of its own; expected the fleet as a whole. `zerodrift fleet` builds and checks"
+            " program and blocks, and computes only what has changed; `zerodrift block show FILE`"
+            " tells what a unit's block holds."
+        )
+
+
 def open_project(
     directory: Path, skip_invalid: bool = False, sensor: str | None = None
 ) -> tuple[Config, Dataset]:
@@ -41,7 +60,30 @@ def open_project(
 
     config = open_config(directory, sensor)
     remember(config.plugin_files)
-    return config, load_dataset(config, skip_invalid)
+    try:
+        return config, load_dataset(config, skip_invalid)
+    except InputError as error:
+        if sensor is None and is_fleet(config):
+            raise InputError(
+                f"{error} This project is a fleet: --sensor NAME speaks of one unit of it,"
+                " `zerodrift fleet` of all."
+            ) from error
+        raise
+
+
+def is_fleet(config: Config) -> bool:
+    """Return whether `[fleet]` or `[logs]` say where many sensors of one design lie."""
+    return bool(config.fleet.folder) or any(PLACEHOLDER in log for log in config.train_logs)
+
+
+def tell_design(config: Config, sensor: str | None) -> tuple[str, ...]:
+    """Return the note that a change made for one unit is one of the design, which all share."""
+    if sensor is None:
+        return ()
+    return (
+        f"{config.path.name} is the design of all units; this change was judged on {sensor} alone,"
+        " and `zerodrift fleet` fits the others anew",
+    )
 
 
 def train_project(config: Config, dataset: Dataset, console: "Console") -> "Compensator":

@@ -10,6 +10,7 @@ from zerodrift.app.commands.common import (
     json_option,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
 )
 from zerodrift.base.errors import InputError
@@ -18,6 +19,7 @@ from zerodrift.base.errors import InputError
 @click.command()
 @click.argument("effect")
 @directory_option
+@sensor_option
 @click.option(
     "--set",
     "options",
@@ -29,14 +31,19 @@ from zerodrift.base.errors import InputError
 @skip_invalid_option
 @changes_project
 def command(
-    effect: str, directory: Path, options: tuple[str, ...], as_json: bool, skip_invalid: bool
+    effect: str,
+    directory: Path,
+    sensor: str | None,
+    options: tuple[str, ...],
+    as_json: bool,
+    skip_invalid: bool,
 ) -> None:
     """Remove EFFECT from zerodrift.toml, refit the others together, and show what that costs.
 
     The removal is made in any case; the history says whether the held-out error suffered.
     """
     from zerodrift.app.commands.console import open_console, show_progress
-    from zerodrift.app.commands.project import open_project
+    from zerodrift.app.commands.project import open_project, tell_design
     from zerodrift.app.commands.revise import print_revision, remove_from_project
     from zerodrift.diagnosis.revision import summarise_revision
     from zerodrift.physics.catalogue import load_catalogue
@@ -44,10 +51,10 @@ def command(
 
     signal = _read_signal(options)
     with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid)
+        config, dataset = open_project(directory, skip_invalid, sensor)
         catalogue = load_catalogue(config.plugin_files)
         revision = remove_from_project(config, dataset, catalogue, effect, signal, say)
-    print_notes(dataset.notes)
+    print_notes((*dataset.notes, *tell_design(config, sensor)))
     if as_json:
         print_result(RemoveResult(**vars(summarise_revision(revision))))
         return

@@ -12,6 +12,7 @@ from zerodrift.app.commands.common import (
     json_option,
     print_notes,
     print_result,
+    sensor_option,
     skip_invalid_option,
 )
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 @click.command("train")
 @directory_option
+@sensor_option
 @json_option
 @skip_invalid_option
 @click.option("--epochs", type=click.IntRange(min=1), help="Instead of [network] epochs.")
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 @changes_project
 def command(
     directory: Path,
+    sensor: str | None,
     as_json: bool,
     skip_invalid: bool,
     epochs: int | None,
@@ -44,8 +47,9 @@ def command(
 ) -> None:
     """Fit the effects of zerodrift.toml, then train the network on what they leave.
 
-    Writes build/compensator.json and build/network.onnx. An interrupted training is taken up again
-    by the next call, with the same result to the bit.
+    Writes build/compensator.json and build/network.onnx; of a unit of a fleet, those in
+    build/fleet/NAME/. An interrupted training is taken up again by the next call, with the same
+    result to the bit.
     """
     from zerodrift.app.commands.console import open_console, print_advice
     from zerodrift.app.commands.project import open_project, print_choice
@@ -56,7 +60,7 @@ def command(
     from zerodrift.train.training import list_checkpoints
     from zerodrift.verify.network_choice import train_or_choose
 
-    config, dataset = open_project(directory, skip_invalid)
+    config, dataset = open_project(directory, skip_invalid, sensor)
     with show_progress("training") as report:
         chosen = train_or_choose(
             config, dataset, epochs=epochs, starts=starts, resume=resume, report=report

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zerodrift.app.commands.common import directory_option, json_option, print_result
+from zerodrift.app.commands.common import directory_option, json_option, print_result, sensor_option
 from zerodrift.base.errors import CheckError, InputError
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @directory_option
+@sensor_option
 @json_option
 @click.option(
     "--require",
@@ -36,7 +37,12 @@ if TYPE_CHECKING:
     help="Instead, show for every input that the C is the specification, part by part.",
 )
 def command(
-    directory: Path, as_json: bool, required: tuple[str, ...], certificate: bool, proves: bool
+    directory: Path,
+    sensor: str | None,
+    as_json: bool,
+    required: tuple[str, ...],
+    certificate: bool,
+    proves: bool,
 ) -> None:
     """Build and run what lies in the firmware folder, and hold it against the model.
 
@@ -50,17 +56,18 @@ def command(
     something is not proven.
     """
     from zerodrift.app.commands.console import show_progress
-    from zerodrift.base.config import load_config
+    from zerodrift.app.commands.project import open_config, refuse_shared_program
     from zerodrift.base.journal import read_together
     from zerodrift.verify.replay import replay
 
+    refuse_shared_program(directory, sensor)
+    config = open_config(directory, sensor)
     if proves:
-        _prove(load_config(directory), as_json)
+        _prove(config, as_json)
         return
     if certificate:
-        _check_certificate(load_config(directory).firmware_out, as_json)
+        _check_certificate(config.firmware_out, as_json)
         return
-    config = load_config(directory)
     folders = (config.build_directory, config.firmware_out)
     with show_progress("verifying") as say:
         outcome = read_together(directory, folders, lambda: replay(config, say, required))
