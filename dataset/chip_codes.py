@@ -11,6 +11,13 @@ from zerodrift.base.config import Config, locate_key
 from zerodrift.base.conversion_config import ConversionConfig, sum_formula
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.code_format import AS_LOGGED, CLOCK, MEASURED, TEMPERATURE, ChipCodes
+from zerodrift.dataset.design_codes import (
+    CLOCK_LSB_S,
+    DESIGN_FORMAT,
+    TEMPERATURE_LSB_DEGC,
+    fill_codes,
+    require_design_lsb,
+)
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.logs import read_log
 from zerodrift.dataset.raw_codes import (
@@ -25,15 +32,11 @@ from zerodrift.dataset.runs import Array, Dataset, Run
 from zerodrift.dataset.tables import label_log
 from zerodrift.dataset.thermocouples import emf, find_span
 
-TEMPERATURE_LSB_DEGC = 0.0078125
-"""One count of the TMP117, 2**-7 K (Texas Instruments, TMP117 data sheet, temperature register)."""
 FLAG_MARGIN_K = 2.0
 """The temperature is flagged when it is further than this from the calibrated range."""
 RANGE_MARGIN = 0.25
 """Share of the calibrated span by which other inputs may go beyond it before they are flagged, and
 all inputs before they are limited. A little extrapolation beats none; a lot is worth nothing."""
-FILLED = {16: 2.0**14, 32: 2.0**30}
-"""Bits of a code -> the code that the largest logged value is given, at most; twice it is held."""
 
 
 def choose_codes(config: Config, source: str, runs: Sequence[Run], lsb: float) -> ChipCodes:
@@ -74,10 +77,15 @@ def choose_temperature_codes(config: Config, runs: Sequence[Run]) -> ChipCodes:
     if stated.raw:
         beyond = max(1.5 * FLAG_MARGIN_K, RANGE_MARGIN * _measure_span(spans) + 0.5)
         need = (low - FLAG_MARGIN_K, high + FLAG_MARGIN_K)
-        return _convert(config, TEMPERATURE, runs, (low, high), need, beyond)
+        return _convert(config, TEMPERATURE, (low, high), need, beyond, TEMPERATURE_LSB_DEGC, runs)
     options = _list_options(stated, TEMPERATURE_LSB_DEGC)
     if stated.bits == 16 and stated.lsb is None:  # coarser, as it may not be wider
         options = [(16, TEMPERATURE_LSB_DEGC * 2.0**step) for step in range(64)]
+        if config.format >= DESIGN_FORMAT:  # the finest that holds the range, whatever was logged
+            low_end, high_end = stated.range or (0.0, 0.0)
+            span = (low_end - FLAG_MARGIN_K, high_end + FLAG_MARGIN_K)
+            fitting = (o for o in options if _make(config, TEMPERATURE, *o).holds(*span))
+            options = [next(fitting, options[-1])]
     found = [
         _make(config, TEMPERATURE, bits, lsb) for bits, lsb in options if _fits_type(stated, bits)
     ]
@@ -86,29 +94,35 @@ def choose_temperature_codes(config: Config, runs: Sequence[Run]) -> ChipCodes:
 
 
 def choose_input_codes(config: Config, name: str, runs: Sequence[Run]) -> ChipCodes:
-    """Return the codes of one of `[inputs]`: as many as fill 15 of 16 bits, or as it is stated.
+    """Return the codes of one of `[inputs]`: as it is stated, or as many as fill 15 of 16 bits.
 
-    A clock counts whole seconds in 32 bits.
+    A clock counts whole seconds in 32 bits. From format 2 on logs do not say what a code is worth.
 
     Raises:
-        InputError: as `choose_temperature_codes`.
+        InputError: as `choose_temperature_codes`; or nothing says what a code is worth.
     """
     stated = config.input_codes.get(name, CodesConfig())
     spans = [(float(r.inputs[name].min()), float(r.inputs[name].max())) for r in runs]
     low, high = _join(spans, stated)
     largest = max(abs(low), abs(high), 1e-30)
     margin = RANGE_MARGIN * _measure_span(spans)
+    is_fixed = config.format >= DESIGN_FORMAT
     if stated.raw:
         need = (low - margin, high + margin)
-        return _convert(config, name, runs, (low, high), need, 1.5 * margin)
+        usual = require_design_lsb(config, name) if is_fixed else _choose_lsb(need, 2.0**14)
+        return _convert(config, name, (low, high), need, 1.5 * margin, usual, runs)
     if name == CLOCK:
         second = 2.0 ** max(0, math.ceil(math.log2(largest / 2.0**30)) - 1)
-        options = [(stated.bits or 32, stated.lsb or second)]
+        usual = CLOCK_LSB_S if is_fixed else second
+        options = [(stated.bits or 32, stated.lsb or usual)]
         need = (low, high)  # its limits are far beyond what was logged, and beyond the codes
     else:
         bits = stated.bits or 16
-        options = _list_options(stated, 2.0 ** math.ceil(math.log2(largest / FILLED[bits])))
         need = (low - margin, high + margin)
+        if is_fixed:
+            options = [(bits, require_design_lsb(config, name))]
+        else:
+            options = _list_options(stated, fill_codes(largest, bits))
     found = [_make(config, name, *option) for option in options if _fits_type(stated, option[0])]
     return _choose(config, found, runs, need, "a quarter of the span on either side")
 
@@ -121,27 +135,28 @@ def _measure_span(spans: Sequence[tuple[float, float]]) -> float:
 def _convert(
     config: Config,
     source: str,
-    runs: Sequence[Run],
     span: tuple[float, float],
     need: tuple[float, float],
     beyond: float,
+    usual: float,
+    runs: Sequence[Run],
 ) -> ChipCodes:
     """Return the codes of an input whose raw codes the chip is given.
 
     Args:
         config: the project.
         source: `temperature_degC`, or the input's name.
-        runs: of the training logs.
         span: what the training logs and the stated range hold.
         need: the same with what is flagged.
         beyond: how far from the span the table goes.
+        usual: what one code is worth where nothing is stated.
+        runs: of the training logs.
 
     Raises:
         InputError: the raw codes do not hold the span.
     """
     is_temperature = source == TEMPERATURE
     stated = config.temperature_codes if is_temperature else config.input_codes[source]
-    usual = TEMPERATURE_LSB_DEGC if is_temperature else _choose_lsb(need, 2.0**14)
     by = stated.by or ConversionConfig(scale=stated.lsb or usual)
     made = _make(config, source, 32, usual)
     least, _ = RAW_CODES[stated.raw]
@@ -348,7 +363,11 @@ def refuse_unsayable(config: Config, dataset: Dataset) -> None:
         InputError: as `refuse_outside`.
     """
     codes = [choose_temperature_codes(config, dataset.train)]
-    stated = [name for name, given in config.input_codes.items() if given != CodesConfig()]
+    stated = [
+        name
+        for name, given in config.input_codes.items()
+        if given != CodesConfig() or config.format >= DESIGN_FORMAT
+    ]
     codes += [choose_input_codes(config, name, dataset.train) for name in stated]
     refuse_outside(config, codes, [*dataset.train, *dataset.test, *dataset.dwell])
 

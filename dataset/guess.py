@@ -10,6 +10,7 @@ import numpy as np
 from zerodrift.base.clock_config import TIME_UNITS, TimeConfig
 from zerodrift.base.config import MAX_OUTPUTS
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.guess_inputs import choose_codes, choose_inputs, write_column
 from zerodrift.dataset.guess_runs import LogFiles, SurveyedFile, choose_runs, find_runs
 from zerodrift.dataset.join import UNIX_S, propose_zone
 from zerodrift.dataset.roles import (
@@ -87,6 +88,9 @@ class Guess:
     """degF or K; empty: degC."""
     times_by_file: Mapping[str, TimeConfig] = field(default_factory=dict)
     """File -> its times, where they are not as `time` says."""
+    codes: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    """Column of an input, or of another thermometer -> `raw` and `lsb` that hold all runs; none
+    of the clock, which counts seconds."""
 
 
 def guess_project(
@@ -125,9 +129,9 @@ def guess_project(
         if role.column.name in shared
     ]
     outputs = _choose_outputs(files, shared, alternatives, checks)
-    temperature = _write_column(files, *thermometers[0])
-    others = [_write_column(files, *each) for each in thermometers[1:]]
-    inputs = _choose_inputs(files, shared)
+    temperature = write_column(files, *thermometers[0])
+    others = [write_column(files, *each) for each in thermometers[1:]]
+    inputs = choose_inputs(files, shared)
     for name in others:
         bare = name.rpartition(":")[2]
         inputs.setdefault(_name_channel(bare), name)
@@ -171,6 +175,9 @@ def guess_project(
         logs=tuple(run.log for run in runs),
         period_by_hand_s=period_s if any(f.survey.times is None for f in files) else None,
         times_by_file=by_file,
+        codes=choose_codes(
+            [*inputs.items(), ("temperature", temperature)], [run.files for run in runs]
+        ),
     )
 
 
@@ -244,13 +251,6 @@ def _choose_zone(timed: Sequence[tuple[SurveyedFile, Times]]) -> str:
     return propose_zone(local[0].seconds, utc[0].seconds) if local and utc else ""
 
 
-def _write_column(files: Sequence[SurveyedFile], file: SurveyedFile, role: Role) -> str:
-    """Return a column's name as zerodrift.toml has it: with its file where several have it."""
-    name = role.column.name
-    holders = [each for each in files if name in each.survey.source.names]
-    return name if len(holders) == 1 else f"{file.name}:{name}"
-
-
 def _choose_outputs(
     files: Sequence[SurveyedFile],
     shared: set[str],
@@ -269,11 +269,11 @@ def _choose_outputs(
     outputs: list[GuessedOutput] = []
     for file, role in found:
         column = role.column
-        measured = _write_column(files, file, role)
+        measured = write_column(files, file, role)
         reference: str | float | None = None
         for other, candidate in references:
             if _is_reference(column.name, candidate.column.name, len(found), references):
-                reference = _write_column(files, other, candidate)
+                reference = write_column(files, other, candidate)
                 break
         unit, source = guess_unit(column, file.survey)
         short = re.sub(r"[^A-Za-z0-9_]+", "_", strip_unit(column.name)).strip("_")
@@ -325,16 +325,6 @@ def _round_nominal(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def _choose_inputs(files: Sequence[SurveyedFile], shared: set[str]) -> dict[str, str]:
-    inputs: dict[str, str] = {}
-    for file in files:
-        for role in file.list(INPUT):
-            if role.column.name in shared:
-                inputs.setdefault(role.channel, _write_column(files, file, role))
-    clock = inputs.pop("clock", None)
-    return ({"clock": clock} if clock else {}) | inputs
-
-
 def _choose_period(
     files: Sequence[SurveyedFile],
     used: set[str],
@@ -346,7 +336,7 @@ def _choose_period(
     slowest = period_s or 0.0
     for file in files:
         times = file.survey.times
-        names = {_write_column(files, file, role) for role in file.roles}
+        names = {write_column(files, file, role) for role in file.roles}
         if times is None or not names & used:
             continue
         rising = np.unique(times.seconds)
@@ -388,7 +378,7 @@ def _describe(files: Sequence[SurveyedFile], used: set[str]) -> list[SeenColumn]
             seen.append(SeenColumn(file.name, times.config.name, "time", "s", low, high, why))
         for role in file.roles:
             column = role.column
-            name = _write_column(files, file, role)
+            name = write_column(files, file, role)
             shown, why = role.role, role.why
             if role.role == INPUT:
                 shown = f"input {role.channel}"

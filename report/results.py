@@ -482,9 +482,12 @@ class UpgradeResult:
     units: int
     """Of the fleet, whose logs all fit; 1 for a project."""
     changed: Mapping[str, UpgradedInput]
-    """Input -> its codes; nothing was written where there is none."""
+    """Input, or `[sensor] temperature` -> its codes, which followed from logs."""
     kept: Mapping[str, str]
     """Input -> why its codes do not follow from logs."""
+    format_before: int
+    """Of zerodrift.toml; nothing was written where it was `format` and nothing changed."""
+    format: int
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ from tests.dataset.conftest import SHARED_DATA
 from zerodrift.app.commands.init import command
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.chip_codes import choose_input_codes
 from zerodrift.dataset.load import load_dataset
 
 AS_LOGGED = SHARED_DATA / "as_logged"
@@ -168,7 +169,8 @@ def test_folder_of_two_loggers_is_one_run(tmp_path, init):
     told, toml, _ = init(tmp_path / "day1")
     assert toml["logs"]["train"] == ["day1@0%:60%"]
     assert told["sample_period_s"] == 3.0
-    assert toml["inputs"] == {"humidity": "humidity"}
+    humidity = {"column": "humidity", "raw": "int16", "lsb": 2.0**-7}
+    assert toml["format"] == 2 and toml["inputs"] == {"humidity": humidity}
     assert load_dataset(load_config(tmp_path)).test
 
 
@@ -185,6 +187,32 @@ def test_nested_folders_are_looked_through(tmp_path, init):
     _, toml, _ = init(tmp_path / "units")
     assert toml["logs"]["train"] == ["units/SN1/run1", "units/SN1/run2", "units/SN2/run1"]
     assert len(load_dataset(load_config(tmp_path)).train) == 3
+
+
+def test_what_a_code_is_worth_holds_the_logs_of_all_units(tmp_path, init):
+    """A unit alone would get a finer one; what the others log is in the project's one file."""
+    for name, largest in (("SN1", 3.1), ("SN2", 11.7), ("SN3", 5.2)):
+        more = {"supply_V": np.linspace(0.9 * largest, largest, TIME.size), "board_degC": T**2 / 9}
+        wave = T + largest * np.sin(TIME / 40)
+        write(tmp_path / f"{name}.csv", time_s=TIME, temp_c=wave, F_N=wave**2, **more)
+    lsb = {}
+    for logs in (("SN1.csv",), ("SN1.csv", "SN2.csv", "SN3.csv")):
+        told, toml, _ = init("--force", *(tmp_path / log for log in logs))
+        assert told["inputs"]["supply"] == "supply_V"
+        lsb[logs] = toml["inputs"]["supply"]["lsb"]
+        assert toml["inputs"]["temp"] == {"column": "temp_c", "raw": "int16", "lsb": 2.0**-7}
+        config = load_config(tmp_path)
+        runs = load_dataset(config).train
+        codes = choose_input_codes(config, "supply", runs)
+        assert (codes.bits, codes.lsb) == (16, lsb[logs])
+    assert list(lsb.values()) == [2.0**-12, 2.0**-10]
+
+
+def test_interactive_keeps_a_code_of_the_thermometer_that_was_not_chosen(tmp_path, init):
+    log = write(tmp_path / "log.csv", time_s=TIME, oven_c=T, room_c=T**2 / 9, F_N=T)
+    _, toml, _ = init("--interactive", log, answers="room_c\n1\n")
+    other = {"column": "oven_c", "raw": "int16", "lsb": 2.0**-7}
+    assert toml["inputs"] == {"thermometer": other}
 
 
 def test_rows_without_times_need_a_period(tmp_path, init):

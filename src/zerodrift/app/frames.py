@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from zerodrift.base.config import FILE_NAME
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
+from zerodrift.dataset.code_format import CLOCK
+from zerodrift.dataset.design_codes import DESIGN_FORMAT, propose_codes
 from zerodrift.dataset.guess import round_up
 from zerodrift.dataset.units import read_unit
 
@@ -298,6 +300,8 @@ def _render(
     q = json.dumps
     period_s = begin.sample_period_s or measure_period_s(frames, columns.time)
     lines = [
+        f"format = {DESIGN_FORMAT}",
+        "",
         "[sensor]",
         f"name = {q(begin.name)}",
         f"time = {q(columns.time)}",
@@ -316,9 +320,19 @@ def _render(
             f"full_scale = {told.full_scale or round_up(largest):g}",
         ]
     if columns.inputs:
-        lines += ["", "[inputs]", *(f"{key} = {q(c)}" for key, c in columns.inputs.items())]
+        lines += ["", "[inputs]"]
+        lines += [_render_input(frames, key, column) for key, column in columns.inputs.items()]
     lines += ["", "[logs]", *(f"{use} = {q(list(files))}" for use, files in logs.items())]
     for effect in begin.effects:
         lines += ["", "[[effect]]", f"kind = {q(effect)}"]
     lines += ["", "[network]", f"kind = {q(begin.network)}"]
     return "\n".join(lines) + "\n"
+
+
+def _render_input(frames: Mapping[str, pl.DataFrame], key: str, column: str) -> str:
+    """Return an input's line; what one code is worth holds all frames."""
+    if key == CLOCK:
+        return f"{key} = {json.dumps(column)}"
+    largest = max(_find_largest(frame[column]) for frame in frames.values())
+    raw, lsb = propose_codes(key, column, 0.0, largest, is_degc=False)
+    return f'{key} = {{ column = {json.dumps(column)}, raw = "{raw}", lsb = {lsb!r} }}'

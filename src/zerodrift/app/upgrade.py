@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zerodrift.base.column_config import CodesConfig
 from zerodrift.base.config import FILE_NAME, Config, load_config, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.fleet_config import PLACEHOLDER
 from zerodrift.base.journal import write_text
 from zerodrift.base.progress import print_progress
-from zerodrift.base.toml_inputs import set_columns
-from zerodrift.dataset.chip_codes import choose_input_codes
-from zerodrift.dataset.code_format import CLOCK
+from zerodrift.base.toml_inputs import set_columns, set_format
+from zerodrift.dataset.chip_codes import choose_input_codes, choose_temperature_codes
+from zerodrift.dataset.design_codes import DESIGN_FORMAT, explain_stated, list_unstated
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Run
 from zerodrift.fleet.sensors import configure_sensor, find_sensors, list_selectors
@@ -23,9 +22,11 @@ from zerodrift.fleet.sensors import configure_sensor, find_sensors, list_selecto
 if TYPE_CHECKING:
     from zerodrift.report.results import UpgradeResult
 
+THERMOMETER = "[sensor] temperature"
+
 
 def upgrade(directory: Path) -> "UpgradeResult":
-    """Write the codes of every input that states none into zerodrift.toml, and nothing else.
+    """Write the codes that zerodrift.toml leaves to the logs into it, and its format.
 
     They are those that the training logs chose so far, of a fleet those that hold the logs of all
     units; from then on they are the same for every unit and whatever else is logged.
@@ -37,35 +38,43 @@ def upgrade(directory: Path) -> "UpgradeResult":
 
     config = load_config(directory)
     units = _list_units(config)
-    kept = {name: why for name in config.inputs if (why := _explain_kept(config, name))}
-    wanted = find_unstated(config)
-    changed = []
-    if wanted:
+    kept = {name: why for name in config.inputs if (why := explain_stated(config, name))}
+    wanted = list_unstated(config)
+    by_logs = _asks_for_thermometer(config)
+    changed = {}
+    path = directory / FILE_NAME
+    before = text = path.read_text(encoding="utf-8")
+    if wanted or by_logs:
         runs = []
         for number, unit in enumerate(units, 1):
             if len(units) > 1:
                 print_progress(f"reading the logs of unit {number} of {len(units)}")
             runs += _read_extremes(unit, wanted)
+        former = replace(config, format=1)
         for name in wanted:
-            codes = choose_input_codes(config, name, runs)
-            column = UpgradedInput(config.inputs[name], f"int{codes.bits}", codes.lsb)
-            changed.append((name, column))
-        path = directory / FILE_NAME
-        text = path.read_text(encoding="utf-8")
-        edited = set_columns(text, {n: {"raw": c.raw, "lsb": c.lsb} for n, c in changed}, path)
-        _confirm(parse_config(edited, path.absolute()), config, path)
-        write_text(path, edited)
+            codes = choose_input_codes(former, name, runs)
+            raw = config.input_codes[name].raw or f"int{codes.bits}"
+            changed[name] = UpgradedInput(config.inputs[name], raw, codes.lsb)
+        if wanted:
+            keys = {n: {"raw": c.raw, "lsb": c.lsb} for n, c in changed.items()}
+            text = set_columns(text, keys, path)
+        if by_logs:
+            lsb = choose_temperature_codes(former, runs).lsb
+            changed[THERMOMETER] = UpgradedInput(config.temperature_column, "int16", lsb)
+            text = set_columns(text, {"temperature": {"lsb": lsb}}, path, "sensor")
+    if config.format < DESIGN_FORMAT:
+        text = set_format(text, DESIGN_FORMAT)
+    if text != before:
+        _confirm(parse_config(text, path.absolute()), config, path)
+        write_text(path, text)
     return UpgradeResult(
-        file=str(directory / FILE_NAME),
+        file=str(path),
         units=len(units),
-        changed=dict(changed),
+        changed=changed,
         kept=kept,
+        format_before=config.format,
+        format=DESIGN_FORMAT,
     )
-
-
-def find_unstated(config: Config) -> list[str]:
-    """Return the inputs whose codes follow from the logs, so that units may differ."""
-    return [name for name in config.inputs if not _explain_kept(config, name)]
 
 
 def describe(result: "UpgradeResult") -> str:
@@ -77,10 +86,21 @@ def describe(result: "UpgradeResult") -> str:
         for name, one in result.changed.items()
     ]
     lines += [f"{name}: left as it is: {why}" for name, why in result.kept.items()]
-    lines.append("temperature: left as it is: its lsb does not follow from logs")
-    if not result.changed:
+    if THERMOMETER not in result.changed:
+        lines.append("temperature: left as it is: its lsb does not follow from logs")
+    if result.format_before == result.format and not result.changed:
         return "\n".join([*lines, f"{result.file}: nothing to upgrade, and nothing written"])
+    if result.format_before != result.format:
+        lines.append(
+            f"format = {result.format}: from now on logs have no say in what a code is worth"
+        )
     return "\n".join([*lines, f"wrote {result.file}", "next: zerodrift firmware"])
+
+
+def _asks_for_thermometer(config: Config) -> bool:
+    """Tell whether the thermometer's lsb follows from logs: int16 is all that is stated."""
+    stated = config.temperature_codes
+    return config.format < DESIGN_FORMAT and stated.bits == 16 and stated.lsb is None
 
 
 def _list_units(config: Config) -> list[Config]:
@@ -92,18 +112,6 @@ def _list_units(config: Config) -> list[Config]:
     return [configure_sensor(config, sensor) for sensor in find_sensors(config)]
 
 
-def _explain_kept(config: Config, name: str) -> str:
-    """Return why an input's codes do not follow from the logs; empty where they do."""
-    stated = config.input_codes.get(name, CodesConfig())
-    if name == CLOCK:
-        return "whole seconds"
-    if stated.by is not None or stated.raw:
-        return "the hardware's own codes"
-    if stated.lsb is not None and stated.bits is not None:
-        return "it states raw and lsb"
-    return ""
-
-
 def _read_extremes(config: Config, names: Sequence[str]) -> list[Run]:
     """Return the training runs, of each input the lowest and the highest value alone."""
     runs = load_dataset(config).train
@@ -113,12 +121,18 @@ def _read_extremes(config: Config, names: Sequence[str]) -> list[Run]:
 
 def _confirm(after: Config, before: Config, path: Path) -> None:
     """Raise where an edit changed more than codes."""
-    codes = {n: replace(c, bits=None, lsb=None) for n, c in after.input_codes.items()}
-    was = {n: replace(c, bits=None, lsb=None) for n, c in before.input_codes.items()}
-    if codes != was or replace(after, input_codes={}, path=before.path) != replace(
-        before, input_codes={}
-    ):
+    if _strip_codes(after, path) != _strip_codes(before, path):
         raise InputError(
             f"{path}: its layout is not understood well enough to edit it; expected [inputs] with "
             "one key to a line. Write raw and lsb by hand."
         )
+
+
+def _strip_codes(config: Config, path: Path) -> Config:
+    """Return a project without what an upgrade may change."""
+    codes = {n: replace(c, bits=None, lsb=None) for n, c in config.input_codes.items()}
+    own = replace(config.temperature_codes, lsb=None)
+    effects = tuple(replace(effect, line=0) for effect in config.effects)
+    return replace(
+        config, input_codes=codes, temperature_codes=own, effects=effects, format=1, path=path
+    )

@@ -32,6 +32,8 @@ USES = TRAIN, TEST, DWELL = ("train", "test", "dwell")
 """What `[logs]` selects runs for."""
 AUTO = "auto"
 LOG_KEYS = ("train", "test", "dwell", "where", "period_s", "offset_s", "time", "common", "tared")
+FORMATS = (1, 2)
+"""Of zerodrift.toml: 1, which need not be stated, leaves codes of inputs to each unit's logs."""
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
 MOST = {"starts": 1000, "epochs": 1_000_000}
 """Trainings from different weights, and passes over the logs, that are still meant."""
@@ -147,6 +149,8 @@ class Config:
     """Channel name -> what the chip is given of it."""
     conversions: Mapping[str, ConversionConfig] = field(default_factory=dict)
     """Column -> how its logged values become the quantity."""
+    format: int = 1
+    """Of zerodrift.toml. From 2 on what a code is worth does not follow from a unit's logs."""
 
     @property
     def directory(self) -> Path:
@@ -214,7 +218,7 @@ def parse_config(text: str, path: Path) -> Config:
             "tables, numbers and text. Correct the value."
         ) from error
     root = TomlTable(path, index_lines(text), (), values)
-    root.refuse_unknown(DATA_TABLES + MODEL_TABLES)
+    root.refuse_unknown((*DATA_TABLES, *MODEL_TABLES, "format"))
     sensor = root.table("sensor", ("name", "time", "temperature", "sample_period_s"))
     logs = root.table("logs", LOG_KEYS)
     quantization = root.table("quantization", ("weights",), optional=True)
@@ -269,6 +273,7 @@ def parse_config(text: str, path: Path) -> Config:
         temperature_codes=temperature_codes,
         input_codes={name: codes for name, (_, codes, _) in columns.items()},
         conversions={column: by for column, by in conversions if by is not None},
+        format=_read_format(root),
     )
     _refuse_shared_columns(config, root)
     _refuse_file_as_build(config)
@@ -298,6 +303,18 @@ def _describe_syntax_error(path: Path, message: str) -> str:
     what = re.sub(r"\s*\(at .*\)$", "", message)
     place = f"{path}:{match.group(1)}" if match else str(path)
     return f"{place}: not valid TOML: {what}. Text needs quotes, tables are written [name]."
+
+
+def _read_format(root: TomlTable) -> int:
+    """Read the file's own format; projects made before it was written are of format 1."""
+    found = root.values.get("format", FORMATS[0])
+    if isinstance(found, bool) or not isinstance(found, int) or found not in FORMATS:
+        raise root.error(
+            "format",
+            f"format is {found!r}; expected {' or '.join(map(str, FORMATS))}, the formats that this"
+            " zerodrift knows. Install a newer one, or correct it.",
+        )
+    return found
 
 
 def _read_selectors(logs: TomlTable, use: str) -> tuple[str, ...]:

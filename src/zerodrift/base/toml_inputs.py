@@ -1,4 +1,4 @@
-"""Adds keys to the columns of `[inputs]` in the text of zerodrift.toml; all else stays."""
+"""Adds keys to columns of inputs in the text of zerodrift.toml, and its format; all else stays."""
 
 import json
 import re
@@ -9,18 +9,32 @@ from pathlib import Path
 from zerodrift.base.errors import InputError
 from zerodrift.base.toml_lines import index_lines
 
+FORMAT_NOTE = "  # of this file: what a code is worth is the same for every unit"
 _ROW = re.compile(
     r"(?P<before>\s*[^=#]+=\s*)(?P<value>\{.*\}|\"[^\"]*\"|'[^']*')(?P<after>.*)", re.DOTALL
 )
 
 
-def set_columns(text: str, columns: Mapping[str, Mapping[str, object]], path: Path) -> str:
+def set_format(text: str, number: int) -> str:
+    """Return the text with `format` at its top, or changed where it stands."""
+    line = f"format = {number}"
+    if re.search(r"^format\s*=\s*\d+", text, re.MULTILINE):
+        return re.sub(r"^format\s*=\s*\d+", line, text, count=1, flags=re.MULTILINE)
+    mark, rest = ("\ufeff", text[1:]) if text.startswith("\ufeff") else ("", text)
+    end = "\r\n" if "\r\n" in rest else "\n"
+    return f"{mark}{line}{FORMAT_NOTE}{end}{end}{rest}"
+
+
+def set_columns(
+    text: str, columns: Mapping[str, Mapping[str, object]], path: Path, table: str = "inputs"
+) -> str:
     """Return the text with keys of inputs added; a name becomes a table.
 
     Args:
         text: a valid zerodrift.toml.
         columns: input -> key -> value.
         path: the file, for messages.
+        table: where they stand, `inputs` or `sensor`.
 
     Raises:
         InputError: an input does not stand on a line of its own.
@@ -28,12 +42,12 @@ def set_columns(text: str, columns: Mapping[str, Mapping[str, object]], path: Pa
     rows = text.splitlines(keepends=True)
     lines = index_lines(text.lstrip("\ufeff"))
     wanted = tomllib.loads(text.lstrip("\ufeff"))
-    inputs = wanted.get("inputs", {})
+    inputs = wanted.get(table, {})
     for name, keys in columns.items():
         given = inputs[name]
-        table = {"column": given} if isinstance(given, str) else dict(given)
-        inputs[name] = table | dict(keys)
-        at = lines.get(("inputs", name), 0) - 1
+        known = {"column": given} if isinstance(given, str) else dict(given)
+        inputs[name] = known | dict(keys)
+        at = lines.get((table, name), 0) - 1
         match = _ROW.fullmatch(rows[at]) if at >= 0 else None
         if match is not None:
             told = ", ".join(f"{key} = {_write(v)}" for key, v in inputs[name].items())
@@ -46,8 +60,8 @@ def set_columns(text: str, columns: Mapping[str, Mapping[str, object]], path: Pa
     if read != wanted:
         first = next(iter(columns))
         raise InputError(
-            f"{path}:{lines.get(('inputs', first), 1)}: its layout is not understood well enough "
-            'to edit it; expected [inputs] with one key to a line, such as supply = "supply_V". '
+            f"{path}:{lines.get((table, first), 1)}: its layout is not understood well enough "
+            f'to edit it; expected [{table}] with one key to a line, such as supply = "supply_V". '
             f"Write {_describe(columns)} by hand."
         )
     return edited

@@ -99,9 +99,13 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
     spoils its own sensor only. Exit code 1: a sensor has no result, is refused by the gate and not
     forced, or exceeds a limit.
     """
-    from zerodrift.app.upgrade import find_unstated
     from zerodrift.base.config import load_config
     from zerodrift.base.errors import CheckError
+    from zerodrift.dataset.design_codes import (
+        DESIGN_FORMAT,
+        list_unstated,
+        require_design_lsb,
+    )
     from zerodrift.fleet.design import Design
     from zerodrift.fleet.executors import Executor, OverRay, Processes, Serial, import_ray
     from zerodrift.fleet.register import enter_fleet
@@ -118,7 +122,9 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
         executor = OverRay(options.ray_address, jobs)
     else:
         executor = Processes(jobs) if jobs > 1 else Serial()
-    for name in find_unstated(config):
+    for name in list_unstated(config):
+        if config.format >= DESIGN_FORMAT:
+            require_design_lsb(config, name)
         click.echo(
             f"note: the codes of '{name}' follow from each unit's own logs, so that one may be"
             " worth something else from unit to unit; `zerodrift init --upgrade` writes down one"

@@ -7,6 +7,9 @@ from pathlib import Path
 
 from zerodrift.base.clock_config import TimeConfig
 from zerodrift.base.config import DWELL, TEST, TRAIN
+from zerodrift.base.toml_inputs import FORMAT_NOTE
+from zerodrift.dataset.code_format import CLOCK
+from zerodrift.dataset.design_codes import DESIGN_FORMAT
 from zerodrift.dataset.guess import Guess, GuessedOutput, SeenColumn
 from zerodrift.dataset.guess_runs import LogFiles
 from zerodrift.dataset.selectors import JOINT
@@ -19,6 +22,7 @@ def write_config(guess: Guess, selectors: Mapping[str, Sequence[str]]) -> str:
     lines = [
         "# The sensor, its logs and its model. Guessed from the logs: check every line, and those",
         "# with `# check:` first, which name what else it may be.",
+        f"format = {DESIGN_FORMAT}{FORMAT_NOTE}",
         "",
         "[sensor]",
         f"name = {_quote(guess.sensor_name)}  # prefix of the C names",
@@ -29,8 +33,11 @@ def write_config(guess: Guess, selectors: Mapping[str, Sequence[str]]) -> str:
     ]
     for output in guess.outputs:
         lines += ["", *_write_output(output, check)]
-    lines += ["", "[inputs]  # optional channels, by the name that effects use"]
-    lines += [f"{_write_key(name)} = {_quote(column)}" for name, column in guess.inputs.items()]
+    lines += [
+        "",
+        "[inputs]  # optional channels, by the name that effects use; lsb: what one code is worth",
+    ]
+    lines += [_write_input(guess, name) for name in guess.inputs]
     if not guess.inputs:
         lines.append('# supply = "supply_V"')
     lines += ["", *_write_logs(guess, selectors)]
@@ -91,6 +98,14 @@ def _write_temperature(guess: Guess) -> str:
     if not guess.temperature_unit:
         return _quote(guess.temperature)
     return f"{{ column = {_quote(guess.temperature)}, unit = {_quote(guess.temperature_unit)} }}"
+
+
+def _write_input(guess: Guess, name: str) -> str:
+    column = _quote(guess.inputs[name])
+    if guess.inputs[name] not in guess.codes or name == CLOCK:
+        return f"{_write_key(name)} = {column}"
+    raw, lsb = guess.codes[guess.inputs[name]]
+    return f'{_write_key(name)} = {{ column = {column}, raw = "{raw}", lsb = {lsb!r} }}'
 
 
 def _write_time(guess: Guess) -> list[str]:
