@@ -92,6 +92,7 @@ def weigh_samples(
         return None
     weights, mixed = np.ones_like(drift), drift
     signals, near = np.zeros((rows, 0)), np.zeros(rows, dtype=np.bool_)
+    regression: _Regression | None = None
     for k in range(outputs):
         x = np.ascontiguousarray(drift[:, k])
         weight, expected = _measure_distance(x)
@@ -102,7 +103,8 @@ def weigh_samples(
             signals = _list_signals(temperature_degC, reference, inputs)
             near = _find_jumps(signals)
         if 2 * near.sum() > rows or _stands_out_at(near, weight):
-            at_once = _follow(x, signals)
+            regression = regression or _prepare(signals)
+            at_once = _follow(x, signals, regression)
             weight, expected = _measure_distance(x - at_once)
             if _stands_out_at(near, weight):
                 # What is usual there is usual; only what is far beyond that is wild.
@@ -217,30 +219,50 @@ def _find_jumps(signals: Array) -> Mask:
     return np.asarray(np.convolve(near, np.ones(reach), mode="same") > 0.5)
 
 
-def _follow(x: Array, signals: Array) -> Array:
-    """Return what of x [n] follows the signals [n, S] at once, by a robust regression of steps."""
-    if signals.shape[1] == 0:
-        return np.zeros_like(x)
+@dataclass(frozen=True)
+class _Regression:
+    """The regression of steps on the signals' steps: the same for every output of a stretch."""
+
+    rows: IntArray
+    """[R] the steps with the largest jumps."""
+    design: Array
+    """[R, P] the signals' steps there, at each lag."""
+    gram: Array
+    """[P, P] with every row at its whole weight, and a ridge."""
+
+
+def _prepare(signals: Array) -> _Regression:
+    """Return the regression of what follows the signals [n, S]."""
     steps = np.diff(signals, axis=0)
-    size = np.abs(steps).max(axis=1)
+    size = np.abs(steps).max(axis=1, initial=0.0)
     edge = max(LAGS)
     usable = np.arange(edge, size.size - edge)
     rows = usable[np.argsort(-size[usable], kind="stable")[:MOST_EVENTS]]
     design = np.concatenate([steps[rows - lag] for lag in LAGS], axis=1)
-    target = np.diff(x)[rows]
-    if rows.size < 2 * design.shape[1]:
+    ridge = 1e-6 * np.eye(design.shape[1]) * np.mean(design**2) * rows.size if design.size else 0.0
+    return _Regression(rows, design, design.T @ design + ridge)
+
+
+def _follow(x: Array, signals: Array, regression: _Regression) -> Array:
+    """Return what of x [n] follows the signals [n, S] at once, by a robust regression of steps."""
+    rows, design = regression.rows, regression.design
+    if signals.shape[1] == 0 or rows.size < 2 * design.shape[1]:
         return np.zeros_like(x)
-    ridge = 1e-6 * np.eye(design.shape[1]) * np.mean(design**2) * rows.size
+    target = np.diff(x)[rows]
+    right = design.T @ target
     factors = np.zeros(design.shape[1])
     for _ in range(ROUNDS):
         left = np.abs(target - design @ factors)
         usual = max(OF_NORMAL * float(np.median(left)), 1e-12 * float(np.abs(x).max(initial=0.0)))
         if usual == 0.0:
             break
-        weight = 1.5 * usual / np.maximum(left, 1.5 * usual)
-        weighted = design * weight[:, None]
-        factors = np.linalg.solve(weighted.T @ design + ridge, weighted.T @ target)
+        # Most rows have their whole weight: only what the others lack is taken off.
+        light = np.flatnonzero(left > 1.5 * usual)
+        lacking = design[light] * (1.0 - 1.5 * usual / left[light])[:, None]
+        gram = regression.gram - lacking.T @ design[light]
+        factors = np.asarray(np.linalg.solve(gram, right - lacking.T @ target[light]), dtype=float)
     followed = np.zeros_like(x)
+    edge = max(LAGS)
     for lag, part in zip(LAGS, np.split(factors, len(LAGS)), strict=True):
         followed += np.roll(signals @ part, lag)
     # Rolled round the ends, the first and last samples are none.

@@ -214,6 +214,9 @@ def try_candidates(
     candidates are then fitted again on all samples.
     """
     candidates, untested = [], []
+    with campaign.rates.search_roughly():
+        # On averages the model itself is less good too: like is compared with like.
+        roughly = assess(campaign, base.terms, weights)
     for proposal in proposals:
         excitation = measure_excitation(campaign, base, proposal, weights)
         if excitation < LEAST_EXCITATION:
@@ -226,35 +229,48 @@ def try_candidates(
                 )
             )
         else:
-            candidates.append(fit_candidate(campaign, proposal, weights, excitation))
+            candidates.append(fit_candidate(campaign, roughly, proposal, weights, excitation))
         advance(proposal.kind)
-    refined = _refine_leaders(campaign, base, candidates, weights)
+    refined = _refine_leaders(campaign, base, roughly, candidates, weights)
     return [_compare_with_ends(campaign, base, c, weights) for c in refined], untested
 
 
 def fit_candidate(
-    campaign: Campaign, proposal: Proposal, weights: Array, excitation: float
+    campaign: Campaign, roughly: Found, proposal: Proposal, weights: Array, excitation: float
 ) -> Candidate:
-    """Return one proposal fitted to all runs, and judged on each from the others."""
+    """Return one proposal fitted to all runs, and judged on each from the others.
+
+    `roughly` is the model without it, on averages over blocks.
+    """
     place = proposal.place
     if not proposal.terms[place].free or campaign.block == 1:
         found = search(campaign, proposal.terms, weights, vary=(place,), refined_starts=1)
         return _judge(campaign, proposal, found, weights, excitation, exact=True)
     with campaign.rates.search_roughly():
-        found = search(campaign, proposal.terms, weights, vary=(place,), refined_starts=1)
+        found = search(
+            campaign,
+            proposal.terms,
+            weights,
+            vary=(place,),
+            refined_starts=1,
+            without=roughly.cost,
+        )
         return _judge(campaign, proposal, found, weights, excitation, exact=False)
 
 
 def _refine_leaders(
-    campaign: Campaign, base: Found, candidates: Sequence[Candidate], weights: Array
+    campaign: Campaign,
+    base: Found,
+    roughly: Found,
+    candidates: Sequence[Candidate],
+    weights: Array,
 ) -> list[Candidate]:
     """Return the candidates, those near the best one fitted on all samples."""
     if not candidates:
         return []
     exact = _score(campaign, base, weights)
     with campaign.rates.search_roughly():
-        # On averages the model itself is less good too: like is compared with like.
-        rough = _score(campaign, assess(campaign, base.terms, weights), weights)
+        rough = _score(campaign, roughly, weights)
     gains = [
         (exact if c.exact else rough) - float(c.held_out.score(weights).sum()) for c in candidates
     ]

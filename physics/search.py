@@ -39,6 +39,8 @@ FILLS = 5
 """How often samples at a converter's rail are filled anew."""
 SMALL_GAIN = 1e-7
 """Relative gain of squared error at which a search ends."""
+ROUGHLY = 0.003
+"""A rough search ends at this share of what the whole change gains."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ def search(
     *,
     vary: Sequence[int] | None = None,
     refined_starts: int = 2,
+    without: float | None = None,
 ) -> Found:
     """Return the terms with the values that fit best.
 
@@ -68,6 +71,8 @@ def search(
         vary: indices of the terms whose parameters start from a grid over their typical ranges;
             None = all, () = start where the terms are.
         refined_starts: how many of the best starts are followed to their optimum.
+        without: the cost without what is searched for, of a rough search: it ends where a step
+            adds next to nothing to what is gained over that.
     """
     coordinates = list_coordinates(terms)
     starts = [assess(campaign, terms, weights)]
@@ -80,7 +85,7 @@ def search(
     if not coordinates:
         return starts[0]
     followed = starts[: refined_starts if on_grid else 1]
-    refined = [refine(campaign, found, weights, coordinates) for found in followed]
+    refined = [refine(campaign, found, weights, coordinates, without) for found in followed]
     return min(refined, key=lambda found: found.cost)
 
 
@@ -124,9 +129,21 @@ def assess(campaign: Campaign, terms: Sequence[Term], weights: Array) -> Found:
 
 
 def refine(
-    campaign: Campaign, found: Found, weights: Array, coordinates: Sequence[Coordinate]
+    campaign: Campaign,
+    found: Found,
+    weights: Array,
+    coordinates: Sequence[Coordinate],
+    without: float | None = None,
 ) -> Found:
-    """Return the optimum near `found`, by damped Gauss-Newton steps within the bounds."""
+    """Return the optimum near `found`, by damped Gauss-Newton steps within the bounds.
+
+    Args:
+        campaign: the runs.
+        found: where to begin.
+        weights: [L, K] inverse variance per octave.
+        coordinates: the fitted parameters.
+        without: see `search`.
+    """
     bounds = np.array([c.bounds for c in coordinates])
     damping = 1e-3
     for _ in range(MOST_STEPS):
@@ -146,6 +163,8 @@ def refine(
             damped[np.diag_indices(free.size)] *= 1.0 + damping
             step = np.zeros_like(u)
             step[free] = np.clip(invert_scaled(damped) @ gradient[free], -1.0, 1.0)
+            if without is not None and gradient @ step < _find_enough(found, without):
+                return found
             trial = np.clip(u + step, bounds[:, 0], bounds[:, 1])
             attempt = assess(campaign, set_coordinates(found.terms, coordinates, trial), weights)
             if attempt.cost < found.cost:
@@ -159,9 +178,15 @@ def refine(
             return found
         gain = found.cost - better.cost
         found = better
-        if gain < SMALL_GAIN * len(found.solution.errors):
+        if gain < _find_enough(found, without):
             break
     return found
+
+
+def _find_enough(found: Found, without: float | None) -> float:
+    """Return the gain of a step below which a search ends."""
+    least = SMALL_GAIN * len(found.solution.errors)
+    return least if without is None else max(least, ROUGHLY * (without - found.cost))
 
 
 def sum_with_slopes(

@@ -45,19 +45,20 @@ def play(x: Array, half_width: float) -> Array:
     padded[:, count:] = stretches[:, -1:]
     # [length, blocks, stretches]: row i holds step i of every block, contiguous for speed.
     steps = np.ascontiguousarray(padded.reshape(-1, blocks, length).transpose(2, 1, 0))
-    low, high = steps - half_width, steps + half_width
+    high = steps + half_width
+    low = np.subtract(steps, half_width, out=steps)
 
-    floor, ceiling = low[0].copy(), high[0].copy()
+    ends = np.stack([low[0], high[0]])
     for i in range(1, length):
-        _limit(floor, low[i], high[i], out=floor)
-        _limit(ceiling, low[i], high[i], out=ceiling)
+        _limit(ends, low[i], high[i], out=ends)
+    floor, ceiling = ends
     present = np.empty_like(floor)
     value = stretches[:, 0].copy()
     for block in range(blocks):
         present[block] = value
         _limit(value, floor[block], ceiling[block], out=value)
 
-    y = np.empty_like(steps)
+    y = low
     for i in range(length):
         present = _limit(present, low[i], high[i], out=y[i])
     return np.asarray(y.transpose(2, 1, 0).reshape(-1, blocks * length)[:, :count].reshape(x.shape))

@@ -6,7 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from zerodrift.dataset.outliers import weigh_samples
+from zerodrift.dataset.outliers import (
+    LAGS,
+    OF_NORMAL,
+    ROUNDS,
+    _follow,
+    _prepare,
+    weigh_samples,
+)
 from zerodrift.dataset.runs import Run, tell_outliers
 
 
@@ -89,3 +96,26 @@ def test_explained_drift_uncovers_outliers_at_jumps(run):
     beside = replace(bumpy, explained=run.drift + bumps + noise)
     assert spared == 1.0
     assert beside.weights[hit, 0] == 0.0
+
+
+def test_regression_of_steps_is_that_with_all_rows_weighted():
+    """Light rows are taken off the sums of all rows; the sums anew are the same."""
+    rng = np.random.default_rng(3)
+    signals = np.cumsum(rng.normal(size=(800, 3)), axis=0)
+    x = signals @ [0.5, -2.0, 0.1] + np.roll(signals[:, 0], 1) + 0.05 * rng.normal(size=800)
+    x[rng.integers(20, 780, 30)] += 40.0
+    regression = _prepare(signals)
+    steps, target = regression.design, np.diff(x)[regression.rows]
+    ridge = 1e-6 * np.eye(steps.shape[1]) * np.mean(steps**2) * regression.rows.size
+    factors = np.zeros(steps.shape[1])
+    for _ in range(ROUNDS):
+        left = np.abs(target - steps @ factors)
+        weight = np.minimum(1.0, 1.5 * OF_NORMAL * np.median(left) / left)
+        weighted = steps * weight[:, None]
+        factors = np.linalg.solve(weighted.T @ steps + ridge, weighted.T @ target)
+    expected = sum(
+        np.roll(signals @ part, lag)
+        for lag, part in zip(LAGS, np.split(factors, len(LAGS)), strict=True)
+    )
+    found = _follow(x, signals, regression)
+    assert np.abs(found - expected)[4:-4].max() < 1e-8 * np.ptp(x)

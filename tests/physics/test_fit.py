@@ -218,3 +218,20 @@ def test_long_logs_are_fitted_as_well_on_blocks():
         campaign = Campaign(dataset.train, plan, list(catalogue), most_rows=most_rows)
         found.append(search(campaign, terms, flat_weights(campaign)).terms[1].values["tau_s"])
     assert found[1] == pytest.approx(found[0], rel=0.01)
+
+
+def test_a_rough_search_ends_near_the_optimum():
+    """It is spared the last steps, and keeps nearly all of what the change gains."""
+    dataset = make_dataset(lagging(70.0))
+    plan = plan_signals(dataset.train, OUTPUTS, FULL_SCALE)
+    catalogue = load_catalogue()
+    campaign = Campaign(dataset.train, plan, tuple(catalogue))
+    weights = flat_weights(campaign)
+    zero = start_term(catalogue, EffectConfig("zero_tempco"))
+    terms = (zero, start_term(catalogue, EffectConfig("thermal_lag")))
+    without = search(campaign, (zero,), weights).cost
+    best = search(campaign, terms, weights, vary=(1,))
+    rough = search(campaign, terms, weights, vary=(1,), without=without)
+    assert without - rough.cost > 0.99 * (without - best.cost)
+    assert rough.terms[1].values["tau_s"] == pytest.approx(best.terms[1].values["tau_s"], rel=0.1)
+    assert rough.cost > best.cost
