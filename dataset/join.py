@@ -68,13 +68,15 @@ def join_tables(
     notes.append(f"{label}: {rows} joined on time{more}")
     at_s = base.columns[time][kept]
     base.take(kept)
-    joined = dict(base.columns)
+    joined, logged = dict(base.columns), dict(base.logged)
     joined.pop(COMMON, None)
     for other in others:
+        other_s = other.columns[time]
         for name, values in other.columns.items():
             if name not in (time, COMMON):
-                joined[name] = np.interp(at_s, other.columns[time], values)
-    return replace(base, columns=joined)
+                joined[name] = np.interp(at_s, other_s, values)
+        logged |= {name: np.interp(at_s, other_s, own) for name, own in other.logged.items()}
+    return replace(base, columns=joined, logged=logged)
 
 
 def _median_step(time_s: Array) -> float:

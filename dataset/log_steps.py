@@ -112,7 +112,7 @@ def read_log_steps(
     table, spans = open_log(config, selection, skip_invalid, notes, needed, streamed)
     measured = {output.measured for output in config.outputs}
     if len(selection.files) > 1 or table.source.part or measured & {*table.converted}:
-        _make_source(table, path)
+        _make_source(table, path, measured)
     rows = len(table) if table.kept is None else int(table.kept.max()) + 1
     step_of_row: StepOfRow = np.full(rows, -1, dtype=np.int32)
     stretches: list[StepStretch] = []
@@ -144,9 +144,13 @@ def read_log_steps(
     return LogSteps(table.source, table, rows, tuple(stretches), first, step_of_row, tuple(notes))
 
 
-def _make_source(table: LogTable, path: Path) -> None:
-    """Take the rows as they are joined and converted for those of the log."""
-    frame = pl.DataFrame(table.columns)
+def _make_source(table: LogTable, path: Path, measured: set[str]) -> None:
+    """Take the rows as they are joined for those of the log.
+
+    What is converted stays as it was logged, but for the outputs, which are compensated.
+    """
+    told = {name: own for name, own in table.logged.items() if name not in measured}
+    frame = pl.DataFrame({**table.columns, **told})
     table.source = Source(path, path.name, tuple(frame.columns), {}, frame=frame)
     table.kept = None
 

@@ -30,6 +30,7 @@ def read_log(
     files: Sequence[Path],
     needed: Mapping[str, str],
     streamed: frozenset[str] = frozenset(),
+    keep_logged: bool = False,
 ) -> list[LogTable]:
     """Read the needed columns of a log, times in seconds: one table for each file that has some.
 
@@ -39,6 +40,7 @@ def read_log(
         needed: column -> where the config names it; the times are called `config.time_column`.
         streamed: columns that whoever asks reads again from the file, row by row; of one table
             their values are read only where they are converted.
+        keep_logged: keep converted columns as they were logged too, where the log is no one text.
 
     Raises:
         InputError: a file cannot be read, a column is in none or in several of them.
@@ -52,12 +54,13 @@ def read_log(
             unread = frozenset() if is_whole else streamed.difference(config.conversions)
             clock = find_log_clock(config, source)
             table = read_table(source, needed, clock=clock, unread=unread)
-            return [_convert(config, table)]
+            is_rewritten = is_whole or any(o.measured in config.conversions for o in config.outputs)
+            return [_convert(config, table, keep_logged and is_rewritten)]
     sources, refused = _open_all(config, files)
     wanted = {name: role for name, role in needed.items() if name != config.time_column}
     parts = _share_out(sources, wanted, files, refused, config)
     tables = [_read_part(config, part, needed, len(parts) > 1) for part in parts]
-    return [_convert(config, table) for table in tables]
+    return [_convert(config, table, keep_logged) for table in tables]
 
 
 def add_junctions(config: Config, needed: Mapping[str, str]) -> Mapping[str, str]:
@@ -66,12 +69,14 @@ def add_junctions(config: Config, needed: Mapping[str, str]) -> Mapping[str, str
     return {**{config.inputs[name]: f"[inputs] {name}" for name in names if name}, **needed}
 
 
-def _convert(config: Config, table: LogTable) -> LogTable:
+def _convert(config: Config, table: LogTable, keep_logged: bool) -> LogTable:
     """Bring the columns that zerodrift.toml converts to the quantity that the model takes.
 
     A thermocouple whose cold junction is in another file waits for it (`joined_couples`).
     """
     own = {c: by for c, by in config.conversions.items() if c in table.columns}
+    if keep_logged:
+        table.logged = {column: table.columns[column].copy() for column in own}
     for column, by in own.items():
         if by.junction is None:
             table.columns[column] = convert(table.columns[column], by)

@@ -76,7 +76,7 @@ def open_log(
         for column, kind in raw.items()
         if kind and column in needed
     ]
-    tables = read_log(config, selection.files, needed, streamed)
+    tables = read_log(config, selection.files, needed, streamed, keep_logged=columns is not None)
     for table in tables:
         notes += table.source.notes
         _keep_selected_runs(table, selection)

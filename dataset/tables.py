@@ -156,6 +156,8 @@ class LogTable:
     """Columns that are no longer as they were logged."""
     deferred: tuple[str, ...] = ()
     """Thermocouples still in their voltage: another file of the run has their cold junction."""
+    logged: dict[str, Array] = field(default_factory=dict)
+    """Column -> [n] as it was logged, of those that are converted, where that was asked for."""
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -166,6 +168,7 @@ class LogTable:
         kept = self.positions[rows]
         for name in self.columns:
             self.columns[name] = self.columns[name][rows]
+        self.logged = {name: values[rows] for name, values in self.logged.items()}
         if self.run_of_row is not None:
             self.run_of_row = self.run_of_row[rows]
         self.kept = kept

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from zerodrift.report import tables
+from zerodrift.report.conversions import tabulate_conversions
 from zerodrift.report.findings import Findings
 from zerodrift.report.parts import list_parts
 from zerodrift.report.tables import Table
@@ -53,6 +54,8 @@ def list_annex(findings: Findings, further: Mapping[str, Table] | None = None) -
     if findings.firmware is not None:
         told["error_budget"] = tables.tabulate_budget(findings.firmware, compared)
         told["chip_error"] = tables.tabulate_chip_error(findings.firmware)
+        if conversions := findings.firmware.conversions:
+            told["conversions"] = tabulate_conversions(conversions, findings.firmware.error_bound)
     if findings.uncertainty:
         told["uncertainty"] = tables.tabulate_uncertainty(findings.uncertainty)
     if findings.certificate is not None:

@@ -12,6 +12,7 @@ from zerodrift.diagnosis.explained import HEADLINE
 from zerodrift.diagnosis.run_spread import measure_spread
 from zerodrift.report import cause, tables
 from zerodrift.report.annex import list_annex
+from zerodrift.report.conversions import tabulate_conversions
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Findings
 from zerodrift.report.page import render_template
@@ -83,6 +84,9 @@ def render_report(findings: Findings, datasheet: Sequence[DatasheetRow] | None =
         "budget": draw_error_budget(firmware, compared, WIDTH) if firmware else None,
         "budget_table": tables.tabulate_budget(firmware, compared) if firmware else None,
         "chip_error": tables.tabulate_chip_error(firmware) if firmware else None,
+        "conversions": tabulate_conversions(firmware.conversions, firmware.error_bound)
+        if firmware and firmware.conversions
+        else None,
         "uncertainty": tables.tabulate_uncertainty(findings.uncertainty)
         if findings.uncertainty
         else None,

@@ -203,6 +203,10 @@ def test_a_folder_with_its_junction_in_another_file_is_applied_to(tmp_path):
     found = steps.table.columns[config.temperature_column]
     assert np.flatnonzero(np.isnan(found)).tolist() == [30]  # a hole, as every model's reading
     assert np.abs(np.delete(found - (200.0 + np.arange(59.0)), 30)).max() < 1e-3
+    frame = steps.source.frame
+    assert frame is not None  # whoever is given the rows is given them as they were logged
+    volts = emf("J", np.array([200.0, 201.0])) - emf("J", np.array([22.0, 22.05]))
+    assert frame["tc_uV"][:2].to_list() == (1e6 * volts).round(3).tolist()
 
 
 def test_what_no_code_says_of_a_joined_thermocouple_is_told_by_its_time(tmp_path):

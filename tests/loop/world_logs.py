@@ -55,6 +55,27 @@ def write_data_logger(folder: Path) -> None:
         text = "\r\n".join(lines) + "\r\n"
         (folder / "logs" / f"{run.name}.csv").write_bytes(text.encode("cp1252"))
 
+    write_couples(folder / "couples")
+
+
+def write_couples(folder: Path) -> None:
+    """Write a folder for each run: a meter's millivolts, and its board's temperature every 2 s.
+
+    The polynomials are the reference function of type T from 0 to 400 degC, ITS-90.
+    """
+    type_t = (0.0, 38.748106364e-3, 3.329222788e-5, 2.0618243404e-7, -2.1882256846e-9)
+    millivolts = np.polynomial.Polynomial((*type_t, 1.0996880928e-11, -3.0815758772e-14))
+    for run in simulate(("chamber_1", "chamber_2", "field"), 6):
+        (folder / run.name).mkdir(parents=True)
+        board = 24.0 + 3.0 * run.time_s / run.time_s.size
+        rows = zip(run.time_s, millivolts(run.celsius) - millivolts(board), run.newton, strict=True)
+        lines = ["t [s];TC [mV];Kraft [N]", *(f"{t:.0f};{v:.4f};{f:.3f}" for t, v, f in rows)]
+        text = "\n".join(line.replace(".", ",") for line in lines) + "\n"
+        (folder / run.name / "meter.csv").write_text(text)
+        slow = zip(run.time_s[::2], board[::2], strict=True)
+        lines = ["t [s];Platine [degC]", *(f"{t:.0f};{c:.2f}".replace(".", ",") for t, c in slow)]
+        (folder / run.name / "board.csv").write_text("\n".join(lines) + "\n")
+
 
 def write_ros(folder: Path) -> None:
     """Write MCAP bags with a wrench and a temperature, each a topic, the latter at 2 Hz."""

@@ -174,9 +174,9 @@ def trace_provenance(config: Config, dataset: Dataset) -> Provenance:
     uses: dict[Path, str] = {config.path: "configuration"}
     uses |= dict.fromkeys(config.plugin_files, "own effects")
     for use, runs in (("train", dataset.train), ("test", dataset.test), ("dwell", dataset.dwell)):
-        for run in runs:
-            known = uses.get(run.source)
-            uses[run.source] = use if known in (None, use) else f"{known}, {use}"
+        for path in [path for run in runs for path in run.files or (run.source,)]:
+            known = uses.get(path)
+            uses[path] = use if known in (None, use) else f"{known}, {use}"
     files = []
     for path, use in uses.items():
         with path.open("rb") as file:
