@@ -27,6 +27,8 @@ class Design:
     """What trains the networks."""
     force: bool = False
     """Whether a unit's firmware is written although the gate refuses it."""
+    uncertainty: bool = True
+    """Whether models leave training runs out for it; without firmware there is none."""
 
     @property
     def directory(self) -> Path:
@@ -57,6 +59,7 @@ class Design:
         c = self.config
         values = [
             [FORMAT, MODEL_FORMAT, __version__, self.firmware, self.skip_invalid, self.device],
+            [self.uncertainty],
             [c.sensor_name, c.time_column, c.temperature_column, c.sample_period_s],
             [[o.name, o.measured, o.reference, o.unit, o.full_scale] for o in c.outputs],
             [dict(c.inputs), dict(c.where), c.weights, self._name(c.firmware_out)],

@@ -16,6 +16,7 @@ from zerodrift.base.files import explain_refusal
 from zerodrift.base.fleet_config import SHARED_RUNTIME
 from zerodrift.base.ownership import refuse_foreign
 from zerodrift.base.records import to_dict
+from zerodrift.base.sealed import render_sealed
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.c_runtime.host_batch import build_host_batch
@@ -34,15 +35,21 @@ from zerodrift.fleet.sensors import configure_sensor
 from zerodrift.fleet.summary import EffectValues, SensorConfiguration
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.model import PhysicalModel
+from zerodrift.train.compensator import Compensator
 from zerodrift.train.scores import Trained
+from zerodrift.train.tasks import Handling
 from zerodrift.train.training import train_together
+from zerodrift.train.understudies import Original
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
+from zerodrift.verify.chip_error import ChipReplay
 from zerodrift.verify.firmware import certify_checked, list_sequences
-from zerodrift.verify.gate import judge_firmware
+from zerodrift.verify.gate import GateVerdict, judge_firmware
 from zerodrift.verify.host_check import check_host, check_starts
-from zerodrift.verify.left_out import leave_out
+from zerodrift.verify.left_out import LeftOut, leave_out, leave_out_together, takes_epochs
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import write_manifest
+from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
+from zerodrift.verify.uncertainty import measure_firmware
 
 UNFORESEEN = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
 """What a sensor's logs might raise that nobody thought of: told in its name, others go on."""
@@ -68,6 +75,7 @@ class _Job:
     model: IntegerModel | None = None
     bound: ErrorBound | None = None
     code: GeneratedCode | None = None
+    left_out: LeftOut | None = None
     notes: list[str] = field(default_factory=list)
 
 
@@ -154,6 +162,7 @@ def _build(design: Design, jobs: Sequence[_Job], batch: _Batch) -> None:
     ready = [j for j in jobs if batch.attempt(j.sensor, lambda j=j: _generate(design, j))]  # type: ignore[misc]
     if not ready:
         return
+    _train_again(design, ready)
     with tempfile.TemporaryDirectory(prefix="zerodrift-fleet-") as scratch:
         hosts = _compile(ready, Path(scratch), batch)
         for job, host in hosts:
@@ -161,6 +170,30 @@ def _build(design: Design, jobs: Sequence[_Job], batch: _Batch) -> None:
                 job.sensor,
                 lambda j=job, h=host: _finish(design, j, batch, h, Path(scratch)),  # type: ignore[misc]
             )
+
+
+def _train_again(design: Design, jobs: Sequence[_Job]) -> None:
+    """Train each sensor's network again without some of its runs, all of them in step."""
+    own = [job for job in jobs if job.trained and takes_epochs(job.trained.compensator)]
+    if not (design.uncertainty and own):
+        return
+    originals = [Original(j.config, j.dataset, j.trained.compensator) for j in own if j.trained]
+    answers = leave_out_together(originals, Handling(device=design.device))
+    for job, found in zip(own, answers, strict=True):
+        if isinstance(found, LeftOut):
+            job.left_out = found
+        else:
+            job.notes.append(f"no uncertainty is stated: {found}")
+
+
+def _leave_out(design: Design, job: _Job, compensator: Compensator) -> None:
+    """Note what models say of the training runs that they did not learn from, where it is quick.
+
+    The gate asks for it where there are no test logs.
+    """
+    if not takes_epochs(compensator):
+        wanted = replace(job.dataset, test=()) if design.uncertainty else job.dataset
+        job.left_out = leave_out(job.config, wanted, compensator)
 
 
 def _generate(design: Design, job: _Job) -> bool:
@@ -233,8 +266,11 @@ def _finish(
         assert job.model is not None and job.code is not None and job.described is not None
         vectors = check_bits(host, job.dataset)
         certificate = _certify(job, scratch)
-        left_out = leave_out(job.config, job.dataset, compensator)
-        verdict, replay = judge_firmware(job.described, host, job.dataset, left_out)
+        _leave_out(design, job, compensator)
+        judge = job.left_out
+        if job.dataset.test or (judge is not None and judge.by_epochs):
+            judge = None
+        verdict, replay = judge_firmware(job.described, host, job.dataset, judge)
         if verdict.refused and design.force:
             certificate = _mark_forced(job, [s.text for s in verdict.refused], scratch)
     figures = assess(job.trained, job.dataset, replay)
@@ -255,9 +291,26 @@ def _finish(
         warnings=tuple(s.text for s in verdict.warnings) if verdict is not None else (),
     )
     files = _render(design, job, result, certificate)
+    is_written = result.forced or not result.refused
+    if verdict is not None and replay is not None and is_written:
+        files[design.build_folder(job.sensor) / UNCERTAINTY] = _measure(
+            design, job, verdict, replay
+        )
     batch.outcomes[job.sensor] = SensorOutcome(
         job.sensor, save_result(design.build_folder(job.sensor), design.directory, result, files)
     )
+
+
+def _measure(design: Design, job: _Job, verdict: GateVerdict, replay: ChipReplay) -> bytes | None:
+    """Return what is kept of the uncertainty of a sensor's compensated values, if it is known."""
+    if job.left_out is None or not design.uncertainty:
+        return None
+    assert job.described is not None and job.model is not None
+    rounding = [error.rounding for error in verdict.chip_error]
+    measured = measure_firmware(
+        job.described, job.model, job.dataset, job.left_out, rounding, replay
+    )
+    return render_sealed(to_dict(measured))
 
 
 def _mark_forced(job: _Job, reasons: Sequence[str], scratch: Path) -> str:

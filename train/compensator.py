@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
-from zerodrift.base.records import from_json, to_dict
+from zerodrift.base.records import OPTIONAL, from_json, to_dict
 from zerodrift.base.sealed import read_format, read_sealed, render_sealed
 from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.runs import Run
@@ -54,6 +54,15 @@ class TrainedRanges:
 
 
 @dataclass(frozen=True)
+class TrainedAs:
+    """How a network's last training went, so that it can be repeated without some of the runs."""
+
+    start: int
+    """Which first weights."""
+    epochs: int
+
+
+@dataclass(frozen=True)
 class Compensator:
     """drift = physics + features linear + constant + network(features), in the outputs' units."""
 
@@ -80,6 +89,8 @@ class Compensator:
     """Mark of the configuration and logs it was trained from."""
     notes: tuple[str, ...] = ()
     """What training has to say about the result."""
+    trained_as: TrainedAs | None = None
+    """None without a network, and in files from before this was kept."""
 
     def predict(self, run: Run) -> Array:
         """Return the predicted drift [n, K] of a run, each output in its unit.
@@ -198,6 +209,7 @@ class Compensator:
             calibration=self.calibration,
             trained_from=self.trained_from,
             notes=self.notes,
+            trained_as=self.trained_as,
         )
 
     def render(self, directory: Path) -> dict[Path, bytes | None]:
@@ -273,6 +285,7 @@ class CompensatorRecord:
     calibration: TrainedRanges
     trained_from: str
     notes: tuple[str, ...]
+    trained_as: TrainedAs | None = field(default=None, metadata=OPTIONAL)
 
     def restore(self, network: bytes | None, catalogue: Catalogue | None) -> Compensator:
         """Return the compensator that `to_record` described.
@@ -297,6 +310,7 @@ class CompensatorRecord:
             tared=self.tared,
             trained_from=self.trained_from,
             notes=self.notes,
+            trained_as=self.trained_as,
         )
 
 

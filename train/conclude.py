@@ -8,7 +8,7 @@ import torch
 from zerodrift.base.config import Config
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.operations.dense import FloatFeedForward
-from zerodrift.train.compensator import Compensator, calibrate
+from zerodrift.train.compensator import Compensator, TrainedAs, calibrate
 from zerodrift.train.engine import Result
 from zerodrift.train.networks import GruNetwork, LstmNetwork, build_network
 from zerodrift.train.onnx_export import build_layers_onnx, build_lstm_onnx, build_onnx
@@ -95,6 +95,7 @@ def assemble(
         tared=stages.tared,
         network=network,
         memory=walk_of(config.network),
+        trained_as=None if result is None else TrainedAs(result.start, result.epoch),
     )
     features = [stages.front_end.compute(run) for run in runs]
     predictions = [whole.predict(run) for run in runs]

@@ -10,12 +10,14 @@ from dataclasses import replace
 
 import torch
 
+from zerodrift.base.config import NetworkConfig
 from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.train.conclude import choose_length, conclude, is_worth_its_flash
 from zerodrift.train.engine import Problem, Progress, Result, train_networks
 from zerodrift.train.networks import Network, build_network
 from zerodrift.train.scores import Stage
 from zerodrift.train.sequences import Sequence32
+from zerodrift.train.settings import Settings
 from zerodrift.train.stages import Stages
 from zerodrift.train.tasks import FINAL, UNFORESEEN, VALIDATION, Answer, Handling, Task
 
@@ -91,9 +93,23 @@ def pose_final(task: Task, validation: Result) -> Problem:
 def _pose(
     task: Task, stages: Stages, sequences: Sequence[Sequence32], held_out: Sequence[Sequence32]
 ) -> Problem:
-    network, width = task.config.network, stages.front_end.width
+    return replace(pose(task.config.network, task.settings, stages, sequences), held_out=held_out)
+
+
+def pose(
+    network: NetworkConfig, settings: Settings, stages: Stages, sequences: Sequence[Sequence32]
+) -> Problem:
+    """Return the training of a network on what was solved before it, nothing held out.
+
+    Args:
+        network: `[network]`.
+        settings: starts, epochs and rates.
+        stages: fitted to the same runs.
+        sequences: the runs as the stages show them to it.
+    """
+    width = stages.front_end.width
 
     def build(generator: torch.Generator) -> Network:
         return build_network(network, width, len(stages.scale), generator)
 
-    return Problem(build, sequences, held_out, task.settings, stages.tared)
+    return Problem(build, sequences, (), settings, stages.tared)

@@ -1,4 +1,4 @@
-"""What models that left a training run out say of it, where no test logs are configured."""
+"""What models that left a training run out say of it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.chip_codes import FLAG_MARGIN_K, RANGE_MARGIN
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.held_out import hold_out
@@ -14,9 +15,17 @@ from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.bank_training import assemble_bank, fit_bank
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.stages import fit_physics
+from zerodrift.train.tasks import Handling
+from zerodrift.train.understudies import Original, Understudy, train_understudies
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+PARTS = "leave runs out in {} parts"
+ONE_RUN = (
+    "a lag bank that left out the only training run would have learnt from none; expected two runs"
+    " or more. Record another"
+)
 
 
 @dataclass(frozen=True)
@@ -24,7 +33,7 @@ class LeftOut:
     """Predictions for every training run by models that did not learn from it."""
 
     method: str
-    """leave one run out | blocks of one run."""
+    """leave one run out | blocks of one run | leave runs out in N parts."""
     floating: tuple[Array, ...]
     """[n, K] per training run, of the float model."""
     physics: tuple[Array, ...] | None
@@ -32,13 +41,15 @@ class LeftOut:
     it."""
     covered: tuple[Mask, ...]
     """[n] per training run: rows whose temperature, inputs and loads the other runs reach."""
+    by_epochs: bool = False
+    """Whether a network was trained again for it."""
 
 
 def leave_out(config: Config, dataset: Dataset, compensator: Compensator) -> LeftOut | None:
-    """Return what is predicted for each training run from the others.
+    """Return what is predicted for each training run from the others, where that is quick.
 
-    The physical model and the lag bank are fitted again without each run; a network is not, for it
-    takes too long.
+    The physical model and the lag bank are fitted again without each run; a network that is trained
+    by epochs is not: `leave_out_together` trains it again.
 
     Args:
         config: the project.
@@ -49,32 +60,83 @@ def leave_out(config: Config, dataset: Dataset, compensator: Compensator) -> Lef
         None where nothing need be left out, since there are test runs, or nothing can be: a
         network, or a lag bank of a single run.
     """
-    if dataset.test:
+    if dataset.test or takes_epochs(compensator):
         return None
     alone = hold_out(compensator.physics, dataset)
     physics = tuple(alone.predictions[run.name] for run in dataset.train)
-    groups = tuple(dict.fromkeys(run.group for run in dataset.train))
-    if len(groups) > 1:
-        covered = tuple(_find_covered(run, dataset.train) for run in dataset.train)
-    else:
-        covered = tuple(np.ones(len(run), dtype=np.bool_) for run in dataset.train)
+    parts = tuple(frozenset({group}) for group in dict.fromkeys(r.group for r in dataset.train))
+    covered = _find_all_covered(dataset.train, parts)
     if compensator.bank is None:
-        if compensator.network is not None:
-            return None
         return LeftOut(alone.method, physics, None, covered)
-    if len(groups) < 2:
+    if len(parts) < 2:
         return None
-    floating: dict[str, Array] = {}
-    for group in groups:
-        others = tuple(run for run in dataset.train if run.group != group)
-        understudy = _fit_without(config, dataset, others, compensator)
-        own = [run for run in dataset.train if run.group == group]
-        floating |= {
-            run.name: answer for run, answer in zip(own, understudy.predict_all(own), strict=True)
-        }
+    understudies = []
+    for groups in parts:
+        others = tuple(run for run in dataset.train if run.group not in groups)
+        understudies.append(Understudy(groups, _fit_without(config, dataset, others, compensator)))
+    floating = _ask(understudies, dataset.train)
+    return LeftOut(alone.method, floating, physics, covered)
+
+
+def leave_out_together(
+    originals: Sequence[Original], handling: Handling
+) -> list[LeftOut | InputError]:
+    """Return what `leave_out` does for each compensator; networks are trained again, in step.
+
+    Test runs play no part.
+
+    Args:
+        originals: compensators and what they were trained from.
+        handling: device, folder of the checkpoint, progress.
+
+    Returns:
+        Why nothing can be left out in the place of one of which that is so.
+    """
+    plain = [replace(o, dataset=replace(o.dataset, test=())) for o in originals]
+    trained = [o for o in plain if takes_epochs(o.compensator)]
+    answers = iter(train_understudies(trained, handling))
+    found: list[LeftOut | InputError] = []
+    for original in plain:
+        if takes_epochs(original.compensator):
+            understudies = next(answers)
+            if isinstance(understudies, InputError):
+                found.append(understudies)
+            else:
+                found.append(_tell(original, understudies))
+            continue
+        left = leave_out(original.config, original.dataset, original.compensator)
+        found.append(left if left is not None else InputError(ONE_RUN))
+    return found
+
+
+def takes_epochs(compensator: Compensator) -> bool:
+    """Return whether a network, or what is solved before one, stands beside the physical model."""
+    beside = compensator.front_end is not None or compensator.network is not None
+    return compensator.bank is None and beside
+
+
+def _tell(original: Original, understudies: Sequence[Understudy]) -> LeftOut:
+    """Return what networks say of the runs that they did not learn from."""
+    runs = original.dataset.train
+    parts = tuple(one.groups for one in understudies)
+    alone = hold_out(original.compensator.physics, original.dataset)
     return LeftOut(
-        alone.method, tuple(floating[run.name] for run in dataset.train), physics, covered
+        alone.method if all(len(groups) == 1 for groups in parts) else PARTS.format(len(parts)),
+        _ask(understudies, runs),
+        tuple(alone.predictions[run.name] for run in runs),
+        _find_all_covered(runs, parts),
+        by_epochs=True,
     )
+
+
+def _ask(understudies: Sequence[Understudy], runs: Sequence[Run]) -> tuple[Array, ...]:
+    """Return the drift [n, K] of each run as the understudy says that did not learn from it."""
+    floating: dict[str, Array] = {}
+    for one in understudies:
+        own = [run for run in runs if run.group in one.groups]
+        answers = one.compensator.predict_all(own)
+        floating |= {run.name: answer for run, answer in zip(own, answers, strict=True)}
+    return tuple(floating[run.name] for run in runs)
 
 
 def _fit_without(
@@ -89,9 +151,19 @@ def _fit_without(
     return assemble_bank(alone, fit_bank(config, physics, others), others)
 
 
-def _find_covered(run: Run, runs: Sequence[Run]) -> Mask:
-    """Return [n] rows of a run within what the runs of other groups reach, as a chip's flags do."""
-    others = [other for other in runs if other.group != run.group]
+def _find_all_covered(runs: Sequence[Run], parts: Sequence[frozenset[str]]) -> tuple[Mask, ...]:
+    """Return [n] per run: rows within what the runs reach that are not left out with it."""
+    if len(parts) < 2:
+        return tuple(np.ones(len(run), dtype=np.bool_) for run in runs)
+    own = {group: groups for groups in parts for group in groups}
+    return tuple(
+        _find_covered(run, [other for other in runs if other.group not in own[run.group]])
+        for run in runs
+    )
+
+
+def _find_covered(run: Run, others: Sequence[Run]) -> Mask:
+    """Return [n] rows of a run within what other runs reach, as a chip's flags do."""
     covered = np.ones(len(run), dtype=np.bool_)
 
     def ask(own: Array, theirs: Sequence[Array], margin: float | None = None) -> None:

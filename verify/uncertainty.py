@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from zerodrift.dataset.chip_codes import RANGE_MARGIN
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.floor import measure_floor
 from zerodrift.diagnosis.held_out import BLOCKS
 from zerodrift.diagnosis.run_errors import RunError, collect_errors
 from zerodrift.export.float_model import FloatModel
+from zerodrift.export.integer_model import IntegerModel
 from zerodrift.verify.chip_error import ChipReplay
 from zerodrift.verify.left_out import LeftOut
 from zerodrift.verify.summary import StatedUncertainty
@@ -84,7 +86,7 @@ class Uncertainty:
 
     model_hash: str
     method: str
-    """leave one run out | blocks of one run: where the errors come from."""
+    """leave one run out | leave runs out in N parts | blocks of one run: where they come from."""
     tared: bool
     """Whether each run's own offset was taken off; it is not in the figures then."""
     outputs: Mapping[str, OutputUncertainty]
@@ -163,6 +165,37 @@ def measure_uncertainty(
             ),
         )
     return Uncertainty(model_hash, left_out.method, model.tared, outputs)
+
+
+def measure_firmware(
+    described: FloatModel,
+    model: IntegerModel,
+    dataset: Dataset,
+    left_out: LeftOut,
+    rounding: Sequence[float],
+    replay: ChipReplay,
+) -> Uncertainty:
+    """Return the uncertainty of a firmware's values, checked on the test runs where there are any.
+
+    Args:
+        described: the float model.
+        model: the integer model.
+        dataset: its runs.
+        left_out: what models say of training runs that they did not learn from.
+        rounding: [K] RMS of integer less float model, in each output's unit.
+        replay: the test runs as the chip answers them.
+    """
+    scale = [output.lsb_per_unit for output in model.outputs]
+    limits = zip(model.drift.low, model.drift.high, scale, strict=True)
+    measured = measure_uncertainty(
+        described,
+        dataset,
+        left_out,
+        model_hash=model.hash,
+        rounding=rounding,
+        span=[(high - low) / lsb / (1.0 + 2.0 * RANGE_MARGIN) for low, high, lsb in limits],
+    )
+    return check_coverage(measured, described, replay) if dataset.test else measured
 
 
 def check_coverage(uncertainty: Uncertainty, model: FloatModel, replay: ChipReplay) -> Uncertainty:

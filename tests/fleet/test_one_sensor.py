@@ -8,16 +8,19 @@ import numpy as np
 import polars as pl
 import pytest
 from click.testing import CliRunner, Result
-from tests.fleet.conftest import SENSORS
+from tests.fleet.conftest import NETWORK, SENSORS
 
 import zerodrift as zd
 from zerodrift.app.cli import cli
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import from_json
+from zerodrift.base.sealed import read_sealed
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import predict_integer
 from zerodrift.export.model_files import load_model
 from zerodrift.fleet.sensors import open_sensor
+from zerodrift.verify.uncertainty import Uncertainty
 
 
 def invoke(*arguments: object) -> Result:
@@ -178,6 +181,43 @@ def test_units_of_one_program_are_built_by_fleet_alone(fleet: Path) -> None:
 def test_a_fleet_without_a_named_unit_is_told_what_it_lacks(fleet: Path) -> None:
     refused = invoke("train", "-C", fleet).exception
     assert isinstance(refused, InputError) and "--sensor NAME" in str(refused)
+
+
+def test_each_unit_states_the_uncertainty_that_firmware_states(own_copy: Path) -> None:
+    path = own_copy / "build/fleet/SN01/uncertainty.json"
+    by_fleet = from_json(Uncertainty, read_sealed(path.read_bytes()))
+    stated = json.loads(succeed(own_copy, "compare", "--json").stdout)["uncertainty"]
+    assert stated["Fz"]["expanded"] > 0.0 and stated["Fz"]["covered_readings"] > 100
+    succeed(own_copy, "firmware")
+    by_firmware = from_json(Uncertainty, read_sealed(path.read_bytes()))
+    assert by_firmware.model_hash == by_fleet.model_hash
+    for name, one in by_fleet.outputs.items():
+        other = by_firmware.outputs[name]
+        assert (one.noise, one.parameters, one.left_out) == pytest.approx(
+            (other.noise, other.parameters, other.left_out), rel=1e-9
+        )
+
+
+def test_a_fleet_can_do_without(fleet: Path) -> None:
+    assert invoke("fleet", "-C", fleet, "--jobs", 1, "--no-uncertainty").exit_code in (0, 1)
+    assert not list((fleet / "build/fleet").glob("*/uncertainty.json"))
+    told = json.loads(invoke("fleet", "-C", fleet, "--jobs", 1, "--json").stdout)
+    assert not any(one["kept"] for one in told["results"])
+    assert len(list((fleet / "build/fleet").glob("*/uncertainty.json"))) == len(SENSORS)
+
+
+def test_networks_of_units_are_trained_again_together(fleet: Path) -> None:
+    text = (fleet / "zerodrift.toml").read_text()
+    effect = '[[effect]]\nkind = "dark_current"\n'
+    assert effect in text
+    (fleet / "zerodrift.toml").write_text(text.replace(effect, NETWORK))
+    assert invoke("fleet", "-C", fleet, "--jobs", 1).exit_code in (0, 1)
+    kept = [p for s in SENSORS if (p := fleet / "build/fleet" / s / "compensator.json").is_file()]
+    networks = [p.parent for p in kept if (p.parent / "network.onnx").is_file()]
+    assert networks, "a GRU learns what the effect explained"
+    for folder in networks:
+        known = from_json(Uncertainty, read_sealed((folder / "uncertainty.json").read_bytes()))
+        assert known.method == "leave one run out" and known.outputs["Fz"].parameters > 0.0
 
 
 def test_a_unit_that_is_not_there_is_refused_by_name(worked_on: Path, tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ import contextlib
 import io
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast, overload
@@ -398,11 +397,12 @@ class Project:
         advised = None if advice is None else advice.summarise()
         return TrainResult(**vars(told), advice=advised, choice=chosen.choice)
 
-    def firmware(self, *, force: bool = False) -> "FirmwareSummary":
+    def firmware(self, *, force: bool = False, uncertainty: bool = True) -> "FirmwareSummary":
         """Train if needed, quantize, generate C, check it bit for bit, and write it.
 
         Args:
             force: write what the gate refuses; header and manifest say so.
+            uncertainty: fit, or train, again without some of the runs, for the uncertainty.
 
         Raises:
             CheckError: the gate refuses the firmware, or a bit differs; nothing was written.
@@ -416,19 +416,16 @@ class Project:
 
         from zerodrift.app.commands.firmware import make_firmware
         from zerodrift.app.commands.project import refuse_shared_program, train_project
+        from zerodrift.app.runs_left_out import leave_runs_out
         from zerodrift.export.compose import describe_compensator
-        from zerodrift.verify.left_out import leave_out
 
         self._refuse_moved()
         refuse_shared_program(self.directory, self.sensor)
         with hold_project(self.directory):
             compensator = train_project(self.config, self.dataset, Console(file=io.StringIO()))
             described = describe_compensator(compensator, self.config, self.dataset.train)
-            with show_progress("leaving runs out"):
-                left_out = leave_out(self.config, replace(self.dataset, test=()), compensator)
-            firmware, told = make_firmware(
-                self.config, self.dataset, described, left_out, force=force
-            )
+            left = leave_runs_out(self.config, self.dataset, compensator, wanted=uncertainty)
+            firmware, told = make_firmware(self.config, self.dataset, described, left, force=force)
         if not firmware.files:
             raise CheckError(f"{firmware.gate.explain()}\nNothing was written.")
         return told

@@ -115,7 +115,9 @@ def read_uncertainty(config: Config, model_hash: str) -> "tuple[Uncertainty | No
         )
     return None, (
         "no uncertainty is stated: it comes from models that leave a training run out, which "
-        "`zerodrift firmware` fits for effects and lag bank, not for other networks"
+        "`zerodrift firmware` and `zerodrift fleet` fit unless told --no-uncertainty; what was "
+        "learnt beside the effects takes two training runs, and a network from an ONNX file cannot "
+        "be trained again"
     )
 
 
@@ -123,10 +125,24 @@ def state_uncertainty(
     config: Config, firmware: FirmwareSummary | None
 ) -> dict[str, StatedUncertainty] | None:
     """Return the uncertainty of each output of a current firmware; None where none is known."""
-    if firmware is None:
+    model_hash = _find_unit_hash(config) if firmware is None else firmware.model_hash
+    if not model_hash:
         return None
-    found, _ = read_uncertainty(config, firmware.model_hash)
+    found, _ = read_uncertainty(config, model_hash)
     return None if found is None else found.state()
+
+
+def _find_unit_hash(config: Config) -> str:
+    """Return the hash of the current model of a unit that `fleet` built; "" without one.
+
+    `fleet` keeps no firmware.json.
+    """
+    if config.unit_build is None:
+        return ""
+    from zerodrift.verify.manifest import check_manifest
+
+    check = check_manifest(config)
+    return "" if check.manifest is None or check.findings else check.manifest.model_hash
 
 
 def read_certificate(path: Path, model_hash: str) -> tuple[CertificateSummary | None, str]:

@@ -1,6 +1,6 @@
 """`zerodrift firmware`: logs in, host-checked C out."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,12 +17,17 @@ from zerodrift.app.commands.common import (
 )
 from zerodrift.app.commands.console import open_console, open_table, print_chip_error, show_progress
 from zerodrift.app.commands.onnx_option import OnnxRequest, onnx_options, open_import
+from zerodrift.app.runs_left_out import (
+    NO_TRAINING,
+    RunsLeftOut,
+    keep_uncertainty,
+    leave_runs_out,
+)
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError
 from zerodrift.base.journal import change_together, write_all
 from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
-from zerodrift.dataset.chip_codes import RANGE_MARGIN
 from zerodrift.verify.conversions_told import summarise_conversions, tell_conversions
 from zerodrift.verify.summary import (
     REFUSED,
@@ -42,7 +47,6 @@ if TYPE_CHECKING:
     from zerodrift.dataset.runs import Dataset
     from zerodrift.export.float_model import FloatModel
     from zerodrift.verify.firmware import Firmware
-    from zerodrift.verify.left_out import LeftOut
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -73,6 +77,12 @@ BUDGET_ROWS = 5
     is_flag=True,
     help="Write what the gate refuses; header and manifest say so.",
 )
+@click.option(
+    "--uncertainty/--no-uncertainty",
+    default=True,
+    help="Fit, or train, again without some of the training runs, for the uncertainty of a"
+    " compensated value (default), or state none.",
+)
 @onnx_options
 @changes_project
 def command(
@@ -81,6 +91,7 @@ def command(
     as_json: bool,
     skip_invalid: bool,
     force: bool,
+    uncertainty: bool,
     request: OnnxRequest,
 ) -> None:
     """Train if needed, quantize, generate C, and check it bit for bit on this host.
@@ -100,11 +111,10 @@ def command(
 
     from zerodrift.app.commands.project import open_project, refuse_shared_program, train_project
     from zerodrift.export.compose import describe_compensator
-    from zerodrift.verify.left_out import leave_out
 
     refuse_shared_program(directory, sensor)
     console = Console(stderr=True)
-    trained_out = None
+    left = NO_TRAINING
     if request:
         config, dataset, described, notes = open_import(request, directory, skip_invalid, sensor)
         print_notes((*dataset.notes, *notes))
@@ -114,12 +124,10 @@ def command(
         print_notes(dataset.notes)
         compensator = train_project(config, dataset, console)
         described = describe_compensator(compensator, config, dataset.train)
-        with show_progress("leaving runs out"):
-            trained_out = leave_out(config, replace(dataset, test=()), compensator)
+        left = leave_runs_out(config, dataset, compensator, wanted=uncertainty)
+    print_notes((left.why,) if left.why else ())
     network = (request.path.absolute(),) if request and request.path else ()
-    firmware, result = make_firmware(
-        config, dataset, described, trained_out, force=force, network=network
-    )
+    firmware, result = make_firmware(config, dataset, described, left, force=force, network=network)
     written = bool(firmware.files)
     if as_json:
         print_result(result)
@@ -137,7 +145,7 @@ def make_firmware(
     config: Config,
     dataset: "Dataset",
     described: "FloatModel",
-    left_out: "LeftOut | None",
+    left: RunsLeftOut,
     *,
     force: bool = False,
     network: tuple[Path, ...] = (),
@@ -148,22 +156,27 @@ def make_firmware(
         config: the project.
         dataset: its runs.
         described: the float model.
-        left_out: what models say of training runs that they did not learn from; None: nothing.
+        left: what models say of training runs that they did not learn from.
         force: write what the gate refuses.
         network: the ONNX file that the network comes from.
     """
     from zerodrift.verify.firmware import build_firmware
 
-    judge = None if dataset.test else left_out
     with change_together(config.directory):
         with show_progress("quantizing") as say:
             firmware = build_firmware(
-                config, dataset, described, say, left_out=judge, force=force, network=network
+                config,
+                dataset,
+                described,
+                say,
+                left_out=left.judge(dataset),
+                force=force,
+                network=network,
             )
         result = summarise(firmware, config.directory)
         keep(result, config)
         if firmware.files:
-            keep_uncertainty(firmware, config, dataset, described, left_out)
+            keep_uncertainty(firmware, config, dataset, described, left)
     return firmware, result
 
 
@@ -279,39 +292,6 @@ def keep(result: FirmwareSummary, config: Config) -> None:
         refusal = Refusal(model_hash=result.model_hash, refused=result.refused)
         files = {build / REFUSED: render_sealed(to_dict(refusal))}
     write_all(config.directory, files)
-
-
-def keep_uncertainty(
-    firmware: "Firmware",
-    config: Config,
-    dataset: "Dataset",
-    described: "FloatModel",
-    left_out: "LeftOut | None",
-) -> None:
-    """Write build/uncertainty.json, for `apply`, where models left a run out.
-
-    One of an earlier model may stay beside it: `apply` takes none but its own.
-    """
-    from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
-    from zerodrift.verify.uncertainty import check_coverage, measure_uncertainty
-
-    if left_out is None:
-        return
-    model = firmware.model
-    scale = [output.lsb_per_unit for output in model.outputs]
-    limits = zip(model.drift.low, model.drift.high, scale, strict=True)
-    measured = measure_uncertainty(
-        described,
-        dataset,
-        left_out,
-        model_hash=model.hash,
-        rounding=[error.rounding for error in firmware.gate.chip_error],
-        span=[(high - low) / lsb / (1.0 + 2.0 * RANGE_MARGIN) for low, high, lsb in limits],
-    )
-    if dataset.test:
-        measured = check_coverage(measured, described, firmware.replay)
-    path = config.build_directory / UNCERTAINTY
-    write_all(config.directory, {path: render_sealed(to_dict(measured))})
 
 
 def show_path(path: Path, directory: Path) -> str:

@@ -41,6 +41,7 @@ class FleetOptions:
     device: str
     over_ray: bool
     ray_address: str | None
+    uncertainty: bool
 
 
 @click.command("fleet")
@@ -85,6 +86,12 @@ class FleetOptions:
     default=None,
     help="Of a running cluster, such as auto or 10.0.0.5:6379; implies --ray.",
 )
+@click.option(
+    "--uncertainty/--no-uncertainty",
+    default=True,
+    help="Fit, or train, each sensor again without some of its runs, for the uncertainty of a"
+    " compensated value (default), or state none.",
+)
 @changes_project
 @packed(FleetOptions)
 def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOptions) -> None:
@@ -115,7 +122,14 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
     config = load_config(directory)
     place = choose_device(options.device, config.network.kind != "none")
     jobs = options.jobs or (1 if place != "cpu" else os.cpu_count() or 1)
-    design = Design(config, options.with_firmware, skip_invalid, place, options.force)
+    design = Design(
+        config,
+        options.with_firmware,
+        skip_invalid,
+        place,
+        options.force,
+        options.uncertainty,
+    )
     executor: Executor
     if options.over_ray or options.ray_address:
         import_ray()

@@ -1,0 +1,90 @@
+"""What models say of training runs that they did not learn from: for the gate, for uncertainty."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from zerodrift.base.config import Config
+from zerodrift.base.errors import InputError
+from zerodrift.base.journal import write_all
+from zerodrift.base.records import to_dict
+from zerodrift.base.sealed import render_sealed
+
+if TYPE_CHECKING:
+    from zerodrift.dataset.runs import Dataset
+    from zerodrift.export.float_model import FloatModel
+    from zerodrift.train.compensator import Compensator
+    from zerodrift.verify.firmware import Firmware
+    from zerodrift.verify.left_out import LeftOut
+
+
+@dataclass(frozen=True)
+class RunsLeftOut:
+    """Predictions for training runs by models that did not learn from them."""
+
+    left_out: "LeftOut | None"
+    why: str = ""
+    """Why no uncertainty is stated; empty where one is."""
+
+    def judge(self, dataset: "Dataset") -> "LeftOut | None":
+        """Return what the gate judges by: nothing where there are test runs, or of networks."""
+        if dataset.test or self.left_out is None or self.left_out.by_epochs:
+            return None
+        return self.left_out
+
+
+NO_TRAINING = RunsLeftOut(
+    None,
+    "no uncertainty is stated: it comes from models that left a training run out, and a network"
+    " from an ONNX file cannot be trained again here",
+)
+
+
+def leave_runs_out(
+    config: Config, dataset: "Dataset", compensator: "Compensator", *, wanted: bool = True
+) -> RunsLeftOut:
+    """Return what models say of training runs that they did not learn from.
+
+    A network is trained again without a part of the runs at a time, all of them in step; what is
+    complete stays in build/ and is not repeated.
+
+    Args:
+        config: the project.
+        dataset: its runs.
+        compensator: trained on all training runs.
+        wanted: False fits again what is quick, for the gate alone.
+    """
+    from zerodrift.train.progress import show_progress
+    from zerodrift.train.tasks import Handling
+    from zerodrift.train.understudies import Original
+    from zerodrift.verify.left_out import leave_out, leave_out_together
+
+    if not wanted:
+        quick = leave_out(config, dataset, compensator)
+        return RunsLeftOut(quick, "no uncertainty is stated, as --no-uncertainty asks")
+    with show_progress("leaving runs out") as report:
+        handling = Handling(folder=config.build_directory, report=report)
+        (found,) = leave_out_together([Original(config, dataset, compensator)], handling)
+    if isinstance(found, InputError):
+        return RunsLeftOut(None, f"no uncertainty is stated: {found}")
+    return RunsLeftOut(found)
+
+
+def keep_uncertainty(
+    firmware: "Firmware",
+    config: Config,
+    dataset: "Dataset",
+    described: "FloatModel",
+    left: RunsLeftOut,
+) -> None:
+    """Write build/uncertainty.json where models left a run out; remove it where none did."""
+    from zerodrift.verify.uncertainty import FILE_NAME, measure_firmware
+
+    path = config.build_directory / FILE_NAME
+    if left.left_out is None or left.why:
+        write_all(config.directory, {path: None})
+        return
+    rounding = [error.rounding for error in firmware.gate.chip_error]
+    measured = measure_firmware(
+        described, firmware.model, dataset, left.left_out, rounding, firmware.replay
+    )
+    write_all(config.directory, {path: render_sealed(to_dict(measured))})
