@@ -85,7 +85,7 @@ def can_sanitize(compiler: Compiler, folder: Path) -> bool:
         compiler: of the host.
         folder: for a small program.
     """
-    source, library = folder / "sanitized.c", folder / "sanitized.so"
+    source, library = folder / "zd_sanitized.c", folder / "zd_sanitized.so"
     source.write_text("int zd_sum(int a, int b);\nint zd_sum(int a, int b) { return a + b; }\n")
     try:
         compiler.run([*SANITIZE, "-O1", "-shared", "-fPIC", str(source), "-o", str(library)])

@@ -349,7 +349,7 @@ def _build(
 ) -> Path:
     write_sources(code, folder)
     (folder / f"{code.prefix}_harness.c").write_text(code.harness, encoding="utf-8")
-    main = folder / "main.c"
+    main = folder / "zd_main.c"
     text = _MAIN.format(
         prefix=code.prefix,
         PREFIX=code.prefix.upper(),

@@ -101,13 +101,13 @@ def measure_footprint(
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         write_sources(code, folder)
-        unit = folder / "unit.c"  # one object holds model, runtime and a state to measure
+        unit = folder / "zd_unit.c"  # one object holds model, runtime and a state to measure
         unit.write_text(
             f'#include "{code.source_name}"\n#include "zd_runtime.c"\n'
             f"{code.prefix}_state_t zd_probe_state;\n",
             encoding="utf-8",
         )
-        target = folder / "unit.o"
+        target = folder / "zd_unit.o"
         told = [_STACK_FLAG[compiler], *flags]
         compilers[0].run([*FLAGS, *told, f"-I{folder}", "-c", str(unit), "-o", str(target)])
         unit_object = _read(target, _read_stack_usage(target.with_suffix(".su")))

@@ -15,7 +15,7 @@ from zerodrift.c_runtime.host import HostModel, write_sources
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 
-HARNESS = "harness.c"
+HARNESS = "zd_harness.c"
 _MACRO = re.compile(r"^[ \t]*#[ \t]*define[ \t]+(\w+)", re.MULTILINE)
 _DEFINED = re.compile(
     r"^(?:static )?(?:const )?\w[\w \t]*?[ \t*](\w+)[ \t]*(?:\(|\[|=|;)", re.MULTILINE

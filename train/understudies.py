@@ -46,7 +46,7 @@ class Understudy:
 
 
 @dataclass(frozen=True)
-class _Part:
+class _Retraining:
     """One training to come."""
 
     original: int
@@ -81,7 +81,7 @@ def train_understudies(
         training diverged, there is one run only, or PyTorch is not installed.
     """
     answers: dict[int, InputError] = {}
-    parts: list[_Part] = []
+    parts: list[_Retraining] = []
     for number, original in enumerate(originals):
         try:
             catalogue = load_catalogue(original.config.plugin_files)
@@ -102,7 +102,7 @@ def train_understudies(
     ]
 
 
-def _prepare(number: int, original: Original, catalogue: Catalogue) -> list[_Part]:
+def _prepare(number: int, original: Original, catalogue: Catalogue) -> list[_Retraining]:
     """Return the trainings of one compensator, all that is solved exactly done."""
     config, dataset, whole = original.config, original.dataset, original.compensator
     parts = split_parts(dataset.train)
@@ -136,11 +136,11 @@ def _prepare(number: int, original: Original, catalogue: Catalogue) -> list[_Par
             network=None,
             trained_as=None,
         )
-        found.append(_Part(number, groups, others, config, alone, stages, settings))
+        found.append(_Retraining(number, groups, others, config, alone, stages, settings))
     return found
 
 
-def _train(parts: Sequence[_Part], handling: Handling) -> list[Compensator | InputError]:
+def _train(parts: Sequence[_Retraining], handling: Handling) -> list[Compensator | InputError]:
     """Train all networks in step; return the compensators with them."""
     if not parts:
         return []
