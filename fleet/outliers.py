@@ -89,12 +89,7 @@ class _Quantity:
         if usable.sum() < FEWEST:
             return []
         x = np.log(np.where(usable, self.values, 1.0)) if self.is_log else self.values
-        middle = float(np.median(x[usable]))
-        low, high = np.quantile(x[usable], TAILS)
-        spread = max(
-            NORMAL_MAD * float(np.median(np.abs(x[usable] - middle))),
-            float(high - low) / NORMAL_TAILS,
-        )
+        middle, spread = measure_spread(x[usable])
         size = 1.0 if self.is_log else max(abs(middle), float(np.abs(x[usable]).max()))
         if spread <= SMALL_SPREAD * size:
             return []
@@ -108,6 +103,14 @@ class _Quantity:
             for name, value, score, ok in zip(self.sensors, self.values, z, usable, strict=True)
             if ok and (score > limit or (score < -limit and not self.only_large))
         ]
+
+
+def measure_spread(x: Array) -> tuple[float, float]:
+    """Return the median of values [n] and their robust spread, as a standard deviation."""
+    middle = float(np.median(x))
+    low, high = np.quantile(x, TAILS)
+    mad = float(np.median(np.abs(x - middle)))
+    return middle, max(NORMAL_MAD * mad, float(high - low) / NORMAL_TAILS)
 
 
 def _list_quantities(results: Sequence[SensorResult]) -> list[_Quantity]:

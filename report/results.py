@@ -23,6 +23,7 @@ from zerodrift.field.summary import (
     RegistryResult,
     UnitHistoryResult,
 )
+from zerodrift.fleet.joint_summary import FleetDiagnosis
 from zerodrift.fleet.summary import FleetSummary
 from zerodrift.physics.description import EffectDescription
 from zerodrift.physics.summary import FittedCoefficient, ModelSummary, ParameterInterval
@@ -573,7 +574,8 @@ RESULTS: tuple[type, ...] = (
     BlockResult,
     *(AddResult, ApplyResult, CalibrateResult, CertificateResult, CompareResult, DiagnoseResult),
     *(DiffResult, DoctorResult),
-    *(EffectResult, EffectsResult, ExportResult, FirmwareSummary, FleetSummary, HistoryResult),
+    *(EffectResult, EffectsResult, ExportResult, FirmwareSummary, HistoryResult),
+    *(FleetDiagnosis, FleetSummary),
     *(
         InitResult,
         MonitorResult,

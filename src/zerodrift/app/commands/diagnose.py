@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from zerodrift.base.config import Config
     from zerodrift.diagnosis.diagnosis import Diagnosis
     from zerodrift.diagnosis.explained import Sentence
     from zerodrift.physics.catalogue import Catalogue
@@ -49,8 +50,16 @@ def command(
     on training runs left out, against what chance could do, and beside the noise floor. The
     verdict is the name of an effect, with those that these logs cannot tell from it; or that
     nothing is missing; or that something is, which the catalogue does not know.
+
+    In a fleet's folder all units of the design speak together, and those that differ are named;
+    --sensor NAME diagnoses one unit.
     """
-    from zerodrift.app.commands.project import open_project
+    from zerodrift.app.commands.project import is_fleet, open_project
+    from zerodrift.base.config import load_config
+
+    if sensor is None and is_fleet(project := load_config(directory)):
+        _diagnose_all(project, directory, auto, as_json, skip_invalid)
+        return
     from zerodrift.app.commands.verdict import (
         explain_others,
         find_verdict,
@@ -93,6 +102,26 @@ def command(
             f"To remove it: zerodrift remove {kind}{name_directory(directory)}"
         )
     print_advice(advice, console)
+
+
+def _diagnose_all(
+    config: "Config", directory: Path, auto: bool, as_json: bool, skip_invalid: bool
+) -> None:
+    """Diagnose the design of a fleet by all of its units."""
+    from zerodrift.app.commands.diagnose_fleet import diagnose_fleet, print_fleet_diagnosis
+    from zerodrift.base.errors import InputError
+
+    if auto:
+        raise InputError(
+            "diagnose --auto: found a fleet; expected one model. Name a unit by --sensor, or leave "
+            "--auto out: what all units lack is told."
+        )
+    with show_progress("looking for units") as say:
+        found, catalogue = diagnose_fleet(config, skip_invalid, say)
+    if as_json:
+        print_result(found)
+        return
+    print_fleet_diagnosis(found, catalogue, directory, open_console())
 
 
 def print_diagnosis(

@@ -1,0 +1,313 @@
+"""What the units of one design show together: which effect its model lacks.
+
+A few runs of one unit show little; the units of a design were recorded apart, so each is evidence
+of its own. Every unit is examined as it would be alone, with coefficients and shared values of its
+own and runs left out in turn. What an effect gains there is one figure per unit, and chance is
+judged by flipping the signs of whole units' ranks, over all effects at once: one unit that gains a
+thousand times as much as the others counts as one.
+
+Source: F. Wilcoxon, Biometrics Bulletin 1 (1945), signed ranks; Winkler et al., NeuroImage 92
+(2014), sign flips and the maximum over many candidates.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+from zerodrift.base.config import EffectConfig
+from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.case import open_case
+from zerodrift.diagnosis.diagnose import look
+from zerodrift.diagnosis.evidence import compare_runs, flip_signs
+from zerodrift.diagnosis.examination import Examination, Judged, share_explained
+from zerodrift.diagnosis.rules import (
+    ALIKE,
+    ALIKE_UNLESS_SURE,
+    EXPLAINED,
+    EXPLAINED_WITHOUT_DWELL,
+    LEFT_WITHOUT_DWELL,
+    SIGNIFICANT,
+    WORTHWHILE,
+    WORTHWHILE_ON_ONE,
+    helps,
+    is_at_floor,
+)
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.terms import Term
+
+Array = NDArray[np.float64]
+
+FEWEST_UNITS = 5
+"""Fewer units cannot reach a p-value of 5 % by signs: 2^-4 is more."""
+MOST_EFFECTS = 3
+"""Effects that are looked for one beside the other."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One effect in one unit's logs: what remains of its examination."""
+
+    kind: str
+    parameters: Mapping[str, float]
+    terms: tuple[Term, ...]
+    """The whole model with it, as fitted to this unit."""
+    gain: float
+    """On runs left out, in noise units."""
+    ratio: float
+    """RMSE on runs left out with it over that without."""
+    output_ratios: Array
+    """[K] the same by output, within runs."""
+    size: float
+    """RMS that it takes away, in noise floors."""
+    sound: bool
+    """Whether its values lie off their bounds and within what the logs can show."""
+    stands_alone: bool
+    """Whether this unit's logs alone would do to name it, as far as its gain goes."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """One look at one unit: its error, and what each effect beside the model shows."""
+
+    shown: Mapping[str, Shown]
+    fitted_ratio: float
+    """RMSE over the noise floor in the runs that the model was fitted to."""
+    floor_ratio: float
+    """The same in runs left out."""
+    at_floor: bool
+    runs: int
+    not_testable: Mapping[str, str]
+    """Effect -> why."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One unit's logs and what was seen in them."""
+
+    name: str
+    dataset: Dataset
+    first: Look
+    """Beside the design's model."""
+    last: Look
+    """Beside that model with what the fleet was found to lack."""
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """One effect over all units."""
+
+    kind: str
+    p_value: float
+    """How often signs by chance rank some effect as high."""
+    gains: Array
+    """[U] noise units; 0 where a unit cannot test it."""
+    ratio: float
+    """RMSE in runs left out over that without it: geometric mean over the units."""
+    best_output_ratio: float
+    """The same within runs, for the output that gains most."""
+    shown: Mapping[str, Shown]
+    """Unit -> the effect as found there, in units that can test it."""
+
+    @property
+    def gaining(self) -> int:
+        """Units whose runs left out are predicted better with it."""
+        return int((self.gains > 0.0).sum())
+
+    @property
+    def typical_gain(self) -> float:
+        """The median unit's: one that gains more than all others together does not decide."""
+        return float(np.median(self.gains))
+
+    @property
+    def size(self) -> float:
+        """RMS that it takes away in the median unit, in noise floors."""
+        return float(np.median([shown.size for shown in self.shown.values()]))
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Median over the units of each fitted value; a choice that most units made."""
+        names = dict.fromkeys(name for s in self.shown.values() for name in s.parameters)
+        found = {
+            n: [s.parameters[n] for s in self.shown.values() if n in s.parameters] for n in names
+        }
+        return {n: float(np.median(x)) for n, x in found.items() if 2 * len(x) > len(self.shown)}
+
+    @property
+    def is_named(self) -> bool:
+        """Whether it is sure, worth having as one unit's diagnosis asks, and sound in most."""
+        worthwhile = self.ratio <= WORTHWHILE or self.best_output_ratio <= WORTHWHILE_ON_ONE
+        sound = sum(shown.sound for shown in self.shown.values())
+        enough = len(self.shown) >= FEWEST_UNITS and 2 * self.gaining > self.gains.size
+        return (
+            enough and self.p_value <= SIGNIFICANT and worthwhile and 2 * sound >= len(self.shown)
+        )
+
+
+@dataclass(frozen=True)
+class JointFindings:
+    """What the units show together."""
+
+    units: tuple[Unit, ...]
+    missing: tuple[Pooled, ...]
+    """Effects that the design's model lacks, in the order in which they were found."""
+    candidates: tuple[Pooled, ...]
+    """All effects beside the model as it is, the smallest p-value first."""
+    lookalikes: tuple[str, ...]
+    """Effects that the units cannot tell from the first one."""
+    explained: bool
+    """Whether most units come near their noise with what was found."""
+
+
+def look_at_unit(
+    name: str, dataset: Dataset, catalogue: Catalogue, effects: Sequence[EffectConfig]
+) -> Unit:
+    """Return one unit examined beside the design's model.
+
+    Args:
+        name: the unit's.
+        dataset: its runs.
+        catalogue: the known effects.
+        effects: the design's `[[effect]]` tables.
+
+    Raises:
+        InputError: as `open_case`.
+    """
+    case = open_case(dataset, catalogue, effects)
+    seen = _keep(look(case, case.terms))
+    return Unit(name, dataset, seen, seen)
+
+
+def _keep(examination: Examination) -> Look:
+    """Return what is needed of an examination; the rest is large."""
+    return Look(
+        {j.kind: _keep_effect(examination, j) for j in examination.judged},
+        examination.fitted_ratio,
+        examination.floor_ratio,
+        is_at_floor(examination, examination.fitted_ratio),
+        examination.runs,
+        {untested.effect: untested.why for untested in examination.untested},
+    )
+
+
+def _keep_effect(examination: Examination, judged: Judged) -> Shown:
+    gone = examination.fitted_ratio**2 - judged.fitted_ratio**2
+    return Shown(
+        judged.kind,
+        judged.parameters,
+        judged.found.terms,
+        judged.gain,
+        judged.rmse_ratio,
+        np.sqrt(np.maximum(judged.errors, 1e-300) / np.maximum(examination.base_errors, 1e-300)),
+        float(np.sqrt(max(gone, 0.0))),
+        judged.sound,
+        judged.sound and helps(judged, examination),
+    )
+
+
+def pool_units(
+    units: Sequence[Unit],
+    catalogue: Catalogue,
+    effects: Sequence[EffectConfig],
+    say: Callable[[str], None] = lambda _: None,
+) -> JointFindings:
+    """Return what the design's model lacks by all units together.
+
+    Args:
+        units: from `look_at_unit`.
+        catalogue: the known effects.
+        effects: the design's `[[effect]]` tables.
+        say: is told what is being done.
+    """
+    missing: list[Pooled] = []
+    first = pooled = pool(units)
+    while len(missing) < MOST_EFFECTS:
+        named = [p for p in pooled if p.is_named]
+        if not named:
+            break
+        missing.append(max(named, key=lambda p: p.typical_gain))
+        kind = missing[-1].kind
+        extended = []
+        for unit in units:
+            say(f"{unit.name}: what is left beside {kind}")
+            extended.append(_extend(unit, kind, catalogue, effects))
+        units = extended
+        if _are_at_floor(units):
+            break
+        pooled = pool(units)
+    explained = _are_at_floor(units) or (bool(missing) and _is_explained(units, missing))
+    lookalikes = _list_lookalikes(missing[0], first) if missing else ()
+    return JointFindings(tuple(units), tuple(missing), tuple(first), lookalikes, explained)
+
+
+def pool(units: Sequence[Unit]) -> list[Pooled]:
+    """Return every effect over all units' last looks, the smallest p-value first."""
+    looks = [unit.last for unit in units]
+    kinds = list(dict.fromkeys(kind for seen in looks for kind in seen.shown))
+    if not kinds:
+        return []
+    gains = np.array([[s.shown[k].gain if k in s.shown else 0.0 for s in looks] for k in kinds])
+    p_values = flip_signs(rank_gains(gains))
+    pooled = []
+    for kind, row, p_value in zip(kinds, gains, p_values.tolist(), strict=True):
+        shown = {u.name: u.last.shown[kind] for u in units if kind in u.last.shown}
+        logs = np.log([s.ratio for s in shown.values()])
+        by_output = np.log([s.output_ratios for s in shown.values()])
+        # A unit that cannot test it keeps its error.
+        part = len(shown) / len(units)
+        pooled.append(
+            Pooled(
+                kind,
+                p_value,
+                row,
+                float(np.exp(part * logs.mean())),
+                float(np.exp(part * by_output.mean(axis=0)).min()),
+                shown,
+            )
+        )
+    return sorted(pooled, key=lambda p: (p.p_value, -p.typical_gain))
+
+
+def rank_gains(gains: Array) -> Array:
+    """Return signed ranks [M, U]: each effect's gains ranked by size over the units, sign kept."""
+    return np.asarray(rankdata(np.abs(gains), axis=1) * np.sign(gains), dtype=np.float64)
+
+
+def _extend(unit: Unit, kind: str, catalogue: Catalogue, effects: Sequence[EffectConfig]) -> Unit:
+    """Return the unit examined beside one more effect; as it is where it cannot test that."""
+    shown = unit.last.shown.get(kind)
+    if shown is None:
+        return unit
+    case = open_case(unit.dataset, catalogue, effects)
+    return Unit(unit.name, unit.dataset, unit.first, _keep(look(case, shown.terms)))
+
+
+def _are_at_floor(units: Sequence[Unit]) -> bool:
+    """Return whether most units have come near their noise."""
+    return 2 * sum(unit.last.at_floor for unit in units) > len(units)
+
+
+def _is_explained(units: Sequence[Unit], missing: Sequence[Pooled]) -> bool:
+    """Return whether what was found explains enough of the excess, in the median unit."""
+    shares = [share_explained(u.first.fitted_ratio**2, u.last.fitted_ratio**2) for u in units]
+    if all(unit.dataset.dwell for unit in units):
+        return float(np.median(shares)) >= EXPLAINED
+    # Without a dwell the floor is a lower bound and cannot refuse; see `rules`.
+    large = missing[0].ratio ** 2 <= LEFT_WITHOUT_DWELL
+    return large or float(np.median(shares)) >= EXPLAINED_WITHOUT_DWELL
+
+
+def _list_lookalikes(leading: Pooled, pooled: Sequence[Pooled]) -> tuple[str, ...]:
+    """Return the effects that the units cannot tell from the leading one."""
+    most = leading.typical_gain
+    alike = []
+    for other in pooled:
+        if other.kind == leading.kind or not other.is_named:
+            continue
+        behind = most - other.typical_gain
+        unsure = compare_runs(leading.gains, other.gains) > SIGNIFICANT
+        if behind <= ALIKE * most or (unsure and behind <= ALIKE_UNLESS_SURE * most):
+            alike.append(other.kind)
+    return tuple(alike)
