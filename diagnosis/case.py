@@ -41,6 +41,8 @@ class Case:
     """Called with each effect's name when it has been tried."""
     notes: tuple[str, ...] = ()
     """What was left out of the data, and what `add` would refuse."""
+    whole: Dataset | None = None
+    """The logs as they were read, by which `add` judges; None: they are `dataset`."""
 
 
 def open_case(
@@ -61,7 +63,7 @@ def open_case(
         InputError: an effect that these logs cannot feed or that stands there twice, or outputs of
             which none moves.
     """
-    whole = measure_floor(dataset).rms
+    read, whole = dataset, measure_floor(dataset).rms
     names = dataset.outputs
     dataset, notes = leave_out_still(dataset)
     floor = whole[[names.index(name) for name in dataset.outputs]]
@@ -79,4 +81,5 @@ def open_case(
         tuple(effects),
         advance,
         notes,
+        read,
     )

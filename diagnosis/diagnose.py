@@ -140,13 +140,13 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
 def foresee_refusal(case: Case, finding: Finding) -> str:
     """Return why `add` would refuse a finding on these logs, in a sentence; empty if it keeps it.
 
-    Both speak of runs left out, but `add` by plain errors and the diagnosis by octaves of them.
+    Both speak of runs left out, but `add` by plain errors of the logs as they were read, and the
+    diagnosis by octaves of them, with outliers beside what the best model explains.
     """
     kind = finding.judged.kind
-    if case.catalogue[kind].sets_aside:
-        return ""
     extended = extend_model(case.effects, case.catalogue, kind, finding.judged.parameters)
-    kept, reason = try_extension(case.effects, extended, case.dataset, case.catalogue)
+    logs = case.dataset if case.whole is None else case.whole
+    kept, reason = try_extension(case.effects, extended, logs, case.catalogue)
     return "" if kept else f"{kind} would gain a little, but not enough for `add`: {reason}"
 
 

@@ -122,8 +122,7 @@ def revise_best(
         config: the project as it is.
         dataset: its runs.
         catalogue: the known effects.
-        changes: forms of one change, simplest first; a later one is taken if it passes against
-            the best one before it what a change must pass against the model as it is.
+        changes: forms of one change, simplest first; see `choose_form`.
     """
     models = [
         fit_config(replace(config, effects=wanted), dataset, catalogue)
@@ -131,15 +130,28 @@ def revise_best(
     ]
     tared = find_tared(models)  # errors must be comparable
     before, *fitted = (_hold_out(model, dataset, tared) for model in models)
-    best = 0
-    for i in range(1, len(changes)):
-        if judge(fitted[best], fitted[i], dataset.units)[0]:
-            best = i
+    best = choose_form(before, fitted, dataset.units)
     change, after = changes[best], fitted[best]
     floor = measure_floor(dataset)
     judged = judge_removal if change.action == REMOVE else judge
     helps, reason = judged(before, after, dataset.units)
     return Revision(change, before, after, floor, helps, reason, tared)
+
+
+def choose_form(before: Fitted, forms: Sequence[Fitted], units: Sequence[str]) -> int:
+    """Return which of some forms of one change to take, simplest first.
+
+    A later one is taken if it passes against the best one before it what a change must pass against
+    the model as it is; and passes that as well, unless no simpler one does: what the simplest form
+    earns, a richer one does not forfeit.
+    """
+    best, kept = 0, judge(before, forms[0], units)[0]
+    for i in range(1, len(forms)):
+        if judge(forms[best], forms[i], units)[0]:
+            passes = judge(before, forms[i], units)[0]
+            if passes or not kept:
+                best, kept = i, passes
+    return best
 
 
 def try_extension(
@@ -227,7 +239,7 @@ class _Change:
     ratio: Array
     """[K] RMSE after over before; 1 for outputs without any error."""
     overall: float
-    """Geometric mean of the ratios."""
+    """Geometric mean of the ratios, of outputs with an error."""
     gains: Array
     """[R] what each run, or stretch of the only one, gains, summed over the outputs in shares of
     their squared error before."""
@@ -238,7 +250,9 @@ def _measure_change(before: Fitted, after: Fitted) -> _Change:
     whole = old.sum(axis=0)
     scale = np.where(whole > 0.0, whole, 1.0)
     ratio = np.where(whole > 0.0, np.sqrt(new.sum(axis=0) / scale), 1.0)
-    overall = float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-12)))))
+    # An output that never moves has no error to lower, and none that waters down the others'.
+    moving = ratio[whole > 0.0]
+    overall = float(np.exp(np.mean(np.log(np.maximum(moving, 1e-12))))) if moving.size else 1.0
     return _Change(ratio, overall, ((old - new) / scale).sum(axis=1))
 
 
