@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.base.config import EffectConfig
 from zerodrift.diagnosis.changes import extend_model
 from zerodrift.diagnosis.revision import try_extension
-from zerodrift.fleet.evidence import Pooled, Unit
+from zerodrift.fleet.evidence import ExaminedUnit, Pooled
 from zerodrift.fleet.outliers import FEWEST, measure_spread
 from zerodrift.physics.catalogue import Catalogue
 
@@ -36,7 +36,7 @@ class Difference:
 
 
 def find_differences(
-    units: Sequence[Unit],
+    units: Sequence[ExaminedUnit],
     missing: Sequence[Pooled],
     catalogue: Catalogue,
     effects: Sequence[EffectConfig],
@@ -108,7 +108,7 @@ def _judge(
 
 
 def _find_own(
-    units: Sequence[Unit],
+    units: Sequence[ExaminedUnit],
     missing: Sequence[Pooled],
     catalogue: Catalogue,
     effects: Sequence[EffectConfig],

@@ -47,7 +47,7 @@ MOST_EFFECTS = 3
 
 
 @dataclass(frozen=True)
-class Shown:
+class UnitEffect:
     """One effect in one unit's logs: what remains of its examination."""
 
     kind: str
@@ -69,10 +69,10 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class Look:
+class UnitLook:
     """One look at one unit: its error, and what each effect beside the model shows."""
 
-    shown: Mapping[str, Shown]
+    shown: Mapping[str, UnitEffect]
     fitted_ratio: float
     """RMSE over the noise floor in the runs that the model was fitted to."""
     floor_ratio: float
@@ -84,14 +84,14 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Unit:
+class ExaminedUnit:
     """One unit's logs and what was seen in them."""
 
     name: str
     dataset: Dataset
-    first: Look
+    first: UnitLook
     """Beside the design's model."""
-    last: Look
+    last: UnitLook
     """Beside that model with what the fleet was found to lack."""
 
 
@@ -108,7 +108,7 @@ class Pooled:
     """RMSE in runs left out over that without it: geometric mean over the units."""
     best_output_ratio: float
     """The same within runs, for the output that gains most."""
-    shown: Mapping[str, Shown]
+    shown: Mapping[str, UnitEffect]
     """Unit -> the effect as found there, in units that can test it."""
 
     @property
@@ -150,7 +150,7 @@ class Pooled:
 class JointFindings:
     """What the units show together."""
 
-    units: tuple[Unit, ...]
+    units: tuple[ExaminedUnit, ...]
     missing: tuple[Pooled, ...]
     """Effects that the design's model lacks, in the order in which they were found."""
     candidates: tuple[Pooled, ...]
@@ -163,7 +163,7 @@ class JointFindings:
 
 def look_at_unit(
     name: str, dataset: Dataset, catalogue: Catalogue, effects: Sequence[EffectConfig]
-) -> Unit:
+) -> ExaminedUnit:
     """Return one unit examined beside the design's model.
 
     Args:
@@ -177,12 +177,12 @@ def look_at_unit(
     """
     case = open_case(dataset, catalogue, effects)
     seen = _keep(look(case, case.terms))
-    return Unit(name, dataset, seen, seen)
+    return ExaminedUnit(name, dataset, seen, seen)
 
 
-def _keep(examination: Examination) -> Look:
+def _keep(examination: Examination) -> UnitLook:
     """Return what is needed of an examination; the rest is large."""
-    return Look(
+    return UnitLook(
         {j.kind: _keep_effect(examination, j) for j in examination.judged},
         examination.fitted_ratio,
         examination.floor_ratio,
@@ -192,9 +192,9 @@ def _keep(examination: Examination) -> Look:
     )
 
 
-def _keep_effect(examination: Examination, judged: Judged) -> Shown:
+def _keep_effect(examination: Examination, judged: Judged) -> UnitEffect:
     gone = examination.fitted_ratio**2 - judged.fitted_ratio**2
-    return Shown(
+    return UnitEffect(
         judged.kind,
         judged.parameters,
         judged.found.terms,
@@ -208,7 +208,7 @@ def _keep_effect(examination: Examination, judged: Judged) -> Shown:
 
 
 def pool_units(
-    units: Sequence[Unit],
+    units: Sequence[ExaminedUnit],
     catalogue: Catalogue,
     effects: Sequence[EffectConfig],
     say: Callable[[str], None] = lambda _: None,
@@ -242,7 +242,7 @@ def pool_units(
     return JointFindings(tuple(units), tuple(missing), tuple(first), lookalikes, explained)
 
 
-def pool(units: Sequence[Unit]) -> list[Pooled]:
+def pool(units: Sequence[ExaminedUnit]) -> list[Pooled]:
     """Return every effect over all units' last looks, the smallest p-value first."""
     looks = [unit.last for unit in units]
     kinds = list(dict.fromkeys(kind for seen in looks for kind in seen.shown))
@@ -275,21 +275,23 @@ def rank_gains(gains: Array) -> Array:
     return np.asarray(rankdata(np.abs(gains), axis=1) * np.sign(gains), dtype=np.float64)
 
 
-def _extend(unit: Unit, kind: str, catalogue: Catalogue, effects: Sequence[EffectConfig]) -> Unit:
+def _extend(
+    unit: ExaminedUnit, kind: str, catalogue: Catalogue, effects: Sequence[EffectConfig]
+) -> ExaminedUnit:
     """Return the unit examined beside one more effect; as it is where it cannot test that."""
     shown = unit.last.shown.get(kind)
     if shown is None:
         return unit
     case = open_case(unit.dataset, catalogue, effects)
-    return Unit(unit.name, unit.dataset, unit.first, _keep(look(case, shown.terms)))
+    return ExaminedUnit(unit.name, unit.dataset, unit.first, _keep(look(case, shown.terms)))
 
 
-def _are_at_floor(units: Sequence[Unit]) -> bool:
+def _are_at_floor(units: Sequence[ExaminedUnit]) -> bool:
     """Return whether most units have come near their noise."""
     return 2 * sum(unit.last.at_floor for unit in units) > len(units)
 
 
-def _is_explained(units: Sequence[Unit], missing: Sequence[Pooled]) -> bool:
+def _is_explained(units: Sequence[ExaminedUnit], missing: Sequence[Pooled]) -> bool:
     """Return whether what was found explains enough of the excess, in the median unit."""
     shares = [share_explained(u.first.fitted_ratio**2, u.last.fitted_ratio**2) for u in units]
     if all(unit.dataset.dwell for unit in units):

@@ -11,7 +11,7 @@ from tests.schemas import validate
 
 from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
-from zerodrift.fleet.evidence import Look, Shown, Unit, pool
+from zerodrift.fleet.evidence import ExaminedUnit, UnitEffect, UnitLook, pool
 from zerodrift.lab.twin import EffectChoice, Recipe, simulate
 from zerodrift.lab.twin.logs import render_logs
 
@@ -42,18 +42,18 @@ def write_fleet(project: Path, hidden: list[str], size: float) -> Path:
     return project
 
 
-def make_units(gains: np.ndarray, ratio: float = 0.9) -> list[Unit]:
+def make_units(gains: np.ndarray, ratio: float = 0.9) -> list[ExaminedUnit]:
     """Units in which each effect [M] gains so much [M, U]."""
 
-    def look(column: np.ndarray) -> Look:
+    def look(column: np.ndarray) -> UnitLook:
         shown = {
-            kind: Shown(kind, {}, (), float(g), ratio, np.full(2, ratio), 0.2, True, False)
+            kind: UnitEffect(kind, {}, (), float(g), ratio, np.full(2, ratio), 0.2, True, False)
             for kind, g in zip(KINDS, column, strict=False)
         }
-        return Look(shown, 1.0, 1.0, True, 3, {})
+        return UnitLook(shown, 1.0, 1.0, True, 3, {})
 
     looks = [look(column) for column in gains.T]
-    return [Unit(f"SN{i}", None, one, one) for i, one in enumerate(looks)]  # type: ignore[arg-type]
+    return [ExaminedUnit(f"SN{i}", None, one, one) for i, one in enumerate(looks)]  # type: ignore[arg-type]
 
 
 def test_signs_of_units_name_nothing_by_chance():

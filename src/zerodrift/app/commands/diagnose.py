@@ -13,10 +13,16 @@ from zerodrift.app.commands.common import (
     sensor_option,
     skip_invalid_option,
 )
-from zerodrift.app.commands.console import open_console, open_table, print_advice, show_progress
+from zerodrift.app.commands.console import (
+    open_console,
+    open_table,
+    print_advice,
+    show_progress,
+    write_values,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from rich.console import Console
 
@@ -24,7 +30,6 @@ if TYPE_CHECKING:
     from zerodrift.diagnosis.diagnosis import Diagnosis
     from zerodrift.diagnosis.explained import Sentence
     from zerodrift.physics.catalogue import Catalogue
-    from zerodrift.physics.effect import Effect
 
 MOST_LISTED = 8
 """Candidates that the table lists; --json has all of them."""
@@ -168,14 +173,6 @@ def print_diagnosis(
         console.print(sentence.text)
 
 
-def write_values(effect: "Effect", values: "Mapping[str, float]") -> str:
-    """Return fitted values with their units."""
-    return ", ".join(
-        f"{name} {value:.4g} {_write_unit(effect.parameter(name).unit)}".rstrip()
-        for name, value in values.items()
-    )
-
-
 def _print_errors(diagnosis: "Diagnosis", console: "Console") -> None:
     """Print each output's error in its unit, beside the noise floor."""
     after = f"with {diagnosis.effect}" if diagnosis.effect is not None else ""
@@ -268,11 +265,6 @@ def explain_verdict(
                 )
             )
     return sentences
-
-
-def _write_unit(unit: str) -> str:
-    """Return a unit for print; plain numbers have none."""
-    return "" if unit == "1" else unit
 
 
 def _print_steps(

@@ -63,8 +63,7 @@ def print_fleet_diagnosis(
     found: "FleetDiagnosis", catalogue: "Catalogue", directory: Path, console: "Console"
 ) -> None:
     """Print candidates, verdict, units that differ, and units that could not be examined."""
-    from zerodrift.app.commands.console import open_table
-    from zerodrift.app.commands.diagnose import write_values
+    from zerodrift.app.commands.console import open_table, write_values
 
     table = open_table(
         "Effects that the design's model lacks, one at a time, over all units",
@@ -110,7 +109,7 @@ def _print_reasons(not_testable: "Mapping[str, str]", console: "Console") -> Non
 
 
 def _print_verdict(found: "FleetDiagnosis", catalogue: "Catalogue", console: "Console") -> None:
-    from zerodrift.app.commands.diagnose import write_values
+    from zerodrift.app.commands.console import write_values
 
     if found.effect is not None:
         effect = catalogue[found.effect]
