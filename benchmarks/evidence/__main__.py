@@ -5,11 +5,13 @@
     python -m benchmarks.evidence drawn      [--simulator 1|2|3] [--count N]
     python -m benchmarks.evidence loop       [--simulator 1|3] [--count N]
     python -m benchmarks.evidence table      [--simulator 1|2|3] [--version KEY]
+    python -m benchmarks.evidence again      [--simulator 1|2|3] --version KEY
 
 `conditions` takes N cases of every condition and purpose in turn; `drawn` draws all factors, for
 the calibration curve of the probabilities; `loop` adds what is named until nothing is missing, and
 measures the error on unseen runs. Outcomes lie in build/evidence/KEY, KEY being that of the code;
-the same command goes on where it stopped, `--minutes` stops it. All logs are simulated. Rates
+the same command goes on where it stopped, `--minutes` stops it. `again` runs, on the code as it is,
+what an earlier version got wrong. All logs are simulated. Rates
 stand beside their one-sided 95 % Clopper-Pearson bound.
 """
 
@@ -35,7 +37,11 @@ from benchmarks.evidence.store import HOME, Store, open_store
 
 def list_wanted(options: argparse.Namespace) -> Iterator[Ask]:
     """Give the cases that the command line asks for, the conditions in turn."""
-    if options.action == "drawn":
+    if options.action == "again":
+        rows = open_store(options.version).rows
+        mine = [row for row in rows if row.ask.simulator == options.simulator]
+        yield from [row.ask for row in mine if row.impossible or tables.is_failure(row)]
+    elif options.action == "drawn":
         yield from islice(draw_asks(options.simulator, options.seed), options.count)
     elif options.action == "loop":
         yield from islice(list_walks(options.simulator, options.seed), 2 * options.count)
@@ -92,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("action", choices=("conditions", "drawn", "loop", "table"))
+    parser.add_argument("action", choices=("conditions", "drawn", "loop", "table", "again"))
     parser.add_argument("--simulator", type=int, choices=(1, 2, 3), default=3)
     parser.add_argument("--condition", choices=tuple(CONDITIONS), action="append")
     parser.add_argument("--purpose", choices=PURPOSES, action="append")
@@ -100,14 +106,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=600.0, help="stop after so long")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--version", help="table of an earlier version of the code")
+    parser.add_argument("--version", help="an earlier version of the code")
     options = parser.parse_args(arguments)
     if options.action == "loop" and options.simulator == 2:
         parser.error("simulator 2 tells no true drift; expected --simulator 1 or 3 for the loop")
     if options.version and not (HOME / options.version).is_dir():
         there = sorted(path.name for path in HOME.glob("*"))
         parser.error(f"no outcomes of version {options.version}; there are {there}")
-    store = open_store(options.version)
+    if options.action == "again" and not options.version:
+        parser.error("again needs --version KEY, whose failures it runs")
+    store = open_store(options.version if options.action == "table" else None)
     done = True
     if options.action != "table":
         done = work(list(list_wanted(options)), store, options.jobs, options.minutes)

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from benchmarks.evidence.conditions import Ask
-from benchmarks.evidence.sources import Drawn, draw
+from benchmarks.evidence.sources import CannotDrawError, Drawn, draw
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.diagnosis.changes import propose_forms
@@ -56,11 +56,15 @@ class Row:
     steps: tuple[Step, ...] = ()
     reachable: float = 0.0
     """Of the loop: the error with all that is hidden in the model, as `add` puts it in."""
+    truth_kept: bool = False
+    """Where one hidden effect was not named: whether `add` keeps it nevertheless."""
+    truth_errors: tuple[float, ...] = ()
+    """And the error on unseen runs before and after it, over the noise."""
     cpu_s: float = 0.0
     impossible: str = ""
     """Why the simulator could not make the case."""
     failed: str = ""
-    """The error that a command ended with."""
+    """The error that the loader or a command ended with."""
 
     @property
     def group(self) -> tuple[str, ...]:
@@ -93,15 +97,14 @@ class Row:
 
 def run_case(ask: Ask) -> Row:
     """Return what `diagnose`, and `add` after it, say of a case; of the loop, all of its steps."""
-    try:
-        drawn = draw(ask)
-    except (InputError, ValueError, RuntimeError) as error:
-        return Row(ask, impossible=str(error))
     begin = time.process_time()
     try:
+        drawn = draw(ask)
         row = walk(ask, drawn) if ask.condition == "loop" else look(ask, drawn)
+    except CannotDrawError as error:
+        return Row(ask, impossible=str(error))
     except (InputError, ArithmeticError, ValueError) as error:
-        row = Row(ask, sensor=drawn.sensor, failed=f"{type(error).__name__}: {error}")
+        row = Row(ask, failed=f"{type(error).__name__}: {error}")
     return replace(row, cpu_s=round(time.process_time() - begin, 3))
 
 
@@ -110,6 +113,10 @@ def look(ask: Ask, drawn: Drawn) -> Row:
     effects = drawn.config.effects
     found = diagnose(effects, drawn.dataset, load_catalogue())
     row = tell(Row(ask, sensor=drawn.sensor), found)
+    if ask.purpose == "one" and not row.right and drawn.truth:
+        kept, _, after = add(drawn, effects, ask.hidden[0])
+        errors = (measure(drawn, effects), measure(drawn, after))
+        row = replace(row, truth_kept=kept, truth_errors=errors)
     if found.effect is None:
         return row
     kept, reason, _ = add(drawn, effects, found.effect)

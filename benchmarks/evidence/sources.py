@@ -16,12 +16,17 @@ from benchmarks.third_simulator import Case as ThirdCase
 from benchmarks.third_simulator import Log, draw_case
 from benchmarks.third_simulator.noise import draw_noise
 from zerodrift.base.config import Config, load_config, parse_config
+from zerodrift.base.errors import InputError
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.lab.twin.simulate import simulate
 
 Array = NDArray[np.float64]
 TEST_RUNS = 2
+
+
+class CannotDrawError(Exception):
+    """The simulator cannot make such a case."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +56,8 @@ def draw(ask: Ask) -> Drawn:
     """Return the logs of a case.
 
     Raises:
-        InputError, ValueError or RuntimeError: the simulator cannot make it.
+        CannotDrawError: the simulator cannot make it.
+        InputError: the loader refuses logs that it made.
     """
     if ask.simulator == 3:
         return _draw_third(ask)
@@ -59,15 +65,18 @@ def draw(ask: Ask) -> Drawn:
 
 
 def _draw_third(ask: Ask) -> Drawn:
-    case = draw_case(
-        ask.seed,
-        runs=ask.runs,
-        effect=ask.hidden,
-        size=ask.size or 1.0,
-        noise=ask.logs.noise,
-        outliers=ask.logs.outliers,
-        dwell=ask.logs.dwell,
-    )
+    try:
+        case = draw_case(
+            ask.seed,
+            runs=ask.runs,
+            effect=ask.hidden,
+            size=ask.size or 1.0,
+            noise=ask.logs.noise,
+            outliers=ask.logs.outliers,
+            dwell=ask.logs.dwell,
+        )
+    except ValueError as error:
+        raise CannotDrawError(str(error)) from None
     clean = []
     for log in case.logs:  # judged without its wild rows
         keep = ~log.wild.any(axis=1) if log.use == "test" else np.ones(len(log.wild), dtype=bool)
@@ -107,7 +116,10 @@ def _take_noise_off(case: ThirdCase, log: Log) -> Log:
 def _draw_twin(ask: Ask) -> Drawn:
     case = Case(ask.purpose, ask.hidden, ask.size, ask.runs + TEST_RUNS, ask.seed)
     recipe = make_recipe(case)
-    simulation = simulate(recipe)
+    try:
+        simulation = simulate(recipe)
+    except InputError as error:
+        raise CannotDrawError(str(error)) from None
     dataset = read_simulation(simulation)
     drifts = {run.name: run.drift for run in simulation.runs}
     test = dataset.train[ask.runs :]
@@ -133,8 +145,12 @@ def _draw_twin(ask: Ask) -> Drawn:
 def _draw_foreign(ask: Ask) -> Drawn:
     kind = {"one": "effect", "outside": "disturbance"}.get(ask.purpose, ask.purpose)
     recipe = foreign_case.Recipe(kind, ask.hidden, ask.size, ask.runs + TEST_RUNS, ask.seed)
+    try:
+        case = foreign_case.draw(recipe)
+    except RuntimeError as error:
+        raise CannotDrawError(str(error)) from None
     with tempfile.TemporaryDirectory() as folder:
-        config = load_config(files.write(foreign_case.draw(recipe), Path(folder)))
+        config = load_config(files.write(case, Path(folder)))
         dataset = load_dataset(config)
         told = json.loads((Path(folder) / "truth.json").read_text(encoding="utf-8"))
     runs = (*dataset.train, *dataset.test)

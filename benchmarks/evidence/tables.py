@@ -163,21 +163,30 @@ def list_staircase(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
+def is_failure(row: Row) -> bool:
+    """Return whether a case did not go as it should; of the loop, whether it ends otherwise."""
+    if not row.counts:
+        return False
+    if row.ask.condition == "loop":
+        return not row.steps or row.steps[-1].verdict != "complete"
+    return not row.right or row.refused_add or bool(row.failed)
+
+
 def list_failures(rows: Sequence[Row]) -> list[str]:
     """Return every case that did not go as it should, with what draws it again."""
     lines = []
-    for row in rows:
+    for row in filter(is_failure, rows):
         ask = row.ask
-        if not row.counts or (row.right and not row.refused_add and not row.failed):
-            continue
-        if ask.condition == "loop" and row.steps and row.steps[-1].verdict == "complete":
-            continue
         said = row.failed or (
             f"{row.verdict.upper()} {row.effect or ''} {'/'.join(row.lookalikes)} "
             f"nearest {row.nearest} floor {row.floor_before:.2f}->{row.floor_after:.2f}"
         )
         if row.refused_add:
             said += f"; ADD REFUSED: {row.reason}"
+        if row.truth_errors:
+            before, after = row.truth_errors
+            done = "keeps it" if row.truth_kept else "does not keep it"
+            said += f"; add {ask.hidden[0]} {done}, error {before:.2f} -> {after:.2f}"
         if row.steps:
             said += f"; with all that is hidden {row.reachable:.2f}"
         steps = " -> ".join(f"{s.added or 'base'} {s.error:.2f}" for s in row.steps)

@@ -21,6 +21,9 @@ from benchmarks.evidence.judge import Row, Step, run_case
 from benchmarks.evidence.sources import draw
 from benchmarks.evidence.store import Store, hash_code
 
+from zerodrift.base.errors import InputError
+from zerodrift.diagnosis.diagnose import diagnose
+
 
 def ask(**wanted) -> Ask:
     plain = Ask(3, "clean", "one", ("warm_up",), 3.0, 4, Condition(4, 4), 5)
@@ -97,6 +100,45 @@ def test_a_case_that_cannot_be_made_is_not_counted() -> None:
     row = run_case(ask(hidden=("crosstalk", "dark_current"), purpose="pair"))
     assert "no family has all of" in row.impossible
     assert not row.counts
+
+
+def test_logs_that_the_loader_refuses_count_as_a_failure(monkeypatch) -> None:
+    def refuse(one: Ask) -> None:
+        raise InputError("train_1.csv and train_2.csv hold the same measurements")
+
+    monkeypatch.setattr("benchmarks.evidence.judge.draw", refuse)
+    row = run_case(ask())
+    assert row.counts
+    assert not row.right
+    (told,) = tables.list_failures([row])
+    assert "hold the same measurements" in told
+    assert "errors 1" in tables.list_conditions([row])[0]
+
+
+def test_an_effect_that_was_not_named_is_added_all_the_same(monkeypatch) -> None:
+    def say_nothing(*given):
+        return replace(diagnose(*given), verdict="unknown", effect=None, lookalikes=())
+
+    case = ask(hidden=("supply_sensitivity",), size=10.0, runs=6)
+    assert run_case(case).truth_errors == ()
+    monkeypatch.setattr("benchmarks.evidence.judge.diagnose", say_nothing)
+    row = run_case(case)
+    assert row.truth_kept
+    before, after = row.truth_errors
+    assert before > 5.0 > 2.0 > after
+    assert "add supply_sensitivity keeps it, error" in tables.list_failures([row])[0]
+
+
+def test_what_went_wrong_is_run_again_on_the_code_as_it_is(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(store_module, "HOME", tmp_path)
+    monkeypatch.setattr(command, "HOME", tmp_path)
+    old = Store(tmp_path / "old" / "outcomes.jsonl")
+    old.append(Row(ask(), verdict="missing", effect="warm_up"))
+    old.append(Row(ask(seed=6), verdict="unknown"))
+    ran = []
+    monkeypatch.setattr(command, "work", lambda asks, *_: bool(ran.extend(asks) or True))
+    assert command.main(["again", "--version", "old"]) == 0
+    assert ran == [ask(seed=6)]
 
 
 def test_outcomes_are_read_back_and_not_run_again(tmp_path, monkeypatch, capsys) -> None:
