@@ -7,26 +7,23 @@ Times are the least of the repeats; peak memory is what a process holds at most 
 after its imports, over the columns' size as float64.
 """
 
-import json
-import resource
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
+from benchmarks.readers import POLARS, Limits, measure, print_table, run_here, take_turns
 from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.open_log import list_columns
 
 COLUMNS = ("temperature_degC", "Fx_N", "Fy_N", "Fz_N")
-READERS = ("polars", "zerodrift")
+READERS = (POLARS, "zerodrift")
+MODULE = "benchmarks.bench_text"
 REPEATS = 3
-TIME_LIMIT = 4.0
-MEMORY_LIMIT = 3.0
+LIMITS = Limits(time=4.0, memory=3.0)
 START_US = 1_700_000_000_000_000
 CHUNK = 500_000
 
@@ -35,27 +32,10 @@ def main(quick: bool) -> None:
     """Print rows, times and peak memory of each reader; `quick` reads a tenth of the rows."""
     rows = 1_000_000 if quick else 10_000_000
     with tempfile.TemporaryDirectory() as folder:
-        run_here("write", Path(folder), str(rows))
-        runs = [json.loads(run_here(name, Path(folder))) for name in READERS * REPEATS]
+        run_here(MODULE, "write", Path(folder), str(rows))
+        readings = take_turns(MODULE, READERS, REPEATS, Path(folder))
     print(f"{rows} simulated rows of {1 + len(COLUMNS)} columns")
-    print(f"{'reader':<10}{'seconds':>10}{'x Polars':>10}{'peak x data':>13}")
-    seconds = {name: min(r["seconds"] for r in runs if r["reader"] == name) for name in READERS}
-    memory = {name: max(r["memory"] for r in runs if r["reader"] == name) for name in READERS}
-    for name in READERS:
-        ratio = seconds[name] / seconds["polars"]
-        print(f"{name:<10}{seconds[name]:>10.2f}{ratio:>10.2f}{memory[name]:>13.2f}")
-    if quick:  # the limits are for long logs, beside which what a process holds anyway is little
-        return
-    good = seconds["zerodrift"] <= TIME_LIMIT * seconds["polars"]
-    good &= memory["zerodrift"] <= MEMORY_LIMIT
-    verdict = "met" if good else "MISSED"
-    print(f"limits: {TIME_LIMIT:g} x Polars, {MEMORY_LIMIT:g} x data: {verdict}")
-
-
-def run_here(*arguments: str | Path) -> str:
-    """Run this file in a fresh process and return what it printed."""
-    command = [sys.executable, __file__, *map(str, arguments)]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    print_table(readings, LIMITS, judge=not quick)
 
 
 def write_logs(directory: Path, rows: int) -> None:
@@ -87,20 +67,17 @@ def write_logs(directory: Path, rows: int) -> None:
     )
 
 
-def measure(reader: str, directory: Path) -> dict[str, float | str]:
-    """Read the log in this process; return seconds and peak memory over the data's size."""
+def read_here(reader: str, directory: Path) -> str:
+    """Read the log in this process; return what it took."""
     config = load_config(directory)
     columns = list(list_columns(config))
-    held = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    start_s = time.perf_counter()
-    if reader == "polars":
-        rows = pl.scan_csv(directory / "plain.csv").select(columns).collect().height
-    else:
-        rows = sum(len(run) for run in load_dataset(config).train)
-    seconds = time.perf_counter() - start_s
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - held
-    share = peak * 1024 / (8 * rows * len(columns))
-    return {"reader": reader, "seconds": seconds, "memory": share}
+
+    def read() -> int:
+        if reader == POLARS:
+            return pl.scan_csv(directory / "plain.csv").select(columns).collect().height
+        return sum(len(run) for run in load_dataset(config).train)
+
+    return measure(reader, read, len(columns))
 
 
 if __name__ == "__main__":
@@ -109,4 +86,4 @@ if __name__ == "__main__":
     elif sys.argv[1] == "write":
         write_logs(Path(sys.argv[2]), int(sys.argv[3]))
     else:
-        print(json.dumps(measure(sys.argv[1], Path(sys.argv[2]))))
+        print(read_here(sys.argv[1], Path(sys.argv[2])))

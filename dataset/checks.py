@@ -9,6 +9,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.tables import LogTable
+from zerodrift.dataset.times import write_local
 from zerodrift.dataset.units import read_unit
 
 Mask = NDArray[np.bool_]
@@ -21,6 +22,7 @@ COLDEST_DEGC = -200.0
 HOTTEST_DEGC = 500.0
 LARGEST = 1e30
 """No measured value is larger, in any unit; powers of it stay finite in double precision."""
+HOUR_S = 3600.0
 SKIP = "or pass --skip-invalid to drop"
 
 
@@ -165,10 +167,18 @@ def check_time(table: LogTable, column: str, start: int, stop: int) -> None:
             "Write the time with more digits, select one unit of several by [logs] where, "
             f"{SKIP} {rows} not move on."
         )
+    is_local = table.clock is not None and table.clock.kind == "local"
+    told = [write_local(time) if is_local else f"{time:.10g}" for time in (before, now)]
+    hint = ""
+    if is_local and before - now <= HOUR_S:
+        hint = (
+            " If the clock was put back here in autumn, say where it stood: [sensor] time = "
+            f'{{ column = "{column}", zone = "Europe/Berlin" }}.'
+        )
     raise InputError(
-        f"{place.text}: {column} goes back from {before:.10g} to {now:.10g} s; expected rising "
-        "times within a run. If a new run begins here, split the file or add a `run` column; if "
-        f"a counter wrapped, unwrap it; {SKIP} {rows} not move on."
+        f"{place.text}: {column} goes back from {told[0]} to {told[1]}{'' if is_local else ' s'}; "
+        f"expected rising times within a run.{hint} If a new run begins here, split the file or add"
+        f" a `run` column; if a counter wrapped, unwrap it; {SKIP} {rows} not move on."
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from zerodrift.base.clock_config import TIME_UNITS, TimeConfig
 from zerodrift.base.config import MAX_OUTPUTS
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.checks import COLDEST_DEGC, HOTTEST_DEGC
 from zerodrift.dataset.guess_inputs import choose_codes, choose_inputs, write_column
 from zerodrift.dataset.guess_runs import LogFiles, SurveyedFile, choose_runs, find_runs
 from zerodrift.dataset.join import UNIX_S, propose_zone
@@ -141,6 +142,17 @@ def guess_project(
     unit = thermometers[0][1].column.unit
     if unit in ("degF", "K"):
         checks.append(f"'{temperature}' seems to be in {unit}, and is converted to degC")
+    column = thermometers[0][1].column
+    checks += _tell_contradictions(files)
+    if unit not in ("degF", "K") and not COLDEST_DEGC <= column.low <= column.high <= HOTTEST_DEGC:
+        alternatives["temperature"] = (
+            *alternatives.get("temperature", ()),
+            f'{{ column = "{temperature}", scale = 0.01, unit = "degC" }}',
+        )
+        checks.append(
+            f"'{temperature}' is {column.low:g} to {column.high:g}, which is no temperature in degC"
+            ": state what one is worth by scale, or its conversion"
+        )
     used = {temperature, *inputs.values(), *(output.measured for output in outputs)}
     used |= {output.reference for output in outputs if isinstance(output.reference, str)}
     period = _choose_period(files, used, period_s, alternatives, checks)
@@ -179,6 +191,17 @@ def guess_project(
             [*inputs.items(), ("temperature", temperature)], [run.files for run in runs]
         ),
     )
+
+
+def _tell_contradictions(files: Sequence[SurveyedFile]) -> list[str]:
+    """Return what is said of columns whose names and rows of units state different units."""
+    return [
+        f"'{column.name}' is in {column.unit} by the row of units and in "
+        f"{read_unit(column.name)} by its name; taken as {column.unit}"
+        for file in files
+        for column in file.survey.columns
+        if column.unit and read_unit(column.name) not in ("", column.unit)
+    ]
 
 
 def _name_sensor(logs: Sequence[LogFiles]) -> str:

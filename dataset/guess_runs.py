@@ -172,6 +172,7 @@ def choose_runs(
     first = good[int(np.argmax(counts))]
     alike = [run for run in good if wanted[first.log] <= run.names()]
     told = []
+    others = [run for run in good if run not in alike]
     scaled = _find_other_scale(alike)
     if scaled:
         alike = [run for run in alike if run not in scaled]
@@ -182,7 +183,7 @@ def choose_runs(
             f"{names} (in {where}) left out: a value that hardly moves is another there by powers "
             "of ten, as in another unit"
         )
-    if others := [run for run in good if run not in alike]:
+    if others:
         names = ", ".join(
             f"{run.log.path.name} ({', '.join(sorted(wanted[run.log] - first.names()))})"
             for run in others
@@ -248,7 +249,14 @@ def _explain_lacks(run: FoundRun, period_s: float | None) -> str:
         "a thermometer": "name one such as temperature_degC, or add the file that has it",
         "a quantity that drifts": "name one with its unit, such as Fz_N, or add the file with it",
     }
-    seen = "; ".join(_tell_column(file, role) for file in run.files for role in file.roles)
+    columns = [_tell_column(file, role) for file in run.files for role in file.roles]
+    columns += [
+        f"{name} '{values[0][:24]}' and more text"
+        for file in run.files
+        for name, values in file.survey.texts.items()
+        if values
+    ]
+    seen = "; ".join(columns)
     found = "; ".join(told[lack] for lack in lacks)
     if any(RAW_THERMOMETER in role.why for file in run.files for role in file.roles):
         remedies["a thermometer"] += (

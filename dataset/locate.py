@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass
 
-import polars as pl
-
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.tables import PARSER_ERRORS, Source, mend_source
+from zerodrift.dataset.tables import PARSER_ERRORS, Source, mend_source, write_text
 from zerodrift.dataset.text_format import list_lines
 
 
@@ -27,7 +25,9 @@ def locate_row(source: Source, position: int) -> RowPlace:
             quoted so that the lines cannot be told apart.
     """
     try:
-        found = source.scan().slice(position, 1).select(pl.all().cast(pl.String)).collect()
+        frame = source.scan().slice(position, 1)
+        names = frame.collect_schema().names()
+        found = frame.select(write_text(name, frame) for name in names).collect()
     except PARSER_ERRORS as error:
         return locate_row(mend_source(source, error), position)
     if found.is_empty():

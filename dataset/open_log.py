@@ -21,6 +21,7 @@ from zerodrift.dataset.joined_couples import convert_joined
 from zerodrift.dataset.locate import find_blank_rows, locate_row
 from zerodrift.dataset.logs import read_log
 from zerodrift.dataset.selectors import Selection
+from zerodrift.dataset.stated_units import refuse_contradictions
 from zerodrift.dataset.tables import LogTable, label_log
 
 
@@ -79,6 +80,7 @@ def open_log(
     tables = read_log(config, selection.files, needed, streamed, keep_logged=columns is not None)
     for table in tables:
         notes += table.source.notes
+        refuse_contradictions(config, table.source)
         _keep_selected_runs(table, selection)
         _check_values(config, table, skip_invalid, notes, holes=columns is not None)
         spans = _split_runs(config, table, skip_invalid, notes)

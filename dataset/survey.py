@@ -10,7 +10,13 @@ import polars as pl
 from zerodrift.base.clock_config import TIME_UNITS, TimeConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Array
-from zerodrift.dataset.tables import PARSER_ERRORS, RUN_COLUMN, Source, mend_source
+from zerodrift.dataset.tables import (
+    PARSER_ERRORS,
+    RUN_COLUMN,
+    Source,
+    mend_source,
+    write_text,
+)
 from zerodrift.dataset.text_format import UNNAMED
 from zerodrift.dataset.time_units import guess_time_unit, read_time_unit
 from zerodrift.dataset.times import (
@@ -96,10 +102,24 @@ class Survey:
 
 
 TIME_NAMES = ("time_s", "t_s", "elapsed_s", "time", "t", "elapsed", "seconds", "timestamp_s")
-TIME_WORDS = {"time", "timestamp", "elapsed", "zeit", "datetime", "date", "datum", "temps", "hora"}
+TIME_WORDS = {
+    "time",
+    "timestamp",
+    "elapsed",
+    "zeit",
+    "datetime",
+    "date",
+    "datum",
+    "temps",
+    "hora",
+    "ts",
+}
 CLOCK_WORDS = {"clock", "unix", "epoch", "utc"}
-UNIT_WORDS = {"t", "millis", "micros", "nanos", "minutes", "hours"}
+UNIT_WORDS = {"t", "sec", "secs", "millis", "micros", "nanos", "minutes", "hours"}
 """With a unit of time these are the time; alone `t` may be a temperature."""
+UNIX_S = (1e9, 4e9)
+"""Numbers of this size, or 10**3, 10**6 or 10**9 times as large, that rise from row to row may be
+Unix times by whatever name: 2001 to 2096."""
 
 
 def survey_source(source: Source) -> Survey:
@@ -179,7 +199,7 @@ def _measure(
     columns = [
         SurveyedColumn(
             name,
-            normalise_unit(source.units.get(name, "")) or read_unit(name),
+            normalise_unit(source.units.get(name, ""), name) or read_unit(name),
             float(found[f"{i} low"]),
             float(found[f"{i} high"]),
             float(found[f"{i} median"]),
@@ -196,7 +216,8 @@ def _measure(
 
 def list_values(source: Source, column: str) -> tuple[str, ...]:
     """Return the different values of a column of text, in the order of appearance."""
-    values = source.scan().select(pl.col(column).cast(pl.String).unique(maintain_order=True))
+    frame = source.scan()
+    values = frame.select(write_text(column, frame).unique(maintain_order=True))
     return tuple(values.collect().to_series().drop_nulls())
 
 
@@ -215,10 +236,16 @@ def _find_times(
     loose = [name for name in numbers if words(name) & TIME_WORDS]
     loose += [name for name in numbers if read_time_unit(name) and words(name) & UNIT_WORDS]
     candidates = [*named, *(name for name in loose if name not in clocks), *clocks]
+    if not candidates:
+        candidates = [c.name for c in columns if c.rises and _may_be_unix(c.low)][:1]
     if source.text is not None and source.text.header_line == 0:
         # Without names, what rises from row to row, unlike a counter of rows by more than one.
         candidates = [column.name for column in columns if column.rises and column.low != 1][:1]
     return _read_times(source, TimeConfig((candidates[0],)), ()) if candidates else None
+
+
+def _may_be_unix(value: float) -> bool:
+    return any(UNIX_S[0] * per <= value <= UNIX_S[1] * per for per in (1.0, 1e3, 1e6, 1e9))
 
 
 def _list_texts(
@@ -298,6 +325,12 @@ def _read_times(
         return None
     found = Times(config, alternatives, clock, seconds)
     if clock.kind == "number" and not read_time_unit(config.columns[0]):
+        written = source.units.get(config.columns[0], "").strip()
+        if written in TIME_UNITS and written != "s":  # by the row of units, or the format
+            stated = TimeConfig(config.columns, unit=written)
+            return Times(stated, (), clock, seconds * TIME_UNITS[written])
+        if written in TIME_UNITS:
+            return found
         unit = guess_time_unit(float(seconds[0]), found.period_s)
         if unit:
             stated = TimeConfig(config.columns, unit=unit)

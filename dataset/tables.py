@@ -183,6 +183,16 @@ class LogTable:
         return row if self.kept is None else int(self.kept[row])
 
 
+def write_text(column: str, frame: pl.LazyFrame) -> pl.Expr:
+    """Return a column as text; null where it holds what has no text, such as lists or bytes."""
+    dtype, value = frame.collect_schema()[column], pl.col(column)
+    if dtype == pl.Duration:
+        return (value.dt.total_microseconds() / 1e6).cast(pl.String)
+    if dtype.is_nested() or dtype in (pl.Binary, pl.Object):
+        return pl.lit(None, dtype=pl.String).alias(column)
+    return value.cast(pl.String)
+
+
 def label_log(path: Path, directory: Path) -> str:
     """Return how messages name a log: relative to the project where it lies within."""
     return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)

@@ -32,6 +32,9 @@ UNITS = {unit.lower(): unit for unit in PLAIN_UNITS} | {
 }
 
 
+_THERMAL = re.compile(
+    r"temp(?!(erature)?[ _]?co)|therm|oven|chamber|ambient|room|(^|[^a-z])t[0-9]*$", re.IGNORECASE
+)
 _WRITTEN = r"[A-Za-z0-9%°µμΩ/²]"
 """What units are written with."""
 
@@ -45,12 +48,21 @@ def are_alike(one: str, other: str) -> bool:
 def read_unit(name: str) -> str:
     """Return the unit that a column's name ends in (`Fz_N`, `Fz [N]`), or an empty string."""
     match = re.search(rf"(?:_|[\[(])({_WRITTEN}+)[\])]?$", name.strip())
-    return UNITS.get(match.group(1).lower(), "") if match else ""
+    return normalise_unit(match.group(1), name[: match.start()], "") if match else ""
 
 
-def normalise_unit(text: str) -> str:
-    """Return a unit by the name that zerodrift has for it, or as it is written."""
-    return UNITS.get(text.strip().lower(), text.strip())
+def normalise_unit(text: str, name: str = "", unknown: str | None = None) -> str:
+    """Return a unit by the name that zerodrift has for it.
+
+    Args:
+        text: as it is written.
+        name: what it is the unit of: F is degF of a temperature, and else nothing that is known.
+        unknown: returned for a unit that is not known; None: as it is written.
+    """
+    bare = text.strip()
+    if bare.upper() == "F" and _THERMAL.search(name):
+        return "degF"
+    return UNITS.get(bare.lower(), bare if unknown is None else unknown)
 
 
 def strip_unit(name: str) -> str:

@@ -22,16 +22,27 @@ def read(path: Path) -> Iterable[FormatTable]:
         rows = workbook.get_sheet_by_name(name).to_python(skip_empty_area=False)
         if len(rows) < 2:
             continue
+        dated = {
+            number
+            for row in rows
+            for number, cell in enumerate(row)
+            if isinstance(cell, datetime.datetime)
+        }
         target = _folder() / f"{next(_NUMBERS)}.tsv"
         with target.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, delimiter="\t", lineterminator="\n")
             for row in rows:
-                writer.writerow([_write(cell) for cell in row])
+                writer.writerow([_write(cell, k in dated) for k, cell in enumerate(row)])
         yield FormatTable(name, None, text=target)
 
 
-def _write(cell: object) -> str:
-    """Return a cell as text that is read as the same value."""
+def _write(cell: object, is_dated: bool) -> str:
+    """Return a cell as text that is read as the same value.
+
+    In a column of dates and times midnight is a date without one.
+    """
+    if is_dated and isinstance(cell, datetime.date) and not isinstance(cell, datetime.datetime):
+        return f"{cell.isoformat()}T00:00:00"
     if isinstance(cell, datetime.datetime):
         return cell.isoformat(sep="T")
     if isinstance(cell, datetime.timedelta):

@@ -29,6 +29,7 @@ FORMATS = {
     (".ulg",): Format("ULog", "ulog", ("pyulog",)),
     (".bin",): Format("an ArduPilot log", "ardupilot", ("pymavlink",)),
 }
+_SHOWN = 6
 FORMAT_SUFFIXES = tuple(suffix for suffixes in FORMATS for suffix in suffixes)
 
 
@@ -59,7 +60,7 @@ def read_tables(path: Path, label: str, known: Format) -> list[FormatTable]:
         ) from error
     read: Callable[[Path], Iterable[FormatTable]] = module.read
     try:
-        tables = [table for table in read(path) if table.holds_rows]
+        found = [table for table in read(path) if table.holds_rows]
     except InputError:
         raise
     except Exception as error:
@@ -68,9 +69,13 @@ def read_tables(path: Path, label: str, known: Format) -> list[FormatTable]:
             f"{label}: cannot be read as {known.name} ({reason[:200]}); expected a whole file. "
             "Copy it again, or export the log as CSV."
         ) from error
+    tables = [table for table in found if table.holds_numbers]
     if not tables:
+        bare = ", ".join(table.name for table in found[:_SHOWN])
+        told = f" (found: {bare}, without a number in it)" if bare else ""
         raise InputError(
-            f"{label}: {known.name} without a table that has numbers; expected rows of numbers and "
-            "their times. Record the log again, or take it out of [logs]."
+            f"{label}: {known.name} without a table that has numbers{told}; expected rows of "
+            "numbers and their times, such as a topic of wrenches. Record the log again, or take it"
+            " out of [logs]."
         )
     return tables

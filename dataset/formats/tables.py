@@ -29,6 +29,11 @@ class FormatTable:
         """Tell whether there is anything to read."""
         return self.text is not None or (self.frame is not None and self.frame.height > 0)
 
+    @property
+    def holds_numbers(self) -> bool:
+        """Tell whether there is anything beside times."""
+        return self.frame is None or any(name != TIME for name in self.frame.columns)
+
 
 class Recorder:
     """Messages of one topic, field by field, as columns."""

@@ -110,7 +110,7 @@ def _upgrade(directory: Path, as_json: bool) -> None:
 def ask(guess: Guess) -> Guess:
     """Return the guess with what the user chose wherever there is a choice."""
     click.echo("\n".join(render_seen(guess.seen)))
-    others = guess.alternatives.get("temperature", ())
+    others = tuple(n for n in guess.alternatives.get("temperature", ()) if n[:1] != "{")
     alternatives = dict(guess.alternatives)
     if others:
         names = (guess.temperature, *others)
@@ -119,7 +119,7 @@ def ask(guess: Guess) -> Guess:
         if chosen != guess.temperature:
             inputs["thermometer"] = guess.temperature
         guess = replace(guess, temperature=chosen, inputs=inputs)
-        alternatives.pop("temperature")
+        alternatives.pop("temperature", None)
     outputs = []
     for output in guess.outputs:
         if len(guess.outputs) > 1 and not click.confirm(
