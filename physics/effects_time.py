@@ -1,4 +1,4 @@
-"""Effects of time itself: warm-up after power-on, ageing."""
+"""Effects of time itself: warm-up and bias after power-on, ageing."""
 
 import math
 from collections.abc import Sequence
@@ -41,6 +41,62 @@ register(
         "second and not taring.",
         cure="Less LED current, pulsed operation, a warm-up time before taring.",
         source="load-cell and photo-coupler practice: warm-up time 1 to 20 min",
+    )
+)
+
+
+def build_turn_on_bias(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
+    """Return the zero read at power-on, and for `decays` = 1 what has decayed of it since."""
+    bias = signals.channels["turn_on"]
+    if not p["decays"]:
+        return (Feature("zero at power-on", bias, "1"),)
+    halvings = ops.affine(signals.elapsed_s, -1.0 / (p["tau_s"] * math.log(2.0)), 0.0)
+    left = ops.product(bias, ops.exp2(halvings))
+    return (Feature("zero at power-on", bias, "1"), Feature("what is left of it", left, "1"))
+
+
+register(
+    Effect(
+        kind="turn_on_bias",
+        title="turn-on bias, repeatability of the zero from power-on to power-on",
+        build=build_turn_on_bias,
+        parameters=(
+            Parameter(
+                "decays",
+                "1",
+                0,
+                1,
+                (0, 1),
+                scale="linear",
+                default=0,
+                choices=(0, 1),
+                meaning="0: it stays as it is; 1: a part of it decays",
+            ),
+            Parameter(
+                "tau_s",
+                "s",
+                5.0,
+                7200.0,
+                (60.0, 1200.0),
+                source="settling of inertial sensors after power-on: 1 to 20 min",
+                meaning="time constant of the decay",
+                when={"decays": 1},
+            ),
+        ),
+        needs=("elapsed", "turn_on"),
+        physics="Stress, charge and the state of a feedback loop settle a little differently at "
+        "every power-on, so that each one draws a zero of its own, which stays or fades. Nobody "
+        "can know it beforehand; what is read at power-on, at rest and unloaded, tells it.",
+        equation="drift = k z0  [+ kd z0 exp(-t/tau)], z0 the input `turn_on`: the zero read at "
+        "power-on",
+        fingerprint="Each run has an offset of its own, drawn anew at power-on whatever the "
+        "temperature, the same from the first row to the last or fading from then on.",
+        provoke="Ten times power-off and power-on at one temperature, at rest and unloaded, from "
+        "the first second and not tared; log the mean of the first seconds as `turn_on`, the "
+        "same number in all rows of a run.",
+        cure="Tare after power-on where the load allows it; keep the power on.",
+        source="IEEE Std 528-2019: turn-on to turn-on repeatability of the bias; IEEE Std 952-1997",
+        variants=({"decays": 0}, {"decays": 1}),
     )
 )
 

@@ -11,7 +11,7 @@ READING_ORDER = (
     *("zero_tempco", "dark_current", "span_tempco", "thermal_lag", "thermal_gradient", "warm_up"),
     *("thermal_hysteresis", "creep", "load_hysteresis", "load_nonlinearity", "crosstalk"),
     *("supply_sensitivity", "excitation_heating", "humidity", "ambient_light"),
-    *("barometric_pressure", "inertial_load", "ageing"),
+    *("barometric_pressure", "inertial_load", "turn_on_bias", "ageing"),
     *("clock_delay", "adc_saturation"),
 )
 """The order of the catalogue for readers; that of the modules is the order of acting."""

@@ -68,6 +68,7 @@ def draw_run(name: str, seed: int, length: int = 3000, period_s: float = 1.0) ->
             "humidity": wander(30.0, 80.0, 5),
             "ambient_light": np.maximum(step(400.0), 0.0),
             "pressure": 1013.0 + step(8.0),
+            "turn_on": np.full(length, 0.5 + rng.normal()),
             "acceleration_x": step(9.81),
             "acceleration_z": 9.81 + step(2.0),
             "body_temperature": wander(14.0, 46.0, 9),

@@ -9,6 +9,7 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.diagnosis.candidates import propose
 from zerodrift.diagnosis.case import open_case
+from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.catalogue import load_catalogue, register
 from zerodrift.physics.effect import Effect, Feature, Parameter, Signals
@@ -22,13 +23,13 @@ CONTRACT = [
     *("warm_up", "thermal_hysteresis", "creep", "load_hysteresis", "load_nonlinearity"),
     *("crosstalk", "supply_sensitivity", "humidity", "ambient_light", "inertial_load"),
     *("ageing", "clock_delay", "adc_saturation"),
-    *("excitation_heating", "barometric_pressure"),
+    *("excitation_heating", "barometric_pressure", "turn_on_bias"),
 ]
 
 
 def draw_signals(length=200):
     rng = np.random.default_rng(0)
-    channels = ["supply", "humidity", "ambient_light", "pressure"]
+    channels = ["supply", "humidity", "ambient_light", "pressure", "turn_on"]
     channels += ["acceleration_x", "acceleration_y", "acceleration_z"]
     return Signals(
         temperature_degC=25.0 + rng.normal(size=length).cumsum() * 0.2,
@@ -324,6 +325,7 @@ def test_heat_comes_from_the_power_where_it_is_logged_and_from_the_supply_otherw
         ("humidity", {"of_span": 1}, ["moisture", "moisture x Fz", "moisture x Mx"]),
         ("zero_tempco", {"order": 5}, ["T - T0", *(f"(T - T0)^{n}" for n in (2, 3, 4, 5))]),
         ("barometric_pressure", {}, ["air pressure"]),
+        ("turn_on_bias", {"decays": 1}, ["zero at power-on", "what is left of it"]),
     ],
 )
 def test_options_have_the_columns_that_their_equations_say(kind, choices, names):
@@ -342,3 +344,42 @@ def test_a_slow_zero_shift_is_tried_once_the_lag_is_known():
 
     assert list_lags("zero_tempco") == [{"time_constants": 1}, {"time_constants": 2}]
     assert list_lags("zero_tempco", LAG) == [{"time_constants": 2}, {"own_terms": 1}]
+
+
+def make_turned_on(decays):
+    """Untared logs, each from a power-on that drew a zero of its own."""
+    rng = np.random.default_rng(31)
+    dataset = make_dataset(linear, runs=8, length=400, tared=False)
+    train = []
+    for run in dataset.train:
+        drawn = rng.normal()
+        elapsed = run.time_s - run.time_s[0]
+        share = 0.3 + 0.7 * np.exp(-elapsed / 200.0) if decays else np.ones_like(elapsed)
+        bias = drawn * share[:, None] * np.array([9.0, 0.07])
+        read = drawn * 9.0 + 0.1 * rng.normal()
+        inputs = {**run.inputs, "turn_on": np.full(len(run), read)}
+        train.append(replace(run, measured=run.measured + bias, inputs=inputs))
+    still = tuple(
+        replace(run, inputs={**run.inputs, "turn_on": np.zeros(len(run))}) for run in dataset.dwell
+    )
+    return replace(dataset, train=tuple(train), dwell=still)
+
+
+@pytest.mark.parametrize("decays", [False, True])
+def test_a_zero_drawn_at_power_on_is_named_where_it_was_logged(decays):
+    dataset = make_turned_on(decays)
+    found = diagnose([EffectConfig("zero_tempco")], dataset)
+    assert (found.verdict, found.effect) == ("missing", "turn_on_bias")
+    assert found.parameters.get("decays", 0) == decays
+    if decays:
+        assert found.parameters["tau_s"] == pytest.approx(200.0, rel=0.1)
+    unlogged = replace(
+        dataset,
+        train=tuple(
+            replace(run, inputs={n: x for n, x in run.inputs.items() if n != "turn_on"})
+            for run in dataset.train
+        ),
+    )
+    blind = diagnose([EffectConfig("zero_tempco")], unlogged)
+    assert blind.effect is None
+    assert "turn_on_bias" in {one.effect for one in blind.not_testable}
