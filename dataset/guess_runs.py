@@ -10,7 +10,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.dataset.roles import OUTPUT, RAW_THERMOMETER, STEADY, TEMPERATURE, Role, assign_roles
 from zerodrift.dataset.selectors import LOG_SUFFIXES, list_files, order_path
 from zerodrift.dataset.sources import open_sources
-from zerodrift.dataset.survey import Survey, survey_source
+from zerodrift.dataset.survey import Survey, survey_source, write_range
 
 
 @dataclass(frozen=True)
@@ -273,4 +273,5 @@ def _explain_lacks(run: FoundRun, period_s: float | None) -> str:
 def _tell_column(file: SurveyedFile, role: Role) -> str:
     column = role.column
     unit = f" {column.unit}" if column.unit else ""
-    return f"{column.name} {column.low:g} to {column.high:g}{unit} ({role.role}: {role.why})"
+    span = write_range(column.low, column.high)
+    return f"{column.name} {span}{unit} ({role.role}: {role.why})"

@@ -157,6 +157,17 @@ def _survey(source: Source) -> Survey:
     )
 
 
+def write_range(low: float, high: float) -> str:
+    """Return `low to high` with the digits that tell one from the other, Unix times too."""
+    apart, largest = abs(high - low), max(abs(low), abs(high))
+    digits = 6
+    if apart > 0 and np.isfinite(largest):
+        needed = int(np.ceil(np.log10(largest / apart))) + 4
+        if needed > digits:
+            digits = min(max(needed, int(np.log10(max(largest, 1.0))) + 1), 16)
+    return f"{low:.{digits}g} to {high:.{digits}g}"
+
+
 def words(name: str) -> set[str]:
     """Return the words of a column's name, in lower case."""
     return {word.lower() for word in re.split(r"[^A-Za-z0-9]+", name) if word}

@@ -12,6 +12,7 @@ from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.guess import guess_project
 from zerodrift.dataset.load import load_dataset
+from zerodrift.dataset.survey import write_range
 from zerodrift.dataset.units import read_unit
 
 COUNT = 200
@@ -182,3 +183,20 @@ def test_a_row_of_units_says_what_times_count(tmp_path: Path) -> None:
     log.write_text(log.read_text().replace("F_N\n", "F_N\nms,degC,N\n", 1))
     guess = guess_project([log])
     assert (guess.time.unit, guess.sample_period_s) == ("ms", 0.5)
+
+
+@pytest.mark.parametrize(
+    ("ends", "told"),
+    [
+        ((1_700_000_000, 1_700_000_400), "1700000000 to 1700000400"),
+        ((1_700_000_000_000, 1_700_000_400_000), "1700000000000 to 1700000400000"),
+        ((10000103.5, 10000297.0), "10000103.5 to 10000297"),
+        ((17.0001, 32.9999), "17.0001 to 32.9999"),
+        ((5.0, 5.0), "5 to 5"),
+        ((0.0, 0.0), "0 to 0"),
+    ],
+)
+def test_a_range_has_the_digits_that_tell_its_ends_apart(
+    ends: tuple[float, float], told: str
+) -> None:
+    assert write_range(*ends) == told

@@ -13,6 +13,7 @@ from zerodrift.dataset.design_codes import DESIGN_FORMAT
 from zerodrift.dataset.guess import Guess, GuessedOutput, SeenColumn
 from zerodrift.dataset.guess_runs import LogFiles
 from zerodrift.dataset.selectors import JOINT
+from zerodrift.dataset.survey import write_range
 
 
 def write_config(guess: Guess, selectors: Mapping[str, Sequence[str]]) -> str:
@@ -75,7 +76,8 @@ def render_seen(seen: Sequence[SeenColumn]) -> list[str]:
     several = len({column.file for column in seen}) > 1
     for column in seen:
         name = f"{column.file}: {column.column}" if several else column.column
-        span = "" if column.low is None else f"{column.low:.6g} to {column.high:.6g}"
+        low, high = column.low, column.high
+        span = "" if low is None or high is None else write_range(low, high)
         rows.append((name, column.role, column.unit or "-", span, column.why))
     widths = [max(len(row[k]) for row in rows) for k in range(4)]
     return [
