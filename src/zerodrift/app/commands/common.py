@@ -94,7 +94,7 @@ def sensor_option(function: Command) -> Command:
         "--sensor",
         default=None,
         metavar="NAME",
-        help="A unit of a fleet ([fleet]): its logs, and the model that `fleet` made of them.",
+        help="One unit of a fleet ([fleet]): its logs, its model, its C.",
     )(function)
 
 

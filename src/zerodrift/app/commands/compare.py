@@ -69,9 +69,9 @@ def command(
     as_json: bool,
     skip_invalid: bool,
 ) -> None:
-    """Hold the model against the measurements, run by run and output by output.
+    """Compare the model with the measurements, run by run and output by output.
 
-    Errors are told on data that the model did not learn from: the test logs, or each training run
+    Errors are those on data that the model did not learn from: the test logs, or each training run
     in turn. Then it says where the model fails: under which conditions the squared error is
     concentrated, found by a scan and checked on runs left out, and the worst segments of time.
     """

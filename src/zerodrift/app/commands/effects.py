@@ -38,7 +38,7 @@ WIDTH = 88
 )
 @json_option
 def command(name: str | None, directory: Path, html: Path | None, as_json: bool) -> None:
-    """List the effects, or with NAME tell all about one.
+    """List the effects; with NAME, describe one.
 
     Equation, parameters with units and bounds, what it looks like, how to provoke it, what to do
     about it in hardware, and the source.

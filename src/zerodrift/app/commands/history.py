@@ -46,7 +46,7 @@ def draw_bar(ratio: float, largest: float, width: int = BAR_WIDTH) -> str:
     type=click.IntRange(0),
     default=None,
     metavar="N",
-    help="Write the effects of step N into zerodrift.toml again; all else there stays.",
+    help="Write the effects of step N back into zerodrift.toml; the rest of the file stays.",
 )
 @json_option
 def command(

@@ -69,24 +69,24 @@ class RecordOptions:
 @click.option(
     "--hold",
     type=click.FloatRange(0.001, 864_000.0),
-    help="How long a value of CAN or MQTT counts where no newer one came (default: 5 periods).",
+    help="How long a CAN or MQTT value counts without a newer one (default: 5 periods).",
 )
 @click.option("--seconds", type=click.FloatRange(0.1), help="End after so long.")
 @click.option(
     "--log", type=click.IntRange(1), help="Which log of the last plan this is (default: the first)."
 )
-@click.option("--until-enough", is_flag=True, help="End once all that is wanted is covered.")
+@click.option("--until-enough", is_flag=True, help="End once everything wanted is covered.")
 @click.option(
     "--recover",
     "recover_file",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="End a recording that was cut off, and nothing else.",
+    help="Finish the file of a recording that was cut off.",
 )
 @json_option
 @packed(RecordOptions)
 def command(source: str | None, directory: Path, as_json: bool, options: RecordOptions) -> None:
-    """Record a log from SOURCE, showing what it covers and what is still to come.
+    """Record a log from SOURCE, showing what it covers and what is still missing.
 
     \b
     SOURCE  serial:/dev/ttyUSB0@115200       lines of a serial port

@@ -40,7 +40,7 @@ def command(
 ) -> None:
     """Remove EFFECT from zerodrift.toml, refit the others together, and show what that costs.
 
-    The removal is made in any case; the history says whether the held-out error suffered.
+    The effect is removed in any case; the history says whether the held-out error grew.
     """
     from zerodrift.app.commands.console import open_console, show_progress
     from zerodrift.app.commands.project import open_project, tell_design
