@@ -10,7 +10,7 @@ covered being its success.
 """
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 
 from benchmarks.foreign import case, files
-from benchmarks.real_units import DATA, UNITS, leave_out_each
+from benchmarks.real_units import DATA, UNITS, UNSEEN, RealUnit, leave_out_each
 from zerodrift.app.applied_rows import UNSTATED
 from zerodrift.app.apply import Chip, measure_beyond
 from zerodrift.base.config import Config, NetworkConfig, load_config
@@ -82,16 +82,17 @@ def main(quick: bool, sensors: int = 0, first: int = FIRST, networks: int = 0) -
         print(f"{name} (simulated), {built}: {describe(np.array(shares))}", flush=True)
         pooled += shares
     print(f"both: {describe(np.array(pooled))} (mark 93 to 97 %)")
-    leave_out_real(quick)
+    leave_out_real("real logs", UNITS[:1] if quick else UNITS)
+    leave_out_real("real logs that nothing was chosen on", UNSEEN[:1] if quick else UNSEEN)
 
 
-def leave_out_real(quick: bool) -> None:
+def leave_out_real(title: str, units: Sequence[RealUnit]) -> None:
     """Print the share of readings of real runs, each left out in turn, that is covered."""
     if not DATA.is_dir():
         print("real logs: skipped, shared/data is not beside the repository")
         return
     shares: list[float] = []
-    for unit in UNITS[:1] if quick else UNITS:
+    for unit in units:
         with tempfile.TemporaryDirectory() as scratch:
             projects = leave_out_each(unit, Path(scratch))
             own = [s for c in projects for s in cover(c, load_dataset(c), NetworkConfig())]
@@ -101,7 +102,7 @@ def leave_out_real(quick: bool) -> None:
     low = float(beta.ppf(0.025, inside, count - inside + 1.0))
     high = float(beta.ppf(0.975, inside + 1.0, count - inside)) if inside < count else 1.0
     print(
-        f"real logs, {count} runs left out in turn: {inside / count:.1%} of their readings covered,"
+        f"{title}, {count} runs left out in turn: {inside / count:.1%} of their readings covered,"
         f" 95 % interval {low:.1%} to {high:.1%} (mark: it holds 95 %)"
     )
 

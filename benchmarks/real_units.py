@@ -55,6 +55,18 @@ kind = "none"
 """
 
 
+_BENCH = """[sensor]
+name = "r"
+time = {{{{ column = "timestamp", unit = "s" }}}}
+temperature = {{{{ column = "temp_c", unit = "degC" }}}}
+sample_period_s = {{period:g}}
+[outputs.R]
+measured = "{column}"
+unit = "{unit}"
+full_scale = 1e7
+"""
+
+
 @dataclass(frozen=True)
 class RealUnit:
     """One device and its runs."""
@@ -86,6 +98,42 @@ UNITS = (
     ),
 )
 """All devices of these sources that have more than one run, or one that makes five fifths."""
+
+_REFERENCES = "as_logged/20171208-svrt-logging"
+_METER = "as_logged/20180117-hp34401a-tempco/run2-balcony/out.csv"
+UNSEEN = tuple(
+    RealUnit(
+        name,
+        _BENCH.format(column=column, unit=unit),
+        period_s,
+        tuple(f"{log}@{at}%:{at + 20}%" for at in range(0, 100, 20)),
+    )
+    for name, log, column, unit, period_s in (
+        ("meter 34401A", _METER, "lm399", "uV", 5.0),
+        ("reference, as found", f"{_REFERENCES}/1512730462-svrt", "svrt", "LSB", 10.0),
+        ("LM399", f"{_REFERENCES}/1512747712-lm399-p15", "lm399-p15", "LSB", 10.0),
+        (
+            "reference, reseated",
+            f"{_REFERENCES}/1512782821-svrt-reseat",
+            "svrt-reseat",
+            "LSB",
+            10.0,
+        ),
+        ("AD587", f"{_REFERENCES}/1512853381-AD587-bare", "AD587-bare", "LSB", 10.0),
+        (
+            "reference, bare",
+            f"{_REFERENCES}/1512886351-svrt-no-tempco",
+            "svrt-no-tempco",
+            "LSB",
+            10.0,
+        ),
+    )
+)
+"""Logs long enough to make five fifths, on which nothing about the uncertainty was ever chosen.
+
+Four devices, one of them three times, altered in between. Fifths of one log resemble each other
+more than runs do.
+"""
 
 
 def leave_out_each(unit: RealUnit, scratch: Path) -> Iterator[Config]:

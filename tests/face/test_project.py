@@ -16,6 +16,7 @@ from click.testing import CliRunner
 import zerodrift as zd
 from zerodrift.app.cli import cli
 from zerodrift.app.frames import to_polars
+from zerodrift.verify.summary import FirmwareSummary
 
 N = 500
 
@@ -77,6 +78,19 @@ def test_from_frames_to_checked_c(tmp_path: Path) -> None:
     assert project.compare().outputs["Fz"].rmse_heldout < 0.2 * before.outputs["Fz"].rmse_heldout
     assert float(frame["Fz_compensated"].std() or 1.0) < 0.1
     assert float((frame["Fz_compensated"].abs() < frame["Fz_uncertainty"]).mean() or 0.0) > 0.9
+
+
+def test_the_manuals_eight_lines_go_from_frames_to_checked_c() -> None:
+    """The page's own lines are run."""
+    page = (Path(__file__).parents[2] / "docs/how-to/python.md").read_text(encoding="utf-8")
+    lines = page.split("```python\n")[1].split("```")[0].strip().splitlines()
+    assert len([line for line in lines if line.strip()]) == 8
+    names: dict[str, object] = {f"frame{i}": make_frame(i, lag=30.0) for i in range(1, 5)}
+    exec("\n".join(lines), names)
+    firmware, compensated = names["firmware"], names["compensated"]
+    assert isinstance(firmware, FirmwareSummary) and firmware.bit_exact and firmware.written
+    assert isinstance(compensated, pl.DataFrame)
+    assert "Fz_uncertainty" in compensated.columns
 
 
 def test_a_result_is_what_the_command_prints(folder: Path) -> None:

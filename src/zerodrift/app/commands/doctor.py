@@ -12,7 +12,7 @@ from zerodrift.app.commands.console import open_console, open_table
 @directory_option
 @json_option
 def command(directory: Path, as_json: bool) -> None:
-    """List what this machine has: packages, compilers, emulators, programs, and the state of the project.
+    """List what this machine has: packages, compilers, emulators, programs; the project's state.
 
     Changes nothing. Exit code 1 where firmware cannot be built and checked on this machine.
     """
