@@ -56,7 +56,7 @@ def show_tiles(findings: Findings) -> list[Component]:
 
 
 def show_segments(findings: Findings, *, hides: bool = False) -> list[Component]:
-    """Return the worst segments as a list, each of which can be gone to.
+    """Return the worst segments as a list, each with a link to its place.
 
     Args:
         findings: what was found.
