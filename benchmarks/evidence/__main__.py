@@ -73,6 +73,8 @@ def print_tables(store: Store, simulator: int) -> None:
     """Print all that the store has of a simulator."""
     rows = [row for row in store.rows if row.ask.simulator == simulator]
     impossible = sum(not row.counts for row in rows)
+    drawn = [row for row in rows if row.ask.condition == "drawn"]
+    named = [row for row in rows if row.ask.condition in CONDITIONS]
     print(
         f"simulated logs, simulator {simulator}, {len(rows)} cases, code {store.path.parent.name}"
     )
@@ -80,7 +82,8 @@ def print_tables(store: Store, simulator: int) -> None:
         print(f"{impossible} that the simulator cannot make, not counted")
     parts = {
         "conditions": tables.list_conditions(rows),
-        "probabilities, drawn cases": tables.list_calibration(rows),
+        "probabilities, drawn cases": tables.list_calibration(drawn),
+        "probabilities, cases of the conditions": tables.list_calibration(named),
         "loop: RMS of predicted less true drift on unseen runs, over the noise": (
             tables.list_staircase(rows)
         ),

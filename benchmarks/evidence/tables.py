@@ -115,10 +115,9 @@ def list_entries(rows: Sequence[Row]) -> dict[str, list[tuple[float, bool]]]:
 
 
 def list_calibration(rows: Sequence[Row]) -> list[str]:
-    """Return a line for each kind of probability of the drawn cases."""
-    mine = [row for row in rows if row.ask.condition == "drawn"]
+    """Return a line for each kind of probability."""
     lines = []
-    for name, entries in list_entries(mine).items():
+    for name, entries in list_entries(rows).items():
         if not entries:
             continue
         bands = cut_bands(entries)
