@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -78,6 +78,9 @@ test-boards: $(READY) ## every core on QEMU's boards, in short; says what could 
 
 test-browser: $(READY) ## after setup-browser: the page in Chromium; pictures of it in build/screenshots
 	$(RUN) -m pytest -q -n 2 tests/workbench
+
+test-worlds: $(READY) ## after setup-formats: the sessions of the pages on where logs come from, as CI runs them
+	$(RUN) -m pytest -q -n 2 -rs tests/loop/test_worlds.py
 
 test-wheel: $(READY) ## build the wheel, install it elsewhere, and go from a log to checked C with it
 	$(RUN) -m pytest -q tests/house/test_wheel.py tests/house/test_extras.py

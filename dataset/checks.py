@@ -79,8 +79,8 @@ def explain_invalid_row(
     if clock is not None and column == clock.name and clock.kind != "number":
         shown = " ".join(place.values.get(name) or "" for name in clock.columns).strip()
         return InputError(
-            f"{place.text}: {column} holds '{shown[:40]}', which is no time as those of the other "
-            f"rows are; expected one such. Correct the row, {SKIP} {rows}."
+            f"{place.text}: {column} holds '{show_text(shown)}', which is no time as those of the "
+            f"other rows are; expected one such. Correct the row, {SKIP} {rows}."
         )
     if text is None or not text.strip():
         return InputError(
@@ -89,15 +89,15 @@ def explain_invalid_row(
         )
     if np.isnan(value) and column in table.converted:
         return InputError(
-            f"{place.text}: column '{column}' holds '{text[:40]}', which its conversion in "
+            f"{place.text}: column '{column}' holds '{show_text(text)}', which its conversion in "
             f"zerodrift.toml makes no quantity of; expected a value within it. Correct scale, "
             f"divider or table, or the row, {SKIP} {rows}."
         )
     if np.isnan(value) and text.strip().lower().lstrip("+-") != "nan":
         hint = _explain_text(text)
         return InputError(
-            f"{place.text}: column '{column}' holds '{text[:40]}', which is no number; expected a "
-            f"finite number.{hint} Correct the row, {SKIP} {rows}."
+            f"{place.text}: column '{column}' holds '{show_text(text)}', which is no number; "
+            f"expected a finite number.{hint} Correct the row, {SKIP} {rows}."
         )
     if not np.isfinite(value):
         return InputError(
@@ -121,6 +121,11 @@ def explain_invalid_row(
         f"Correct the unit or the row, {SKIP} {rows}; a sensor that measures beyond says so by "
         f'{{ column = "{column}", range = [low, high] }}.'
     )
+
+
+def show_text(text: str) -> str:
+    """Return the first characters of a field, those that do not print as their codes."""
+    return "".join(each if each.isprintable() else f"\\x{ord(each):02x}" for each in text[:40])[:60]
 
 
 def _explain_text(text: str) -> str:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -258,7 +258,10 @@ def _choose_time(
     if zone:
         checks.append(f"a clock without a zone is taken as {zone}, by which the files overlap best")
         alternatives["time"] = ("the zone by name, such as Europe/Berlin",)
-        config = TimeConfig(config.columns, config.unit, config.format, zone)
+        local = [file.name for file, times in timed if times.clock.kind == "local"]
+        by_file = {n: replace(t, zone=zone) if n in local else t for n, t in by_file.items()}
+        if any(name not in by_file for name in local):
+            config = replace(config, zone=zone)
     return config, by_file
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.checks import SKIP, find_invalid_values, widen_plausible
+from zerodrift.dataset.checks import SKIP, find_invalid_values, show_text, widen_plausible
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.tables import LogTable
@@ -77,7 +77,7 @@ def _explain(config: Config, joined: LogTable, own: LogTable, column: str, row: 
     became = float(joined.columns[column][row])
     made = "no temperature" if np.isnan(became) else f"{became:.6g} degC"
     return InputError(
-        f"{place.text}: column '{column}' holds '{text[:40]}', which with its cold junction "
+        f"{place.text}: column '{column}' holds '{show_text(text)}', which with its cold junction "
         f"'{cold}' at {degc:.6g} degC makes {made} by type {by.couple}; expected a temperature "
         f"that it tells. Correct unit, scale or type in zerodrift.toml, or the row, {SKIP} it."
     )

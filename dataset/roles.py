@@ -35,7 +35,8 @@ IGNORED_WORDS = {
     "nr",
 }
 FLAG_WORDS = {"flag", "flags", "status", "state", "error", "battery", "mode", "hold", "range"}
-RAW_THERMOMETER_WORDS = {"ntc", "thermistor", "pt100", "pt1000", "rtd"}
+RAW_THERMOMETER_WORDS = {"ntc", "thermistor", "pt100", "pt1000", "rtd", "thermocouple"}
+VOLTS = ("V", "mV", "uV")
 CHIP_WORDS = {"chip", "tmp117", "board", "sensor", "die", "internal", "int"}
 NEAR_WORDS = {"oven", "chamber", "body", "dut", "block", "plate"}
 FAR_WORDS = {"ambient", "room", "air", "ext", "external", "outside", "lab"}
@@ -176,7 +177,8 @@ def _set_aside(column: SurveyedColumn, has_names: bool) -> Role | None:
         return Role(column, UNUSED, "counts rows")
     if named & FLAG_WORDS and column.distinct <= 3:
         return Role(column, UNUSED, "a flag, by its name")
-    if named & RAW_THERMOMETER_WORDS and not _is_thermal(column):
+    is_couple = "tc" in named and column.unit in VOLTS
+    if (is_couple or named & RAW_THERMOMETER_WORDS) and not _is_thermal(column):
         return Role(
             column, UNUSED, f"{RAW_THERMOMETER}: its conversion to degC is not known from the log"
         )

@@ -348,6 +348,11 @@ def _read_head(path: Path, label: str) -> bytes:
             head = file.read(_HEAD_BYTES)
             if head.count(b"\n") < 2:
                 head += file.read(_LONGEST_HEAD_BYTES)
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{label}: there is no such file; expected a log. Correct the name, or the folder that "
+            "it is looked up in."
+        ) from error
     except OSError as error:
         raise InputError(
             f"{label}: cannot be read ({error.strerror}); expected a file that this user may read. "

@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -98,6 +99,15 @@ def test_ohms_of_a_thermistor_are_no_output(tmp_path, init):
     told, toml, _ = init(log)
     assert list(toml["outputs"]) == ["F"]
     assert "a raw thermometer" in str(told["columns"])
+
+
+@pytest.mark.parametrize("name", ["TC__[mV]", "thermocouple_mV", "tc_uV"])
+def test_voltage_of_a_thermocouple_is_no_output(tmp_path, init, name):
+    columns = {"time_s": TIME, name: T / 20, "board_degC": 22 + TIME / 200, "F_N": T}
+    told, toml, _ = init(write(tmp_path / "log.csv", **columns))
+    assert toml["sensor"]["temperature"] == "board_degC" and list(toml["outputs"]) == ["F"]
+    assert roles(told)[name.replace("__", " ")] == "not used"
+    assert any("a raw thermometer" in check for check in told["check"])
 
 
 def test_units_come_from_a_row_of_units(tmp_path, init):
@@ -231,6 +241,24 @@ def test_interactive_asks_where_there_is_a_choice(tmp_path, init):
     assert toml["outputs"]["value"]["unit"] == "mV"
     assert toml["sensor"]["sample_period_s"] == 2.0
     assert not checks
+
+
+def test_interactive_asks_how_dates_are_written(tmp_path, init):
+    at = [f"04/03/2024 10:{int(t) // 60:02d}:{int(t) % 60:02d}" for t in TIME]
+    log = write(tmp_path / "log.csv", when=at, temp_c=T, F_N=T)
+    _, toml, checks = init("--interactive", log, answers="%m/%d/%Y %H:%M:%S.%f\n1\n")
+    assert toml["sensor"]["time"]["format"] == "%m/%d/%Y %H:%M:%S.%f" and not checks
+    (run,) = {run.group: run for run in load_dataset(load_config(tmp_path)).train}.values()
+    assert run.start_s == datetime(2024, 4, 3, 10, tzinfo=UTC).timestamp()
+
+
+def test_interactive_asks_for_the_unit_of_times_and_scales_the_period(tmp_path, init):
+    log = tmp_path / "log.csv"
+    lines = ["t,temp_c,F_N", *(f"{k * 500},{v},{v}" for k, v in enumerate(T))]
+    log.write_text("\n".join(lines) + "\n")
+    _, toml, _ = init("--interactive", log, answers="us\n\n")
+    assert toml["sensor"]["time"] == {"column": "t", "unit": "us"}
+    assert toml["sensor"]["sample_period_s"] == 0.0005
 
 
 def as_logged(name: str) -> Path:

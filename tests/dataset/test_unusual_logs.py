@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from click.testing import CliRunner
 from tests.projects import FORCE, render_toml
 
+from zerodrift.app.commands.init import command
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.guess import guess_project
@@ -200,3 +202,33 @@ def test_a_range_has_the_digits_that_tell_its_ends_apart(
     ends: tuple[float, float], told: str
 ) -> None:
     assert write_range(*ends) == told
+
+
+@pytest.mark.parametrize("names", [("when", "ts"), ("time", "time")])
+@pytest.mark.parametrize("files", [("a_meter", "b_env"), ("b_meter", "a_env")])
+def test_a_local_clock_beside_unix_time_gets_its_zone_whatever_the_columns_are_called(
+    tmp_path: Path, names: tuple[str, str], files: tuple[str, str]
+) -> None:
+    """`init` writes what `compare` can read: the zone stands with the file that needs it."""
+    run = tmp_path / "run1"
+    run.mkdir()
+    local = [dt.datetime(2024, 5, 1, 12) + dt.timedelta(seconds=k) for k in range(COUNT)]
+    begin = int(dt.datetime(2024, 5, 1, 10, tzinfo=dt.UTC).timestamp())
+    write(run / f"{files[0]}.csv", f"{names[0]},F_N", local, FORCE_N)
+    write(run / f"{files[1]}.csv", f"{names[1]},temp_c", range(begin, begin + COUNT), T)
+    result = CliRunner().invoke(command, ["-C", str(tmp_path), str(run)])
+    assert result.exit_code == 0, result.output
+    dataset = load_dataset(load_config(tmp_path))
+    found = np.concatenate([run.temperature_degC for run in (*dataset.train, *dataset.test)])
+    assert found.tobytes() == T.tobytes()
+
+
+def test_a_file_that_is_not_there_and_bytes_that_do_not_print(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nosuch\.csv: there is no such file; expected a log"):
+        guess_project([tmp_path / "nosuch.csv"])
+    log = write(tmp_path / "log.csv", "time_s,temp_c,F_N", range(COUNT), T, FORCE_N)
+    log.write_bytes(log.read_bytes() + b"\0" * 500)
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, '"time_s"')
+    assert "log.csv:202: column 'time_s' holds '\\x00\\x00" in str(caught.value)
+    assert str(caught.value).isprintable()

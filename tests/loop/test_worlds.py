@@ -1,6 +1,7 @@
 """The pages on where logs come from say what the commands print; their logs are made here."""
 
 import importlib.util
+from pathlib import Path
 
 import pytest
 from tests.loop.test_tutorial import check_page, tutorial
@@ -20,6 +21,14 @@ def test_there_is_a_page_for_each_world() -> None:
     for path in PAGES.values():
         text = path.read_text(encoding="utf-8")
         assert "simulated" in text and "error: something" not in text
+
+
+def test_ci_runs_the_sessions() -> None:
+    """`make test` leaves them out, as they train and build; a step of their own runs them."""
+    root = Path(__file__).parents[2]
+    assert "\nmake test-worlds\n" in (root / ".ci" / "run").read_text("utf-8")
+    rule = (root / "Makefile").read_text("utf-8").partition("\ntest-worlds:")[2]
+    assert "tests/loop/test_worlds.py" in rule.partition("\n\n")[0] and "not slow" not in rule[:200]
 
 
 @pytest.mark.slow

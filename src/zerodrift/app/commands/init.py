@@ -1,5 +1,6 @@
 """`zerodrift init LOG...`: a commented zerodrift.toml guessed from the logs."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ import click
 
 from zerodrift.app.commands.common import directory_option, json_option, print_result
 from zerodrift.app.commands.init_toml import render_seen, write_config, write_selectors
+from zerodrift.base.clock_config import TIME_UNITS
 from zerodrift.base.config import FILE_NAME, TRAIN, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_text
@@ -110,7 +112,9 @@ def _upgrade(directory: Path, as_json: bool) -> None:
 def ask(guess: Guess) -> Guess:
     """Return the guess with what the user chose wherever there is a choice."""
     click.echo("\n".join(render_seen(guess.seen)))
-    others = tuple(n for n in guess.alternatives.get("temperature", ()) if n[:1] != "{")
+    guess = _ask_time(guess)
+    found = guess.alternatives.get("temperature", ())
+    others = tuple(name for name in found if name[:1] != "{")
     alternatives = dict(guess.alternatives)
     if others:
         names = (guess.temperature, *others)
@@ -119,7 +123,7 @@ def ask(guess: Guess) -> Guess:
         if chosen != guess.temperature:
             inputs["thermometer"] = guess.temperature
         guess = replace(guess, temperature=chosen, inputs=inputs)
-        alternatives.pop("temperature", None)
+        alternatives.update(temperature=found[len(others) :])
     outputs = []
     for output in guess.outputs:
         if len(guess.outputs) > 1 and not click.confirm(
@@ -148,6 +152,30 @@ def ask(guess: Guess) -> Guess:
     return replace(
         guess, outputs=tuple(outputs), sample_period_s=period_s, alternatives=alternatives
     )
+
+
+def _ask_time(guess: Guess) -> Guess:
+    """Return the guess with the format, unit or zone of its times that the user chose."""
+    found = guess.alternatives.get("time")
+    if not found:
+        return guess
+    time, period_s = guess.time, guess.sample_period_s
+    formats = [
+        match[1] for match in (re.match(r'format = "(.*?)"', each) for each in found) if match
+    ]
+    if formats:
+        choices = click.Choice([time.format, *formats])
+        written = click.prompt(f"'{time.name}' is written", default=time.format, type=choices)
+        time = replace(time, format=written)
+    elif time.zone:
+        time = replace(time, zone=click.prompt("zone of the clock without one", default=time.zone))
+    else:
+        units = click.Choice(list(TIME_UNITS))
+        unit = click.prompt(f"unit of '{time.name}'", default=time.unit or "s", type=units)
+        period_s = float(f"{period_s * TIME_UNITS[unit] / TIME_UNITS[time.unit or 's']:.6g}")
+        time = replace(time, unit=unit)
+    left = {key: each for key, each in guess.alternatives.items() if key != "time"}
+    return replace(guess, time=time, sample_period_s=period_s, alternatives=left)
 
 
 def find_logs(logs: Sequence[Path], directory: Path) -> list[Path]:
