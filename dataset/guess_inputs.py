@@ -2,7 +2,11 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.dataset.code_format import CLOCK
+from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.design_codes import propose_codes
 from zerodrift.dataset.guess_runs import SurveyedFile
 from zerodrift.dataset.roles import INPUT, TEMPERATURE, Role
@@ -47,6 +51,9 @@ def choose_codes(
         if held and name != CLOCK:
             low = min(role.column.low for role in held)
             high = max(role.column.high for role in held)
-            is_degc = held[0].role == TEMPERATURE and held[0].column.unit in ("", "degC")
+            is_degc = held[0].role == TEMPERATURE
+            if held[0].column.unit in ("degF", "K"):
+                by = ConversionConfig(unit=held[0].column.unit)
+                low, high = (float(end) for end in convert(np.array([low, high]), by))
             chosen[column] = propose_codes(name, column, low, high, is_degc)
     return chosen

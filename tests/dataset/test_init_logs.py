@@ -243,6 +243,25 @@ def test_interactive_asks_where_there_is_a_choice(tmp_path, init):
     assert not checks
 
 
+@pytest.mark.parametrize("answer", ["oven_K", "room_F"])
+def test_another_thermometer_is_brought_to_degc_too(tmp_path, init, answer):
+    room = 20 + T**2 / 90
+    columns = {"time_s": TIME, "oven_K": T + 273.15, "room_F": room * 1.8 + 32, "F_N": T**3}
+    log = write(tmp_path / "log.csv", **columns)
+    _, toml, _ = init("--interactive", log, answers=f"{answer}\n1\n")
+    chosen, other = ("oven_K", "room_F") if answer == "oven_K" else ("room_F", "oven_K")
+    units = {"oven_K": "K", "room_F": "degF"}
+    assert toml["sensor"]["temperature"] == {"column": chosen, "unit": units[chosen]}
+    (told,) = toml["inputs"].values()
+    assert told == {"column": other, "unit": units[other], "raw": "int16", "lsb": 2.0**-7}
+    run = load_dataset(load_config(tmp_path)).train[0]
+    (values,) = run.inputs.values()
+    count = values.size
+    np.testing.assert_allclose(values, (T if other == "oven_K" else room)[:count], atol=1e-3)
+    wanted = T if chosen == "oven_K" else room
+    np.testing.assert_allclose(run.temperature_degC, wanted[:count], atol=1e-3)
+
+
 def test_interactive_asks_how_dates_are_written(tmp_path, init):
     at = [f"04/03/2024 10:{int(t) // 60:02d}:{int(t) % 60:02d}" for t in TIME]
     log = write(tmp_path / "log.csv", when=at, temp_c=T, F_N=T)

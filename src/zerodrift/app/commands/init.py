@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING
 import click
 
 from zerodrift.app.commands.common import directory_option, json_option, print_result
-from zerodrift.app.commands.init_toml import render_seen, write_config, write_selectors
+from zerodrift.app.commands.init_toml import (
+    find_temperature_unit,
+    render_seen,
+    write_config,
+    write_selectors,
+)
 from zerodrift.base.clock_config import TIME_UNITS
 from zerodrift.base.config import FILE_NAME, TRAIN, parse_config
 from zerodrift.base.errors import InputError
@@ -122,7 +127,8 @@ def ask(guess: Guess) -> Guess:
         inputs = {name: column for name, column in guess.inputs.items() if column != chosen}
         if chosen != guess.temperature:
             inputs["thermometer"] = guess.temperature
-        guess = replace(guess, temperature=chosen, inputs=inputs)
+        unit = find_temperature_unit(guess, chosen)
+        guess = replace(guess, temperature=chosen, temperature_unit=unit, inputs=inputs)
         alternatives.update(temperature=found[len(others) :])
     outputs = []
     for output in guess.outputs:

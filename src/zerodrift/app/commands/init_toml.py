@@ -107,7 +107,15 @@ def _write_input(guess: Guess, name: str) -> str:
     if guess.inputs[name] not in guess.codes or name == CLOCK:
         return f"{_write_key(name)} = {column}"
     raw, lsb = guess.codes[guess.inputs[name]]
-    return f'{_write_key(name)} = {{ column = {column}, raw = "{raw}", lsb = {lsb!r} }}'
+    unit = find_temperature_unit(guess, guess.inputs[name])
+    stated = f"unit = {_quote(unit)}, " if unit else ""
+    return f'{_write_key(name)} = {{ column = {column}, {stated}raw = "{raw}", lsb = {lsb!r} }}'
+
+
+def find_temperature_unit(guess: Guess, column: str) -> str:
+    """Return degF or K where a column is a temperature in that, else nothing."""
+    units = [seen.unit for seen in guess.seen if seen.column == column]
+    return units[0] if units and units[0] in ("degF", "K") else ""
 
 
 def _write_time(guess: Guess) -> list[str]:
