@@ -111,7 +111,7 @@ def judge_firmware(
         host: the integer model's C, shown equal to the reference.
         dataset: its logs; the test runs are the held-out ones.
         left_out: without those, what models say of each training run that did not learn from it;
-            None where that is not quickly fitted.
+            None of a network, which is judged on test logs alone.
     """
     runs = dataset.test or dataset.train
     replay = replay_runs(model, host, runs)
@@ -124,7 +124,7 @@ def judge_firmware(
         )
     else:
         if left_out is None:
-            why = "no test logs are configured, and this network is not trained anew for each run"
+            why = "no test logs are configured, and a network is judged on those alone"
             return leave_unjudged(replay, f"{why}. Record a test run."), replay
         differences = [r.difference for r in replay.runs]
         answers = Answers(
