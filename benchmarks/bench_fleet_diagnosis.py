@@ -103,12 +103,14 @@ def print_rates(rows: Sequence[dict[str, Any]]) -> None:
         else:
             rate("an effect named for the fleet", len(named), upper=True)
         if purpose == "odd":
-            hit = [
+            hit = [r for r in told if any(d[0] == r["odd"] for d in r["differences"])]
+            rate("the odd unit told", len(hit), upper=False)
+            by_name = [
                 r
-                for r in told
-                if any(d[0] == r["odd"] and d[2] == "gain" for d in r["differences"])
+                for r in hit
+                if any(d[1] == r["hidden"] and d[2] == "gain" for d in r["differences"])
             ]
-            rate("the odd unit named", len(hit), upper=False)
+            rate("with the name of its effect", len(by_name), upper=False)
             wrong = [r for r in told if any(d[0] != r["odd"] for d in r["differences"])]
             rate("another unit named", len(wrong), upper=True)
         else:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.dataset.outliers import find_jumps
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.data_notes import DataNote
-from zerodrift.physics.rails import find_rails
+from zerodrift.physics.rails import FEWEST_VISITS, find_rails
 
 Array = NDArray[np.float64]
 
@@ -118,7 +118,11 @@ def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             passed = any(
                 (y.max() > level + margin) if high else (y.min() < level - margin) for y in others
             )
-            if passed:
+            # A few samples on a short plateau of the load are alike by chance; an output that is
+            # cut off stands still while its load moves, or for long.
+            load = run.reference[:, k]
+            at_rest = float(np.ptp(load)) > 0.0 and float(np.ptp(load[rows])) <= margin
+            if passed and not (at_rest and rows.size < FEWEST_VISITS):
                 notes.append(
                     DataNote(
                         run.group,

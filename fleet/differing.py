@@ -1,6 +1,6 @@
 """Which units are unlike the others in what their drift is made of."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,9 @@ from zerodrift.physics.catalogue import Catalogue
 
 Array = NDArray[np.float64]
 
-SIZE, GAIN = "size", "gain"
+SIZE, GAIN, ERROR = "size", "gain", "error"
+LARGER = 1.1
+"""An error that is unlike the others' must also be larger than the median by this factor."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +26,11 @@ class Difference:
 
     sensor: str
     effect: str
-    """In which it differs."""
+    """In which it differs; of an `error` the one that comes nearest, empty where none does."""
     quantity: str
     """`size`: RMS in noise floors of what the design lacks; a parameter's name: its value; `gain`:
-    noise units that an effect of this unit alone gains on runs left out."""
+    noise units that an effect of this unit alone gains on runs left out; `error`: RMSE in noise
+    floors that no effect with a name explains."""
     value: float
     median: float
     """Of the fleet."""
@@ -46,7 +49,7 @@ def find_differences(
 
     A unit differs by the size of an effect that the design lacks, by one of its values, or by an
     effect of its own: one that its logs alone would name, that `add` would keep there, and that
-    gains far more there than in the others.
+    gains far more there than in the others. Where nothing has such a name, its error tells.
 
     Args:
         units: as `pool_units` left them.
@@ -64,6 +67,7 @@ def find_differences(
         found += _judge(have, sizes, pooled.kind, SIZE, limit)
         found += _compare_values(pooled, limit)
     found += _find_own(units, missing, catalogue, effects, limit)
+    found += _compare_errors(units, {one.sensor for one in found}, limit)
     return tuple(sorted(found, key=lambda d: -abs(d.z)))
 
 
@@ -88,6 +92,23 @@ def _compare_values(pooled: Pooled, limit: float) -> list[Difference]:
             found.append(
                 Difference(one.sensor, one.effect, name, value, median, one.z) if is_log else one
             )
+    return found
+
+
+def _compare_errors(
+    units: Sequence[ExaminedUnit], known: Set[str], limit: float
+) -> list[Difference]:
+    """Return the units that leave more than the others, without those that have a reason."""
+    logs = np.log([unit.last.fitted_ratio for unit in units])
+    found = []
+    for one in _judge([unit.name for unit in units], logs, "", ERROR, limit):
+        if one.sensor in known or one.value - one.median <= np.log(LARGER):
+            continue
+        unit = next(unit for unit in units if unit.name == one.sensor)
+        gains = {kind: shown.gain for kind, shown in unit.last.shown.items() if shown.gain > 0.0}
+        nearest = max(gains, key=lambda kind: gains[kind]) if gains else ""
+        value, median = float(np.exp(one.value)), float(np.exp(one.median))
+        found.append(Difference(one.sensor, nearest, ERROR, value, median, one.z))
     return found
 
 

@@ -1,6 +1,7 @@
 """`diagnose` in a fleet's folder: all units speak together, and those that differ are named."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,12 @@ from tests.schemas import validate
 
 from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
+from zerodrift.base.fleet_config import OUTLIER_Z
+from zerodrift.fleet.differing import find_differences
 from zerodrift.fleet.evidence import ExaminedUnit, UnitEffect, UnitLook, pool
 from zerodrift.lab.twin import EffectChoice, Recipe, simulate
 from zerodrift.lab.twin.logs import render_logs
+from zerodrift.physics.catalogue import load_catalogue
 
 KINDS = tuple(f"effect_{i}" for i in range(15))
 
@@ -81,6 +85,25 @@ def test_many_small_gains_count_and_one_large_one_does_not():
 def test_too_few_units_name_nothing():
     assert not any(p.is_named for p in pool(make_units(np.full((15, 4), 9.0))))
     assert any(p.is_named for p in pool(make_units(np.full((15, 5), 9.0))))
+
+
+def test_a_unit_that_leaves_more_for_no_reason_with_a_name_is_told():
+    rng = np.random.default_rng(10)
+    units = make_units(rng.normal(size=(15, 10)))
+    ratios = 1.0 + 0.01 * rng.normal(size=10)
+
+    def find(of_fifth: float) -> list[tuple[str, str]]:
+        left = np.where(np.arange(10) == 5, of_fifth, ratios).tolist()
+        changed = [
+            replace(unit, last=replace(unit.last, fitted_ratio=ratio))
+            for unit, ratio in zip(units, left, strict=True)
+        ]
+        found = find_differences(changed, (), load_catalogue(), (), OUTLIER_Z)
+        return [(one.sensor, one.quantity) for one in found]
+
+    assert find(3.0) == [("SN5", "error")]
+    assert find(1.0) == find(0.3) == []
+    assert find(1.09) == []  # unlike the others, and of no weight
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,8 @@ from tests.physics.conftest import SLOPE, follow, make_dataset
 from zerodrift.diagnosis.misfits import Bench
 from zerodrift.diagnosis.noise_gains import find_noise_gains
 from zerodrift.diagnosis.referee import review
+from zerodrift.diagnosis.standing import find_cut_off
+from zerodrift.physics.rails import find_rails
 
 
 def drifting(bench):
@@ -174,3 +176,23 @@ def test_a_drift_that_goes_with_the_load_is_no_other_gain(clean):
     doubled = spoil(clean, measured=2.0 * clean.train[2].measured)
     bench = Bench(doubled.train, clean.outputs, np.array(clean.full_scale))
     assert not bench.agrees("run_2", clean.outputs[0])
+
+
+def test_alike_samples_on_one_plateau_of_the_load_are_not_cut_off(clean):
+    """Chance repeats an extreme for a few samples; an amplifier at its end does for any load."""
+    highest = [float(run.measured[:, 0].max()) for run in clean.train]
+    place = int(np.argsort(highest)[len(highest) // 2])
+    run = clean.train[place]
+    top = int(np.argmax(run.measured[:, 0]))
+    rows = np.flatnonzero(run.reference[:, 0] == run.reference[top, 0])[:8]
+    measured = run.measured.copy()
+    measured[rows, 0] = highest[place]
+    train = list(clean.train)
+    train[place] = replace(run, measured=measured)
+    assert find_rails(measured[:, 0], run.reference[:, 0]).sum() >= rows.size
+    assert find_cut_off(train, clean.outputs) == []
+    cut = run.measured.copy()
+    cut[:, 0] = np.minimum(cut[:, 0], np.quantile(cut[:, 0], 0.5))
+    train[place] = replace(run, measured=cut)
+    (note,) = find_cut_off(train, clean.outputs)
+    assert (note.run, note.column, note.kind) == (run.group, clean.outputs[0], "saturated")

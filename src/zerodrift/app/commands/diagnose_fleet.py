@@ -144,13 +144,16 @@ def _print_verdict(found: "FleetDiagnosis", catalogue: "Catalogue", console: "Co
 def tell_difference(one: "Difference", directory: Path) -> str:
     """Return in what a unit differs, and what to do, in a sentence."""
     from zerodrift.diagnosis.changes import name_directory
-    from zerodrift.fleet.differing import GAIN, SIZE
+    from zerodrift.fleet.differing import ERROR, GAIN, SIZE
 
     z = f"z = {one.z:+.1f}"
     look = f"zerodrift diagnose --sensor {one.sensor}{name_directory(directory)}"
     if one.quantity == GAIN:
         return f"{one.sensor} lacks {one.effect}, the others do not ({z}). Look at it: {look}"
     what = f"{one.value:.3g} against {one.median:.3g} in the median unit ({z})"
+    if one.quantity == ERROR:
+        nearest = f", nearest {one.effect}" if one.effect else ""
+        return f"{one.sensor}: the error is {what}, in noise floors{nearest}. Look at it: {look}"
     if one.quantity == SIZE:
         return f"{one.sensor}: {one.effect} is {what}, in noise floors. Look at it: {look}"
     return f"{one.sensor}: {one.effect} {one.quantity} is {what}. Look at it: {look}"
