@@ -124,17 +124,27 @@ class _Fit:
     """[K] RMS that it leaves of the runs it was made of."""
     reach: float
     """Largest leverage of a row of these runs."""
+    low_degC: float
+    high_degC: float
+    """What these runs' temperatures cover."""
 
-    def find_inside(self, design: Array) -> NDArray[np.bool_]:
-        """Return the rows [b] whose signals are like those of the fit."""
-        return np.asarray(_measure_leverage(design, self.inverse) <= FAR * self.reach)
+    def find_inside(self, design: Array, temperature_degC: Array) -> NDArray[np.bool_]:
+        """Return the rows [b] whose signals are like those of the fit.
+
+        Beyond its temperatures a drift that bends goes anywhere, whatever a row's leverage.
+        """
+        near = _measure_leverage(design, self.inverse) <= FAR * self.reach
+        covered = (temperature_degC >= self.low_degC) & (temperature_degC <= self.high_degC)
+        return np.asarray(near & covered)
 
 
 def _measure_leverage(design: Array, inverse: Array) -> Array:
     return np.asarray(np.einsum("bi,ij,bj->b", design, inverse, design))
 
 
-def _fit(designs: Sequence[Array], drifts: Sequence[Array]) -> _Fit:
+def _fit(
+    designs: Sequence[Array], drifts: Sequence[Array], temperatures_degC: Sequence[Array]
+) -> _Fit:
     x, y = np.concatenate(designs), np.concatenate([d - d.mean(axis=0) for d in drifts])
     size = np.sqrt(np.mean(x**2, axis=0))
     size[size == 0.0] = 1.0
@@ -142,7 +152,10 @@ def _fit(designs: Sequence[Array], drifts: Sequence[Array]) -> _Fit:
     inverse = np.linalg.inv(normal) / size / size[:, None]
     factors = inverse @ (x.T @ y)
     left = np.sqrt(np.mean((y - x @ factors) ** 2, axis=0))
-    return _Fit(factors, inverse, left, float(_measure_leverage(x, inverse).max()))
+    reach = float(_measure_leverage(x, inverse).max())
+    low = min(float(t.min()) for t in temperatures_degC)
+    high = max(float(t.max()) for t in temperatures_degC)
+    return _Fit(factors, inverse, left, reach, low, high)
 
 
 def _measure(error: Array, inside: NDArray[np.bool_]) -> Array:
@@ -174,13 +187,17 @@ class Bench:
 
     def fit_without(self, left_out: frozenset[int]) -> _Fit:
         """Return the fit of all runs but these."""
-        kept = [t for i, t in enumerate(self.tables) if i not in left_out]
-        return _fit([t[0] for t in kept], [t[1] - t[2] for t in kept])
+        kept = [i for i in range(len(self.courses)) if i not in left_out]
+        tables = [self.tables[i] for i in kept]
+        temperatures = [self.courses[i].temperature for i in kept]
+        return _fit([t[0] for t in tables], [t[1] - t[2] for t in tables], temperatures)
 
     def hold(self, fit: _Fit, course: _Course) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return what a run's drift is and should be, [b, K] each, and the rows that count."""
         design, measured, reference = _build(course, self.scales)
-        return measured - reference, design @ fit.factors, fit.find_inside(design)
+        temperature = _average(course.temperature[:, None], len(design))[:, 0]
+        inside = fit.find_inside(design, temperature)
+        return measured - reference, design @ fit.factors, inside
 
     def review(self) -> list[DataNote]:
         """Return the notes."""

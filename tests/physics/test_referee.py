@@ -196,3 +196,14 @@ def test_alike_samples_on_one_plateau_of_the_load_are_not_cut_off(clean):
     train[place] = replace(run, measured=cut)
     (note,) = find_cut_off(train, clean.outputs)
     assert (note.run, note.column, note.kind) == (run.group, clean.outputs[0], "saturated")
+
+
+def test_rows_beyond_the_others_temperatures_are_not_judged(clean):
+    """There a drift that bends goes anywhere, and no other run says where."""
+    bench = Bench(clean.train, clean.outputs, np.array(clean.full_scale))
+    fit = bench.fit_without(frozenset({0}))
+    others = np.concatenate([course.temperature for course in bench.courses[1:]])
+    low, high = float(others.min()), float(others.max())
+    usual = np.zeros((5, fit.factors.shape[0]))  # as little leverage as a row can have
+    temperature = np.array([low - 1.0, low, 0.5 * (low + high), high, high + 1.0])
+    assert fit.find_inside(usual, temperature).tolist() == [False, True, True, True, False]
