@@ -208,8 +208,9 @@ def _name_sensor(logs: Sequence[LogFiles]) -> str:
     """Return a name by the first run's file, or by the folder where that says nothing."""
     path = logs[0].path
     stem = path.name if len(logs[0].files) > 1 else path.stem
+    is_spread = len({log.path.parent for log in logs}) > 1
     if stem.lower() in GENERIC_STEMS or (
-        len(logs) > 1 and len({log.path.stem for log in logs}) == 1
+        len(logs) > 1 and (is_spread or len({log.path.stem for log in logs}) == 1)
     ):
         folders = [log.path.parent for log in logs]
         stem = (folders[0] if len(set(folders)) == 1 else folders[0].parent).name or stem

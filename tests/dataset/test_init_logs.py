@@ -197,6 +197,9 @@ def test_nested_folders_are_looked_through(tmp_path, init):
     _, toml, _ = init(tmp_path / "units")
     assert toml["logs"]["train"] == ["units/SN1/run1", "units/SN1/run2", "units/SN2/run1"]
     assert len(load_dataset(load_config(tmp_path)).train) == 3
+    assert toml["sensor"]["name"] == "units"
+    text = (tmp_path / "zerodrift.toml").read_text()
+    assert '# [fleet] folder = "units/{sensor}"  # if each folder there is a unit' in text
 
 
 def test_what_a_code_is_worth_holds_the_logs_of_all_units(tmp_path, init):

@@ -184,10 +184,25 @@ def _write_logs(guess: Guess, selectors: Mapping[str, Sequence[str]]) -> list[st
             f"# offset_s = {{ {_quote(names[-1])} = 0.0 }}  # a clock's offset, which data cannot "
             "tell from a lag"
         )
+    lines += _propose_fleet(guess, selectors)
     for column, values in guess.groups.items():
         example = f"{{ {_write_key(column)} = {_quote(values[0])} }}"
         lines.append(f"# where = {example}  # one of: {', '.join(values[:8])}")
     return lines
+
+
+def _propose_fleet(guess: Guess, selectors: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the comment by which folders of runs, side by side, become the units of a fleet."""
+    units = {log.path.parent for log in guess.logs}
+    tops = {unit.parent for unit in units}
+    first = Path(selectors[TRAIN][0]) if selectors[TRAIN] else Path()
+    if len(units) < 2 or len(tops) > 1 or len(first.parts) < 3:
+        return []
+    place = "/".join(first.parts[:-2])
+    return [
+        f"# [fleet] folder = {_quote(place + '/{sensor}')}  # if each folder there is a unit of its"
+        f" own; train is then by names within it, such as {_quote(first.name)}"
+    ]
 
 
 def _quote(text: str) -> str:
