@@ -21,6 +21,12 @@ from zerodrift.export.integer_onnx import build_integer_onnx
 from zerodrift.export.model_files import load_model
 from zerodrift.verify.expected import Expected, expect
 from zerodrift.verify.firmware_check import Failure, Progress
+from zerodrift.verify.folder_certificate import (
+    CERTIFICATE,
+    NO_CERTIFICATE,
+    FolderCertificate,
+    check_folder_certificate,
+)
 from zerodrift.verify.folder_check import SANITIZER, FolderCheck, check_folder
 from zerodrift.verify.header import HeaderFinding
 from zerodrift.verify.manifest import ManifestCheck, ManifestFinding, NotChecked, check_manifest
@@ -61,6 +67,8 @@ class Replay:
     forced: tuple[str, ...]
     """What had been found against this firmware when it was built, and was overridden."""
     not_checked: tuple[NotChecked, ...]
+    certificate: FolderCertificate = NO_CERTIFICATE
+    """What became of the bounds that the firmware claims."""
 
     @property
     def bit_exact(self) -> bool:
@@ -71,7 +79,8 @@ class Replay:
     def problems(self) -> tuple[str, ...]:
         """Everything that was found, a line each."""
         header = (f"header: {finding}" for finding in self.header)
-        return (*(f.text for f in self.findings), *header, *self.failures)
+        claims = self.certificate.failures
+        return (*(f.text for f in self.findings), *header, *self.failures, *claims)
 
     def summarise(self) -> VerifySummary:
         """Return what the command prints as JSON."""
@@ -86,6 +95,8 @@ class Replay:
             stale=tuple(f for f in self.findings if f.is_stale),
             forced=self.forced,
             not_checked=self.not_checked,
+            claims=self.certificate.holds,
+            refuted=self.certificate.failures,
         )
 
     def require(self, wanted: Iterable[str] = ()) -> "Replay":
@@ -109,12 +120,15 @@ class Replay:
             head = "the firmware is stale"
         else:
             head = "bits differ" if self.failures else "the firmware is not what was built"
+            if not self.failures and self.certificate.failures:
+                head = "the certificate does not follow from the C"
         raise CheckError("\n  ".join([f"{head}:", *lines]) + f"\n{AGAIN}")
 
     def _checked(self) -> set[str]:
         sanitized = {SANITIZER} if HOST in self.backends else set()
         missing = {n.what for n in self.not_checked}
-        return {*self.backends, *({"manifest", *sanitized} - missing)}
+        derived = {CERTIFICATE} if self.certificate.holds else set()
+        return {*self.backends, *({"manifest", *sanitized, *derived} - missing)}
 
     def _why(self, name: str) -> str:
         found = [n.why for n in self.not_checked if n.what == name]
@@ -158,7 +172,8 @@ def replay(
     files = replace(files, findings=(*files.findings, *records))
     if is_lean(config):
         files = replace(files, not_checked=(*files.not_checked, MADE_AGAIN))
-    return _conclude(files, check, model.hash)
+    progress("deriving the certificate's bounds again from the C")
+    return _conclude(files, check, model.hash, (), check_folder_certificate(config.firmware_out))
 
 
 def refuse_unknown(required: Iterable[str]) -> None:
@@ -169,7 +184,7 @@ def refuse_unknown(required: Iterable[str]) -> None:
     """
     from zerodrift.c_runtime.cores import CORES
 
-    known = ["manifest", HOST, SANITIZER, "onnx", *CORES, *BEYOND]
+    known = ["manifest", HOST, SANITIZER, CERTIFICATE, "onnx", *CORES, *BEYOND]
     for name in required:
         if name not in known:
             raise InputError(
@@ -178,7 +193,11 @@ def refuse_unknown(required: Iterable[str]) -> None:
 
 
 def _conclude(
-    files: ManifestCheck, check: FolderCheck, model_hash: str, more: tuple[str, ...] = ()
+    files: ManifestCheck,
+    check: FolderCheck,
+    model_hash: str,
+    more: tuple[str, ...] = (),
+    certificate: FolderCertificate = NO_CERTIFICATE,
 ) -> Replay:
     beyond = [
         NotChecked(
@@ -197,7 +216,8 @@ def _conclude(
         header=tuple(check.header),
         findings=files.findings,
         forced=files.manifest.forced if files.manifest else (),
-        not_checked=(*files.not_checked, *check.not_checked, *beyond),
+        not_checked=(*files.not_checked, *check.not_checked, *beyond, *certificate.not_checked),
+        certificate=certificate,
     )
 
 

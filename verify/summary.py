@@ -297,3 +297,7 @@ class VerifySummary:
     forced: tuple[str, ...]
     """What had been found against this firmware when it was built, and was overridden."""
     not_checked: tuple[NotChecked, ...]
+    claims: int
+    """Claims of certificate.json that were derived again from the C and hold."""
+    refuted: tuple[str, ...]
+    """Claims that do not follow from the C."""

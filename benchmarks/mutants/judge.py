@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from unittest import mock
 
 from benchmarks.mutants.operators import OPERATORS, Edit
 from benchmarks.mutants.oracle import Finding, Oracle
@@ -222,7 +223,40 @@ def ask_certificate(folder: Path) -> tuple[str, str]:
     return ("refused", outcome.failures[0][:200]) if outcome.failures else ("accepted", "")
 
 
-def ask_verify(project: Path) -> tuple[str, str]:
+@contextlib.contextmanager
+def first_failure_suffices() -> Iterator[None]:
+    """Let verify leave out what comes after the host's builds, or a core, that differ.
+
+    What it finds later adds to a refusal and never takes one back.
+    """
+    from zerodrift.verify import folder_check, replay
+
+    check_cores, run_core = folder_check._check_cores, folder_check._run_core
+    check_claims = replay.check_folder_certificate
+    failed: list[str] = []
+
+    def check(found: folder_check.FolderCheck, *rest: object) -> None:
+        failed.extend(found.failures)
+        if not failed:
+            check_cores(found, *rest)  # type: ignore[arg-type]
+
+    def run(*rest: object) -> list[str]:
+        failures = [] if failed else run_core(*rest)  # type: ignore[arg-type]
+        failed.extend(failures)
+        return failures
+
+    def derive(folder: Path) -> object:
+        return replay.NO_CERTIFICATE if failed else check_claims(folder)
+
+    with (
+        mock.patch.object(folder_check, "_check_cores", check),
+        mock.patch.object(folder_check, "_run_core", run),
+        mock.patch.object(replay, "check_folder_certificate", derive),
+    ):
+        yield
+
+
+def ask_verify(project: Path, *, quick: bool = False) -> tuple[str, str]:
     """Return accepted, refused, hangs or crashes, and what `zerodrift verify` said."""
     from click.testing import CliRunner
 
@@ -230,8 +264,9 @@ def ask_verify(project: Path) -> tuple[str, str]:
     from zerodrift.base.errors import ZerodriftError
 
     home = Path.cwd()
+    shortened = first_failure_suffices() if quick else contextlib.nullcontext()
     try:
-        with end_after(_JUDGE_SECONDS), contextlib.redirect_stderr(io.StringIO()):
+        with end_after(_JUDGE_SECONDS), contextlib.redirect_stderr(io.StringIO()), shortened:
             done = CliRunner().invoke(cli, ["verify", "-C", str(project)])
     except JudgeHangsError:
         return "hangs", f"no answer in {_JUDGE_SECONDS} s"
@@ -246,18 +281,15 @@ def ask_verify(project: Path) -> tuple[str, str]:
     return "crashes", repr(done.exception)[:300]
 
 
-ASK = {"certificate": ask_certificate, "verify": ask_verify}
-
-
 def try_mutant(
-    subject: Subject, seed: int, number: int, way: str, *, bits: bool = False
+    subject: Subject, seed: int, number: int, way: str, *, bits: bool = False, quick: bool = False
 ) -> tuple[str, str]:
     """Give one mutant, its hashes corrected, to the judge on trial."""
     mutant = draw_mutant(subject, seed, number)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "mutant"
         write_mutant(subject, mutant, folder, bits=bits)
-        return ASK[way](folder)
+        return ask_verify(folder, quick=quick) if way == "verify" else ask_certificate(folder)
 
 
 def to_line(record: Record, told: tuple[str, str] | None) -> str:

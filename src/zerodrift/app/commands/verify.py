@@ -22,13 +22,15 @@ if TYPE_CHECKING:
     "required",
     metavar="CORE",
     multiple=True,
-    help="Fail unless this was checked: a core such as cortex-m4, host, onnx or manifest."
+    help="Fail unless this was checked: a core such as cortex-m4, host, onnx, certificate or"
+    " manifest."
     " May be given more than once.",
 )
 @click.option(
     "--certificate",
     is_flag=True,
-    help="Instead, derive every bound of certificate.json again from the C alone.",
+    help="Do this alone: derive every bound of certificate.json again from the C. Needs no"
+    " compiler.",
 )
 @click.option(
     "--prove",
@@ -48,11 +50,11 @@ def command(
 
     Every file is compared with firmware/manifest.json; the folder's own C and runtime are compiled
     in each of their layouts, for this host and for emulated cores, and run with build/integer.onnx
-    over the golden vectors; names in the header are compared with the model. What cannot run here
-    is told as not checked.
+    over the golden vectors; names in the header are compared with the model, and every bound of
+    certificate.json is derived again from the C. What cannot run here is told as not checked.
 
     Exit code 1: a file was changed, is missing or stale, a bit or a name in the header differs, a
-    core of --require was not checked, with --certificate a claim does not hold, or with --prove
+    claim of the certificate does not hold, a core of --require was not checked, or with --prove
     something is not proven.
     """
     from zerodrift.app.commands.console import show_progress
@@ -83,6 +85,11 @@ def _print(outcome: "Replay") -> None:
         click.echo(
             f"bit-exact: {outcome.vectors} steps on the host, the golden vectors on"
             f" {' = '.join(outcome.backends)}, 0 LSB (model {outcome.model_hash[:12]})"
+        )
+    if outcome.certificate.holds:
+        click.echo(
+            f"no overflow for any input: {outcome.certificate.holds} claims of certificate.json,"
+            " each derived again from the C"
         )
     for text in outcome.forced:
         click.echo(f"FORCED when it was built: {text}")

@@ -1,0 +1,68 @@
+"""`verify` derives the certificate again: C that gives every bit and leaves its arrays fails."""
+
+import hashlib
+import json
+from pathlib import Path
+
+from benchmarks.mutants.judge import identify_files, replace_file
+
+from zerodrift.verify.folder_certificate import CERTIFICATE, check_folder_certificate
+
+
+def replace_text(project: Path, name: str, before: str, after: str) -> None:
+    """Change the C, its identities and every hash that speaks of it, as another version would."""
+    firmware = project / "firmware"
+    texts = {p.name: p.read_text() for p in firmware.iterdir() if p.suffix in (".c", ".h")}
+    assert before in texts[name]
+    prefix = json.loads((firmware / "certificate.json").read_text())["prefix"]
+    changed = identify_files({**texts, name: texts[name].replace(before, after, 1)}, prefix)
+    for file, text in changed.items():
+        if text != texts[file]:
+            replace_file(firmware / file, text.encode(), [firmware, project / "build"])
+
+
+def test_a_sound_certificate_is_counted_and_may_be_required(project: Path, zerodrift) -> None:
+    claims = json.loads((project / "firmware/certificate.json").read_text())
+    done = zerodrift("verify", "-C", project, "--require", "certificate", "--json")
+    told = json.loads(done.out)
+    assert done.code == 0, done.err
+    assert told["claims"] >= len(claims["bounds"]) and told["refuted"] == []
+    assert all(one["what"] != CERTIFICATE for one in told["not_checked"])
+
+
+def test_a_scratch_array_that_is_too_short_is_found(project: Path) -> None:
+    short = "int32_t v[-1 + ZD_PAIR_SCRATCH("
+    replace_text(project, "front_end.c", "int32_t v[ZD_PAIR_SCRATCH(", short)
+    found = check_folder_certificate(project / "firmware")
+    assert any("ZD_KERNEL_PAIRS" in text and "of v from" in text for text in found.failures)
+
+
+def test_a_claim_that_is_too_narrow_fails_though_no_bit_differs(project: Path, zerodrift) -> None:
+    path = project / "firmware" / "certificate.json"
+    claims = json.loads(path.read_text())
+    bound = next(b for b in claims["bounds"] if b["high"] > 1)
+    bound["high"] -= 1
+    replace_file(path, json.dumps(claims).encode(), [project / "firmware", project / "build"])
+    done = zerodrift("verify", "-C", project)
+    assert done.code == 1
+    assert "the certificate does not follow from the C" in done.err and bound["where"] in done.err
+
+
+def test_without_a_certificate_it_is_not_checked(project: Path, zerodrift) -> None:
+    (project / "firmware/certificate.json").unlink()
+    found = check_folder_certificate(project / "firmware")
+    assert (found.holds, found.failures) == (0, ())
+    assert [one.what for one in found.not_checked] == [CERTIFICATE]
+    done = zerodrift("verify", "-C", project, "--require", "certificate")
+    assert done.code == 1 and "certificate: is required and was not checked" in done.err
+
+
+def test_another_runtime_has_no_rules(project: Path) -> None:
+    path = project / "firmware/zd_runtime.c"
+    before = hashlib.sha256(path.read_bytes()).hexdigest()
+    path.write_text(path.read_text() + "/* of another version */\n")
+    certificate = project / "firmware/certificate.json"
+    after = hashlib.sha256(path.read_bytes()).hexdigest()
+    certificate.write_text(certificate.read_text().replace(before, after))
+    found = check_folder_certificate(project / "firmware")
+    assert not found.failures and "another version" in found.not_checked[0].why

@@ -1,0 +1,52 @@
+"""The certificate of a firmware folder, derived again while `verify` is at it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from zerodrift.verify.certificate import FILE_NAME
+from zerodrift.verify.certificate_check import check_certificate
+from zerodrift.verify.known_runtime import is_known
+from zerodrift.verify.manifest import NotChecked
+
+CERTIFICATE = "certificate"
+
+
+@dataclass(frozen=True)
+class FolderCertificate:
+    """What became of the certificate."""
+
+    holds: int = 0
+    """Claims that hold."""
+    failures: tuple[str, ...] = ()
+    """What does not follow from the C."""
+    not_checked: tuple[NotChecked, ...] = ()
+
+
+NO_CERTIFICATE = FolderCertificate()
+"""It did not get that far."""
+
+
+def check_folder_certificate(folder: Path) -> FolderCertificate:
+    """Derive the bounds of a firmware folder's certificate again from the C that lies there.
+
+    Args:
+        folder: the firmware's. One without certificate.json, or with a runtime that this version
+            has no rules for, is not checked.
+    """
+    if not (folder / FILE_NAME).is_file():
+        return _leave("there is no certificate.json")
+    texts = {
+        path.name: path.read_text(encoding="utf-8", errors="replace")
+        for path in sorted(folder.iterdir())
+        if path.name.startswith("zd_") and path.is_file()
+    }
+    if not is_known(texts):
+        return _leave("the runtime (zd_*) is of another version, or was changed")
+    outcome = check_certificate(folder)
+    return FolderCertificate(
+        outcome.holds, tuple(f"{FILE_NAME}: {text}" for text in outcome.failures)
+    )
+
+
+def _leave(why: str) -> FolderCertificate:
+    return FolderCertificate(not_checked=(NotChecked(CERTIFICATE, why),))
