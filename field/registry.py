@@ -6,14 +6,17 @@ stays: a unit's history is a list of events, of which none is changed. Tables an
 """
 
 import hashlib
+import os
+import secrets
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.base.files import REMAINDER, telling_of_writes, write_beside
 
 FILE_NAME = "registry.sqlite"
 """Beside zerodrift.toml: unlike build/ it cannot be made again."""
@@ -318,35 +321,69 @@ def open_registry(path: Path, *, make: bool = False, wait_s: float = WAIT_S) -> 
             f"{path}: there is no registry; expected the file that `zerodrift registry init` makes."
             " Make it, or name it by --registry."
         )
+    if make:
+        _make(path)
     try:
         connection = sqlite3.connect(path, timeout=wait_s, isolation_level=None)
     except sqlite3.DatabaseError as error:
         raise _explain(path, error) from error
     try:
-        _prepare(path, connection, make)
+        _prepare(path, connection)
         yield Registry(path, connection)
     finally:
         connection.close()
 
 
-def _prepare(path: Path, connection: sqlite3.Connection, make: bool) -> None:
+def _make(path: Path) -> None:
+    """Put an empty registry in its place as a whole, unless a file is there already."""
+    with telling_of_writes(path):
+        if path.exists():
+            for left in path.parent.glob(f".{path.name}.*{REMAINDER}"):  # of one that was killed
+                left.unlink(missing_ok=True)
+            return
+        temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}{REMAINDER}")
+        try:
+            write_beside(temporary, _write_empty(), like=path)
+            with suppress(FileExistsError):  # another process may have been first
+                _put(temporary, path)
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+
+
+def _put(temporary: Path, path: Path) -> None:
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a disk without links, or another process has cleaned up
+        if not path.exists():
+            temporary.replace(path)
+
+
+def _write_empty() -> bytes:
+    """Return the bytes of a registry without units, in write-ahead mode."""
+    connection = sqlite3.connect(":memory:", isolation_level=None)
+    try:
+        connection.execute("BEGIN")
+        for statement in SCHEMA.split(";\n"):
+            connection.execute(statement)
+        connection.execute(f"PRAGMA application_id = {APPLICATION}")
+        connection.execute(f"PRAGMA user_version = {VERSION}")
+        connection.execute("COMMIT")
+        content = bytearray(connection.serialize())
+    finally:
+        connection.close()
+    content[18:20] = b"\x02\x02"  # https://www.sqlite.org/fileformat.html: 2 for write-ahead
+    return bytes(content)
+
+
+def _prepare(path: Path, connection: sqlite3.Connection) -> None:
     def ask(name: str) -> int:
         return int(connection.execute(f"PRAGMA {name}").fetchone()[0])
 
     try:
         connection.execute("PRAGMA foreign_keys = ON")
-        if make and ask("application_id") == 0:
-            connection.execute("PRAGMA journal_mode = WAL")
-            connection.execute("BEGIN IMMEDIATE")
-            if ask("application_id") == 0:  # another process may have been first
-                if ask("schema_version"):
-                    connection.execute("ROLLBACK")
-                    raise _refuse_other(path)
-                for statement in SCHEMA.split(";\n"):
-                    connection.execute(statement)
-                connection.execute(f"PRAGMA application_id = {APPLICATION}")
-                connection.execute(f"PRAGMA user_version = {VERSION}")
-            connection.execute("COMMIT")
         if ask("application_id") != APPLICATION:
             raise _refuse_other(path)
         if ask("user_version") != VERSION:

@@ -6,12 +6,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from tests.loop.conftest import TOML, write_log
-
-Run = Callable[[Path, tuple[str, ...]], int]
-"""(project, arguments of zerodrift) -> exit code, without faults."""
+from tests.faults.projects import (
+    FLEET,
+    TWIN,
+    Run,
+    prepare_added,
+    prepare_block,
+    prepare_codes,
+    prepare_codes_of_units,
+    prepare_fleet,
+    prepare_formula,
+    prepare_old,
+    prepare_output,
+    prepare_package,
+    prepare_registry,
+    prepare_toml,
+    prepare_twin,
+)
 
 
 @dataclass(frozen=True)
@@ -27,88 +38,10 @@ class Scenario:
     """Exit codes without faults, also of the command done again."""
     next_command: tuple[str, ...] = ("history", "-C", "{}")
     """One that changes nothing, after which no set is mixed."""
+    grows: str = ""
+    """A log of which the first rows are as good as all, once `next_command` has put it right."""
     report: str = ""
     """The file that tells which units failed, where others go on and the exit code is 1."""
-
-
-def prepare_logs(project: Path, _: Run | None = None) -> None:
-    """Write three short runs."""
-    for seed in range(3):
-        write_log(project / "logs" / f"run_{seed}.csv", seed, seconds=400)
-
-
-def prepare_toml(project: Path, run: Run | None = None) -> None:
-    """Write the runs and zerodrift.toml."""
-    prepare_logs(project, run)
-    (project / "zerodrift.toml").write_text(TOML.format(more_logs=""), encoding="utf-8")
-
-
-def change_model(project: Path) -> None:
-    """Change what every generated file is made from."""
-    path = project / "zerodrift.toml"
-    text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace('kind = "zero_tempco"', 'kind = "zero_tempco"\norder = 2', 1))
-
-
-def prepare_old(*commands: tuple[str, ...]) -> Callable[[Path, Run], None]:
-    """Return what runs commands and then changes the model, so that all that they wrote is old."""
-
-    def prepare(project: Path, run: Run) -> None:
-        prepare_toml(project)
-        for arguments in commands:
-            assert run(project, arguments) == 0, arguments
-        change_model(project)
-
-    return prepare
-
-
-def prepare_firmware(project: Path, run: Run) -> None:
-    """Make a project with its firmware."""
-    prepare_toml(project)
-    assert run(project, ("firmware", "-C", "{}")) == 0
-
-
-def prepare_added(project: Path, run: Run) -> None:
-    """Make a project with an effect that was added."""
-    prepare_toml(project)
-    assert run(project, ("add", "thermal_lag", "-C", "{}")) == 0
-
-
-def prepare_package(project: Path, run: Run) -> None:
-    """Make a project with an old package and a new firmware."""
-    prepare_firmware(project, run)
-    assert run(project, ("package", "cmake", "-C", "{}")) == 0
-    change_model(project)
-    assert run(project, ("firmware", "-C", "{}")) == 0
-
-
-def prepare_codes(project: Path, _: Run) -> None:
-    """Write a log of converter codes under test weights."""
-    rng = np.random.default_rng(5)
-    loads = rng.uniform(-1.0, 1.0, (200, 6)) * (100.0, 100.0, 400.0, 2.0, 2.0, 3.0)
-    forward = rng.normal(size=(6, 6)) + np.diag([30.0, 30.0, 8.0, 1500.0, 1500.0, 1000.0])
-    codes = 32768.0 + loads @ forward.T
-    names = [f"adc_{k}" for k in range(1, 7)]
-    names += [f"ref_{name}" for name in ("Fx_N", "Fy_N", "Fz_N", "Mx_Nm", "My_Nm", "Mz_Nm")]
-    table = np.column_stack([np.arange(200.0), codes, loads])
-    header = ",".join(["time_s", *names])
-    project.mkdir(exist_ok=True)
-    np.savetxt(project / "codes.csv", table, delimiter=",", header=header, comments="", fmt="%.9g")
-    for kind in ("toml", "json", "h"):
-        (project / f"cal.{kind}").write_text("old\n")
-
-
-def prepare_fleet(project: Path, run: Run) -> None:
-    """Make a fleet of two sensors, calibrated, with another design since."""
-    for number, sensor in enumerate(("SN1", "SN2")):
-        for seed in range(3):
-            path = project / "fleet" / sensor / f"run_{seed}.csv"
-            write_log(path, 10 * number + seed, seconds=400)
-    text = TOML.format(more_logs="").replace("logs/run_*.csv", "run_*.csv")
-    text += '\n[fleet]\nfolder = "fleet/{sensor}"\n'
-    (project / "zerodrift.toml").write_text(text, encoding="utf-8")
-    assert run(project, FLEET) == 0
-    change_model(project)
 
 
 REPORT = ("report", "-C", "{}", "--no-diagnose")
@@ -116,14 +49,19 @@ CALIBRATE = (
     *("calibrate", "{}/codes.csv", "-C", "{}"),
     *(word for kind in ("toml", "json", "h") for word in ("--write", f"{{}}/cal.{kind}")),
 )
-FLEET = ("fleet", "-C", "{}", "--jobs", "1", "--no-firmware")
-TWIN = ("twin", "-C", "{}", "--runs", "1", "--duration", "300", "--test", "none", "--no-dwell")
 
-
-def prepare_twin(project: Path, run: Run) -> None:
-    """Write a simulation that another replaces."""
-    project.mkdir(exist_ok=True)
-    assert run(project, (*TWIN, "--seed", "1")) == 0
+APPLY = ("apply", "{}/logs/run_0.csv", "-C", "{}", "--out", "{}/applied.parquet")
+PROPOSE = ("propose", "-C", "{}", "--write", "{}/my_effect.py")
+PLAN = (
+    *("plan", "-C", "{}", "--hours", "0.5", "--between", "thermal_lag", "creep", "--budget", "1"),
+    *("--out", "{}/plan.csv", "--picture", "{}/plan.html"),
+)
+MONITOR = ("monitor", "{}/logs/run_2.csv", "-C", "{}", "--metrics", "{}/unit.prom")
+NEIGHBOUR = ("neighbour", "polynomial", "-C", "{}", "--out", "{}/polynomial.json")
+ANNEX = ("report", "-C", "{}", "--no-diagnose", "--datasheet", "--annex", "{}/annex")
+LIST = ("registry", "list", "-C", "{}")
+RECORD = ("record", "command:cat {}/logs/run_0.csv", "-C", "{}", "--out", "{}/log.parquet")
+RECOVER = ("record", "--recover", "{}/log.parquet", "-C", "{}")
 
 
 SCENARIOS = (
@@ -139,6 +77,18 @@ SCENARIOS = (
     Scenario("calibrate", CALIBRATE, prepare_codes, next_command=CALIBRATE[:4]),
     Scenario("twin", (*TWIN, "--seed", "2", "--force"), prepare_twin),
     Scenario("fleet", FLEET, prepare_fleet, report="build/fleet/report.json"),
+    Scenario("apply", APPLY, prepare_output(APPLY)),
+    Scenario("propose", PROPOSE, prepare_formula, (0, 1)),
+    Scenario("plan", PLAN, prepare_toml),
+    Scenario("monitor", MONITOR, prepare_output(MONITOR)),
+    Scenario("neighbour", NEIGHBOUR, prepare_output(NEIGHBOUR)),
+    Scenario("annex", ANNEX, prepare_old(ANNEX)),
+    Scenario("restore", ("history", "--restore", "0", "-C", "{}"), prepare_added, (0, 2)),
+    Scenario("upgrade", ("init", "--upgrade", "-C", "{}"), prepare_codes_of_units),
+    Scenario("registry", ("registry", "init", "-C", "{}"), prepare_toml, (0,), LIST),
+    Scenario("unit", ("registry", "add", "SN2", "-C", "{}"), prepare_registry, (0, 2), LIST),
+    Scenario("block", ("firmware", "-C", "{}"), prepare_block),
+    Scenario("record", RECORD, prepare_toml, (0, 2), RECOVER, grows="log.parquet"),
 )
 
 

@@ -167,6 +167,14 @@ def test_a_step_is_restored_with_its_values_and_can_be_left_again(staircase):
     assert [(e.kind, e.held) for e in again] == [(e.kind, e.held) for e in whole]
 
 
+def test_restoring_what_is_there_writes_nothing(staircase):
+    files = (staircase / "zerodrift.toml", staircase / "build/history.json")
+    before = [path.read_bytes() for path in files]
+    done = restore(staircase, 2)
+    assert done.exit_code == 0 and "already; nothing was written" in done.stderr
+    assert [path.read_bytes() for path in files] == before
+
+
 def test_a_step_that_is_not_there_or_kept_nothing_is_refused(staircase):
     text = (staircase / "zerodrift.toml").read_text()
     assert "steps 0 to 2" in str(restore(staircase, 7).exception)

@@ -33,11 +33,11 @@ def write_project(directory, kind, runs=6, seed=7):
 
 @pytest.mark.slow
 def test_a_formula_is_proposed_written_added_and_becomes_checked_c(tmp_path, zerodrift):
-    write_project(tmp_path, "humidity - LP(humidity)")
+    write_project(tmp_path, "|T - LP(T)|")
     file = tmp_path / "my_effect.py"
     told = json.loads(zerodrift("propose", "-C", tmp_path, "--write", file, "--json").out)
     assert told["found"] and told["written"] == str(file)
-    assert told["formula"].startswith("k * (humidity - LP(humidity, ")
+    assert told["formula"].startswith("k * |T - LP(T, ")
     assert told["instructions"]["cortex-m4"] > 0 and told["flash_bytes"]["cortex-m4"] > 0
     assert all(told["rounding"][k] < 0.1 * told["rmse_left_out"][k]["after"] for k in ("Fz", "Mx"))
     toml = tmp_path / "zerodrift.toml"

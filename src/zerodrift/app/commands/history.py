@@ -122,7 +122,7 @@ def restore_step(config: Config, number: int) -> None:
             f"which kept no settings; expected a step that has them. Its effects were "
             f"{', '.join(step.effects)}: write them into {config.path} by hand."
         )
-    text = read_text(config.path)
+    before = text = read_text(config.path)
     # What the step has as well stays as it is written, its comments and all.
     missing = list(step.settings)
     for place, settings in reversed(list(enumerate(list_settings(config.effects)))):
@@ -138,6 +138,13 @@ def restore_step(config: Config, number: int) -> None:
             f"{config.path}: its layout is not understood well enough to edit it; expected "
             "[[effect]] tables with one key to a line. Edit the effects by hand."
         )
+    if text == before:
+        click.echo(
+            f"{config.path} has the effects of step {number} ({step.label}) already; nothing"
+            " was written",
+            err=True,
+        )
+        return
     entry = record_restored(steps, number, config.effects)
     write_all(
         config.directory, {path: render_history([*entries, entry]), config.path: text.encode()}
