@@ -79,8 +79,8 @@ def explain_invalid_row(
     if clock is not None and column == clock.name and clock.kind != "number":
         shown = " ".join(place.values.get(name) or "" for name in clock.columns).strip()
         return InputError(
-            f"{place.text}: {column} holds '{show_text(shown)}', which is no time as those of the "
-            f"other rows are; expected one such. Correct the row, {SKIP} {rows}."
+            f"{place.text}: {column} holds '{show_text(shown)}', which is no time like those of "
+            f"the other rows; expected one. Correct the row, {SKIP} {rows}."
         )
     if text is None or not text.strip():
         return InputError(
@@ -90,7 +90,7 @@ def explain_invalid_row(
     if np.isnan(value) and column in table.converted:
         return InputError(
             f"{place.text}: column '{column}' holds '{show_text(text)}', which its conversion in "
-            f"zerodrift.toml makes no quantity of; expected a value within it. Correct scale, "
+            f"zerodrift.toml does not cover; expected a value that it does. Correct scale, "
             f"divider or table, or the row, {SKIP} {rows}."
         )
     if np.isnan(value) and text.strip().lower().lstrip("+-") != "nan":
@@ -118,7 +118,7 @@ def explain_invalid_row(
     hint = guess_temperature_unit(column, values[np.isfinite(values)])
     return InputError(
         f"{place.text}: {column} is {value:g} degC; expected {low:g} to {high:g} degC.{hint} "
-        f"Correct the unit or the row, {SKIP} {rows}; a sensor that measures beyond says so by "
+        f"Correct the unit or the row, {SKIP} {rows}; for a sensor that measures beyond, write "
         f'{{ column = "{column}", range = [low, high] }}.'
     )
 

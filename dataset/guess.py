@@ -320,7 +320,7 @@ def _choose_outputs(
             )
         if not source:
             alternatives[f"outputs.{short}.unit"] = ("V", "mV", "ohm", "N", "g", "ppm")
-            checks.append(f"the unit of {short} is not told by the log; taken as LSB")
+            checks.append(f"the log does not state the unit of {short}; taken as LSB")
         elif not column.unit:
             checks.append(f"the unit of {short}, {unit}, is taken from {source}")
         outputs.append(GuessedOutput(short, measured, reference, unit, round_up(peak), source))

@@ -164,7 +164,7 @@ def _compare_clocks(
         if difference is None or not difference.is_credible:
             why = "" if difference is None else _tell_unlike(difference)
             notes.append(
-                f"{name}: the clock's difference to {first} cannot be told by [logs] common{why}; "
+                f"{name}: the clock's difference to {first} is not known from [logs] common{why}; "
                 "taken as none"
             )
             continue

@@ -79,5 +79,5 @@ def _explain(config: Config, joined: LogTable, own: LogTable, column: str, row: 
     return InputError(
         f"{place.text}: column '{column}' holds '{show_text(text)}', which with its cold junction "
         f"'{cold}' at {degc:.6g} degC makes {made} by type {by.couple}; expected a temperature "
-        f"that it tells. Correct unit, scale or type in zerodrift.toml, or the row, {SKIP} it."
+        f"in its range. Correct unit, scale or type in zerodrift.toml, or the row, {SKIP} it."
     )

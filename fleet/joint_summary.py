@@ -153,5 +153,5 @@ def _tell_evidence(units: int) -> str:
             "effect. Diagnose each one by --sensor"
         )
     if units < FEWEST:
-        return f"{told}; from {FEWEST} on, units that differ are told"
+        return f"{told}; from {FEWEST} on, units that differ are named"
     return told

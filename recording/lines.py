@@ -93,7 +93,7 @@ def check_names(columns: tuple[str, ...]) -> None:
             )
         if columns.count(name) > 1:
             raise InputError(
-                f"columns {', '.join(columns)}: '{name}' stands twice; expected it once."
+                f"columns {', '.join(columns)}: '{name}' appears twice; expected it once."
             )
 
 

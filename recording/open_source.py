@@ -25,7 +25,7 @@ def open_source(text: str, columns: tuple[str, ...], dbc: Path | None) -> LiveSo
     """
     wanted = parse_source(text)
     if dbc is not None and wanted.kind != "can":
-        raise InputError(f"--dbc {dbc}: is for a source can:..., and '{text}' is none.")
+        raise InputError(f"--dbc {dbc}: is for a source can:...; found '{text}'. Leave --dbc out.")
     if wanted.kind == "can":
         return CanSource(wanted, dbc)
     if wanted.kind == "mqtt":

@@ -127,7 +127,7 @@ def test_a_folder_of_an_older_version_is_told_apart(built: Path, tmp_path: Path)
     result = diff(old, built, "--json")
     notes = " ".join(json.loads(result.stdout)["notes"])
     assert "effects.json are not as manifest.json has them" in notes
-    assert "nothing there tells its effects" in notes
+    assert "no effects are recorded there" in notes
     assert json.loads(result.stdout)["changes"] == []
     (old / "model.json").unlink()
     refused = diff(old, built)

@@ -54,7 +54,7 @@ def test_no_reading_is_no_number() -> None:
         ("a,b\n1", "'1' has 1 values; expected 2"),
         ("a,b\n1,x", "'x' is no number"),
         ("{broken", "is no JSON object"),
-        ("a,a\n1,2", "'a' stands twice"),
+        ("a,a\n1,2", "'a' appears twice"),
     ],
 )
 def test_what_is_no_row_says_why(text: str, told: str) -> None:

@@ -69,7 +69,7 @@ def open_model(path: Path, plugins: Sequence[Path] = ()) -> OpenedModel:
     notes = _check_files(folder) if folder is not None else ()
     effects, learnt = _read_effects(build, plugins)
     if effects is None:
-        notes = (*notes, f"{path}: nothing there tells its effects; they are not compared")
+        notes = (*notes, f"{path}: no effects are recorded there; they are not compared")
     return OpenedModel(str(path), model, effects, learnt, notes)
 
 

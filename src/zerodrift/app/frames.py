@@ -228,7 +228,7 @@ def write_project(
         for run in runs:
             if run not in frames:
                 raise InputError(
-                    f"from_frames: {use} names '{run}', which is no frame; expected of "
+                    f"from_frames: {use} names '{run}', which is no frame; expected one of "
                     f"{', '.join(frames)}."
                 )
     places = {run: f"logs/{_UNSAFE.sub('_', run) or 'run'}.parquet" for run in frames}

@@ -103,7 +103,7 @@ def explain_proposal(result: ProposeResult, directory: Path) -> list[str]:
         if result.suffices:
             told.append(f"To add it: zerodrift add {result.suffices}{where}")
         if result.nearest and not result.suffices:
-            told.append(f"Nearest, and not it: k * {result.nearest}.")
+            told.append(f"Nearest, but not it: k * {result.nearest}.")
         told += [
             f"What is left follows {one.follows} ({100.0 * one.share:.0f} % of it)."
             for one in result.remainder
@@ -132,7 +132,7 @@ def explain_proposal(result: ProposeResult, directory: Path) -> list[str]:
             f"{rounding} from float."
         )
     if result.cost_note:
-        told.append(f"Its cost on the chip could not be told: {result.cost_note}.")
+        told.append(f"Its cost on the chip is not known: {result.cost_note}.")
     told.append(f"To confirm or refute it: {result.next_experiment}.")
     if result.written:
         told.append(

@@ -115,7 +115,7 @@ def read_uncertainty(config: Config, model_hash: str) -> "tuple[Uncertainty | No
         )
     return None, (
         "no uncertainty is stated: it comes from models that leave a training run out, which "
-        "`zerodrift firmware` and `zerodrift fleet` fit unless told --no-uncertainty; what was "
+        "`zerodrift firmware` and `zerodrift fleet` fit unless --no-uncertainty is given; what was "
         "learnt beside the effects takes two training runs, and a network from an ONNX file cannot "
         "be trained again"
     )

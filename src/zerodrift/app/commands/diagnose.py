@@ -119,7 +119,7 @@ def _diagnose_all(
     if auto:
         raise InputError(
             "diagnose --auto: found a fleet; expected one model. Name a unit by --sensor, or leave "
-            "--auto out: what all units lack is told."
+            "--auto out to see what all units lack."
         )
     with show_progress("looking for units") as say:
         found, catalogue = diagnose_fleet(config, skip_invalid, say)

@@ -73,11 +73,11 @@ def command(
     as_json: bool,
     options: NeighbourOptions,
 ) -> None:
-    """Write the model of the last `firmware` as another program takes it, and tell what that loses.
+    """Write the model of the last `firmware` as another program takes it, and what it loses.
 
     They take a polynomial in the temperature and nothing else: memory, load and other inputs are
-    lost. The loss is told in the sensor's unit against the full model, over LOG... (default: those
-    of [logs]) and over the calibrated range.
+    lost. The loss is stated in the sensor's unit against the full model, over LOG... (default:
+    those of [logs]) and over the calibrated range.
     """
     from zerodrift.app.applied_model import open_applied
     from zerodrift.app.commands.project import open_config

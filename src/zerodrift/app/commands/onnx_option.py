@@ -131,7 +131,7 @@ def open_import(
             f" {config.path.name} are not part of it."
         )
     if dataset.test:
-        notes.append("whether the network was trained on the test logs, its file does not tell.")
+        notes.append("the file does not say whether its network was trained on the test logs.")
     return config, dataset, model, notes + more
 
 
@@ -171,6 +171,6 @@ def _open_config(
     config = replace(config, train_logs=tuple(selectors))
     tested = {selection.path.resolve() for selection in expand_selectors(config, "test")}
     if tested & {path.resolve() for path in logs}:
-        note = "the test logs are among those calibrated on; errors are told on the latter"
+        note = "the test logs are among those calibrated on; errors are those of the latter"
         return replace(config, test_logs=()), [note]
     return config, []

@@ -44,7 +44,7 @@ def refuse_shared_program(directory: Path, sensor: str | None) -> None:
             f"--sensor {sensor}: {config.path} has coefficients in a block, so that no unit has C"
             " of its own; expected the fleet as a whole. `zerodrift fleet` builds and checks"
             " program and blocks, and computes only what has changed; `zerodrift block show FILE`"
-            " tells what a unit's block holds."
+            " prints what a unit's block holds."
         )
 
 
@@ -65,8 +65,8 @@ def open_project(
     except InputError as error:
         if sensor is None and is_fleet(config):
             raise InputError(
-                f"{error} This project is a fleet: --sensor NAME speaks of one unit of it,"
-                " `zerodrift fleet` of all."
+                f"{error} This project is a fleet: --sensor NAME works on one unit of it,"
+                " `zerodrift fleet` on all."
             ) from error
         raise
 
