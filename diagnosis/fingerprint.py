@@ -18,6 +18,8 @@ STEPS = 3600
 LOWEST_DEGC, HIGHEST_DEGC = -20.0, 60.0
 FULL_LOAD = 100.0
 RAIL_SHARE = 0.6
+TURN_ON = (0.7, -1.0, 1.0, -0.3)
+"""Zeros at one power-on after the other."""
 LOAD_LABEL = "load, % of full scale"
 
 DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
@@ -52,6 +54,7 @@ def draw_fingerprint(effect: Effect, catalogue: Catalogue) -> Fingerprint | None
         clipped = np.clip(load, -RAIL_SHARE * FULL_LOAD, RAIL_SHARE * FULL_LOAD)
         experiment = f"load up and down, rails at {100.0 * RAIL_SHARE:.0f} %"
         return _scale(load, clipped - load, LOAD_LABEL, experiment)
+    elapsed = t
     label, experiment = "time, min", "at rest since power-on"
     if "load" in effect.needs:
         load = _rise_and_fall(t)
@@ -69,10 +72,14 @@ def draw_fingerprint(effect: Effect, catalogue: Catalogue) -> Fingerprint | None
         temperature = _two_loops(t)
         against, label = temperature, "temperature, degC"
         experiment = "a fast and a slow loop of temperature"
+    elif effect.kind == "turn_on_bias":
+        turn = np.minimum(t * len(TURN_ON) / DURATION_S, len(TURN_ON) - 1).astype(np.int64)
+        channel, elapsed = np.array(TURN_ON)[turn], t % (DURATION_S / len(TURN_ON))
+        experiment = f"power off and on every {DURATION_S / len(TURN_ON) / 60.0:.0f} min"
     elif not {"elapsed", "clock"} & set(effect.needs):
         channel = (np.floor(t / DURATION_S * 4.0) % 2.0).astype(np.float64)
         experiment = "the input stepped up and down"
-    drift = _simulate(effect, catalogue, t, temperature, load, channel)
+    drift = _simulate(effect, catalogue, elapsed, temperature, load, channel)
     if effect.rewrite is not None:
         drift = drift - np.polyval(np.polyfit(temperature, drift, 1), temperature)
         experiment += "; what a straight line leaves"
@@ -112,7 +119,7 @@ def _simulate(
     terms = [start_term(catalogue, EffectConfig(effect.kind))]
     if effect.rewrite is not None:
         terms.insert(0, start_term(catalogue, EffectConfig("zero_tempco")))
-    ops = NumpyOperations(float(t[1] - t[0]), t.shape)
+    ops = NumpyOperations(DURATION_S / (STEPS - 1), t.shape)
     features = build_features(ops, signals, terms, list(catalogue))[1:]
     total = np.zeros(STEPS)
     for feature in features:

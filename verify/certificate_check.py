@@ -15,7 +15,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from zerodrift.base.fleet_config import SHARED_RUNTIME
 from zerodrift.verify.bound_check import check_bound
 from zerodrift.verify.c_checksum import FIELD as SUM
 from zerodrift.verify.c_claims import CertificateClaims, read_claims
@@ -25,6 +24,8 @@ from zerodrift.verify.c_model import Model, read_models
 from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError
 from zerodrift.verify.known_runtime import is_known
 
+SHARED_RUNTIME = "runtime"
+"""Beside the folders of a fleet's units: the runtime of all of them."""
 NOT_THERE = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
 MALFORMED = (*NOT_THERE, ValueError, KeyError, TypeError, AttributeError, IndexError)
 """What files raise that are missing, or not built like a certificate and its C."""

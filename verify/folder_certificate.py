@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.verify.certificate import FILE_NAME
-from zerodrift.verify.certificate_check import check_certificate
+from zerodrift.verify.certificate_check import SHARED_RUNTIME, check_certificate
 from zerodrift.verify.known_runtime import is_known
 from zerodrift.verify.manifest import NotChecked
 
@@ -37,7 +37,8 @@ def check_folder_certificate(folder: Path) -> FolderCertificate:
         return _leave("there is no certificate.json")
     texts = {
         path.name: path.read_text(encoding="utf-8", errors="replace")
-        for path in sorted(folder.iterdir())
+        for place in (folder.parent / SHARED_RUNTIME, folder)
+        for path in (sorted(place.iterdir()) if place.is_dir() else ())
         if path.name.startswith("zd_") and path.is_file()
     }
     if not is_known(texts):
