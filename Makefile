@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: test-long setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -71,7 +71,10 @@ flash-image: $(READY) ## ELF and BIN of the example firmware for QEMU's Cortex-M
 	$(RUN) examples/firmware/build.py $(SENSOR)
 
 test: $(READY) ## the tests (under 6 minutes on two cores)
-	$(RUN) -m pytest -q -n 2 -m "not slow" tests
+	$(RUN) -m pytest -q -n 2 -m "not slow and not long" tests
+
+test-long: $(READY) ## the few hundred tests that take longest, which `make test` leaves out; CI runs both
+	$(RUN) -m pytest -q -n 2 -m "long and not slow" tests
 
 test-boards: $(READY) ## every core on QEMU's boards, in short; says what could not run
 	$(RUN) -m pytest -q -m "board and not slow" tests/chips

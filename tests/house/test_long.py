@@ -1,0 +1,22 @@
+"""The list of tests that take longest names tests that there are."""
+
+from pathlib import Path
+
+from tests.conftest import LONG
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_long_test_is_there() -> None:
+    texts: dict[str, str] = {}
+    for name in LONG:
+        file, _, function = name.partition("[")[0].partition("::")
+        if file not in texts:
+            texts[file] = (ROOT / file).read_text(encoding="utf-8")
+        assert f"def {function.rpartition('::')[2]}(" in texts[file], name
+
+
+def test_the_list_is_sorted_and_leaves_the_main_job_to_make_test() -> None:
+    lines = (ROOT / "tests" / "long.txt").read_text(encoding="utf-8").splitlines()
+    assert lines == sorted(set(lines))
+    assert not any(line.startswith("tests/main_job/") for line in lines)
