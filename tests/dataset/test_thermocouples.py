@@ -92,7 +92,8 @@ def test_a_log_of_voltages_and_a_board_becomes_temperatures(tmp_path):
 
 def test_a_row_beyond_the_function_is_refused_with_its_line(tmp_path):
     folder = write_project(tmp_path, COUPLE % ', cold_junction = "board"', spoil=0.2)
-    with pytest.raises(InputError, match=r"log\.csv:32: column 'tc_uV' holds '200000\.000'.*makes"):
+    told = r"log\.csv:32: column 'tc_uV' holds '200000\.000'.*does not cover"
+    with pytest.raises(InputError, match=told):
         load_dataset(load_config(folder))
 
 
