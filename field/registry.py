@@ -337,18 +337,17 @@ def open_registry(path: Path, *, make: bool = False, wait_s: float = WAIT_S) -> 
 def _make(path: Path) -> None:
     """Put an empty registry in its place as a whole, unless a file is there already."""
     with telling_of_writes(path):
-        if path.exists():
-            for left in path.parent.glob(f".{path.name}.*{REMAINDER}"):  # of one that was killed
-                left.unlink(missing_ok=True)
-            return
-        temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}{REMAINDER}")
-        try:
-            write_beside(temporary, _write_empty(), like=path)
-            with suppress(FileExistsError):  # another process may have been first
-                _put(temporary, path)
-        finally:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
+        if not path.exists():
+            temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}{REMAINDER}")
+            try:
+                write_beside(temporary, _write_empty(), like=path)
+                with suppress(FileExistsError):  # another process may have been first
+                    _put(temporary, path)
+            finally:
+                with suppress(OSError):
+                    temporary.unlink(missing_ok=True)
+        for left in path.parent.glob(f".{path.name}.*{REMAINDER}"):  # of one that was killed
+            left.unlink(missing_ok=True)
 
 
 def _put(temporary: Path, path: Path) -> None:
