@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: test-long setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: test-long setup-peers setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -40,6 +40,9 @@ setup-fuzz: $(READY) ## what fuzzing needs: clang with libFuzzer by apt (root), 
 
 setup-formats: $(READY) ## what reads Excel, HDF5, MCAP, rosbag2, ULog and ArduPilot logs
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-formats.lock
+
+setup-peers: $(READY) ## the other methods that benchmarks.bench_peers compares with: PySINDy, pyoperon, gplearn
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check --no-deps -r requirements-peers.lock
 
 setup-record: ## an MQTT broker, by apt (root), for the tests of `zerodrift record`
 	.ci/apt-install mosquitto

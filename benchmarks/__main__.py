@@ -19,7 +19,9 @@ NAMES = (
     "bench_conversion",
     *("bench_gate", "bench_copies", "bench_memory", "crash_points"),
     *("bench_apply", "bench_uncertainty", "bench_install", "bench_bound"),
+    "bench_contracting",
     "bench_proof",
+    "bench_steps",
 )
 """Modules of this folder, each with `main(quick: bool)`."""
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from tests.bound.cases import Case, draw_case
+from tests.bound.recurrent import Forgetful, make_recurrent
 from tests.effects_on_chip.bench import (
     draw_runs,
     make_compensator,
@@ -37,11 +38,20 @@ from zerodrift.physics.catalogue import load_catalogue
 
 Codes = NDArray[np.int64]
 STEPS, PARENTS, CHILDREN = 400, 8, 24
-MARK_PERCENT, MARK_RATIO = 0.5, 3.0
+MARK_PERCENT, MARK_RATIO, MARK_RECURRENT = 0.5, 3.0, 20.0
 TAUS_S = (3.0, 30.0, 400.0)
 PERIOD_S = 0.5
 FINE = 10**9
 """Counts per unit of a filter's output, so that its own error is not below a count."""
+RECURRENT = (
+    Forgetful(hidden=1, seed=31),
+    Forgetful(hidden=4, update=-4.0, of_update=0.3, seed=32),
+    Forgetful(hidden=4, reset="before", seed=33),
+    Forgetful(hidden=8, update=-2.0, of_update=0.5, seed=34),
+    Forgetful(hidden=8, weights="int8", seed=35),
+    Forgetful(hidden=16, update=-2.0, of_update=0.5, seed=36),
+)
+"""GRUs with drawn weights; `bench_contracting` searches trained ones."""
 
 
 def main(quick: bool) -> None:
@@ -86,8 +96,9 @@ def measure(seed: int, rounds: int, *, quick: bool) -> bool:
     for text in unproven:
         print(f"nothing proven: {text}")
     print(
-        f"exceeded: {exceeded}. Marks: median at most {MARK_RATIO} (filters, lag bank), bound at"
-        f" most {MARK_PERCENT} % of full scale (physics, lag bank)."
+        f"exceeded: {exceeded}. Marks: median at most {MARK_RATIO} (filters, lag bank),"
+        f" {MARK_RECURRENT} (recurrent), bound at most {MARK_PERCENT} % of full scale (physics, lag"
+        " bank)."
     )
     return exceeded == 0
 
@@ -108,6 +119,8 @@ def list_cases(seed: int, *, quick: bool) -> Iterator[tuple[str, str, Case]]:
             compensator, config = train_network(kind, Path(folder), epochs=40)
             runs = tuple(add_drift(run, loaded=False) for run in draw_runs(4, 1500))
             yield sort, kind, _compose(describe_compensator(compensator, config, runs), runs)
+    for kind in RECURRENT[:: 3 if quick else 1]:
+        yield "recurrent", f"{kind.hidden} units, {kind.weights}", make_recurrent(kind)
     for number in range(3 if quick else 20):
         yield "random", f"{seed}/{number}", draw_case(seed, number)
 

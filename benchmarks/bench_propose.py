@@ -1,33 +1,52 @@
 """Formulas outside the catalogue on simulated sensors: found, how good, and how often falsely.
 
-    python -m benchmarks.bench_propose [--seeds N] [--without N] [--first-seed N]
+    python -m benchmarks.bench_propose [--seeds N] [--without N] [--first-seed N] [--c]
+                                       [--file FILE] [--minutes M]
+    python -m benchmarks.bench_propose --large
 
 The sensors are those of `formula_cases`, which shares no code with the search. Each has 4 to 8
 training runs, an effect of one or two operations that the catalogue lacks, 2 to 10 times the noise,
 and two test runs that nothing is chosen by. The marks: the right form, or predictions within a
 tenth of the noise on the test runs, in 85 %; error over the floor after adding, median 1.10; a
 formula for a complete model or a pure disturbance in at most 3 of 300; 60 CPU s for a search in 8
-runs of 20,000 rows with 6 outputs and 5 channels.
+runs of 20,000 rows with 6 outputs and 5 channels. Where an effect of the catalogue is named
+instead, it is added as `add` does and counts by its predictions; how many is printed. *--c* takes
+each formula through its file and the integers to C, which is compiled here and has to equal the
+reference in every bit. Outcomes are appended to FILE, and those that it has are not run again.
 """
 
 import argparse
+import json
+import tempfile
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bench_conditions import bound
 from benchmarks.formula_cases import DISTURBANCES, FORMS, Simulated, simulate
+from zerodrift.base.config import EffectConfig
+from zerodrift.c_runtime.host import HostModel
+from zerodrift.codegen.generate import generate
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.changes import propose_forms
+from zerodrift.diagnosis.formula.effect_file import render_file
 from zerodrift.diagnosis.formula.proposal import FormulaSearch, propose_formula
+from zerodrift.diagnosis.revision import revise_best
+from zerodrift.export.compose import compose_integer_model, describe_compensator, encode_inputs
+from zerodrift.export.reference import Reference
 from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.fit import fit_config
+from zerodrift.physics.model import PhysicalModel
+from zerodrift.train.prepare import read_settings, stand_alone
 
 WITHIN = 0.1
 """Predictions this close, in units of the noise, are as good as the right form."""
 RIGHT = {
-    "humidity - LP(humidity)": {"(humidity - LP(humidity, tau_s))"},
+    "light - LP(light)": {"(ambient_light - LP(ambient_light, tau_s))"},
     "|T - LP(T)|": {"|T - LP(T, tau_s)|"},
     "(T - a) (humidity - b)": {
         "(T - origin_a) * humidity",
@@ -52,79 +71,183 @@ class Scored:
     """One case's end."""
 
     kind: str
+    seed: int
     told: str
     """The formula, or why there is none."""
     right: bool
-    apart: float
-    """RMS difference from the truth on test runs, in units of the noise; NaN without a formula."""
+    apart: float | None
+    """RMS difference from the truth on test runs, in units of the noise; None: nothing is named."""
     ratio: float
-    """Error over the floor on test runs, with the formula if there is one."""
+    """Error over the floor on test runs, with what is named."""
     found: bool
+    """Whether it is a formula."""
     cpu_s: float
+    checked: bool | None
+    """Whether its C equals the reference in every bit; None: not tried."""
+
+    @property
+    def is_good(self) -> bool:
+        """Whether it has the right form, or predicts as closely."""
+        return self.right or (self.apart is not None and self.apart < WITHIN)
 
 
 def main(quick: bool) -> None:
     """Print every figure; `quick` takes one seed of each form."""
-    run_cases(seeds=1 if quick else 3, without=8 if quick else 30)
+    run_cases(list_cases(1 if quick else 3, 8 if quick else 30, 5000), None, 1e9)
     if not quick:
         time_large()
 
 
-def run_cases(seeds: int, without: int, first_seed: int = 5000) -> None:
-    """Run the forms, and the sensors for which there is no formula; print both."""
+def list_cases(seeds: int, without: int, first_seed: int) -> Iterator[tuple[str, int]]:
+    """Give the kinds and seeds of all cases, those with and without a formula in turn."""
+    kinds = ("complete", *DISTURBANCES)
+    forms = [(kind, first_seed + 100 * n + k) for n in range(seeds) for k, kind in enumerate(FORMS)]
+    others = [(kinds[n % len(kinds)], first_seed + 50_000 + n) for n in range(without)]
+    for n in range(max(len(forms), len(others))):
+        yield from (cases[n] for cases in (forms, others) if n < len(cases))
+
+
+def run_cases(
+    wanted: Iterator[tuple[str, int]], file: Path | None, minutes: float, *, to_c: bool = False
+) -> None:
+    """Run what the file does not have yet, as long as there is time; print all."""
     print("simulated sensors; all logs here are simulated")
+    done = read_scored(file)
+    begin = time.time()
     scored = []
-    for n in range(seeds):
-        for k, kind in enumerate(FORMS):
-            scored.append(score(kind, first_seed + 100 * n + k))
-            one = scored[-1]
-            mark = "form" if one.right else "as good" if one.apart < WITHIN else "MISSED"
-            print(
-                f"  {kind:28} {mark:8} {one.ratio:5.2f} {one.cpu_s:5.1f} s  {one.told}", flush=True
-            )
-    good = sum(one.right or one.apart < WITHIN for one in scored)
-    print(f"right form or within {WITHIN:g} of the noise: {tell_least(good, len(scored))}")
+    for kind, seed in wanted:
+        one = done.get((kind, seed))
+        if one is None:
+            if time.time() - begin > 60.0 * minutes:
+                continue
+            one = score(kind, seed, to_c=to_c)
+            if file is not None:
+                with file.open("a", encoding="utf-8") as out:
+                    out.write(json.dumps(asdict(one)) + "\n")
+        scored.append(one)
+    tell_forms([one for one in scored if one.kind in FORMS])
+    tell_others([one for one in scored if one.kind not in FORMS])
+
+
+def read_scored(file: Path | None) -> dict[tuple[str, int], Scored]:
+    """Return the outcomes that a file has."""
+    if file is None or not file.exists():
+        return {}
+    lines = file.read_text(encoding="utf-8").splitlines()
+    return {(one.kind, one.seed): one for one in (Scored(**json.loads(line)) for line in lines)}
+
+
+def tell_forms(scored: Sequence[Scored]) -> None:
+    """Print how the sensors fared that hide a form."""
+    if not scored:
+        return
+    for kind in FORMS:
+        mine = [one for one in scored if one.kind == kind]
+        good = sum(one.is_good for one in mine)
+        missed = [f"{one.seed}: {one.told}" for one in mine if not one.is_good]
+        print(f"  {kind:28} {good} of {len(mine)}  {'; '.join(missed)}")
+    print(
+        f"right form or within {WITHIN:g} of the noise: "
+        f"{tell_least(sum(one.is_good for one in scored), len(scored))}"
+    )
     print(f"the right form: {tell_least(sum(one.right for one in scored), len(scored))}")
+    named = [one for one in scored if one.apart is not None and not one.found]
+    good = sum(one.is_good for one in named)
+    print(f"an effect of the catalogue named instead: {len(named)}, {good} of them as close")
     ratios = [one.ratio for one in scored]
     print(f"error over floor on test runs: median {np.median(ratios):.3f}, worst {max(ratios):.2f}")
-    print(f"CPU seconds of a search: median {np.median([one.cpu_s for one in scored]):.1f}")
-    kinds = ("complete", *DISTURBANCES)
-    false = []
-    for n in range(without):
-        one = score(kinds[n % len(kinds)], first_seed + 50_000 + n)
-        if one.found:
-            false.append(one)
-            print(f"  FALSE {one.kind}: {one.told}", flush=True)
-    most = bound(len(false), without, upper=True)
+    seconds = [one.cpu_s for one in scored]
+    print(f"CPU seconds of a search: median {np.median(seconds):.1f}, most {max(seconds):.1f}")
+    tried = [one.checked for one in scored if one.checked is not None]
+    if tried:
+        print(f"to C, equal to the reference in every bit: {tell_least(sum(tried), len(tried))}")
+
+
+def tell_others(scored: Sequence[Scored]) -> None:
+    """Print how often a formula was found where there is none."""
+    if not scored:
+        return
+    false = [one for one in scored if one.found]
+    for one in false:
+        print(f"  FALSE {one.kind}, seed {one.seed}: {one.told}")
+    most = bound(len(false), len(scored), upper=True)
     print(
-        f"a formula where there is none: {len(false)} of {without} "
+        f"a formula where there is none: {len(false)} of {len(scored)} "
         f"(at most {100.0 * most:.1f} % with 95 % confidence)"
     )
 
 
-def score(kind: str, seed: int) -> Scored:
-    """Return what `propose` makes of one simulated sensor."""
+def draw_case(kind: str, seed: int) -> Simulated:
+    """Return a simulated sensor of a size and a number of runs that the seed draws."""
     rng = np.random.default_rng(seed)
     size, runs = float(np.exp(rng.uniform(np.log(2.0), np.log(10.0)))), int(rng.integers(4, 9))
-    case = simulate(kind, size, runs, seed)
+    return simulate(kind, size, runs, seed)
+
+
+def take_model(case: Simulated, found: FormulaSearch) -> PhysicalModel:
+    """Return the model with what is named: a formula, an effect of the catalogue, or nothing."""
+    if found.formula is not None:
+        return found.formula.revision.after.model
+    catalogue = load_catalogue()
+    train = replace(case.dataset, test=())
+    if not found.suffices:
+        return fit_config(case.config, train, catalogue)
+    forms = propose_forms(case.config, train, catalogue, EffectConfig(found.suffices))
+    return revise_best(case.config, train, catalogue, forms).after.model
+
+
+def score(kind: str, seed: int, *, to_c: bool = False) -> Scored:
+    """Return what `propose` makes of one simulated sensor.
+
+    Args:
+        kind: as `simulate` takes it.
+        seed: draws the sensor.
+        to_c: whether a formula goes to C, and the C is checked against the reference.
+    """
+    case = draw_case(kind, seed)
     start = time.process_time()
     found = propose_formula(case.config, case.dataset, load_catalogue())
     cpu_s = time.process_time() - start
     formula = found.formula
+    apart, ratio = _compare(case, take_model(case, found))
     if formula is None:
-        return Scored(
-            kind, found.reason, False, float("nan"), found.floor_ratio_before, False, cpu_s
-        )
-    apart, ratio = _compare(case, found)
+        near = apart if found.suffices else None
+        return Scored(kind, seed, found.reason, False, near, ratio, False, cpu_s, None)
     one = formula.expressions[0].write() if len(formula.expressions) == 1 else ""
     right = one in RIGHT.get(kind, set())
-    return Scored(kind, formula.write(), right, apart, ratio, True, cpu_s)
+    checked = check_c(case, found) if to_c else None
+    return Scored(kind, seed, formula.write(), right, apart, ratio, True, cpu_s, checked)
 
 
-def _compare(case: Simulated, found: FormulaSearch) -> tuple[float, float]:
-    """Return how far predictions are from the truth, and errors over the noise, on test runs."""
+def check_c(case: Simulated, found: FormulaSearch) -> bool:
+    """Return whether a formula's file becomes an effect, and that C, equal in every bit.
+
+    The model with the effect, fitted, is turned into integers; its C is compiled for this machine
+    and run over the test runs beside the reference.
+    """
     assert found.formula is not None
-    model = found.formula.revision.after.model
+    kind = found.formula.effect.kind
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "effect.py"
+        file.write_text(render_file(found.formula), encoding="utf-8")
+        catalogue = load_catalogue((file,))
+        config = replace(case.config, effects=(*case.config.effects, EffectConfig(kind)))
+        physics = fit_config(config, replace(case.dataset, test=()), catalogue)
+        alone = stand_alone(config, case.dataset, physics, read_settings(config.network))
+        described = describe_compensator(alone, config, case.dataset.train)
+        model = compose_integer_model(described, config, case.dataset)
+        host = HostModel(model, generate(model), Path(folder) / "c", observe=False)
+        equal = []
+        for run in case.dataset.test:
+            codes = encode_inputs(model, run)
+            trace, told = Reference(model).run(codes[None]), host.run(codes)
+            equal.append(np.array_equal(trace.drift[0], told.drift))
+            equal.append(np.array_equal(trace.flags[0], told.flags))
+    return all(equal)
+
+
+def _compare(case: Simulated, model: PhysicalModel) -> tuple[float, float]:
+    """Return how far predictions are from the truth, and errors over the noise, on test runs."""
     apart: list[NDArray[np.float64]] = []
     left: list[NDArray[np.float64]] = []
     noise: list[NDArray[np.float64]] = []
@@ -148,7 +271,7 @@ def tell_least(good: int, of: int) -> str:
 
 def time_large() -> None:
     """Time a search in 8 runs of 20,000 rows with 6 outputs and 5 channels."""
-    case = simulate("humidity - LP(humidity)", 4.0, 8, 1)
+    case = simulate("light - LP(light)", 4.0, 8, 1)
     names = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
     rng = np.random.default_rng(1)
 
@@ -195,12 +318,16 @@ def parse(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=3, help="of each form")
     parser.add_argument("--without", type=int, default=30, help="sensors without a formula")
     parser.add_argument("--first-seed", type=int, default=5000)
+    parser.add_argument("--c", action="store_true", help="take each formula to checked C")
+    parser.add_argument("--file", type=Path, help="keeps the outcomes")
+    parser.add_argument("--minutes", type=float, default=1e9)
     parser.add_argument("--large", action="store_true", help="only the time of a large search")
     options = parser.parse_args(arguments)
     if options.large:
         time_large()
         return
-    run_cases(options.seeds, options.without, options.first_seed)
+    cases = list_cases(options.seeds, options.without, options.first_seed)
+    run_cases(cases, options.file, options.minutes, to_c=options.c)
 
 
 if __name__ == "__main__":

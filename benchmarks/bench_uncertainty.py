@@ -34,9 +34,9 @@ from zerodrift.export.compose import (
     encode_inputs,
 )
 from zerodrift.lab.twin import Recipe, simulate, write_logs
+from zerodrift.train.refits import Original
 from zerodrift.train.tasks import Handling
 from zerodrift.train.training import train
-from zerodrift.train.understudies import Original
 from zerodrift.verify.left_out import LeftOut, leave_out_together
 from zerodrift.verify.uncertainty import measure_uncertainty
 

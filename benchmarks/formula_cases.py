@@ -86,7 +86,7 @@ Law = Callable[[Channels, np.random.Generator], Callable[[Channels], Array]]
 
 def _transient(_: Channels, rng: np.random.Generator) -> Callable[[Channels], Array]:
     tau = rng.uniform(60.0, 500.0)
-    return lambda c: c["humidity"] - follow(c["humidity"], tau)
+    return lambda c: c["ambient_light"] - follow(c["ambient_light"], tau)
 
 
 def _heat_flow(_: Channels, rng: np.random.Generator) -> Callable[[Channels], Array]:
@@ -142,7 +142,7 @@ def _bowed(_: Channels, rng: np.random.Generator) -> Callable[[Channels], Array]
 
 
 FORMS: dict[str, Law] = {
-    "humidity - LP(humidity)": _transient,
+    "light - LP(light)": _transient,
     "|T - LP(T)|": _heat_flow,
     "(T - a) (humidity - b)": _warm_and_wet,
     "max(supply, c)": _regulator,

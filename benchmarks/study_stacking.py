@@ -19,6 +19,7 @@ beside it.
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,6 +134,11 @@ def choose(course: Course, names: Sequence[str]) -> dict[str, float]:
     return {min(names, key=cost): 1.0}
 
 
+def weigh_alike(course: Course, names: Sequence[str]) -> dict[str, float]:
+    """Return the same weight on every model."""
+    return dict.fromkeys(names, 1.0 / len(names))
+
+
 def stack(course: Course, names: Sequence[str], ridge: float) -> dict[str, float]:
     """Return weights on the simplex with the least error, by exponentiated gradient."""
     errors = [
@@ -184,12 +190,9 @@ def main() -> int:
         print_rule(f"always {name}", courses, np.array([c.measure({name: 1.0}) for c in courses]))
     for group, mine in groups.items():
         rules: dict[str, Callable[[Course], dict[str, float]]] = {
-            "choose": lambda c, mine=mine: choose(c, mine),  # type: ignore[misc]
-            **{
-                f"stack, ridge {ridge:g}": lambda c, mine=mine, ridge=ridge: stack(c, mine, ridge)  # type: ignore[misc]
-                for ridge in (0.0, 0.1, 1.0)
-            },
-            "mean": lambda c, mine=mine: dict.fromkeys(mine, 1.0 / len(mine)),  # type: ignore[misc]
+            "choose": partial(choose, names=mine),
+            **{f"stack, ridge {r:g}": partial(stack, names=mine, ridge=r) for r in (0.0, 0.1, 1.0)},
+            "mean": partial(weigh_alike, names=mine),
         }
         for rule, weigh in rules.items():
             errors = np.array([course.measure(weigh(course)) for course in courses])

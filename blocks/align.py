@@ -1,9 +1,9 @@
 """Many units' integer models in one fixed-point format: the same shifts, the same sizes.
 
-A unit's integers stand for q * scale. Where the units' shifts differ, the common one is taken and
-coefficients are written anew, rounded once; what that costs is a bit where there are thirty. Where
-a signal itself gets coarser by 2^d (only behind a product, whose shift is its scale), all that
-reads it is told d. Rows of matrices keep the shift that they have, which stands in the block.
+A unit's integers represent q * scale. Where the units' shifts differ, a common one is chosen and
+coefficients are rescaled, rounded once; that costs about one of their thirty bits. Where a signal
+itself gets coarser by 2^d (only after a product, whose shift is its scale), d is passed on to all
+nodes that read it. Rows of matrices keep their own shifts, which are stored in the block.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,6 +24,7 @@ from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.lowpass import IntegerLowpass
+from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.offset import IntegerOffset
 from zerodrift.operations.product import IntegerProduct
@@ -92,6 +93,7 @@ def _require_alike(models: Sequence[IntegerModel]) -> None:
     for model in models[1:]:
         for what, one, other in (
             ("sample period", first.sample_period_s, model.sample_period_s),
+            ("kind of step", first.variable_step, model.variable_step),
             ("inputs", first.channels, model.channels),
             ("outputs", first.outputs, model.outputs),
             ("guard of the state", first.guarded, model.guarded),
@@ -277,6 +279,17 @@ def _align_lowpass(
     _require_shift(nodes[0], [n.shift for n in nodes], shift)
     out: list[IntegerNode] = [
         replace(n, shift=shift, m_q31=rescale(n.m_q31, shift - n.shift)) for n in nodes
+    ]
+    return _Aligned(out, _no_coarser(nodes, coarser))
+
+
+def _align_lowpass_after(
+    nodes: list[IntegerLowpassAfter], coarser: list[list[int]], design: IntegerLowpassAfter | None
+) -> _Aligned:
+    shift = min(n.shift for n in nodes) if design is None else design.shift
+    _require_shift(nodes[0], [n.shift for n in nodes], shift)
+    out: list[IntegerNode] = [
+        replace(n, shift=shift, rate_q31=rescale(n.rate_q31, shift - n.shift)) for n in nodes
     ]
     return _Aligned(out, _no_coarser(nodes, coarser))
 
@@ -478,6 +491,7 @@ RULES: dict[type[IntegerNode], Rule] = {
     IntegerDifference: _rule(_pass_on),
     IntegerProduct: _rule(_align_product),
     IntegerLowpass: _rule(_align_lowpass),
+    IntegerLowpassAfter: _rule(_align_lowpass_after),
     IntegerSum: _rule(_align_sum),
     IntegerFeatures: _rule(_align_features),
     IntegerDense: _rule(_align_dense),

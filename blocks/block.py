@@ -1,4 +1,4 @@
-"""A unit's block: its bytes, what they hold, and why some are refused.
+"""A unit's block: its bytes, its fields, and why some blocks are refused.
 
 Layout (docs/reference/block-format.md), little-endian, no gaps:
 
@@ -32,7 +32,7 @@ EPOCH = date(1970, 1, 1)
 
 @dataclass(frozen=True)
 class BlockNotes:
-    """What a block says of its unit beside the numbers."""
+    """Serial number, date and sequence of a block."""
 
     serial: str
     """Up to 24 bytes of UTF-8."""
@@ -43,7 +43,7 @@ class BlockNotes:
 
 @dataclass(frozen=True)
 class BlockHeader:
-    """What a block of any design says of itself; the words in their order."""
+    """The header of a block of any design; the words in their order."""
 
     magic: int
     format: int
@@ -68,7 +68,7 @@ class UnitBlock:
 
     notes: BlockNotes
     answers: int
-    """CRC-32 of what the self-test has to answer."""
+    """CRC-32 of the answers that the self-test has to give."""
     numbers: Mapping[str, Numbers]
     crc: int
     size: int
@@ -98,7 +98,7 @@ def encode(design: BlockDesign, model: IntegerModel, notes: BlockNotes, answers:
         answers: CRC of what its self-test answers.
 
     Raises:
-        InputError: a note does not fit its place.
+        InputError: the serial number, date or sequence does not fit its field.
     """
     return encode_numbers(
         design, {f.place.name: read(model, f.place) for f in design.fields}, notes, answers
@@ -136,7 +136,7 @@ def seal(body: bytes) -> bytes:
 
 
 def decode(design: BlockDesign, content: bytes, where: str) -> UnitBlock:
-    """Return what a block holds.
+    """Return the content of a block.
 
     Args:
         design: of the program it is for.
@@ -175,7 +175,7 @@ def decode(design: BlockDesign, content: bytes, where: str) -> UnitBlock:
 
 
 def decode_header(content: bytes, where: str) -> BlockHeader:
-    """Return what a block of any design says of itself.
+    """Return the header of a block of any design.
 
     Raises:
         InputError: it is cut, of another endianness or format, or damaged.

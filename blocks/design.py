@@ -23,6 +23,7 @@ from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Bound
 from zerodrift.operations.lowpass import IntegerLowpass
+from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.sum import IntegerSum
 
@@ -42,7 +43,7 @@ NORM_UNITS = 2**15
 
 @dataclass(frozen=True)
 class BlockDesign:
-    """What one program and all of its blocks agree on."""
+    """What one program and all of its blocks have in common."""
 
     model: IntegerModel
     """Operations, names, shifts and sizes; the numbers of its fields are one unit's."""
@@ -140,7 +141,7 @@ def load_design(path: Path) -> BlockDesign:
     """Return a design from its file.
 
     Raises:
-        InputError: it cannot be read, or is not what it says it is.
+        InputError: it cannot be read, or its identity does not match.
     """
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
@@ -233,6 +234,8 @@ def _choose_set(models: Sequence[IntegerModel], place: FieldPlace, share: float)
         return _choose_limit(models, place, low, high, share)
     spread = round(largest * share)
     bottom, top = _ends(node)
+    if place.attribute == "rate_max" and models[0].variable_step:
+        bottom = 0  # a rate is multiplied by a time there
     return BlockField(place, max(low - spread, bottom), min(high + spread, top))
 
 
@@ -252,7 +255,7 @@ def _is_row(node: IntegerNode | None) -> bool:
 
 
 def _ends(node: IntegerNode | None) -> tuple[int, int]:
-    if isinstance(node, IntegerLowpass):
+    if isinstance(node, IntegerLowpass | IntegerLowpassAfter):
         return 1, INT32_MAX
     return INT32_MIN, INT32_MAX
 

@@ -1,4 +1,4 @@
-"""Which numbers of a model stand in a block, under which name and in which type."""
+"""Which numbers of a model are stored in a block, under which name and in which type."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +15,7 @@ from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.lowpass import IntegerLowpass
+from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.offset import IntegerOffset
 from zerodrift.operations.product import IntegerProduct
@@ -82,6 +83,8 @@ def _list_node(nodes: Sequence[IntegerNode], model: IntegerModel) -> Iterator[Fi
     elif isinstance(node, IntegerLowpass):
         yield FieldPlace(node.name, "c_q24", "i32")
         yield FieldPlace(node.name, "m_q31", "i32")
+    elif isinstance(node, IntegerLowpassAfter):
+        yield FieldPlace(node.name, "rate_q31", "i32")
     elif isinstance(node, IntegerSum):
         if any(n.attributes() != node.attributes() for n in nodes) or any(
             abs(c) != 1 for c in node.coefficients

@@ -214,7 +214,7 @@ def find_design_file(path: Path) -> BlockDesign | None:
 
 
 def refuse_same_serials(named: Iterable[tuple[str, str]]) -> None:
-    """Refuse a serial number that two blocks bear.
+    """Refuse a serial number that two blocks have.
 
     Args:
         named: (where, serial) of each.

@@ -5,7 +5,7 @@ number that a block holds. Sums are bounded in any order; rows of 16-bit weights
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from zerodrift.base.errors import CheckError
 from zerodrift.blocks.fields import FieldPlace
@@ -15,10 +15,12 @@ from zerodrift.operations.clip import IntegerClip
 from zerodrift.operations.dense import COPY_BITS, IntegerDense, IntegerFeatureDense
 from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.features import IntegerFeatures
+from zerodrift.operations.formats import LOWPASS_FRACTION
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Bound, Interval
-from zerodrift.operations.lowpass import LOWPASS_FRACTION, IntegerLowpass
+from zerodrift.operations.lowpass import IntegerLowpass
+from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.offset import IntegerOffset
 from zerodrift.operations.product import IntegerProduct
@@ -83,7 +85,7 @@ def prove_set(model: IntegerModel, fields: Sequence[BlockField]) -> list[Bound]:
             rule(node, inputs, numbers) if rule is not None else node.prove(inputs)
         )
         bounds += found
-    return bounds
+    return [*bounds, *model.prove_times()]
 
 
 def _saturate(x: Interval, low: Interval, high: Interval, where: str) -> Interval:
@@ -168,6 +170,14 @@ def _lowpass(node: IntegerLowpass, inputs: list[list[Interval]], known: _Known) 
         Bound(f"{node.name}.scaled", scaled + half, 64).check(),
         Bound(node.name, out, 32).check(),
     ]
+
+
+def _lowpass_after(node: IntegerLowpassAfter, inputs: list[list[Interval]], known: _Known) -> Proof:
+    """The invariant holds for any rate; the slowest collects the longest time."""
+    rate = known.of("rate_q31", node.rate_q31)
+    for end in (rate.high, rate.low):
+        found = replace(node, rate_q31=end).prove(inputs)
+    return found
 
 
 def _sum(node: IntegerSum, inputs: list[list[Interval]], known: _Known) -> Proof:
@@ -258,6 +268,7 @@ RULES: dict[type[IntegerNode], Rule] = {
     IntegerClip: _clip,
     IntegerProduct: _product,
     IntegerLowpass: _lowpass,
+    IntegerLowpassAfter: _lowpass_after,
     IntegerSum: _sum,
     IntegerFeatures: _features,
     IntegerDense: _dense,

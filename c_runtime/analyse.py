@@ -1,7 +1,7 @@
 """Static analysis of the runtime and of generated models: `python -m zerodrift.c_runtime.analyse`.
 
 Every compiler there is with all warnings as errors, gcc's analyser, clang-tidy, cppcheck and its
-MISRA C:2012 checker. A tool that is not installed is named as skipped, never passed over.
+MISRA C:2012 checker. A tool that is not installed is reported as skipped.
 """
 
 import re

@@ -50,7 +50,7 @@ void *memcpy(void *to, const void *from, size_t n) {{
 }}
 {prefix}_state_t chip_state;
 {prefix}_input_t chip_input;
-{code_type} chip_codes[{batch} * {channels}];
+{code_type} chip_codes[{batch} * {columns}];
 int32_t chip_drift[{batch} * {outputs}];
 uint32_t chip_flags[{batch}];
 void chip_start(int settled) {{ zd_start(&chip_state, chip_codes, settled); }}
@@ -60,7 +60,7 @@ void chip_run(uint32_t steps) {{
 int64_t chip_states[{batch} * {width}];
 void chip_trace(uint32_t steps) {{
     for (uint32_t t = 0; t < steps; t++) {{
-        zd_run(&chip_state, &chip_codes[t * {channels}u], 1u, &chip_drift[t * {outputs}u],
+        zd_run(&chip_state, &chip_codes[t * {columns}u], 1u, &chip_drift[t * {outputs}u],
                &chip_flags[t], NULL);
         (void)zd_pack(&chip_state, &chip_states[t * {width}u]);
     }}
@@ -71,8 +71,10 @@ uint32_t chip_selftest(void) {{ return zd_selftest(); }}
 uint8_t chip_saved[{PREFIX}_SAVED_BYTES];
 void chip_save(void) {{ {prefix}_save(&chip_state, chip_saved); }}
 uint32_t chip_restore(void) {{ return {prefix}_restore(&chip_state{block}, chip_saved); }}
+void chip_tare(void) {{ {tare} }}
 {layer}
 void _start(void) {{
+    chip_tare();
     chip_start(0);
     chip_layer();
     chip_save();
@@ -198,6 +200,10 @@ class EmulatedModel:
         """Return what the model's own self-test returns on this chip."""
         return self._call("chip_selftest")
 
+    def tare(self) -> None:
+        """Count the drift from the last answer on, where the model can."""
+        self._call("chip_tare")
+
     def save(self) -> bytes:
         """Return the copy of the state that the model's own save makes on this chip."""
         self._call("chip_save")
@@ -314,7 +320,7 @@ class EmulatedModel:
 
     def _write_input(self, row: CodeArray) -> None:
         packed = np.zeros((), dtype=self._input_type)
-        for name, code in zip(self._input_type.fields or (), row, strict=True):
+        for name, code in zip(self._input_type.fields or (), row, strict=False):
             packed[name] = code
         self._chip.mem_write(self._symbols["chip_input"], packed.tobytes())
 
@@ -325,7 +331,7 @@ class EmulatedModel:
 
 def _count_state(model: IntegerModel) -> int:
     """Return how many numbers a packed state has."""
-    codes = np.zeros((1, len(model.channels)), dtype=np.int64)
+    codes = np.zeros((1, model.columns), dtype=np.int64)
     return int(Reference(model).start(codes, settled=False).pack().shape[1])
 
 
@@ -355,14 +361,15 @@ def _build(
         PREFIX=code.prefix.upper(),
         batch=_choose_batch(_count_state(model)),
         width=_count_state(model),
-        channels=len(model.channels),
+        columns=model.columns,
         outputs=len(model.outputs),
         code_type=f"{np.dtype(model.code_type).name}_t",
+        tare=f"{code.prefix}_tare(&chip_state);" if model.tare else "",
         layer=_render_layer(model),
         block=", zd_block" if code.design is not None else "",
     )
     main.write_text(text, encoding="utf-8")
-    # string.h, which the harness names for the host's sake, is not there without a C library
+    # string.h, which the harness includes for the host, is missing without a C library
     (folder / "string.h").write_text("", encoding="utf-8")
     program = folder / "main.elf"
     free = ["-std=c99", *flags, "-g", "-ffreestanding", f"-I{folder}", str(main)]

@@ -40,7 +40,7 @@ class HostModel:
         compiler: host compiler; the preferred one if None.
         flags: optimisation and other compiler flags.
         observe: record every node's value; False compiles the source exactly as it is flashed.
-        warnings: what the compiler shall refuse; C of another version or hand is not ours to blame.
+        warnings: warnings that are errors; none for C of another version or by another author.
     """
 
     def __init__(
@@ -183,6 +183,22 @@ class HostModel:
         function = self._lib[own if hasattr(self._lib, own) else f"{self.prefix}_restore"]
         function.restype = ctypes.c_uint32
         return int(function(self._state, saved))
+
+    def tare(self) -> None:
+        """Count the drift from the last answer on."""
+        self._lib[f"{self.prefix}_tare"](self._state)
+
+    def untare(self) -> None:
+        """Count the drift from 0 again."""
+        self._lib[f"{self.prefix}_untare"](self._state)
+
+    def restore_after(self, saved: bytes, age_us: int) -> int:
+        """Take over a copy made some time ago; return what the C returns, 0 = accepted."""
+        if len(saved) != self.state_bytes + SAVED_EXTRA_BYTES:
+            raise ValueError(f"{len(saved)} bytes, not {self.state_bytes + SAVED_EXTRA_BYTES}")
+        function = self._lib[f"{self._symbols}zd_restore_after"]
+        function.restype = ctypes.c_uint32
+        return int(function(self._state, saved, ctypes.c_uint64(age_us)))
 
     def overwrite(self, content: bytes) -> None:
         """Put bytes over the beginning of the state, as a stray pointer does."""

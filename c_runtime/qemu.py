@@ -1,7 +1,8 @@
 """A generated model as a bare-metal program under QEMU, built by a GNU cross-compiler.
 
-A second opinion beside unicorn: another compiler, whole boards with their memory maps, and the only
-road to the vector extension of the Cortex-M55. Input and output are files, by semihosting.
+An independent check beside unicorn: another compiler, whole boards with their memory maps, and the
+only emulation of the vector extension of the Cortex-M55. Input and output are files, by
+semihosting.
 """
 
 import shutil
@@ -165,7 +166,7 @@ class QemuModel:
         (folder / f"{code.prefix}_harness.c").write_text(code.harness, encoding="utf-8")
         (folder / "string.h").write_text("", encoding="utf-8")
         layer = model.recurrent
-        shape = [f"-DCHANNELS={len(model.channels)}", f"-DOUTPUTS={self._outputs}"]
+        shape = [f"-DCHANNELS={model.columns}", f"-DOUTPUTS={self._outputs}"]
         shape += [f"-DCODE={np.dtype(model.code_type).name}_t"]
         shape += [f'-DHARNESS="{code.prefix}_harness.c"', "-DZD_PLAIN"]
         if layer is not None and layer.kind == "gru":

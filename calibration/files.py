@@ -68,7 +68,8 @@ def quantize_row(
     """Return integer entries, integer offset and shift of one output.
 
     counts = (sum entries code + offset) / 2^shift, rounded to nearest, halves away from zero.
-    Entries are below 2^30, so that with codes of up to 24 bits every sum stays within 64 bits.
+    `counts` are per unit of the output; `row` is in that unit per code. Entries are below 2^30, so
+    that with codes of up to 24 bits every sum stays within 64 bits.
     """
     scaled = row * counts
     most = float(np.abs(scaled).max())
@@ -95,11 +96,11 @@ def render_header(
 ) -> str:
     """Return a C header with the matrix as integers and a function that applies it.
 
-    `full_scale` by output's name sets the counts per unit as the firmware does; without it the
-    span of the reference loads does.
+    `full_scale`, by the output's name and in its unit, sets the counts per unit as the firmware
+    does; without it the span of the reference loads is used.
 
     Raises:
-        InputError: the calibration has squares, which the header does not hold.
+        InputError: the calibration has squares, which the header cannot hold.
     """
     if fitted.squares:
         raise InputError(

@@ -1,7 +1,7 @@
 """The calibration matrix of a force/torque sensor by least squares, from codes and test weights.
 
-loads = C codes + offset, optionally with the squares of the codes. A set of loads that leaves a
-direction out is refused with that direction named, since no matrix follows from it.
+loads = C codes + offset, optionally with the squares of the codes. Loads that do not span every
+direction determine no matrix; they are refused, and the missing direction is named.
 """
 
 from collections.abc import Sequence
@@ -34,25 +34,26 @@ class CalibrationMatrix:
     """[C] the converter's columns."""
     squares: bool
     center: Array
-    """[C] mean codes; the features are codes - center and, with `squares`, their squares."""
+    """[C] mean codes; the features are codes - center and, with `squares`, its squares."""
     matrix: Array
     """[K, F] each output's unit per code, or per code squared."""
     offset: Array
-    """[K] the load that codes at `center` stand for; with offsets per log, their mean."""
+    """[K] the load at codes equal to `center`, in each output's unit; with offsets per log, their
+    mean."""
     log_offsets: Array | None
     """[L, K] offset of every log; None where all logs share one."""
     rmse: Array
     """[K] of the residuals, in each output's unit."""
     largest: Array
-    """[K] largest residual."""
+    """[K] largest magnitude of a residual, in each output's unit."""
     held_out: Array | None
-    """[K] RMSE with one log left out at a time; None for a single log."""
+    """[K] RMSE with one log left out at a time, in each output's unit; None for a single log."""
     span: Array
-    """[K] span of the reference loads."""
+    """[K] span of the reference loads, in each output's unit."""
     condition: float
-    """Of the matrix, outputs over their spans and codes over theirs."""
+    """Condition number of the matrix, with outputs and codes divided by their spans."""
     load_condition: float
-    """Of the loads, each over its largest: 1 is the best set of weights."""
+    """Condition number of the loads, each divided by its largest: 1 is the best set of weights."""
     rows: int
     notes: tuple[str, ...]
 
@@ -71,7 +72,7 @@ class CalibrationMatrix:
 
 
 def _name_direction(vector: Array, names: Sequence[str], largest: Array) -> str:
-    """Return in words the combination of outputs that the loads never exercise."""
+    """Return the combination of outputs that the loads never exercise, as text."""
     parts = [(abs(v), v, k) for k, v in enumerate(vector.tolist()) if abs(v) > 0.2]
     parts.sort(reverse=True)
     lead = parts[0][2]
@@ -92,7 +93,7 @@ def check_loads(loads: Array, names: Sequence[str], logs: Array | None = None) -
     `logs` [n, L] says which rows share an offset; left out, all of them do.
 
     Raises:
-        InputError: which direction is missing, and what to hang on.
+        InputError: names the direction that is missing, and the weight to add.
     """
     largest = np.abs(loads).max(axis=0)
     missing = [name for name, most in zip(names, largest.tolist(), strict=True) if most == 0.0]
@@ -129,7 +130,7 @@ def check_codes(codes: Array, channels: Sequence[str]) -> None:
     """Refuse codes [n, C] of a channel that never moves, or that only copies others.
 
     Raises:
-        InputError: which channel, and what to look for.
+        InputError: names the channel, and what to check.
     """
     for name, column in zip(channels, codes.T, strict=True):
         if column.max() == column.min():
@@ -198,9 +199,10 @@ def fit_calibration(
         loads: reference loads [n, K] of each log.
         channels: names of the C channels.
         outputs: names of the K outputs, with their units.
-        squares: take the squares of the codes too, for couplers that are not straight.
+        squares: take the squares of the codes too, for sensors that are not linear.
         offset_per_log: give every log an offset of its own, for zeros that moved between them.
-        temperatures: temperature [n] of each log, for a note on drift within the calibration.
+        temperatures: temperature [n] in degC of each log, for a note on drift within the
+            calibration.
 
     Raises:
         InputError: the loads leave a direction out, or a channel does not answer.
@@ -219,7 +221,8 @@ def fit_calibration(
     center, matrix, offsets = _solve(every_code, every_load, squares, logs)
     offset = offsets.mean(axis=0)
     span = np.ptp(every_load, axis=0)
-    # Outputs over their spans, codes over theirs: what is left is how unlike the channels answer.
+    # Outputs and codes over their spans: the condition then measures how different the channels
+    # are.
     linear = matrix[:, : len(channels)] * np.ptp(every_code, axis=0) / span[:, None]
     singular = np.linalg.svd(linear, compute_uv=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
@@ -254,11 +257,11 @@ def fit_calibration(
 def check_answers(codes: Array, loads: Array, names: Sequence[str]) -> None:
     """Refuse centred loads [n, K] with a direction that centred codes [n, C] do not answer to.
 
-    A reference sensor's own noise fills every direction, so that a load that was never applied
-    looks like one; the smallest canonical correlation between codes and loads tells them apart.
+    A reference sensor's noise has components in every direction, so that a load that was never
+    applied looks like one. The smallest canonical correlation between codes and loads shows it.
 
     Raises:
-        InputError: which direction, and what to do.
+        InputError: names the direction, and what to do.
     """
     of_codes, _ = np.linalg.qr(codes)
     of_loads, mixing = np.linalg.qr(loads)

@@ -9,7 +9,7 @@ from zerodrift.calibration.matrix import Array, CalibrationMatrix
 
 @dataclass(frozen=True)
 class CalibratedOutput:
-    """One load: its row of the matrix, and the error that is left, in the load's unit."""
+    """One load: its row of the matrix, and its residual error, in the load's unit."""
 
     ALIASES: ClassVar = ("rmse_heldout",)
 
@@ -40,7 +40,7 @@ class CalibrationSummary:
     features: tuple[str, ...]
     """Channels, and their squares where asked for."""
     center: tuple[float, ...]
-    """Codes that are taken off first."""
+    """Mean codes, subtracted before the matrix is applied."""
     outputs: Mapping[str, CalibratedOutput]
     codes_without_load: tuple[float, ...] | None
     condition_number: float

@@ -1,4 +1,4 @@
-"""A design's model as its C has it: every number that a block holds is the name of its field."""
+"""A design's model for its C: every number that a block holds is replaced by its field's name."""
 
 from collections.abc import Mapping
 from dataclasses import fields as list_dataclass_fields
@@ -91,7 +91,7 @@ def widen(design: BlockDesign) -> IntegerModel:
 
 
 def describe_block(design: BlockDesign) -> Mapping[str, object]:
-    """Return what the templates of a block are told."""
+    """Return the variables of a block's templates."""
     used = HEADER_BYTES + 4
     used += sum(
         int(np.prod(f.place.sizes, dtype=np.int64)) * np.dtype(TYPES[f.place.type]).itemsize

@@ -37,6 +37,7 @@ from zerodrift.operations.intervals import Bound
 from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import ChannelNode, IntegerNode
 from zerodrift.operations.registry import FILTERS
+from zerodrift.operations.times import LONGEST_US
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class GeneratedCode:
 
     @property
     def named(self) -> tuple[str, int] | None:
-        """What a design's C calls itself in the place of a model: hash and word of states."""
+        """The identity of a design's C, in place of a model's: hash and word of states."""
         return None if self.design is None else (self.design.identity, self.design.words[0] or 1)
 
     @property
@@ -196,6 +197,8 @@ def _render(
         "reads_inputs": any(isinstance(n, ChannelNode) for n in model.nodes),
         "code_type": f"{model.code_type.__name__}_t",
         "start_passes": START_PASSES,
+        "longest_us": LONGEST_US,
+        "reads_span": any(n.needs_variable_step for n in model.nodes),
         "state": list_state(model, of_block=design is not None),
         "stateful": stateful,
         "rest_nodes": [n for n in model.nodes if n in stateful or n.name in needed_at_rest],

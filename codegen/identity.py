@@ -1,4 +1,4 @@
-"""What tells the files of one generated model, and the runtime beside it, from all others."""
+"""The identity of the files of one generated model, and of the runtime beside it."""
 
 import hashlib
 import re

@@ -1,4 +1,4 @@
-"""What the header says of an input that the chip converts."""
+"""The header's text on an input that the chip converts."""
 
 from textwrap import wrap
 

@@ -1,4 +1,4 @@
-"""What the C calls a model, its inputs and its outputs."""
+"""Names of a model, its inputs and its outputs in the C."""
 
 from zerodrift.codegen.identifiers import (
     sanitize_identifiers,

@@ -13,11 +13,12 @@ SELFTEST_STEPS = 64
 SELFTEST_SEED = 0x5EED1E57
 
 
-def draw_codes(low: list[int], high: list[int]) -> NDArray[np.int32]:
+def draw_codes(low: list[int], high: list[int], *, timed: bool = False) -> NDArray[np.int64]:
     """Return the self-test's input codes [1, steps + 1, C]; the first row is where it settles.
 
     A 32-bit linear congruential generator (Numerical Recipes: 1664525, 1013904223) gives one value
-    per channel and step; its upper 16 bits, scaled, spread over low .. high.
+    per channel and step; its upper 16 bits, scaled, spread over low .. high. Where steps are told
+    their time, one more gives microseconds: its upper 16 bits times a power of two.
     """
     seed = SELFTEST_SEED
     rows = []
@@ -26,8 +27,11 @@ def draw_codes(low: list[int], high: list[int]) -> NDArray[np.int32]:
         for a, b in zip(low, high, strict=True):
             seed = (seed * 1664525 + 1013904223) & 0xFFFFFFFF
             row.append(a + (((seed >> 16) * (b - a + 1)) >> 16))
+        if timed:
+            seed = (seed * 1664525 + 1013904223) & 0xFFFFFFFF
+            row.append((seed >> 16) << ((seed >> 11) & 31))
         rows.append(row)
-    return np.array([rows], dtype=np.int32)
+    return np.array([rows], dtype=np.int64)
 
 
 def limits_of(model: IntegerModel) -> tuple[list[int], list[int]]:
@@ -54,7 +58,8 @@ def compute_selftest(model: IntegerModel, limits: IntegerModel | None = None) ->
         model: whose answers they are.
         limits: the model between whose limits the codes are drawn; None: its own.
     """
-    codes = draw_codes(*limits_of(model if limits is None else limits))
+    ends = limits_of(model if limits is None else limits)
+    codes = draw_codes(*ends, timed=model.variable_step)
     reference = Reference(model)
     state = reference.start(codes[:, 0].astype(np.int64), settled=True)
     trace = reference.run(codes[:, 1:], state=state)

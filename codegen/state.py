@@ -40,6 +40,13 @@ def list_state(model: IntegerModel, *, of_block: bool = False) -> tuple[StateFie
         )
         for k in model.held
     ]
+    if model.variable_step:
+        fields.append(StateField(64, "slept_us", comment="to add to the next step"))
+    if model.tare:
+        count = (len(model.outputs),)
+        fields.append(StateField(32, "answered", count, "drift of the step before, from no tare"))
+        fields.append(StateField(32, "tare", count, "drift that is taken off"))
+        fields.append(StateField(32, "tared", comment="0: no answer yet; 1: answered; 2: tared"))
     if model.feeds_back:
         told = "of the step before: what was measured less this is the load"
         fields.append(StateField(32, "drift", (len(model.outputs),), told))

@@ -1,4 +1,4 @@
-"""A run with gaps as one stretch: straight lines stand for what was not logged."""
+"""A run with gaps as one stretch: straight lines fill the gaps."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -12,11 +12,11 @@ from zerodrift.dataset.runs import Array, Run
 
 @dataclass(frozen=True)
 class Chain:
-    """A run from its first stretch on."""
+    """The stretches of a run, from its first one on, and the samples that fill its gaps."""
 
     stretches: tuple[Run, ...]
     bridges: tuple[int, ...]
-    """Samples that stand for each gap."""
+    """Samples that fill each gap."""
     places: tuple[tuple[int, int], ...]
     """(stretch of those asked for, its first sample in the whole), in the order of time."""
 
@@ -30,7 +30,8 @@ def list_chain(run: Run) -> list[Run]:
 
 
 def plan_bridges(chain: Sequence[Run], block: int = 1) -> tuple[list[int], list[int]]:
-    """Return the samples of each bridge, and where each stretch begins once they are laid.
+    """Return the samples of each bridge, and the first sample of each stretch once they are in
+    place.
 
     Args:
         chain: a run's stretches.
@@ -42,14 +43,15 @@ def plan_bridges(chain: Sequence[Run], block: int = 1) -> tuple[list[int], list[
 def plan_spans(
     times_s: Sequence[Array], sample_period_s: float, block: int = 1
 ) -> tuple[list[int], list[int]]:
-    """Return the samples of each bridge, and where each stretch begins once they are laid.
+    """Return the samples of each bridge, and the first sample of each stretch once they are in
+    place.
 
-    A bridge has as many samples as the gap, but no more than all stretches before it: what lies
-    longer ago than that is as good as settled.
+    A bridge has as many samples as the gap, but no more than all stretches before it: by then the
+    model's state hardly depends on the length of the gap.
 
     Args:
-        times_s: [n] of each stretch of a run.
-        sample_period_s: their period.
+        times_s: times [n] in s of each stretch of a run.
+        sample_period_s: their period in s.
         block: each stretch begins at a multiple of so many samples.
     """
     bridges, starts = [], [0]
@@ -64,7 +66,7 @@ def plan_spans(
 
 
 def lay(values: Sequence[Array], bridges: Sequence[int]) -> Array:
-    """Return the stretches' values [n] or [n, K] end to end, straight lines between them."""
+    """Return the stretches' values [n] or [n, K] end to end, with straight lines in the gaps."""
     pieces = [values[0]]
     for now, missing in zip(values[1:], bridges, strict=True):
         line = np.linspace(pieces[-1][-1], now[0], missing + 2)[1:-1]
@@ -73,7 +75,7 @@ def lay(values: Sequence[Array], bridges: Sequence[int]) -> Array:
 
 
 def predict_along(predict: Callable[[Run], Array], run: Run) -> Array:
-    """Return what `predict` gives for a stretch [n, K] when it begins at the run's first one."""
+    """Return the prediction [n, K] for a stretch, started at the first stretch of its run."""
     if run.before is None:
         return predict(run)
     chain = list_chain(run)
@@ -85,8 +87,8 @@ def join_stretches(runs: Sequence[Run]) -> tuple[list[Run], list[NDArray[np.bool
     """Return runs in one piece each, and which samples [n] of each are those of `runs`.
 
     Args:
-        runs: whole runs or stretches of them; what is not among them but lies before one that is
-            is laid too, and not marked.
+        runs: whole runs or stretches of them. Earlier stretches that are not among them are joined
+            too, but not marked.
     """
     joined, logged = [], []
     for chain in find_chains(runs):
@@ -100,7 +102,7 @@ def join_stretches(runs: Sequence[Run]) -> tuple[list[Run], list[NDArray[np.bool
 
 
 def predict_all(predict: Callable[[Run], Array], runs: Sequence[Run]) -> list[Array]:
-    """Return `predict_along` of every run [n, K], each chain of stretches gone through once."""
+    """Return `predict_along` [n, K] of every run; each chain of stretches is predicted once."""
     answers = [np.zeros((0, 0))] * len(runs)
     for chain in find_chains(runs):
         answer = predict(_lay_run(chain.stretches, chain.bridges))
@@ -113,7 +115,7 @@ def find_chains(runs: Sequence[Run], block: int = 1) -> list[Chain]:
     """Return the chains that the stretches `runs` lie in; a run without a gap is one by itself.
 
     Args:
-        runs: stretches; what is before one of them need not be among them.
+        runs: stretches; earlier stretches of the same run need not be among them.
         block: each stretch begins at a multiple of so many samples.
     """
     index = {(run.group, run.part): i for i, run in enumerate(runs)}

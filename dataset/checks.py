@@ -1,4 +1,4 @@
-"""Checks of a log's values: vectorised first, the offending line only after one has failed."""
+"""Checks of a log's values: vectorised first; only a failed check looks for the line."""
 
 from collections.abc import Mapping
 
@@ -27,13 +27,14 @@ SKIP = "or pass --skip-invalid to drop"
 
 
 def widen_plausible(stated: tuple[float, float] | None) -> Limits:
-    """Return the plausible temperatures, or more where a range is stated for the sensor."""
+    """Return the plausible temperatures in degC, wider where the sensor's stated range is."""
     low, high = stated or (COLDEST_DEGC, HOTTEST_DEGC)
     return min(low, COLDEST_DEGC), max(high, HOTTEST_DEGC)
 
 
 def find_invalid_rows(table: LogTable, temperatures: Mapping[str, Limits]) -> Mask | None:
-    """Return the rows with a value that is no finite number or no temperature; None = none.
+    """Return the rows [n] with a value that is not finite or an implausible temperature; None =
+    none.
 
     Args:
         table: the parsed log.

@@ -1,4 +1,4 @@
-"""What the chip is given of each input: codes that hold its logs, or the row that they do not."""
+"""The codes of each input of the chip, chosen to hold the logs; else the row they cannot hold."""
 
 import math
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ def choose_codes(config: Config, source: str, runs: Sequence[Run], lsb: float) -
         lsb: of a raw output, in its unit.
 
     Raises:
-        InputError: what the project says does not hold its logs, or its own range.
+        InputError: the stated codes do not hold the logs or the stated range.
     """
     if source == TEMPERATURE:
         return choose_temperature_codes(config, runs)
@@ -65,11 +65,11 @@ def choose_temperature_codes(config: Config, runs: Sequence[Run]) -> ChipCodes:
     """Return the thermometer's codes: those of a TMP117, wider where these do not hold the logs.
 
     Args:
-        config: the project; says what it wants of the codes, if it does.
+        config: the project, which may state the codes.
         runs: of the training logs.
 
     Raises:
-        InputError: what the project says does not hold its logs, or its own range.
+        InputError: the stated codes do not hold the logs or the stated range.
     """
     stated = config.temperature_codes
     spans = [(float(r.temperature_degC.min()), float(r.temperature_degC.max())) for r in runs]
@@ -94,12 +94,12 @@ def choose_temperature_codes(config: Config, runs: Sequence[Run]) -> ChipCodes:
 
 
 def choose_input_codes(config: Config, name: str, runs: Sequence[Run]) -> ChipCodes:
-    """Return the codes of one of `[inputs]`: as it is stated, or as many as fill 15 of 16 bits.
+    """Return the codes of one of `[inputs]`: as stated, or with an LSB that fills 15 of 16 bits.
 
-    A clock counts whole seconds in 32 bits. From format 2 on logs do not say what a code is worth.
+    A clock counts whole seconds in 32 bits. From format 2 on the logs do not decide the LSB.
 
     Raises:
-        InputError: as `choose_temperature_codes`; or nothing says what a code is worth.
+        InputError: as `choose_temperature_codes`; or the LSB is stated nowhere.
     """
     stated = config.input_codes.get(name, CodesConfig())
     spans = [(float(r.inputs[name].min()), float(r.inputs[name].max())) for r in runs]
@@ -128,7 +128,7 @@ def choose_input_codes(config: Config, name: str, runs: Sequence[Run]) -> ChipCo
 
 
 def _measure_span(spans: Sequence[tuple[float, float]]) -> float:
-    """Return how far the lowest and the highest logged value are apart."""
+    """Return the difference between the highest and the lowest logged value."""
     return max(high for _, high in spans) - min(low for low, _ in spans)
 
 
@@ -201,7 +201,7 @@ def _convert(
     wide = (span[0] - beyond, span[1] + beyond)
     cover = cover_range(by_sum, found, stated.raw, wide, lacks, bits)
     every = (cover.begin, cover.end) == RAW_CODES[stated.raw] and lacks is None
-    if bits is not None:  # beyond the sums that can be there no code surely lies
+    if bits is not None:  # no code can lie beyond the possible sums
         every = lacks is None
     made = replace(made, lsb=lsb, cover=cover, by=by, held=found, no_reading=None)
     width = 16 if replace(made, bits=16).holds(*wide) else 32
@@ -220,10 +220,10 @@ def _convert(
 def _reach_sums(
     config: Config, made: ChipCodes, by: ConversionConfig, bits: int, runs: Sequence[Run]
 ) -> tuple[int, int]:
-    """Return the sums of code and junction's voltage that are there whatever the junction has.
+    """Return the sums of code and junction's voltage that occur at any junction temperature.
 
     Raises:
-        InputError: there are none, or the junction is beyond what its thermocouple tells.
+        InputError: there are none, or the junction leaves the range of its thermocouple.
     """
     name, couple = by.junction or "", by.couple or ""
     cold = find_junction_span(config, name, runs)
@@ -249,7 +249,7 @@ def find_junction_span(config: Config, name: str, runs: Sequence[Run]) -> tuple[
 
 
 def _choose_lsb(span: tuple[float, float], filled: float) -> float:
-    """Return the power of two of which the larger end of a span is at most so many."""
+    """Return the smallest power of two that puts the larger end of a span within `filled` codes."""
     largest = max(abs(span[0]), abs(span[1]), 1e-30)
     return float(2.0 ** math.ceil(math.log2(largest / filled)))
 
@@ -328,7 +328,7 @@ def _locate(config: Config, codes: ChipCodes) -> str:
 
 
 def read_source(outputs: Sequence[str], source: str, run: Run) -> Array:
-    """Return the values [n] of a run that codes stand for.
+    """Return the values [n] of a run, in the source's unit, before they become codes.
 
     Args:
         outputs: their names, in the order of the run.
@@ -343,7 +343,7 @@ def read_source(outputs: Sequence[str], source: str, run: Run) -> Array:
 
 
 def refuse_outside(config: Config, codes: Sequence[ChipCodes], runs: Sequence[Run]) -> None:
-    """Refuse runs with a value that no code stands for.
+    """Refuse runs with a value that no code represents.
 
     Raises:
         InputError: names file and line, run, value, what the codes hold, and what to do.
@@ -357,7 +357,7 @@ def refuse_outside(config: Config, codes: Sequence[ChipCodes], runs: Sequence[Ru
 
 
 def refuse_unsayable(config: Config, dataset: Dataset) -> None:
-    """Refuse logs that the codes of thermometer and stated inputs cannot say, before any training.
+    """Refuse logs outside the codes of the thermometer and the stated inputs, before any training.
 
     Raises:
         InputError: as `refuse_outside`.

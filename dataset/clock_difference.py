@@ -36,7 +36,7 @@ class ClockDifference:
     rate: float
     rate_std: float
     since_s: float
-    """Where the offset holds: the first time that both logs have."""
+    """Where the offset holds, in s: the first time that both logs have."""
     explained: float
     """Share of the second log's variance that the first explains then."""
 
@@ -79,7 +79,7 @@ def measure_difference(
         second: [m] the same by the second.
 
     Returns:
-        The difference; None where the logs have too little in common to tell.
+        The difference; None where the logs have too little in common to determine it.
     """
     begin = max(first_s[0], second_s[0])
     end = min(first_s[-1], second_s[-1])
@@ -106,7 +106,7 @@ def _iterate(
     step_s: float,
     has_rate: bool,
 ) -> ClockDifference | None:
-    """Return the difference from which no further step leads away."""
+    """Return the difference after Gauss-Newton steps, once they no longer change it."""
     first_s, first, second_s, second = logs
     begin = start.since_s
     offset_s, rate = start.offset_s, start.rate
@@ -128,7 +128,7 @@ def _iterate(
 def _search(
     first_s: Array, first: Array, second_s: Array, second: Array, step_s: float, common_s: float
 ) -> float:
-    """Return the offset at which the two are most alike, to a step or so of a coarse grid."""
+    """Return the offset at which the two are most alike, to about one step of a coarse grid."""
     begin, end = max(first_s[0], second_s[0]), min(first_s[-1], second_s[-1])
     grid_s = np.arange(begin, end, step_s)
     one = _smooth(np.interp(grid_s, first_s, first))
@@ -155,7 +155,7 @@ def _refine(
     step_s: float,
     has_rate: bool,
 ) -> ClockDifference | None:
-    """Return what is left of the difference, and its uncertainty, by one linear step."""
+    """Return the difference after one linear step, with its standard deviations."""
     begin, end = max(first_s[0], second_s[0]), min(first_s[-1], second_s[-1])
     grid_s = np.arange(begin, end, step_s)
     if grid_s.size < 10 * SMOOTHED_PERIODS:

@@ -1,4 +1,4 @@
-"""Codes of one input of the chip: what they stand for, and what they do not."""
+"""Codes of one input of the chip, and the values that they can hold."""
 
 from dataclasses import dataclass
 
@@ -25,17 +25,17 @@ class ChipCodes:
     source: str
     """`temperature_degC`, `measured:Fz`, or the input's name."""
     column: str
-    """Of the logs."""
+    """The column of the logs."""
     unit: str
     bits: int
     lsb: float
     no_reading: int | None
-    """The code that means that there is none."""
+    """The code that means that there is no reading; None: there is no such code."""
     remedy: str
-    """What a user changes where a log leaves these codes."""
+    """What a user can change where a log leaves the range of these codes."""
     offset: float = 0.0
     cover: RawCover | None = None
-    """What the chip is given where that is not these codes."""
+    """The raw codes that the chip is given; None: it is given these codes."""
     by: ConversionConfig | None = None
     """From raw code to value."""
     held: RawRange | None = None
@@ -50,7 +50,7 @@ class ChipCodes:
         return low + (self.no_reading == low), high - (self.no_reading == high)
 
     def holds(self, low: float, high: float) -> bool:
-        """Tell whether codes stand for both values, with one to spare on either side."""
+        """Tell whether codes hold both values, with one to spare on either side."""
         lowest, highest = self.codes
         return lowest < self._round(low) and self._round(high) < highest
 
@@ -58,7 +58,7 @@ class ChipCodes:
         return round((value - self.offset) / self.lsb)
 
     def find_outside(self, values: Array) -> int | None:
-        """Return the first position of values [n] that no code stands for; None: there is none."""
+        """Return the first position of values [n] that no code represents; None: there is none."""
         if self.held is not None:
             low, high = sorted(self.held.values)
             beyond = ~((values >= low) & (values <= high))
@@ -69,7 +69,7 @@ class ChipCodes:
         return int(outside.argmax()) if outside.any() else None
 
     def explain(self, place: str, run: Run, value: float) -> InputError:
-        """Return the error about a value of a run that no code stands for."""
+        """Return the error about a value of a run that no code represents."""
         held = hint = ""
         if self.source == TEMPERATURE:
             hint = guess_temperature_unit(self.column, run.temperature_degC)

@@ -9,7 +9,8 @@ from zerodrift.dataset.runs import Array
 
 
 class GrowingColumns:
-    """Equally long columns with room reserved ahead; unused room costs no memory but addresses."""
+    """Equally long columns with room reserved ahead; unused room takes address space, not
+    memory."""
 
     def __init__(self, names: Sequence[str], capacity: int) -> None:
         self._arrays: dict[str, Array] = {name: np.empty(capacity) for name in names}

@@ -17,7 +17,7 @@ def convert(values: Array, by: ConversionConfig, junction_degC: Array | None = N
     """Return logged values [n] as the quantity; NaN where the conversion has none.
 
     Args:
-        values: as logged.
+        values: [n] as logged.
         by: the steps. With `kind` the result is in degC, or in the unit of the table's y or of the
             polynomial; else in `unit`, temperatures in degC.
         junction_degC: [n] of a thermocouple's cold junction, where an input measures it.

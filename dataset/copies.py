@@ -2,9 +2,9 @@
 
 Two recordings of one programme never have the same noise, so rows whose noise agrees are the same
 rows, whatever the file is called, whatever its clock says, and with however many digits it was
-written. What can agree without being a copy is no evidence: a constant, a smooth simulated curve,
-the steps of a coarse converter. So each column counts by what an independent recording of the same
-signal would leave to chance, and only a match that chance does not explain is told.
+written. Values that can agree without being a copy are no evidence: a constant, a smooth simulated
+curve, the steps of a coarse converter. So each column counts by what an independent recording of
+the same signal would leave to chance, and only a match that chance does not explain is reported.
 
 Runs are marked as they are read: their rows, rounded to steps near the noise, in windows whose
 increments are hashed; of these the locally least are kept. Sorting the marks of all runs finds the
@@ -17,6 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.dataset.resolution import (
+    DIGITS,
+    find_steps,
+    list_blocks,
+    measure_step,
+)
 from zerodrift.dataset.runs import Array
 
 Codes = NDArray[np.uint64]
@@ -43,19 +49,17 @@ MOST_ALIKE = 32
 """Marks that occur more often than this are patterns, not noise."""
 MOST_ALIGNMENTS = 16
 """Alignments of two runs that are looked at row by row, the likeliest ones."""
-DIGITS = 1e-8
-"""What is smaller than this share of a value is its arithmetic's, not the sensor's."""
+BESIDE = (5, 7, 11, 13)
+"""Rows by which runs are laid beside their place to see how often noise agrees by chance."""
 MOST_BITS = 16.0
 """Most that one value is taken to leave to chance."""
-MOST_DIGITS = 7
-"""More digits than this are as good as all of them."""
 _SAMPLED = 4096
 _POSITION_BITS = np.uint64(18)
 
 
 @dataclass(frozen=True)
 class Marks:
-    """What one run is known by."""
+    """The marks by which the rows of a run are recognised."""
 
     rows: int
     """How many rows the run has."""
@@ -64,7 +68,7 @@ class Marks:
     at: NDArray[np.uint32]
     """[m] each window's first row."""
     bits: NDArray[np.float32]
-    """[m] what each row of the window leaves to chance."""
+    """[m] bits that each row of the window leaves to chance."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,7 @@ class SharedRows:
 
 
 def mark_run(columns: Sequence[Array]) -> Marks:
-    """Return what a run is known by.
+    """Return the marks of a run.
 
     Args:
         columns: its measured columns, each [n], as logged; those without noise are passed over.
@@ -122,7 +126,7 @@ def mark_run(columns: Sequence[Array]) -> Marks:
     )
 
 
-def measure_noise(values: Array) -> float:
+def measure_white_noise(values: Array) -> float:
     """Return the RMS of the noise on a signal, which a smooth curve or rare steps have none of.
 
     White noise is as large in fourth as in sixth differences, which take smooth curves away;
@@ -146,45 +150,6 @@ def _measure_scatter(values: Array) -> float:
     basis = np.linalg.qr(np.vander(np.linspace(-1, 1, rows), 3))[0]
     left: Array = pieces - pieces @ basis @ basis.T
     return float(np.median(np.sqrt(np.sum(left**2, axis=1) / (rows - 3))))
-
-
-def measure_step(values: Array) -> float:
-    """Return the step of which all values are multiples, one from the next; 0 where there is none.
-
-    Decimal digits, a converter's step and single precision all count as steps.
-    """
-    sorted_values = np.unique(values)
-    gaps = np.unique(np.diff(sorted_values))
-    if gaps.size == 0:
-        return 0.0
-    largest = float(np.abs(sorted_values[[0, -1]]).max())
-    decimal = _measure_decimals(sorted_values, largest)
-    step = float(gaps[0])
-    single = sorted_values.astype(np.float32)
-    for _ in range(40):
-        if step < DIGITS * largest:
-            break
-        times = np.rint(gaps / step)
-        rest = np.abs(gaps - step * times)
-        # What is left of a gap, beyond what double precision makes of the step so many times.
-        rest = rest[rest > np.maximum(1e-3 * step, 1e-15 * largest * (1 + times))]
-        if rest.size == 0:
-            return max(step, decimal)
-        step = float(rest.min())
-    if np.all(single == sorted_values):
-        return max(float(np.spacing(np.abs(single).max())), decimal)
-    return decimal
-
-
-def _measure_decimals(values: Array, largest: float) -> float:
-    """Return the power of ten of which all values are multiples; 0 where there is none."""
-    for digits in range(10):
-        scaled = values * 10.0**digits
-        if 10.0**-digits < DIGITS * largest:
-            break
-        if np.all(np.abs(scaled - np.rint(scaled)) <= 1e-15 * largest * 10.0**digits):
-            return 10.0**-digits
-    return 0.0
 
 
 def count_bits(noise: float, step: float) -> float:
@@ -282,7 +247,7 @@ def _choose_levels(values: Array) -> dict[int, float]:
     blocks = range(0, values.size, max(_SAMPLED, values.size // 16))
     for start in blocks:
         block = values[start : start + _SAMPLED]
-        noise = measure_noise(block)
+        noise = measure_white_noise(block)
         if noise <= DIGITS * float(np.abs(block).max()):
             continue
         if count_bits(noise, measure_step(block[:256])) == 0:
@@ -351,10 +316,11 @@ def _compare(
     near = slice(alignment.row - first, alignment.row - first + WINDOW + 1)
     agree = np.ones(last - first, dtype=np.bool_)
     steps: list[float] = []
+    limits: list[Array] = []
     for one, other in zip(ours, theirs, strict=True):
         apart = one[here] - other[there]
         blur = DIGITS * float(np.abs(one[here]).max())
-        ends = [_find_steps(one[here]), _find_steps(other[there])]
+        ends = [find_steps(one[here]), find_steps(other[there])]
         steps.append(max(2 * blur, *(float(np.median(end)) for end in ends)))
         # The one was rounded from the other, so they differ by half of the coarser step at most.
         limit = 0.5001 * np.maximum(ends[0], ends[1]) + blur
@@ -363,6 +329,7 @@ def _compare(
             # Zeroed anew before it was rounded: either end may be off by its own half step.
             apart -= tare
             limit = 2 * limit
+        limits.append(np.broadcast_to(limit, apart.shape))
         agree &= np.abs(apart) <= limit
     edges = np.flatnonzero(np.diff(np.concatenate([[False], agree, [False]])))
     shared = []
@@ -370,8 +337,13 @@ def _compare(
         if stop - start < LEAST_ROWS:
             continue
         rows = slice(first + int(start), first + int(stop))
+        their_rows = slice(rows.start + alignment.offset, rows.stop + alignment.offset)
         bits = sum(
-            count_bits(_find_noise(one[rows]), step) for one, step in zip(ours, steps, strict=True)
+            min(
+                count_bits(_find_noise(one[rows]), step),
+                _count_chance(one[rows], other[their_rows], limit[start:stop]),
+            )
+            for one, other, step, limit in zip(ours, theirs, steps, limits, strict=True)
         )
         if bits * (stop - start) > CHANCE_BITS + np.log2(float(size) * other_size):
             shared.append(
@@ -379,43 +351,34 @@ def _compare(
                     alignment.one,
                     alignment.other,
                     rows.start,
-                    rows.start + alignment.offset,
+                    their_rows.start,
                     int(stop - start),
                 )
             )
     return shared
 
 
-def _list_blocks(values: Array, width: int) -> list[Array]:
-    apart = max(width, values.size // 16)
-    return [values[start : start + width] for start in range(0, values.size, apart)]
+def _count_chance(one: Array, other: Array, limit: Array) -> float:
+    """Return how many bits a row's agreement is worth, by how many rows agree that do not belong.
 
+    Laid some rows beside its place and levelled, the noise of the one has nothing to do with that
+    of the other: a converter of two codes agrees there in every row, and proves nothing.
 
-def _find_steps(values: Array) -> Array:
-    """Return [n] the step in which each value is written, where digits are counted from the first.
-
-    Otherwise [1], the coarsest step of any part.
+    Args:
+        one: [n] of a column.
+        other: [n] of the same column of the other run.
+        limit: [n] by how much they may differ.
     """
-    blocks = [block for block in _list_blocks(values, 256) if block.size > 1]
-    found = [step for block in blocks if (step := measure_step(block)) > 0]
-    digits = max(_count_digits(block) for block in blocks)
-    if digits > MOST_DIGITS or not found:
-        return np.array([max(found, default=0.0)])
-    first = np.floor(np.log10(np.maximum(np.abs(values), 1e-300)))
-    return np.maximum(10.0 ** (first + 1 - digits), min(found))
-
-
-def _count_digits(values: Array) -> int:
-    """Return with how many digits, counted from the first that is not 0, all values are written."""
-    some = values[values != 0]
-    first = np.floor(np.log10(np.abs(some)))
-    for digits in range(1, MOST_DIGITS + 1):
-        steps = 10.0 ** (first + 1 - digits)
-        if np.all(np.abs(some / steps - np.rint(some / steps)) < 1e-9 * 10.0**digits):
-            return digits
-    return MOST_DIGITS + 1
+    agreed = tried = 0
+    for shift in BESIDE:
+        for near, far in ((one[shift:], other[:-shift]), (one[:-shift], other[shift:])):
+            apart = near - far
+            apart -= np.median(apart)
+            agreed += int(np.count_nonzero(np.abs(apart) <= limit[shift:]))
+            tried += apart.size
+    return float(np.log2((tried + 2) / (agreed + 1)))
 
 
 def _find_noise(values: Array) -> float:
     """Return the usual noise of a column's parts."""
-    return float(np.median([measure_noise(block) for block in _list_blocks(values, _SAMPLED)]))
+    return float(np.median([measure_white_noise(block) for block in list_blocks(values, _SAMPLED)]))

@@ -1,4 +1,4 @@
-"""A dataset in a few lines for people: runs, duration, temperatures, rates, units."""
+"""A dataset in a few lines of text: runs, duration, temperatures, rates, units."""
 
 from collections.abc import Sequence
 
@@ -27,7 +27,7 @@ def describe(dataset: Dataset) -> str:
 
 
 def measure_rate(run: Run) -> Array:
-    """Return the temperature's rates over windows of a minute, or over the run if it is shorter.
+    """Return the rates of the temperature over windows of a minute; over a shorter run as a whole.
 
     Returns:
         [m] in K/s, one per window start; at least one.

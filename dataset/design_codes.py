@@ -1,6 +1,6 @@
-"""What one code of an input is worth by zerodrift.toml alone: the same for every unit of a design.
+"""The LSB of an input by zerodrift.toml alone: the same for every unit of a design.
 
-Projects of format 1 leave it to each unit's training logs; from format 2 on logs have no say.
+In projects of format 1 each unit's training logs decide it; from format 2 on they do not.
 """
 
 import math
@@ -24,10 +24,10 @@ THERMOMETERS = ("ntc", "pt100", "pt1000", "thermocouple")
 
 
 def find_design_lsb(config: Config, name: str) -> float | None:
-    """Return what one code of an input is worth, in its unit; None: zerodrift.toml leaves it open.
+    """Return the LSB of an input, in its unit; None: zerodrift.toml does not state it.
 
-    Stated; a second of the clock; what a linear conversion says; 2**-7 K of a thermometer; else
-    the power of two by which the stated range fills 15 of 16 bits (31 of 32).
+    As stated; else 1 s for the clock, the slope of a linear conversion, 2**-7 K for a thermometer,
+    or the power of two by which the stated range fills 15 of 16 bits (31 of 32).
     """
     stated = config.input_codes.get(name, CodesConfig())
     if stated.lsb is not None:
@@ -52,7 +52,7 @@ def is_thermometer(name: str, column: str, by: ConversionConfig | None = None) -
 
 
 def fill_codes(largest: float, bits: int) -> float:
-    """Return the power of two of which the largest value is half of what so many bits hold."""
+    """Return the power-of-two LSB at which the largest value fills at most half the range."""
     return float(2.0 ** math.ceil(math.log2(max(largest, 1e-30) / FILLED[bits])))
 
 
@@ -64,8 +64,8 @@ def propose_codes(
     Args:
         name: the input's.
         column: its column.
-        low: of all logs.
-        high: of all logs.
+        low: lowest value of all logs.
+        high: highest value of all logs.
         is_degc: it is known to be a thermometer in degC.
     """
     largest = max(abs(low), abs(high))
@@ -79,7 +79,7 @@ def require_design_lsb(config: Config, name: str) -> float:
     """Return `find_design_lsb`.
 
     Raises:
-        InputError: zerodrift.toml leaves it open.
+        InputError: zerodrift.toml does not state it.
     """
     found = find_design_lsb(config, name)
     if found is not None:
@@ -94,12 +94,12 @@ def require_design_lsb(config: Config, name: str) -> float:
 
 
 def list_unstated(config: Config) -> list[str]:
-    """Return the inputs of which zerodrift.toml does not say what a code is worth."""
+    """Return the inputs whose LSB zerodrift.toml does not state."""
     return [name for name in config.inputs if not explain_stated(config, name)]
 
 
 def explain_stated(config: Config, name: str) -> str:
-    """Return how zerodrift.toml says what a code is worth; empty: in format 1 the logs do."""
+    """Return how zerodrift.toml states the LSB; empty: the logs decide it, in format 1."""
     stated = config.input_codes.get(name, CodesConfig())
     linear = None if stated.by is None else find_linear(stated.by)
     if name == CLOCK:

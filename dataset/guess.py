@@ -44,7 +44,7 @@ class GuessedOutput:
     unit: str
     full_scale: float
     unit_from: str = ""
-    """What the unit was taken from; empty: nothing tells it."""
+    """Where the unit was taken from; empty: nothing states it."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Guess:
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Text columns with several values -> these, candidates for `[logs] where`."""
     checks: tuple[str, ...] = ()
-    """What was uncertain."""
+    """What was uncertain, for the user to check."""
     alternatives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Key of zerodrift.toml (time, temperature, sample_period_s, `outputs.NAME.unit`, ...) -> what
     else it may be."""
@@ -84,7 +84,7 @@ class Guess:
     logs: tuple[LogFiles, ...] = ()
     """The runs that have these columns."""
     period_by_hand_s: float | None = None
-    """Interval between rows that have no times."""
+    """Interval in s between rows that have no times."""
     temperature_unit: str = ""
     """degF or K; empty: degC."""
     times_by_file: Mapping[str, TimeConfig] = field(default_factory=dict)
@@ -101,7 +101,7 @@ def guess_project(
 
     Args:
         logs: files, folders of runs, or runs whose files are known already.
-        period_s: the interval between rows, for logs without times.
+        period_s: the interval between rows in s, for logs without times.
         directory: of the project; runs are sorted by their place relative to it.
 
     Raises:
@@ -194,7 +194,7 @@ def guess_project(
 
 
 def _tell_contradictions(files: Sequence[SurveyedFile]) -> list[str]:
-    """Return what is said of columns whose names and rows of units state different units."""
+    """Return notes on columns whose name and row of units state different units."""
     return [
         f"'{column.name}' is in {column.unit} by the row of units and in "
         f"{read_unit(column.name)} by its name; taken as {column.unit}"
@@ -348,7 +348,7 @@ def round_up(peak: float) -> float:
 
 
 def _round_nominal(value: float) -> float:
-    """Return a value that hardly moves, to three digits: what it is likely meant to be."""
+    """Return a nearly constant value rounded to three digits: its likely nominal value."""
     return float(f"{value:.3g}")
 
 
@@ -425,7 +425,7 @@ def _describe(files: Sequence[SurveyedFile], used: set[str]) -> list[SeenColumn]
 
 
 def _find_groups(files: Sequence[SurveyedFile], shared: set[str]) -> dict[str, tuple[str, ...]]:
-    """Return the columns of text that may tell units or parts of a log apart."""
+    """Return the columns of text that may distinguish units or parts of a log."""
     return {
         name: values
         for file in files

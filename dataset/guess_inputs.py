@@ -1,4 +1,4 @@
-"""The further channels of a project that `init` finds, and what one code of each is worth."""
+"""The further channels of a project that `init` finds, and the LSB of each."""
 
 from collections.abc import Sequence
 
@@ -37,7 +37,7 @@ def choose_codes(
 
     Args:
         columns: input and its column as zerodrift.toml names it.
-        runs: of each its files; what they hold of all units of a fleet counts.
+        runs: the files of each run, of all units of a fleet.
     """
     chosen = {}
     for name, column in columns:

@@ -1,4 +1,4 @@
-"""Which files are the runs of a project, by what they hold; and what a run lacks."""
+"""Finds which files are the runs of a project, by their content, and what a run lacks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ class FoundRun:
     log: LogFiles
     files: tuple[SurveyedFile, ...]
     left_out: tuple[str, ...] = ()
-    """What is said of files that lie beside them."""
+    """Notes on other files in the same folder."""
 
     def names(self) -> set[str]:
         """Return all columns of its files."""
@@ -56,7 +56,7 @@ class FoundRun:
 def find_runs(
     logs: Sequence[Path | LogFiles], period_s: float | None, directory: Path
 ) -> tuple[list[FoundRun], list[str]]:
-    """Return the runs that the logs are, and what is said of what is none."""
+    """Return the runs among the logs, and notes on the files that are none."""
     runs: list[FoundRun] = []
     refused: list[str] = []
     files = []
@@ -162,7 +162,7 @@ def _tell_lack(file: SurveyedFile) -> str:
 def choose_runs(
     runs: Sequence[FoundRun], period_s: float | None
 ) -> tuple[FoundRun, list[FoundRun], list[str]]:
-    """Return the run to go by, those that have its columns, and what is said of the others."""
+    """Return the run that names the columns, the runs that have them, and notes on the others."""
     good = [run for run in runs if not _list_lacks(run, period_s)]
     if not good:
         raise InputError(_explain_lacks(runs[0], period_s))
@@ -198,7 +198,7 @@ def choose_runs(
 
 
 def _find_other_scale(runs: Sequence[FoundRun]) -> list[FoundRun]:
-    """Return the runs whose steady values are of another size than in those with the most rows."""
+    """Return the runs whose steady values differ in scale from those of the majority of rows."""
     sizes: dict[int, list[FoundRun]] = {}
     for run in runs:
         columns = [role.column for file in run.files for role in file.list(OUTPUT)]

@@ -1,7 +1,7 @@
 """Joins the files of one run on time: loggers with rates, jitter and clocks of their own.
 
-The rows are those of the fastest file; what the others hold is put on straight lines between their
-rows. Nothing is made up: where one of them is interrupted, or has not begun, there are no rows.
+The rows are those of the fastest file; the others are interpolated linearly between their rows.
+Nothing is extrapolated: where one of them is interrupted, or has not begun, there are no rows.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ def join_tables(
         config: the project.
         tables: one per file, values and times checked.
         label: how messages name the run.
-        notes: gets what is worth telling.
+        notes: gets what the user should know.
 
     Raises:
         InputError: their times are of different kinds, do not overlap, or one is too coarse.
@@ -129,7 +129,7 @@ def _tell_scale(config: Config, table: LogTable) -> str:
 def propose_zone(local_s: Array, utc_s: Array) -> str:
     """Return the difference to UTC at which a local log overlaps another most; empty: none does.
 
-    Of those that do equally, the one at which they begin closest together.
+    Of equal overlaps, the one at which the two begin closest together.
     """
     best, most = "", 0.0
     apart = np.inf
@@ -148,7 +148,8 @@ def propose_zone(local_s: Array, utc_s: Array) -> str:
 def _compare_clocks(
     config: Config, base: LogTable, others: Sequence[LogTable], notes: list[str]
 ) -> None:
-    """Bring the others to the base's clock where both record one quantity; tell in any case."""
+    """Bring the others to the base's clock where both record one quantity; add a note either
+    way."""
     time = config.time_column
     is_told = False
     for other in others:

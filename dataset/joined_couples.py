@@ -20,20 +20,20 @@ def convert_joined(
     holes: bool,
     notes: list[str],
 ) -> None:
-    """Convert the voltages that waited for their cold junction, in place.
+    """Convert the voltages that needed a cold junction from another file, in place.
 
-    The junction is on the rows of the join, like all else: on straight lines between its own rows.
+    The junction's temperature is interpolated linearly to the rows of the join.
 
     Args:
         config: the project.
         joined: the run.
-        tables: its files, as they were before.
-        skip_invalid: drop rows that become no temperature instead of raising.
+        tables: its files, before the join.
+        skip_invalid: drop rows that have no temperature instead of raising.
         holes: leave them as NaN.
         notes: gets how many were dropped.
 
     Raises:
-        InputError: a voltage that its conversion makes no temperature of.
+        InputError: the conversion has no temperature for a voltage.
     """
     wrong = np.zeros(len(joined), dtype=np.bool_)
     for column in [c for table in tables for c in table.deferred]:

@@ -15,7 +15,7 @@ from zerodrift.dataset.naming import RunKey, name_runs, refuse_overlaps
 from zerodrift.dataset.oddities import find_oddities
 from zerodrift.dataset.open_log import open_log
 from zerodrift.dataset.resample import MIN_STEPS, Stretch, plan_stretches
-from zerodrift.dataset.runs import Array, Dataset, Run
+from zerodrift.dataset.runs import Array, Dataset, Run, share_resolution
 from zerodrift.dataset.sampling import COARSEST, Sampling, look_at_sampling
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
 from zerodrift.dataset.shared_rows import KnownRun, Repeats, find_repeats
@@ -49,10 +49,10 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
             many, instead of raising.
 
     Returns:
-        The runs by use, at `config.sample_period_s`; `notes` says what is worth a look.
+        The runs by use, at `config.sample_period_s`; `notes` has what the user should know.
 
     Raises:
-        InputError: a log is missing, damaged, or holds what cannot be right.
+        InputError: a log is missing or damaged, or holds impossible values.
     """
     notes: list[str] = []
     selections = {use: expand_selectors(config, use) for use in USES}
@@ -85,7 +85,9 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
     for use in USES:
         pieces[use] = _keep_once(pieces[use], repeats)
     names = name_runs([piece.key for use in USES for piece in pieces[use]], config.directory)
-    runs = {use: _link(_finish(piece, names, config) for piece in pieces[use]) for use in USES}
+    finished = {use: [_finish(piece, names, config) for piece in pieces[use]] for use in USES}
+    steps = share_resolution([run for use in USES for run in finished[use]])
+    runs = {use: _link(replace(run, output_steps=steps) for run in finished[use]) for use in USES}
     _check_training(config, runs[TRAIN], notes)
     notes += find_oddities(config, [*runs[TRAIN], *runs[TEST]])
     return Dataset(

@@ -1,4 +1,4 @@
-"""The second pass: line and text of a row that failed a check."""
+"""The second pass over a file: line and text of a row that failed a check."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ def locate_row(source: Source, position: int) -> RowPlace:
 
     Raises:
         InputError: the row cannot be read as text either: it is not UTF-8, or its fields are
-            quoted so that the lines cannot be told apart.
+            quoted so that the lines cannot be separated.
     """
     try:
         frame = source.scan().slice(position, 1)

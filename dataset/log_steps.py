@@ -1,6 +1,6 @@
-"""A log to which a finished model is applied: its rows, and the firmware's steps they belong to.
+"""A log to which a finished model is applied: its rows, and the firmware's step of each.
 
-Unlike what is learnt from, such a log may lack readings, and needs no reference.
+Unlike a training log, it may lack readings, and it needs no reference.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,9 +42,9 @@ class StepStretch:
     part: int
     """0 where it begins a run, then 1, 2, ..."""
     bridge: int
-    """Steps that stand for the gap before it."""
+    """Steps that fill the gap before it."""
     start_s: float
-    """The log's own clock at the first row of the run."""
+    """The log's own clock at the first row of the run, in s."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class LogSteps:
     source: Source
     table: LogTable
     rows: int
-    """Of the file, those that were dropped among them."""
+    """Rows of the file, dropped ones included."""
     stretches: tuple[StepStretch, ...]
     steps: int
     """Of all stretches."""
@@ -63,7 +63,7 @@ class LogSteps:
     notes: tuple[str, ...]
 
     def drop_values(self) -> "LogSteps":
-        """Return what the rows' steps need, without the columns' values, which take room."""
+        """Return the log without the columns' values, which need memory; the steps remain."""
         return replace(self, table=LogTable(self.source, {}, (), None), stretches=())
 
     def resample(self, column: str, one: StepStretch) -> Array:
@@ -145,9 +145,9 @@ def read_log_steps(
 
 
 def _make_source(table: LogTable, path: Path, measured: set[str]) -> None:
-    """Take the rows as they are joined for those of the log.
+    """Write the joined rows as the log that is read row by row.
 
-    What is converted stays as it was logged, but for the outputs, which are compensated.
+    Converted columns stay as logged, except the outputs, which are compensated.
     """
     told = {name: own for name, own in table.logged.items() if name not in measured}
     frame = pl.DataFrame({**table.columns, **told})

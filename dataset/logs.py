@@ -38,8 +38,8 @@ def read_log(
         config: the project.
         files: one, or several that are one run.
         needed: column -> where the config names it; the times are called `config.time_column`.
-        streamed: columns that whoever asks reads again from the file, row by row; of one table
-            their values are read only where they are converted.
+        streamed: columns that the caller reads from the file again, row by row; with a single table
+            their values are read here only where they are converted.
         keep_logged: keep converted columns as they were logged too, where the log is no one text.
 
     Raises:
@@ -93,7 +93,7 @@ def _convert(config: Config, table: LogTable, keep_logged: bool) -> LogTable:
 
 
 def _open_all(config: Config, files: Sequence[Path]) -> tuple[list[Source], list[str]]:
-    """Return the files that can be opened, and what is said of the others."""
+    """Return the files that can be opened, and a note on each of the others."""
     sources, refused = [], []
     for path in files:
         try:
@@ -193,7 +193,7 @@ def find_log_clock(config: Config, source: Source) -> Clock | None:
     """Return how the times of one log are read; None: it has no such column.
 
     Raises:
-        InputError: its times cannot be told.
+        InputError: the form of its times is unknown or ambiguous.
     """
     offset_s = config.clocks.offset_s(source.path) or 0.0
     period_s = config.clocks.period_s(source.path)

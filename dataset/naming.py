@@ -23,7 +23,7 @@ class RunKey:
     where: str
     """Place in zerodrift.toml, for messages."""
     start_s: float = 0.0
-    """The log's clock at the run's first row, before any cut."""
+    """The log's clock at the run's first row in s, before any cut."""
     place: int = 0
     """Position of the run among those of its file, in the order of appearance."""
     files: tuple[Path, ...] = ()
@@ -62,8 +62,8 @@ def refuse_overlaps(keys: Sequence[RunKey]) -> None:
     Args:
         keys: one per selector and run.
 
-    A row that is learnt from and tested on makes the held-out error a lie; one that is selected
-    twice counts double.
+    A row that is both learnt from and tested on makes the held-out error too small; one that is
+    selected twice counts double.
     """
     by_run: dict[tuple[Path, str], list[RunKey]] = {}
     for key in keys:

@@ -1,6 +1,6 @@
 """What is odd in logs that can be read: a run in another unit, readings far from their neighbours.
 
-Nothing here is refused: each is possible, and each misleads a fit when it is a mistake.
+Nothing here is refused: each may be right, but misleads a fit where it is a mistake.
 """
 
 from collections.abc import Sequence
@@ -86,7 +86,8 @@ def _find_spikes(values: Array, least: float) -> np.ndarray:
 
 
 def _find_drift_spikes(run: Run, index: int) -> list[int]:
-    """Return the rows of one output whose drift stands out of both neighbours and of all else."""
+    """Return the rows of one output whose drift differs much from both neighbours and all
+    others."""
     drift = run.measured[:, index] - run.reference[:, index]
     if drift.size < 3:
         return []
@@ -98,7 +99,7 @@ def _find_drift_spikes(run: Run, index: int) -> list[int]:
 
 
 def _spread(rows: int) -> int:
-    """Return how far apart about `SAMPLE` rows out of so many lie."""
+    """Return the distance in rows at which about `SAMPLE` of them are taken."""
     return max(rows // SAMPLE, 1)
 
 

@@ -56,12 +56,12 @@ def open_log(
         selection: the log, and what of it.
         skip_invalid: drop invalid rows instead of raising.
         notes: what was noticed is added to them.
-        columns: column -> where it is named, where not all that the config names are needed. Only
-            the time must be valid then; what else is invalid becomes NaN.
+        columns: column -> where it is named; None: all that the config names. With `columns` only
+            the time must be valid; other invalid values become NaN.
         streamed: those of them that are read again from the file, as `read_log` takes them.
 
     Raises:
-        InputError: the log is missing, damaged, or holds what cannot be right.
+        InputError: the log is missing or damaged, or holds impossible values.
     """
     needed = list_columns(config) if columns is None else columns
     raw = {config.temperature_column: config.temperature_codes.raw}
@@ -118,7 +118,7 @@ def _check_values(
 ) -> None:
     """Drop blank lines; raise for rows with invalid values, or drop them too.
 
-    With `holes` that goes for the time alone; other invalid values become NaN.
+    With `holes` only the time is checked so; other invalid values become NaN.
     """
     temperatures = {config.temperature_column: widen_plausible(config.temperature_codes.range)}
     for name, column in config.inputs.items():

@@ -2,9 +2,9 @@
 
 A wild sample (a spike of a logger, a burst of a radio) lies many times the noise off from the
 samples before and behind it, and nothing that was logged moves with it. Least squares would give it
-everything; here it gets a weight between 0 and 1, and a fit reads in its place the mixture of what
-was measured and what its neighbours say. With such pseudo-values least squares is the M-estimate
-of a redescending psi, whatever transform of the samples the squares are taken in.
+far too much weight; here its weight is between 0 and 1, and a fit reads in its place a mixture of
+the measured value and that of its neighbours. With such pseudo-values least squares is the
+M-estimate of a redescending psi, whatever transform of the samples the squares are taken in.
 
 Source: P. J. Huber, Robust Statistics (1981), 7.8 (modified residuals); F. R. Hampel et al.,
 Robust Statistics (1986), 2.6 (redescending psi).
@@ -64,8 +64,8 @@ class Outliers:
     weights: Array
     """[n, K] from 0 to 1."""
     drift: Array
-    """[n, K] measured minus reference where the weight is 1; else mixed with what the neighbours
-    say."""
+    """[n, K] measured minus reference where the weight is 1; else mixed with the neighbours'
+    value."""
 
     @property
     def rows(self) -> Mask:
@@ -74,7 +74,11 @@ class Outliers:
 
 
 def weigh_samples(
-    drift: Array, temperature_degC: Array, reference: Array, inputs: Mapping[str, Array]
+    drift: Array,
+    temperature_degC: Array,
+    reference: Array,
+    inputs: Mapping[str, Array],
+    resolution: Array | None = None,
 ) -> Outliers | None:
     """Return the weights of a stretch's samples; None where all of them are 1.
 
@@ -83,6 +87,7 @@ def weigh_samples(
         temperature_degC: [n].
         reference: [n, K].
         inputs: name -> [n].
+        resolution: [K] the step in which each output was measured, in its unit; None: unknown, 0.
 
     Limits: up to four of nine neighbouring samples may be wild; a longer burst is a disturbance,
     and stays. A pulse of up to four samples that no logged signal explains counts as wild.
@@ -93,9 +98,10 @@ def weigh_samples(
     weights, mixed = np.ones_like(drift), drift
     signals, near = np.zeros((rows, 0)), np.zeros(rows, dtype=np.bool_)
     regression: _Regression | None = None
+    steps = np.zeros(outputs) if resolution is None else resolution
     for k in range(outputs):
         x = np.ascontiguousarray(drift[:, k])
-        weight, expected = _measure_distance(x)
+        weight, expected = _measure_distance(x, steps[k])
         if not (weight < 1.0).any():
             # So it is with most logs, and this costs little.
             continue
@@ -105,9 +111,9 @@ def weigh_samples(
         if 2 * near.sum() > rows or _stands_out_at(near, weight):
             regression = regression or _prepare(signals)
             at_once = _follow(x, signals, regression)
-            weight, expected = _measure_distance(x - at_once)
+            weight, expected = _measure_distance(x - at_once, steps[k])
             if _stands_out_at(near, weight):
-                # What is usual there is usual; only what is far beyond that is wild.
+                # Jumps are usual there; only samples far beyond them are wild.
                 there = np.abs(x - at_once - expected)[near]
                 usual = there / max(float(np.quantile(there, USUAL_AT_JUMPS)), 1e-300)
                 weight[near] = np.maximum(weight[near], _weigh(usual))
@@ -126,8 +132,10 @@ def take_medians(x: Array) -> Array:
     return np.asarray(median_filter(x, NEIGHBOURS, mode="mirror"))
 
 
-def _measure_distance(x: Array) -> tuple[Array, Array]:
+def _measure_distance(x: Array, step: float) -> tuple[Array, Array]:
     """Return the weight [n] of each sample by its distance from its neighbours, and their median.
+
+    A sample is off by half a step before it is off by anything.
 
     A bend, a peak and the end of a trend are no outliers: one side's straight line leads there.
     """
@@ -137,7 +145,7 @@ def _measure_distance(x: Array) -> tuple[Array, Array]:
     if spread == 0.0:
         return np.ones_like(x), middle
     nearby = OF_DISTANCE * median_filter(distance, min(NEARBY, x.size | 1), mode="mirror")
-    usual = np.maximum(nearby, spread)
+    usual = np.maximum(nearby, max(spread, 0.5 * step))
     far = distance / usual
     light = np.flatnonzero(far > WHOLE)
     if light.size:

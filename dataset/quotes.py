@@ -1,4 +1,4 @@
-"""Whether the quotation marks of a CSV leave no doubt where its rows end.
+"""Checks that the quotation marks of a CSV leave no doubt where its rows end.
 
 Polars takes a mark anywhere in a field for the start of quoted text, and all lines up to the next
 mark for one row: one `5"` among remarks would silently cost every row between it and the next.
@@ -57,8 +57,8 @@ def _holds_mark(path: Path) -> bool:
 def _list_odd_records(path: Path) -> Iterator[tuple[int, bytes, bool]]:
     """Yield what begins on a line with an odd number of marks and ends on the next such line.
 
-    Each as the number of its first line, its bytes, and whether there was a line that ends it
-    within the length of any field that is meant.
+    Each as the number of its first line, its bytes, and whether a line that ends it comes within
+    the greatest length of a field.
     """
     start, record = 0, b""
     with path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""Which raw codes of a converted input are readings, and which of them the chip's table covers."""
+"""The raw codes of a converted input that are readings, and those that the chip's table covers."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -25,14 +25,14 @@ SUM_LIMITS = (-(2**30), 2**30)
 
 @dataclass(frozen=True)
 class RawCover:
-    """Raw codes: of the type, those that are readings, and those that are converted."""
+    """The raw codes of a type that are readings, and those of them that are converted."""
 
     raw: str
     begin: int
     end: int
     """Codes beyond are no readings."""
     lacks: int | None
-    """One more that is none."""
+    """One more code that is no reading."""
     low: int
     high: int
     """Converted; readings beyond are limited to these."""
@@ -65,7 +65,7 @@ class RawRange:
 
 
 def find_linear(by: ConversionConfig) -> tuple[float, float] | None:
-    """Return what a code is worth and the quantity at code 0; None where that is no line."""
+    """Return the LSB and the quantity at code 0; None where the conversion is not linear."""
     if by.kind or by.divider is not None:
         return None
     at = convert(np.array([0.0, 1.0]), by)
@@ -87,10 +87,10 @@ def find_range(
     span: tuple[float, float],
     limits: tuple[int, int] | None = None,
 ) -> RawRange | str:
-    """Return the raw codes that have a quantity, or in words why they cannot be used.
+    """Return the raw codes that have a quantity, or a text that says why they cannot be used.
 
-    They are those without a rail over which the quantity rises, or falls, throughout, and which
-    have most of a span of it.
+    They exclude the rails; over them the quantity rises or falls throughout. Of several such ranges
+    the one that holds most of the span is taken.
 
     Args:
         by: raw code -> quantity.
@@ -136,13 +136,13 @@ def _find_sections(values: Array) -> list[tuple[int, int]]:
     if not known.size:
         return []
     before = np.maximum.accumulate(np.where(signs != 0, np.arange(signs.size), known[0]))
-    signs = signs[before]  # where nothing changes, it goes on as it did
+    signs = signs[before]  # where the value does not change, the direction stays
     edges = np.flatnonzero(np.concatenate([[True], signs[1:] != signs[:-1], [True]]))
     return [(int(a), int(b)) for a, b in pairwise(edges) if np.isfinite(signs[a])]
 
 
 def _narrow(by: ConversionConfig, least: int, most: int) -> tuple[int, int]:
-    """Return the codes that the ends of a table, or of a thermocouple's function, leave."""
+    """Return the codes within the ends of a table or of a thermocouple's function."""
     if by.kind not in ("table", "thermocouple") or by.scale == 0.0 or by.junction is not None:
         return least, most
     if by.kind == "table":

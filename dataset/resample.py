@@ -4,8 +4,8 @@ Convention: a sample counts until the next one arrives, as in the chip, and the 
 the mean over the period that ends at t_k. So the filter is causal: a step holds nothing that was
 recorded after t_k. Ten samples to a period become exactly their mean.
 
-A log that has the period already is passed through bit for bit. One that has it but for jitter or a
-lost row is interpolated linearly, which looks ahead by less than one row.
+A log that has the period already is passed through bit for bit. One that has it except for jitter
+or a lost row is interpolated linearly, which looks ahead by less than one row.
 """
 
 import itertools
@@ -70,11 +70,11 @@ class Averager:
     """
 
     width_s: Array
-    """[n] time for which each sample counts."""
+    """[n] time in s for which each sample counts."""
     in_force: NDArray[np.intp]
     """[steps + 1] the sample in force at the edge of each period."""
     since_s: Array
-    """[steps + 1] how long it has been in force there."""
+    """[steps + 1] for how long it has been in force there, in s."""
     period_s: float
 
     def average(self, values: Array) -> Array:
@@ -101,7 +101,7 @@ def plan_average(
 
     Args:
         time_s: [n] rising times of the samples.
-        last_width_s: for how long the last sample counts.
+        last_width_s: for how long the last sample counts, in s.
         step_time_s: [steps] ends of the periods, one `period_s` apart, the first one period after
             `time_s[0]` or later, the last not after `time_s[-1] + last_width_s`.
         period_s: their length.
@@ -113,7 +113,7 @@ def plan_average(
 
 
 def average_bursts(rows: Array, bursts: NDArray[np.intp]) -> Array:
-    """Return the means [b] of rows [n] that come in bursts, each from its first row on."""
+    """Return the means [b] of rows [n] that come in bursts; `bursts` [b] has their first rows."""
     counts = np.diff(bursts, append=rows.size)
     # About the first row, so that Unix times keep their digits.
     mean: Array = rows[0] + np.add.reduceat(rows - rows[0], bursts) / counts
@@ -125,7 +125,7 @@ def find_gaps(time_s: Array, median_period_s: Array | float, sample_period_s: fl
 
     Args:
         time_s: [n] rising times.
-        median_period_s: the usual interval, everywhere or around each [n - 1].
+        median_period_s: the usual interval in s, one for all or one around each [n - 1].
         sample_period_s: the firmware's step.
     """
     limit_s = np.maximum(GAP_PERIODS * median_period_s, sample_period_s * (1 + KEPT_TOLERANCE))

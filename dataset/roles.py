@@ -1,4 +1,4 @@
-"""What each column of a log is for, by its name, its unit and its values, and why."""
+"""The role of each column of a log, by its name, unit and values, with the reason."""
 
 import re
 from collections.abc import Sequence
@@ -80,7 +80,7 @@ TEMPERATURE, OUTPUT, REFERENCE, INPUT, UNUSED = (
 
 @dataclass(frozen=True)
 class Role:
-    """What one column of one file is for."""
+    """The role of one column of one file."""
 
     column: SurveyedColumn
     role: str
@@ -148,7 +148,7 @@ def assign_roles(survey: Survey) -> list[Role]:
 
 
 def guess_unit(column: SurveyedColumn, survey: Survey) -> tuple[str, str]:
-    """Return a column's unit and what it was taken from; ("LSB", "") where nothing tells."""
+    """Return a column's unit and where it was taken from; ("LSB", "") where nothing states it."""
     if column.unit:
         return column.unit, "its name or the row of units"
     for word in words(column.name):
@@ -161,7 +161,7 @@ def guess_unit(column: SurveyedColumn, survey: Survey) -> tuple[str, str]:
 
 
 def _set_aside(column: SurveyedColumn, has_names: bool) -> Role | None:
-    """Return the role of a column that is plainly for nothing; None: it may be for something."""
+    """Return the role of a column that clearly has no use; None: it may have one."""
     named = words(column.name)
     if column.is_constant and not named & REFERENCE_WORDS:
         return Role(column, UNUSED, f"is {column.low:g} in every row")

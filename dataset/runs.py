@@ -1,4 +1,4 @@
-"""What a log becomes: uninterrupted stretches at one sample period, with units in the names."""
+"""Logs as uninterrupted stretches at one sample period, with units in the names."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.outliers import Outliers, weigh_samples
+from zerodrift.dataset.resolution import measure_resolution
 
 Array = NDArray[np.float64]
 
@@ -53,9 +54,12 @@ class Run:
     explained: Array | None = field(default=None, repr=False, compare=False)
     """[n, K] drift that is known to have a cause, so that outliers show beside it; None: none."""
     tared: bool | None = None
-    """Whether the run was zeroed by itself, as `[logs] tared` says; None: as the logs tell."""
+    """Whether the run was zeroed by itself, as `[logs] tared` says; None: decided from the logs."""
     files: tuple[Path, ...] = ()
     """The files that `source` joins; empty: `source` is the one."""
+    output_steps: Array | None = field(default=None, repr=False, compare=False)
+    """[K] the step in which each output was measured, in its unit, 0 where it shows none; None: as
+    this stretch tells."""
 
     def at_rest(self) -> "Run":
         """Return the stretch as if nothing had been before it, as a chip takes it."""
@@ -79,12 +83,20 @@ class Run:
         return self.measured - self.reference
 
     @cached_property
+    def resolution(self) -> Array:
+        """[K] the step in which each output was measured, in its unit; 0 where it shows none."""
+        if self.output_steps is not None:
+            return self.output_steps
+        return np.array([measure_resolution(column) for column in self.measured.T])
+
+    @cached_property
     def outliers(self) -> Outliers | None:
         """The weights of its samples; None where all of them are 1."""
         signals = (self.temperature_degC, self.reference, self.inputs)
+        resolution = self.resolution
         if self.explained is None:
-            return weigh_samples(self.drift, *signals)
-        beside = weigh_samples(self.drift - self.explained, *signals)
+            return weigh_samples(self.drift, *signals, resolution)
+        beside = weigh_samples(self.drift - self.explained, *signals, resolution)
         return None if beside is None else replace(beside, drift=beside.drift + self.explained)
 
     @property
@@ -104,6 +116,17 @@ class Run:
         return int(self.time_s.size)
 
 
+def share_resolution(runs: Sequence[Run]) -> Array:
+    """Return the step [K] in which each output was measured, as most of the runs show it.
+
+    All are of one sensor and one converter, whose step a run that hardly moves does not show.
+    """
+    found = np.array([run.resolution for run in runs])
+    shown = np.where(found > 0.0, found, np.nan)
+    usual = [np.nanmedian(column) if (column > 0.0).any() else 0.0 for column in shown.T]
+    return np.array(usual)
+
+
 @dataclass(frozen=True)
 class Dataset:
     """All runs of a project by their use."""
@@ -117,7 +140,7 @@ class Dataset:
     units: tuple[str, ...]
     full_scale: tuple[float, ...]
     notes: tuple[str, ...] = ()
-    """What was noticed while reading and is worth a look: gaps, rows left out, odd units."""
+    """What the user should know of the logs: gaps, rows left out, odd units."""
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,9 @@ class Sampling:
     """How often rows come, of one run."""
 
     usual_s: float
-    """The median interval; with bursts, from one to the next."""
+    """The median interval in s; with bursts, from one burst to the next."""
     cadences: tuple[tuple[int, float], ...]
-    """(first row, interval) of each part with an interval of its own; one for most logs."""
+    """(first row, interval in s) of each part with an interval of its own; one for most logs."""
     bursts: NDArray[np.intp] | None = None
     """[b] first row of each burst; None: rows come one by one."""
 
@@ -45,7 +45,7 @@ class Sampling:
 
 
 def look_at_sampling(time_s: Array, sample_period_s: float) -> Sampling:
-    """Tell how often rows come.
+    """Return how often rows come.
 
     Args:
         time_s: [n] rising times of one run, two or more.
@@ -74,7 +74,7 @@ def measure_neighbours(interval_s: Array, sampling: Sampling) -> Array | float:
 def _find_cadences(interval_s: Array, median_s: float) -> tuple[tuple[int, float], ...]:
     """Return the parts of different cadence, by medians of blocks.
 
-    Lost rows, gaps and jitter do not matter to those.
+    Medians are not moved by lost rows, gaps or jitter.
     """
     whole = ((0, median_s),)
     blocks = min(MOST_BLOCKS, max(2, interval_s.size // 64))

@@ -64,7 +64,7 @@ class Cut:
 
 @dataclass(frozen=True)
 class Selection:
-    """One log that `[logs]` selects, and what of it."""
+    """One log that `[logs]` selects, and which part of it."""
 
     path: Path
     """The file, or the folder whose files are joined; of a list of files, the first."""
@@ -89,7 +89,7 @@ def expand_selectors(config: Config, use: str) -> tuple[Selection, ...]:
         use: "train", "test" or "dwell".
 
     Raises:
-        InputError: a selector is malformed, matches no file, or matches what is no log.
+        InputError: a selector is malformed, matches no file, or matches a file that is no log.
     """
     selectors: tuple[str, ...] = getattr(config, f"{use}_logs")
     where = locate_key(config.path, "logs", use)
@@ -102,7 +102,7 @@ def expand_selectors(config: Config, use: str) -> tuple[Selection, ...]:
 
 
 def order_path(path: Path, directory: Path) -> tuple[str, ...]:
-    """Return what logs are sorted by: their place within the project, wherever that lies."""
+    """Return the sort key of a log: its path relative to the project."""
     return Path(os.path.relpath(path, directory)).parts
 
 

@@ -1,4 +1,4 @@
-"""What becomes of runs that hold the same rows: refused between uses, counted once within one."""
+"""Runs that share rows: refused between two uses, counted once within one."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -53,32 +53,32 @@ class KnownRun:
 
 @dataclass(frozen=True)
 class Repeats:
-    """What of a project's runs is there twice within one use, and so is counted once."""
+    """The rows of a project's runs that occur twice within one use, and so are counted once."""
 
     left_out: Mapping[RunKey, str]
     """Run of which another holds all rows -> why."""
     ends_s: Mapping[RunKey, float]
-    """Run with whose last rows another begins, or goes on -> when, by the log's own clock, the
-    first of them was measured."""
+    """Run whose last rows another run has too -> time of the first of them, in s by the log's own
+    clock."""
     notes: tuple[str, ...]
 
 
 def find_repeats(
     runs: Sequence[KnownRun], read: Callable[[Selection], LogTable], time_column: str
 ) -> Repeats:
-    """Return the runs to leave out, and those to end early, as another of the same use goes on.
+    """Return the runs to leave out, and those to end early, as another of the same use continues.
 
-    Of two runs that overlap the one is cut short whose last rows are shared: to begin later would
-    take a run its power-on and what it remembers.
+    Of two runs that overlap, the one whose last rows are shared is cut short: cutting the other
+    one's beginning would take away its power-on and its history.
 
     Args:
         runs: of a project, in the order in which they are fitted. Parts that selectors cut out of
-            one run are not held against each other.
+            one run are not compared with each other.
         read: reads a log again, as it was read before.
         time_column: the column of times, which `read` has converted to seconds.
 
     Raises:
-        InputError: runs of different use share rows, or runs of one use share rows amid both.
+        InputError: runs of different use share rows, or the shared rows of one use end neither run.
     """
     groups = [(run.key.path.resolve(), run.key.run) for run in runs]
     alignments = find_alignments([run.marks for run in runs], groups)
@@ -133,14 +133,14 @@ def _find_end(
     time_column: str,
     same: str,
 ) -> tuple[float, KnownRun, KnownRun]:
-    """Return when the run of two ends whose last rows they share, that run, and the other one.
+    """Return the new end in s of the run whose last rows are shared, that run, and the other one.
 
     Raises:
         InputError: neither ends with what they share.
     """
     if len(found) == 1:
         (shared,) = found
-        # Where both end so, the later one in order is cut: of three alike one stays whole.
+        # Where both end with them, the later one in order is cut: of three alike one stays whole.
         for run, other, table, row in (
             (second, first, tables[1], shared.other_row),
             (first, second, tables[0], shared.row),

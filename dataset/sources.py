@@ -1,4 +1,4 @@
-"""A file as the tables that it holds: one for text, Parquet and Arrow, or several."""
+"""Opens a file as the tables that it holds: one for text, Parquet and Arrow, else several."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -12,7 +12,7 @@ from zerodrift.dataset.units import normalise_unit
 def refuse_contradictions(config: Config, source: Source) -> None:
     """Refuse columns that are taken in one unit where the log states another of the same quantity.
 
-    Columns whose table in zerodrift.toml says what is done with them are left to it.
+    Columns with a conversion table in zerodrift.toml are not checked: the table decides.
 
     Raises:
         InputError: names the log, both units, and the table to write.

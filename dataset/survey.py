@@ -1,4 +1,4 @@
-"""What a log's file holds: of each column its kind, unit, range and how it moves."""
+"""Surveys a log's file: kind, unit, range and changes of each column."""
 
 import re
 from collections.abc import Sequence
@@ -158,7 +158,7 @@ def _survey(source: Source) -> Survey:
 
 
 def write_range(low: float, high: float) -> str:
-    """Return `low to high` with the digits that tell one from the other, Unix times too."""
+    """Return `low to high` with enough digits to distinguish them, also for Unix times."""
     apart, largest = abs(high - low), max(abs(low), abs(high))
     digits = 6
     if apart > 0 and np.isfinite(largest):
@@ -337,7 +337,7 @@ def _read_times(
     found = Times(config, alternatives, clock, seconds)
     if clock.kind == "number" and not read_time_unit(config.columns[0]):
         written = source.units.get(config.columns[0], "").strip()
-        if written in TIME_UNITS and written != "s":  # by the row of units, or the format
+        if written in TIME_UNITS and written != "s":  # stated by the row of units, or by the format
             stated = TimeConfig(config.columns, unit=written)
             return Times(stated, (), clock, seconds * TIME_UNITS[written])
         if written in TIME_UNITS:

@@ -41,7 +41,7 @@ _SHOWN_NAMES = 12
 
 @dataclass(frozen=True)
 class Source:
-    """One log and what of it is read; enough to read it again."""
+    """One table of a log and how it is read; enough to read it again."""
 
     path: Path
     label: str
@@ -59,7 +59,7 @@ class Source:
     is_ragged: bool = False
     """Rows may end in delimiters that nothing follows."""
     notes: tuple[str, ...] = ()
-    """What of the file is worth telling."""
+    """What the user should know of the file."""
     part: str = ""
     """Sheet, group or topic, of a file that holds several."""
     stated_units: Mapping[str, str] = field(default_factory=dict)
@@ -67,17 +67,17 @@ class Source:
 
     @property
     def name(self) -> str:
-        """Return what `FILE:COLUMN` calls the table: its part, or the file."""
+        """Return the name of the table in `FILE:COLUMN`: its part, or the file's name."""
         return self.part or self.path.name
 
     @property
     def is_csv(self) -> bool:
-        """Tell text from the other formats."""
+        """Tell whether the log is text."""
         return self.text is not None
 
     @property
     def units(self) -> dict[str, str]:
-        """Return column -> what a row of units, or the format, says of it."""
+        """Return column -> unit, as a row of units or the format states it."""
         if self.text is None:
             return dict(self.stated_units)
         return dict(zip(self.names, self.text.units, strict=False))
@@ -155,7 +155,7 @@ class LogTable:
     converted: tuple[str, ...] = ()
     """Columns that are no longer as they were logged."""
     deferred: tuple[str, ...] = ()
-    """Thermocouples still in their voltage: another file of the run has their cold junction."""
+    """Thermocouples that are still voltages: another file of the run has their cold junction."""
     logged: dict[str, Array] = field(default_factory=dict)
     """Column -> [n] as it was logged, of those that are converted, where that was asked for."""
 
@@ -234,8 +234,8 @@ def read_table(
         source: the log.
         needed: column -> where the config names it, for messages.
         run_column: whether a column named `run` splits the file.
-        clock: how the times are written that are called `clock.name` in `needed`; None: they are
-            a column of numbers like any other.
+        clock: how the times, `clock.name` in `needed`, are written; None: they are a column of
+            numbers like any other.
         unread: columns that have to be there, as numbers, but whose values are not wanted.
 
     Raises:
@@ -334,7 +334,7 @@ def _guess_rows(source: Source) -> int:
 def refuse_no_file(path: Path, label: str) -> None:
     """Raise InputError for what is no ordinary file."""
     if path.exists() and not path.is_file():
-        # A named pipe would be waited for, for ever.
+        # Opening a named pipe would block for ever.
         raise InputError(
             f"{label}: is {name_kind(path)}; expected a log, an ordinary file. Name the file that "
             "holds the rows."
@@ -429,10 +429,10 @@ def _explain_damaged(label: str, error: BaseException, is_arrow: bool = False) -
 
 
 def mend_source(source: Source, error: BaseException) -> Source:
-    """Return a source that can be read instead of one over which the parser stumbled.
+    """Return a source that can be read in place of one that the parser refused.
 
-    A second pass over a file that failed. What can be read without a guess is: another encoding,
-    and rows that end in delimiters after which nothing follows.
+    A second pass over a file that failed. It accepts what needs no guess: another encoding, and
+    rows that end in delimiters after which nothing follows.
 
     Raises:
         InputError: anything else; the message names the line.

@@ -1,8 +1,8 @@
-"""How a log of text is written: encoding, delimiter, decimals, comments, header, row of units.
+"""The format of a log of text: encoding, delimiter, decimals, comments, header, row of units.
 
-All is told from the file's beginning. What the parser cannot read as it stands (another encoding,
-runs of spaces, fields with spaces around them) is written anew once, line by line, as UTF-8 in a
-temporary file; messages name lines, which are the same in both.
+All of it is found from the file's beginning. What the parser cannot read as it is (another
+encoding, runs of spaces, fields with spaces around them) is written anew once, line by line, as
+UTF-8 in a temporary file; messages name lines, which are the same in both.
 """
 
 import csv
@@ -61,22 +61,22 @@ class TextFormat:
     padded: bool = False
     """Fields have spaces around them."""
     notes: tuple[str, ...] = ()
-    """What of it is worth telling."""
+    """What the user should know of it."""
 
     @property
     def is_plain(self) -> bool:
-        """Tell whether Polars reads the file as it stands."""
+        """Tell whether Polars reads the file as it is."""
         awkward = self.separator == SPACES or (self.decimal_comma and self.separator == ",")
         return self.encoding == "utf-8" and not awkward and not self.padded
 
 
 def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
-    """Tell how a log is written from its beginning.
+    """Find out from its beginning how a log is written.
 
     Args:
         head: its first bytes.
         label: how messages name it.
-        is_whole: whether that is all of it.
+        is_whole: whether these bytes are the whole file.
 
     Raises:
         InputError: it has no line of text, or names a column twice.
@@ -201,7 +201,7 @@ def _find_comment(lines: Sequence[str]) -> str:
 
 
 def _find_separator(lines: Sequence[str]) -> str:
-    """Return the character that splits the lines most alike, the header included."""
+    """Return the character that splits the lines most evenly, the header included."""
     best, best_share = ",", 0.0
     for separator in DELIMITERS:
         counts = [len(split_fields(line, separator)) for line in lines]
@@ -243,8 +243,8 @@ def _is_value(field: str, comma: bool) -> bool:
 def _find_table(fields: Sequence[Sequence[str]], comma: bool) -> tuple[int, int | None, int | None]:
     """Return the first row of data, the header's and the units' row, each counted among `fields`.
 
-    The first row of data is the first one in which more than half of the columns hold a value
-    that hold one in the rows that follow.
+    The first row of data is the first one that has a value in more than half of the columns that
+    have one in the rows after it.
     """
     width = _usual([len(row) for row in fields[1:]] or [len(fields[0])])
     body = [row for row in fields[len(fields) // 2 :] if abs(len(row) - width) <= 1]
@@ -313,7 +313,7 @@ def _name_columns(given: Sequence[str], width: int, label: str, line: int) -> tu
 
 
 def _tell(found: TextFormat, label: str, given: Sequence[str]) -> tuple[str, ...]:
-    """Return what of a log's form its reader should know."""
+    """Return notes on a log's format for the user."""
     notes = []
     if found.encoding == "cp1252":
         notes.append(f"{label}: is not UTF-8; read as Windows-1252 (latin-1)")

@@ -27,7 +27,7 @@ class CouplePiece:
     low_degC: float
     high_degC: float
     coefficients: tuple[float, ...]
-    """c0, c1, ... in mV / K**k."""
+    """c0, c1, ... of the powers of the temperature in degC, in mV / K**k."""
     bump: tuple[float, ...] = ()
     """a0, a1, a2 of K."""
 
@@ -341,7 +341,7 @@ def find_span(couple: str) -> tuple[float, float]:
 
 @cache
 def find_sure_span(couple: str) -> tuple[float, float]:
-    """Return the temperatures in degC between which the voltage tells the temperature."""
+    """Return the temperatures in degC between which the voltage determines the temperature."""
     low, high = find_span(couple)
     grid = np.linspace(low, high, GRID + 1)
     flat = np.flatnonzero(measure_slope(couple, grid) < LEAST_SLOPE_V_PER_K)
@@ -351,7 +351,7 @@ def find_sure_span(couple: str) -> tuple[float, float]:
 def invert(couple: str, volts: Array) -> Array:
     """Return the temperature [n] in degC whose voltage against 0 degC is given in V.
 
-    By Newton's steps on the function itself, to 1e-9 K; NaN beyond the temperatures that it tells.
+    By Newton steps on the function itself, to 1e-9 K; NaN beyond `find_sure_span`.
     """
     low, high = find_sure_span(couple)
     nodes, known = _tabulate(couple)
@@ -367,7 +367,7 @@ def invert(couple: str, volts: Array) -> Array:
 
 @cache
 def _tabulate(couple: str) -> tuple[Array, Array]:
-    """Return temperatures and voltages from which Newton's steps begin."""
+    """Return the temperatures in degC and voltages in V from which the Newton steps start."""
     nodes = np.linspace(*find_sure_span(couple), GRID + 1)
     return nodes, emf(couple, nodes)
 

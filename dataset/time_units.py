@@ -1,4 +1,4 @@
-"""Units of time: what a column's name or zerodrift.toml states, and what the times say."""
+"""Units of time: as a column's name or zerodrift.toml states, and as the times suggest."""
 
 import re
 
@@ -23,7 +23,7 @@ ALIKE = 0.02
 
 
 def write_time(time_s: float) -> str:
-    """Return a time in seconds with the digits that tell it from others, Unix times too."""
+    """Return a time in seconds with enough digits to be unambiguous, also for Unix times."""
     return f"{time_s:.6g}" if abs(time_s) < 1e5 else f"{time_s:.1f}".removesuffix(".0")
 
 
@@ -72,7 +72,7 @@ def refuse_unit(
             )
     unit = ""
     for known, factor in TIME_UNITS.items():
-        # Seconds that are stated are believed where finer logs are averaged to the step.
+        # Stated seconds are taken as such where finer logs are averaged to the step.
         is_odd = known in ("ms", "us", "ns") or (median_s < 0.1 and not stated)
         if known != "s" and is_odd and abs(median_s * factor / period_s - 1) < ALIKE:
             unit = known

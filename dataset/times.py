@@ -1,8 +1,8 @@
-"""Times as logs write them, read as seconds: formats told apart, zones, midnight.
+"""Reads the times of logs as seconds: formats, zones, midnight.
 
 Seconds count from 1970 where the log says or implies which instant is meant (a zone in the text,
-`zone` in zerodrift.toml, Unix time); on a local clock, which stays one, they count from 1970 as
-that clock shows it; for a time of day, from the first midnight.
+`zone` in zerodrift.toml, Unix time); on a local clock of unknown zone, from 1970 as that clock
+shows it; for a time of day, from the first midnight.
 """
 
 import re
@@ -62,17 +62,17 @@ class Clock:
     unit_s: float = 1.0
     """For numbers: seconds per count."""
     zone: str = ""
-    """Where a local clock stands; empty: not known."""
+    """Time zone of a local clock; empty: not known."""
     period_s: float = 0.0
-    """For rows without times."""
+    """For rows without times: the interval between them, in s."""
     offset_s: float = 0.0
-    """Added by hand."""
+    """Added to the times, in s, as zerodrift.toml states."""
 
     @property
     def is_absolute(self) -> bool | None:
         """Tell whether the seconds are of one time scale with those of other logs.
 
-        None: they are numbers, of which only their size can tell.
+        None: they are numbers; only their size can show it.
         """
         if self.kind == "number":
             return None
@@ -122,8 +122,8 @@ class Clock:
         """Return the times [n] of a log as read, on its time scale: unit, midnight, zone.
 
         Raises:
-            InputError: a time that its zone does not have, or one that it has twice and that the
-                order of rows does not tell.
+            InputError: a time does not exist in its zone, or exists twice and the order of rows
+                does not decide which is meant.
         """
         if self.kind == "number":
             values *= self.unit_s
@@ -142,16 +142,16 @@ def find_clock(
     label: str,
     find_all: Callable[[], Sequence[pl.Series]] | None = None,
 ) -> Clock:
-    """Tell how a log's times are written.
+    """Find out how a log's times are written.
 
     Args:
-        time: what zerodrift.toml says of them.
+        time: what zerodrift.toml states of them.
         values: the first values of each of its columns.
         label: how messages name the log.
         find_all: returns all different values, looked at where the first leave a choice.
 
     Raises:
-        InputError: the text is no time that is known, or one that can be read in two ways.
+        InputError: the text is no known form of time, or can be read in two ways.
     """
     usual = Clock(time.columns, "number", time.name, zone=time.zone)
     first = values[0].drop_nulls()
@@ -215,7 +215,7 @@ class TimeFormat:
 
     @property
     def words(self) -> str:
-        """Return what tells it from the others."""
+        """Return in words what distinguishes it from the other formats."""
         places = [self.format.find(code) for code in ("%d", "%m", "%y")]
         day, month, year = places
         if 0 <= year < min(day, month):
@@ -241,7 +241,7 @@ def list_formats(text: str) -> list[TimeFormat]:
 
 
 def agree_on_formats(texts: Sequence[str]) -> list[TimeFormat]:
-    """Return the ways in which the most of the texts, at least nine in ten, can be read."""
+    """Return the formats that read the most of the texts, at least nine in ten."""
     looks = dict.fromkeys(each for text in texts[:16] for each in list_formats(text))
     series = pl.Series(texts, dtype=pl.String).str.strip_chars()
     counts = {each: _count_read(series, each) for each in looks}
@@ -272,7 +272,7 @@ def place_in_zone(local_s: Array, zone: str, label: str, column: str) -> Array:
 
     Raises:
         InputError: no such zone, a time that it does not have, or a repeated hour that the order of
-            rows does not tell.
+            rows does not resolve.
     """
     fixed = read_fixed_zone(zone)
     if fixed is not None:
@@ -309,7 +309,7 @@ def place_in_zone(local_s: Array, zone: str, label: str, column: str) -> Array:
 def _order_repeated(
     local_s: Array, first: Array, second: Array, twice: np.ndarray, zone: str, label: str
 ) -> Array:
-    """Return the times with each repeated hour told by the order of its rows."""
+    """Return the times, each repeated hour resolved by the order of its rows."""
     found = first.copy()
     edges = np.flatnonzero(np.diff(np.concatenate([[0], twice.astype(np.int8), [0]])))
     usual_s = float(np.median(np.diff(first))) if first.size > 1 else 0.0

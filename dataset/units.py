@@ -56,7 +56,7 @@ def normalise_unit(text: str, name: str = "", unknown: str | None = None) -> str
 
     Args:
         text: as it is written.
-        name: what it is the unit of: F is degF of a temperature, and else nothing that is known.
+        name: the quantity's name: F is degF for a temperature, and no known unit otherwise.
         unknown: returned for a unit that is not known; None: as it is written.
     """
     bare = text.strip()

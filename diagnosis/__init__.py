@@ -1,1 +1,1 @@
-"""Compare, evidence, verdict: which effect the model lacks."""
+"""Comparison with the measurements, evidence, and the verdict: which effect the model lacks."""

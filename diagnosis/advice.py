@@ -1,4 +1,4 @@
-"""What a user's logs can teach a model of the drift, and which protocol to record next.
+"""What a model of the drift can learn from the logs, and which protocol to record next.
 
 Three questions, each answered by a measurement on the training runs: how long the drift remembers
 the temperature and whether the network's memory spans that; whether the runs were heated in more
@@ -39,7 +39,7 @@ MOST_NAMED = 4
 
 @dataclass(frozen=True)
 class Advice:
-    """What these logs can and cannot teach."""
+    """What can and cannot be learnt from these logs."""
 
     time_constants: tuple[TimeConstant, ...]
     without_memory: float
@@ -50,7 +50,8 @@ class Advice:
     paths: tuple[Path, ...]
     programme: Programme
     untold_K: dict[str, float]
-    """Further thermometer -> kelvin RMS by which it moves beyond what the chip's history tells."""
+    """Further thermometer -> RMS in K of its part that the chip's temperature history does not
+    explain."""
     thermometers: tuple[str, ...]
     protocols: tuple[ProtocolSummary, ...]
     """What to record next, the most wanted first; empty: nothing more."""

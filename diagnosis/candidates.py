@@ -1,4 +1,4 @@
-"""The effects that a model may lack: which can be tested with these logs, and how well they fit."""
+"""The effects that a model may lack: which of them these logs can test, and how well they fit."""
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.records import OPTIONAL
 from zerodrift.diagnosis.evidence import Errors, hold_out
+from zerodrift.diagnosis.span import LogSpan
 from zerodrift.physics.campaign import Campaign, Sums
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Effect, Parameter
@@ -104,16 +105,18 @@ class Candidate:
         )
 
 
-def are_sound(term: Term, shortest_s: float, longest_s: float) -> bool:
+def are_sound(term: Term, span: LogSpan) -> bool:
     """Return whether an effect's fitted values are off their bounds and such as logs can show.
 
-    A pair of equal time constants, and a second one without any share, are one in disguise.
+    A pair of equal time constants, and a second one without any share, are one in disguise. A play
+    as wide as the noise of what it plays with smooths that noise: the error falls by the noise of
+    the reference, and nothing of the load's history is in it.
 
     Args:
         term: the effect as fitted.
-        shortest_s: the logs' sample period.
-        longest_s: length of the longest run.
+        span: what the logs can show.
     """
+    shortest_s, longest_s = span.shortest_s, span.longest_s
     values = [(p, term.values[p.name]) for p in term.free if not p.is_setting]
     times = [(p, v) for p, v in values if p.unit == "s" and p.scale == "log"]
     times_s = [v for _, v in times]
@@ -122,7 +125,8 @@ def are_sound(term: Term, shortest_s: float, longest_s: float) -> bool:
     shown = all(shortest_s <= t <= max(longest_s, p.typical[1]) for p, t in times)
     apart = all(late > SAME * early for early, late in itertools.pairwise(sorted(times_s)))
     shared = all(abs(v) >= NO_SHARE for p, v in values if p.name.endswith("_share"))
-    return inside and shown and apart and shared
+    wide = all(v >= span.least_slack.get(p.slack_in, 0.0) for p, v in values)
+    return inside and shown and apart and shared and wide
 
 
 def _is_near_typical(parameter: Parameter, value: float) -> bool:

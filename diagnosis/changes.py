@@ -129,12 +129,8 @@ def propose_forms(
         return (propose_addition(config, dataset, catalogue, effect),)
     declared = catalogue[effect.kind]
     names = [name_effect(present) for present in config.effects]
-    defaults = {p.name: p.default for p in declared.parameters}
     if name_effect(effect) not in names:
-        forms = [
-            {name: value for name, value in form.items() if value != defaults[name]}
-            for form in declared.variants
-        ]
+        forms = _list_forms(declared)
     else:
         present = config.effects[names.index(name_effect(effect))]
         values = start_term(catalogue, replace(present, line=0)).values
@@ -150,6 +146,15 @@ def propose_forms(
     return tuple(
         propose_addition(config, dataset, catalogue, replace(effect, held=form)) for form in forms
     )
+
+
+def _list_forms(effect: Effect) -> list[dict[str, float]]:
+    """Return what is held in each form that the catalogue lists for an effect, simplest first."""
+    defaults = {p.name: p.default for p in effect.parameters}
+    return [
+        {name: value for name, value in form.items() if value != defaults[name]}
+        for form in effect.variants
+    ]
 
 
 def propose_removal(config: Config, kind: str, signal: str = CHIP) -> Change:
@@ -209,3 +214,21 @@ def extend_model(
     if any(config.kind == kind for config in effects):
         return tuple(changed)
     return (*changed, EffectConfig(kind, choices))
+
+
+def list_extensions(
+    effects: Sequence[EffectConfig],
+    catalogue: Catalogue,
+    kind: str,
+    parameters: Mapping[str, float],
+) -> tuple[tuple[EffectConfig, ...], ...]:
+    """Return the models that `add` chooses from if it is asked for what was found, simplest first.
+
+    One where choices are held, or where an effect becomes richer; else one for each form that the
+    catalogue lists. Arguments as of `extend_model`.
+    """
+    found = extend_model(effects, catalogue, kind, parameters)
+    if found[-1].held or len(found) == len(effects):
+        return (found,)
+    forms = _list_forms(catalogue[kind]) or [{}]
+    return tuple((*effects, EffectConfig(kind, form)) for form in forms)

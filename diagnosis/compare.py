@@ -1,4 +1,4 @@
-"""A model held against the measurements: run by run, output by output, and where it fails."""
+"""Compares a model with the measurements: run by run, output by output, and where it fails."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -42,7 +42,7 @@ class ErrorSummary:
     rmse: float
     max_abs: float
     offset: float
-    """What was taken off as the run's own offset, root mean square over runs; 0 without tare."""
+    """The run's own offset that was subtracted, root mean square over runs; 0 without tare."""
     explained: float
     """Share of the drift's mean square, offsets apart, that the model takes away."""
     steady_rmse: float
@@ -91,7 +91,7 @@ class Comparison:
     set_aside: float
     """Share of all samples that do not count: a converter stood at its rail."""
     outliers: OutlierCount
-    """In the runs that the errors are told of."""
+    """In the runs that the errors are of."""
 
     @property
     def told(self) -> tuple[ErrorSummary, ...]:
@@ -174,7 +174,7 @@ def _summarise_run(run: RunErrors, k: int) -> RunSummary:
 
 @dataclass(frozen=True)
 class Labels:
-    """What a comparison is told with, and does not depend on."""
+    """Names and units for the report, which do not affect the comparison."""
 
     effects: tuple[str, ...] = ()
     """Names of the model's effects."""
@@ -193,7 +193,7 @@ def compare(
     labels: Labels | None = None,
     most: int = MOST_SEGMENTS,
 ) -> Comparison:
-    """Hold any model against the runs.
+    """Compare any model with the runs.
 
     Args:
         dataset: the runs.

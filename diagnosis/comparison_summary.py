@@ -1,4 +1,4 @@
-"""What `compare` prints and the report shows: its figures, without the predictions behind them."""
+"""The figures that `compare` prints and the report shows, without the predictions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ class OutputSummary:
     explained: float
     """Share of the drift's mean square, offsets apart, that the model takes away."""
     run_offset: float
-    """What was taken off as the runs' own offsets, root mean square; 0 without tare."""
+    """The runs' own offsets that were subtracted, root mean square; 0 without tare."""
     rmse_without_outliers: float | None = field(default=None, metadata=OPTIONAL)
     """Of the same rows as `rmse_heldout`, outliers by their weights; None where there are none."""
 
@@ -57,7 +57,7 @@ class RunSummary:
 
 @dataclass(frozen=True)
 class WorstSegment:
-    """A stretch of one run in which one output is badly off."""
+    """A stretch of one run in which the error of one output is large."""
 
     run: str
     output: str
@@ -66,7 +66,7 @@ class WorstSegment:
     to_s: float
     rmse: float
     pattern: str
-    """What was going on, in words."""
+    """The operating conditions, in words."""
     mean_error: float
 
 
@@ -88,7 +88,7 @@ class PatternSummary:
 
 @dataclass(frozen=True)
 class ComparisonSummary:
-    """A model held against the measurements."""
+    """The comparison of a model with the measurements."""
 
     outputs: Mapping[str, OutputSummary]
     runs: Mapping[str, Mapping[str, RunSummary | tuple[float, float]]]
@@ -104,7 +104,7 @@ class ComparisonSummary:
     set_aside: float
     """Share of all samples that do not count: a converter stood at its rail."""
     outliers: OutlierCount = field(default_factory=lambda: OutlierCount(0, {}))
-    """In the runs that the errors are told of."""
+    """In the runs that the errors are of."""
 
     @property
     def errors(self) -> dict[str, dict[str, RunSummary]]:

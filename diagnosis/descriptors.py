@@ -1,4 +1,4 @@
-"""What a sensor was going through at each moment, in quantities that a sentence can name.
+"""The operating conditions of a sensor at each moment, in quantities that a sentence can name.
 
 Each descriptor is one number per block of samples, and knows how to say that it lies above or below
 a threshold: "while cooling faster than 2 K/min", "first 8 min after power-on". Thresholds come from

@@ -6,7 +6,7 @@ from dataclasses import replace
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset, count_outliers
 from zerodrift.diagnosis.case import Advance, Case, open_case
-from zerodrift.diagnosis.changes import extend_model
+from zerodrift.diagnosis.changes import list_extensions
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.diagnosis_report import report
 from zerodrift.diagnosis.examination import (
@@ -22,6 +22,7 @@ from zerodrift.diagnosis.rules import (
     EXPLAINED,
     EXPLAINED_WITHOUT_DWELL,
     LEFT_WITHOUT_DWELL,
+    SURELY_THERE,
     Finding,
     helps,
     is_at_floor,
@@ -126,15 +127,21 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
         # A floor that is a lower bound cannot refuse; a large held-out gain must do.
         explained = explained or findings[0].judged.rmse_ratio ** 2 <= LEFT_WITHOUT_DWELL
         explained = explained or share >= EXPLAINED_WITHOUT_DWELL
+    beside = 0.0
     if not explained:
-        return report(case, "unknown", first, findings[0], ()), terms
+        unknown = report(case, "unknown", first, findings[0], ())
+        # What is there is named, though something else is missing beside it.
+        if unknown.probability_of(findings[0].judged.kind) < SURELY_THERE:
+            return unknown, terms
+        findings, beside = findings[:1], unknown.something_else
     refusal = foresee_refusal(case, findings[0])
     if refusal:
         # What `add` refuses is not offered: here, or at any later look at these logs.
         case = replace(case, notes=(*case.notes, refusal))
         verdict = "complete" if is_at_floor(first, first.fitted_ratio) else "unknown"
         return report(case, verdict, first, findings[0], ()), terms
-    return report(case, "missing", first, findings[0], tuple(findings[1:])), terms
+    others = tuple(findings[1:])
+    return report(case, "missing", first, findings[0], others, beside=beside), terms
 
 
 def foresee_refusal(case: Case, finding: Finding) -> str:
@@ -144,9 +151,9 @@ def foresee_refusal(case: Case, finding: Finding) -> str:
     diagnosis by octaves of them, with outliers beside what the best model explains.
     """
     kind = finding.judged.kind
-    extended = extend_model(case.effects, case.catalogue, kind, finding.judged.parameters)
+    forms = list_extensions(case.effects, case.catalogue, kind, finding.judged.parameters)
     logs = case.dataset if case.whole is None else case.whole
-    kept, reason = try_extension(case.effects, extended, logs, case.catalogue)
+    kept, reason = try_extension(case.effects, forms, logs, case.catalogue)
     return "" if kept else f"{kind} would gain a little, but not enough for `add`: {reason}"
 
 

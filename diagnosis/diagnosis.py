@@ -1,4 +1,4 @@
-"""What a diagnosis says: the verdict, the candidates, and what to do next."""
+"""The result of a diagnosis: the verdict, the candidates, and what to do next."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ LIKELY = 0.5
 
 
 def write_probability(probability: float) -> str:
-    """Return a probability as a percentage, without digits that no map can tell."""
+    """Return a probability as a percentage, without digits that the maps cannot support."""
     if probability > SURE:
         return f"> {100.0 * SURE:.0f} %"
     if probability < 1.0 - SURE:
@@ -109,7 +109,7 @@ class Diagnosis:
     """For `unknown`, and where something else is likely missing too: what the remainder follows."""
     next_experiment: str
     evidence: str
-    """How many runs spoke, and whether that is thin."""
+    """How many runs count as evidence, and whether they are few."""
     remarks: tuple[str, ...] = ()
     drop: tuple[str, ...] = ()
     """Effects of the model that no longer earn their place."""
@@ -126,7 +126,11 @@ class Diagnosis:
     @property
     def probability(self) -> float:
         """Probability that the effect that is named is missing; 0 where none is named."""
-        return next((c.probability for c in self.candidates if c.effect == self.effect), 0.0)
+        return self.probability_of(self.effect)
+
+    def probability_of(self, effect: str | None) -> float:
+        """Return the probability that an effect is missing; 0 for one that was not tried."""
+        return next((c.probability for c in self.candidates if c.effect == effect), 0.0)
 
     def tell_odds(self) -> str:
         """Return how likely the effect that is named is missing, and something else beside it."""

@@ -1,4 +1,4 @@
-"""What was found, put into words and numbers: verdict, next experiment, evidence, notes."""
+"""The findings in words and numbers: verdict, next experiment, evidence, notes."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -32,8 +32,19 @@ def report(
     first: Examination,
     finding: Finding | None,
     others: tuple[Finding, ...],
+    *,
+    beside: float = 0.0,
 ) -> Diagnosis:
-    """Return the diagnosis in words and numbers."""
+    """Return the diagnosis in words and numbers.
+
+    Args:
+        case: what is diagnosed.
+        verdict: missing | complete | unknown.
+        first: the examination of the model as it is.
+        finding: the effect that is named, or comes nearest.
+        others: further effects that are named.
+        beside: the least probability that something else is missing.
+    """
     missing = verdict == "missing" and finding is not None
     alike = list_lookalikes(finding) if missing and finding is not None else []
     nearest = finding.judged if finding else (first.judged[0] if first.judged else None)
@@ -76,6 +87,7 @@ def report(
             outliers=_tell_outliers(case),
         )
     )
+    told = replace(told, something_else=max(told.something_else, beside))
     if missing and finding is not None and told.something_else >= LIKELY:
         rest = _describe(case, first, (others[-1] if others else finding).judged.found)
         return replace(told, remainder=rest)
@@ -188,7 +200,7 @@ def _separate(case: Case, finding: Finding, rival: Judged) -> str:
 
 
 def _weigh_evidence(case: Case) -> str:
-    """Return how many runs spoke, and whether that is thin."""
+    """Return how many runs count as evidence, and whether they are few."""
     runs = len(case.campaign.groups)
     if runs < FEWEST_RUNS:
         pieces = case.campaign.run_of_piece.size

@@ -31,7 +31,7 @@ class DriftDriver:
     channel: str
     """temperature | time | an input's name | `load NAME` of an output."""
     form: str = VALUE
-    """value | rate | lag: as it is, its slope in a minute, or what it is ahead of its low-pass."""
+    """value | rate | lag: the signal, its slope per minute, or the signal less its low-pass."""
     tau_s: float = TAU_S
     """Time constant of the low-pass; only a lag has one."""
 

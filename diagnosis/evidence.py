@@ -1,6 +1,6 @@
 """What counts as evidence: errors on runs left out, and signs of whole runs flipped.
 
-Within a run all samples are relatives of each other; runs are not. So a model is judged by runs
+Within a run samples are correlated; runs are independent. So a model is judged by runs
 that it was not fitted to, and chance is judged by flipping the signs of whole runs' gains.
 """
 
@@ -116,10 +116,10 @@ def compare_likelihoods(
 ) -> float:
     """Return the gain in log-likelihood, nats, with the noise of each octave its own either time.
 
-    A missing effect and slow noise both swell the slow octaves. So neither model's noise is given:
-    each octave's variance is what that model leaves there, and what counts is by how much the
-    variances fall, coefficient by coefficient. A wandering that an effect follows by chance leaves
-    most of what it was; an effect that is there leaves the fast octaves' noise. The slowest
+    A missing effect and slow noise both enlarge the slow octaves. So neither model's noise is
+    fixed: each octave's variance is what that model leaves there, and what counts is by how much
+    the variances fall, coefficient by coefficient. A wandering that an effect follows by chance
+    leaves most of what it was; an effect that is there leaves the fast octaves' noise. The slowest
     octaves have few coefficients and share one variance.
 
     Args:

@@ -24,6 +24,7 @@ from zerodrift.diagnosis.evidence import (
     hold_out,
 )
 from zerodrift.diagnosis.noise import Noise, measure_noise
+from zerodrift.diagnosis.span import measure_span
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.projection import get_coordinates, list_coordinates
@@ -170,7 +171,7 @@ def examine(
         weights = _weigh_by_rest(campaign, noise, hold_in(best.sums, weights), bool(dwell))
         base_out = judge_base(weights)
         if not dwell:
-            # What hid the slow effects was the noise that they themselves had swollen.
+            # The slow effects themselves had enlarged the noise that hid them.
             candidates = fit_leaders_again(
                 campaign, candidates, weights, float(base_out.score(weights).sum())
             )
@@ -340,8 +341,14 @@ def _judge(
     }
     units_gained = {id(c): float(gains[id(c)].sum()) for c in candidates}
     measure, enough = (units_gained, LIKE_BEST_UNITS) if has_dwell else (nats, LIKE_BEST_NATS)
-    shortest_s, longest_s = measure_span(campaign)
-    sound = {id(c) for c in candidates if are_sound(c.term, shortest_s, longest_s)}
+    span = measure_span(campaign)
+    before = base_out.mean_squares(unjudged)
+    sound = {
+        id(c)
+        for c in candidates
+        if are_sound(c.term, span)
+        and span.is_more_than_smoothing(c.term, before - judged_by[id(c)].mean_squares(unjudged))
+    }
     chosen = [
         _choose_form([f for f in forms if id(f) in sound] or forms, measure, enough)
         for forms in _group_by_kind(candidates)
@@ -349,7 +356,6 @@ def _judge(
     if not chosen:
         return []
     p_values = flip_signs(np.stack([gains[id(c)] for c in chosen]))
-    before = base_out.mean_squares(unjudged)
     base_left = float(np.mean(base_in.mean_squares(campaign.means) / floor**2))
     judged = []
     for candidate, p_value in zip(chosen, p_values.tolist(), strict=True):
@@ -388,15 +394,6 @@ def share_explained(before: float, after: float) -> float:
 def _per_unit(scores: Array, units: NDArray[np.int64]) -> Array:
     """Return scores summed over the pieces of each unit of evidence."""
     return np.asarray(np.bincount(units, weights=scores))
-
-
-def measure_span(campaign: Campaign) -> tuple[float, float]:
-    """Return the sample period and the length of the longest run, seconds."""
-    lengths = dict.fromkeys(campaign.groups, 0)
-    for run in campaign.runs:
-        lengths[run.group] += len(run)
-    period_s = campaign.runs[0].sample_period_s
-    return period_s, max(lengths.values()) * period_s
 
 
 def _group_by_kind(candidates: Sequence[Candidate]) -> list[list[Candidate]]:

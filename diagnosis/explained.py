@@ -1,4 +1,4 @@
-"""A diagnosis with the sentences that tell it and the commands that follow from it."""
+"""A diagnosis with its sentences and the commands that follow from it."""
 
 from dataclasses import dataclass
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Dataset
+from zerodrift.dataset.runs import Dataset, share_resolution
 from zerodrift.diagnosis.noise import describe_noise, measure_noise
 from zerodrift.diagnosis.unexplained import Unexplained
 from zerodrift.physics.live import find_live
@@ -21,6 +21,9 @@ ISOTHERMAL_K = 1.0
 PIECE = 64
 """Without a dwell, noise is read within pieces of this many samples: over longer times noise and
 drift look alike."""
+COARSE = 2.0
+"""An output measured in steps of so many times its RMS in the dwell shows more of where it stands
+between two steps than of its noise."""
 SECTIONS_PER_RUN = 8
 MOST_GROWTH = 2.0
 """From one octave to the next, for the variance of noise."""
@@ -44,6 +47,9 @@ class NoiseFloor:
     """By how much the temperature moved in the dwell logs."""
     silent: tuple[str, ...] = ()
     """Outputs that move in the runs but not in the dwell: their floor is estimated."""
+    coarse: tuple[str, ...] = ()
+    """Outputs measured in steps above the noise: a dwell stands somewhere between two of them, so
+    that their floor is that of runs that go through many."""
 
     def explain(self) -> str:
         """Return where the floor comes from and what it is worth, in a sentence."""
@@ -56,6 +62,11 @@ class NoiseFloor:
                 )
             if self.silent:
                 doubt += f"; {', '.join(self.silent)} never moves in them, so it is estimated there"
+            if self.coarse:
+                doubt += (
+                    f"; {', '.join(self.coarse)} is measured in steps above its noise, so it is "
+                    "estimated there from runs that go through many steps"
+                )
             span = f"for a run of {self.span_s:.0f} s"
             return f"the noise floor is that of the dwell logs, {span}{doubt}"
         return (
@@ -88,12 +99,25 @@ def measure_floor(dataset: Dataset) -> NoiseFloor:
         measure_noise([beside.leave(run) for run in dataset.dwell], DWELL).rms(span),
     )
     silent = find_live(runs) & (rms == 0.0)
-    if silent.any():
-        rms[silent] = _estimate_by_regression(dataset, span)[silent]
+    steps = share_resolution(runs)
+    coarse = ~silent & (steps > COARSE * rms)
+    if silent.any() or coarse.any():
+        moving = _estimate_by_regression(dataset, span)
+        rms[silent] = moving[silent]
+        coarse &= moving > rms
+        rms[coarse] = moving[coarse]
     longest = max(len(run) for run in dataset.dwell)
     moved = max(float(np.ptp(run.temperature_degC)) for run in dataset.dwell)
-    silent_too = tuple(np.array(dataset.outputs)[silent].tolist())
-    return NoiseFloor(rms, DWELL, span * period_s, longest * period_s, moved, silent_too)
+    names = np.array(dataset.outputs)
+    return NoiseFloor(
+        rms,
+        DWELL,
+        span * period_s,
+        longest * period_s,
+        moved,
+        silent=tuple(names[silent].tolist()),
+        coarse=tuple(names[coarse].tolist()),
+    )
 
 
 def _estimate_by_regression(dataset: Dataset, span: int) -> Array:

@@ -1,4 +1,4 @@
-"""Whether all runs were heated the same way, as far as thermometer and drift can tell.
+"""Whether all runs were heated the same way, as far as thermometer and drift show.
 
 A sensor that is heated from all sides warms its body, its elements and the board with its
 thermometer in one order; from one side, by a warm sole or a lamp, in another. A model of the
@@ -38,7 +38,7 @@ POWER_ON_S = 1.0
 
 @dataclass(frozen=True)
 class Path:
-    """How one run's drift fits what the others say of heat."""
+    """How well the lags of the other runs predict one run's drift."""
 
     run: str
     ratio: float
@@ -111,7 +111,7 @@ def _measure(solution: Array, own: Array, target: Array, power: Array) -> Array:
 
 
 def measure_untold(table: MemoryTable, thermometer: str) -> float:
-    """Return how far the chip's history leaves a further thermometer untold, kelvin RMS.
+    """Return the RMS in K of a further thermometer that the chip's history does not explain.
 
     The further thermometer's distance from the chip is fitted, over all runs, by lags of the
     chip's temperature over the whole grid; what remains moved by itself, so heat reached it by

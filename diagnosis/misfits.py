@@ -1,4 +1,4 @@
-"""One run against a fit of the others: another unit, sign, column or sensor.
+"""Compares each run with a fit of the others: another unit, sign, column or sensor.
 
 The fit is linear in a basis that most drifts lie in (powers of the temperature, its lags and rate,
 start-up, loads, inputs), so that an effect that the model lacks is no misfit. A run that spoils the
@@ -167,7 +167,7 @@ def _measure(error: Array, inside: NDArray[np.bool_]) -> Array:
 
 
 class Bench:
-    """The runs of a data set, any of which is held against the others."""
+    """The runs of a data set, each of which can be compared with the others."""
 
     def __init__(self, runs: Sequence[Run], outputs: Sequence[str], scales: Array) -> None:
         self.outputs, self.scales = tuple(outputs), scales

@@ -1,4 +1,4 @@
-"""The noise floor: its variance octave by octave, from a dwell or, less surely, from what is left.
+"""The noise floor: its variance octave by octave, from a dwell or, less surely, from residuals.
 
 A dwell's Allan variance is described by white noise and first-order noises of all time constants,
 two octaves apart, each with a weight that is not negative. That smooths it, and carries it on to

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import beta
 
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.candidates import Proposal, propose
@@ -21,7 +22,10 @@ from zerodrift.physics.terms import Term
 Array = NDArray[np.float64]
 
 RUNS_PER_COLUMN = 3
-"""Columns that may explain the runs' offsets need this many runs each, the constant included."""
+"""Columns that may explain the runs' offsets need this many runs each, the constant too, ..."""
+BY_CHANCE = 0.01
+"""... unless they follow the clock alone, have nothing to be fitted beside their size, and chance
+alone leaves so little of the offsets with at most this probability."""
 STILL_SCATTERED = 0.1
 """Share of the offsets' squares that the best of the missing effects may leave to be tried."""
 
@@ -70,33 +74,49 @@ def _find_explanation(
     tared: Campaign, own: Found, proposals: Sequence[Proposal]
 ) -> Proposal | None:
     """Return the missing effect whose means over the runs explain the runs' offsets, if any."""
-    if tared.pieces_per_run > 1:
-        return None
     known = {feature.name for feature in own.sums.features}
     offsets = tared.drift_means()
     for feature, row in zip(tared.build(own.terms), own.solution.coefficients.T, strict=True):
         offsets = offsets - tared.mean_of(feature.signal)[:, None] * row
+    offsets = tared.average_runs(offsets)
     best, least = None, STILL_SCATTERED
     for proposal in proposals:
         free = [c for c in list_coordinates(proposal.terms) if c.term == proposal.place]
+        of_time = set(proposal.effect.needs) == {"clock"} and not free
         for u in grid(free) if free else [()]:
             terms = tuple(set_coordinates(proposal.terms, free, np.array(u)))
             new = [f for f in tared.build(terms) if f.name not in known]
-            share = _scatter(offsets, tared, new)
+            share = _scatter(offsets, tared, new, few=of_time)
             if share < least:
                 best, least = replace(proposal, terms=terms), share
     return best
 
 
-def _scatter(offsets: Array, tared: Campaign, features: Sequence[Feature[Node]]) -> float:
-    """Return the share of the offsets' squares [R, K] that the features' means leave."""
+def _scatter(
+    offsets: Array, tared: Campaign, features: Sequence[Feature[Node]], *, few: bool
+) -> float:
+    """Return the share of the offsets' squares [R, K] that the features' means leave.
+
+    Args:
+        offsets: of the runs.
+        tared: the runs.
+        features: of the effect.
+        few: whether a line through fewer runs may convince.
+    """
     runs, shares = len(offsets), []
     for k, output in enumerate(tared.plan.outputs):
-        seen = [tared.mean_of(f.signal) for f in features if f.output in (None, output)]
-        if not seen or RUNS_PER_COLUMN * (len(seen) + 1) > runs:
+        means = [tared.mean_of(f.signal) for f in features if f.output in (None, output)]
+        seen = [tared.average_runs(column[:, None])[:, 0] for column in means]
+        thin = RUNS_PER_COLUMN * (len(seen) + 1) > runs
+        if not seen or (thin and not few) or len(seen) + 1 >= runs:
             return 1.0
         design = np.stack([np.ones(runs), *seen], axis=1)
         centred = offsets[:, k] - offsets[:, k].mean()
         rest = centred - design @ np.linalg.lstsq(design, centred, rcond=None)[0]
-        shares.append(float(rest @ rest) / max(float(centred @ centred), 1e-300))
+        share = float(rest @ rest) / max(float(centred @ centred), 1e-300)
+        # Without any cause, the share that is left of normal offsets is beta distributed.
+        chance = beta.cdf(share, 0.5 * (runs - 1 - len(seen)), 0.5 * len(seen))
+        if thin and chance > BY_CHANCE:
+            return 1.0
+        shares.append(share)
     return float(np.mean(shares))

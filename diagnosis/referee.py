@@ -1,7 +1,7 @@
-"""Wrong data named: which run, which column, which rows, what it looks like and what to do.
+"""Finds wrong data: run, column, rows, what it looks like and what to do.
 
-Nothing here changes a figure. A missing effect is not wrong data: what several runs show alike is
-left to the diagnosis.
+Nothing here changes a figure. A missing effect is not wrong data: what several runs show in the
+same way is left to the diagnosis.
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ def review(dataset: Dataset) -> tuple[DataNote, ...]:
     """Return what looks wrong with the logs of a data set.
 
     Args:
-        dataset: the runs. With one run only what shows within it is told; with two nobody knows
+        dataset: the runs. With one run only faults within it are found; with two runs it is unknown
             which one is wrong.
     """
     outputs = dataset.outputs

@@ -1,4 +1,4 @@
-"""What is left over, in words: which signal it follows, from run to run, if it follows any."""
+"""Describes the remainder: which signal it follows from run to run, if any."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class RemainderPattern:
 
     follows: str
     share: float
-    """Of the remainder's variance, told from other runs."""
+    """Share of the remainder's variance that the other runs predict."""
 
 
 def describe_remainder(

@@ -156,7 +156,7 @@ def choose_form(before: Fitted, forms: Sequence[Fitted], units: Sequence[str]) -
 
 def try_extension(
     effects: Sequence[EffectConfig],
-    extended: Sequence[EffectConfig],
+    forms: Sequence[Sequence[EffectConfig]],
     dataset: Dataset,
     catalogue: Catalogue,
 ) -> tuple[bool, str]:
@@ -164,12 +164,12 @@ def try_extension(
 
     Args:
         effects: the `[[effect]]` tables as they are.
-        extended: the tables with one effect more, or in a richer form.
+        forms: the tables with one effect more, or in a richer form; simplest first.
         dataset: the runs.
         catalogue: the known effects.
     """
-    before, after = _fit_both(effects, extended, dataset, catalogue)
-    return judge(before, after, dataset.units)
+    before, *after = _fit_alike((effects, *forms), dataset, catalogue)
+    return judge(before, after[choose_form(before, after, dataset.units)], dataset.units)
 
 
 def list_needless(
@@ -187,19 +187,16 @@ def list_needless(
         if catalogue[effect.kind].sets_aside:
             continue
         others = (*effects[:place], *effects[place + 1 :])
-        without, full = _fit_both(others, effects, dataset, catalogue)
+        without, full = _fit_alike((others, effects), dataset, catalogue)
         if measure_overall(full, without) < LOWER and not judge(without, full, dataset.units)[0]:
             needless.append(effect.kind)
     return tuple(needless)
 
 
-def _fit_both(
-    one: Sequence[EffectConfig],
-    other: Sequence[EffectConfig],
-    dataset: Dataset,
-    catalogue: Catalogue,
-) -> tuple[Fitted, Fitted]:
-    """Return two models with their held-out errors, which are comparable."""
+def _fit_alike(
+    models_of: Sequence[Sequence[EffectConfig]], dataset: Dataset, catalogue: Catalogue
+) -> list[Fitted]:
+    """Return models with their held-out errors, which are comparable."""
     models = [
         fit(
             effects,
@@ -209,17 +206,16 @@ def _fit_both(
             full_scale=dataset.full_scale,
             catalogue=catalogue,
         )
-        for effects in (one, other)
+        for effects in models_of
     ]
     tared = find_tared(models)
-    first, second = (_hold_out(model, dataset, tared) for model in models)
-    return first, second
+    return [_hold_out(model, dataset, tared) for model in models]
 
 
 def find_tared(models: Sequence[PhysicalModel]) -> bool:
     """Return whether logs are zeroed one by one, as the richest of some models sees it.
 
-    It knows best: an effect may bring offsets to light, or explain what looked like them.
+    The richest decides: an effect may reveal offsets, or explain what looked like them.
     """
     most = max(len(model.terms) for model in models)
     return [model for model in models if len(model.terms) == most][-1].tared

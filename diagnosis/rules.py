@@ -26,6 +26,8 @@ LEFT_WITHOUT_DWELL = 0.5
 EXPLAINED_WITHOUT_DWELL = 0.7
 """or else it must explain this share of the excess; the floor being a lower bound, it explains more
 of what is no noise."""
+SURELY_THERE = 0.9
+"""Probability from which an effect is named though too much is left for the right form alone."""
 ENOUGH_RUNS = 6
 """Fewer runs than this are thin evidence, and said to be: there an effect that is named ..."""
 SURE_UNITS = 300.0
@@ -112,10 +114,11 @@ def list_lookalikes(finding: Finding) -> list[Judged]:
             continue
         if not judged.sound:
             continue
-        # A play as wide as the range, a time constant without end: another effect in disguise.
-        if leading.plausible and not judged.plausible:
-            continue
         behind = leading.gain - judged.gain
+        # A play as wide as the range, a time constant without end: another effect in disguise,
+        # unless it does better than what it would be in disguise.
+        if leading.plausible and not judged.plausible and behind > 0.0:
+            continue
         close = behind <= max(ALIKE_UNITS, ALIKE * leading.gain)
         unsure = compare_runs(leading.gains, judged.gains) > SIGNIFICANT
         if close or (unsure and behind <= ALIKE_UNLESS_SURE * leading.gain):

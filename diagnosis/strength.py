@@ -1,4 +1,4 @@
-"""How strong a verdict's evidence is, in one word: what a page makes of it is no louder."""
+"""Rates how strong a verdict's evidence is, in one word."""
 
 from dataclasses import dataclass
 

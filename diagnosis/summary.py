@@ -1,7 +1,7 @@
 """What `add`, `remove` and `history` say, and the advice of `compare` and `diagnose`, as figures.
 
-*left out* is an error on training data of which the model learnt nothing: each run is left out in
-turn. *test* is an error on the test logs. The two never share a name.
+*left out* is an error on training runs, each predicted by a fit to the others. *test* is an error
+on the test logs. The two never share a name.
 """
 
 from collections.abc import Mapping
@@ -114,7 +114,7 @@ class ProtocolSummary:
 
 @dataclass(frozen=True)
 class AdviceSummary:
-    """What these logs can and cannot teach."""
+    """What can and cannot be learnt from these logs."""
 
     time_constants: tuple[TimeConstantSummary, ...]
     rmse_ratio_without_memory: float
@@ -125,7 +125,8 @@ class AdviceSummary:
     runs: Mapping[str, float]
     """Run -> error of the lags that the other runs teach, over that of lags of its own."""
     untold_K: ByOutput
-    """Further thermometer -> K RMS by which it moves beyond what the chip's history tells."""
+    """Further thermometer -> RMS in K of its part that the chip's temperature history does not
+    explain."""
     next_protocols: tuple[ProtocolSummary, ...]
     sentences: tuple[str, ...]
 

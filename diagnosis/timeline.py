@@ -1,4 +1,4 @@
-"""Which step of the history undo goes back to, and redo forward to: told by the history alone."""
+"""The steps of the history that undo and redo lead to, found from the history alone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What no logged signal explains, whatever the model: a regression on all of them.
+"""The part of the drift that no logged signal explains: the residual of a regression on all.
 
 The noise floor must be one number for a project, before its first effect and after its last. So it
 is not read from what a model leaves, but from what is left beside a regression rich enough for

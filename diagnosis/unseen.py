@@ -1,4 +1,4 @@
-"""Test logs beside a diagnosis, which looks at the training runs alone."""
+"""Compares the test logs with a diagnosis, which uses the training runs alone."""
 
 from collections.abc import Sequence
 

@@ -1,1 +1,1 @@
-"""What to do next: planned experiments."""
+"""Plans the next experiment."""

@@ -1,4 +1,4 @@
-"""The explanations that are still open: as truths, drawn, and as rivals, refitted at every value.
+"""The effects that are still possible: as truths with drawn values, and as rivals to refit.
 
 A truth is a whole model with one effect more, at values drawn from what is known of them: the
 fit's values and errors where there are logs, the catalogue's typical ranges where there are none.
@@ -67,7 +67,7 @@ class Contender:
 
 @dataclass(frozen=True)
 class Scene:
-    """What is known before the experiment."""
+    """The knowledge before the experiment."""
 
     plan: SignalPlan
     order: tuple[str, ...]
@@ -201,6 +201,26 @@ def draw_typical(
         0.5, 1.5, (len(plan.outputs), 64)
     )
     return Truth(tuple(terms), signs, False)
+
+
+def spread_typical(terms: Sequence[Term], count: int, seed: int) -> list[tuple[Term, ...]]:
+    """Return a model as it stands, and with its values drawn from their typical ranges.
+
+    Args:
+        terms: the model.
+        count: models in all.
+        seed: of the draws.
+    """
+    coordinates = [c for c in list_coordinates(terms) if not c.parameter.is_setting]
+    found = [tuple(terms)]
+    if not coordinates:
+        return found
+    rng = np.random.default_rng(seed)
+    ends = np.array([[c.encode(v) for v in c.parameter.typical] for c in coordinates])
+    for _ in range(count - 1):
+        u = rng.uniform(ends[:, 0], ends[:, 1])
+        found.append(tuple(set_coordinates(terms, coordinates, u)))
+    return found
 
 
 def look_back(

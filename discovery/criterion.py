@@ -1,4 +1,4 @@
-"""What a programme is expected to tell: each truth simulated, each rival refitted to it.
+"""What a programme is expected to show: each truth is simulated, each rival refitted to it.
 
 Signals are taken apart into octaves, in which the measured noise is white once each octave is
 weighted (see `physics.octaves`). The squared distance that a rival's best refit leaves there is
@@ -52,7 +52,7 @@ class Staged:
 
 @dataclass(frozen=True)
 class Told:
-    """What an experiment is expected to tell, logs before it included."""
+    """What an experiment is expected to show, logs before it included."""
 
     gain: Array
     """[M, D] squared distance of each truth from the model without it, noise units."""

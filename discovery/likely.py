@@ -1,4 +1,4 @@
-"""From what a programme is expected to tell to the probability of the right verdict.
+"""From the expected figures of a programme to the probability of the right verdict.
 
 `diagnose` names an effect where its gain is sure, and alone where its rivals stay far enough
 behind. Both are logistic in the logarithm of the expected figures over what the rules ask for.
@@ -66,7 +66,7 @@ def expect_pairs(told: Told) -> Array:
 def weigh(told: Told) -> float:
     """Return the worth of a programme: the mean probability, and a little for what lies beyond.
 
-    Where all probabilities are next to none, the second part still says which way is up.
+    Where all probabilities are nearly 0, the second part still gives the search a direction.
     """
     p = expect_verdicts(told)
     nearest = np.minimum(told.apart.min(axis=2), 1e12)

@@ -1,4 +1,5 @@
-"""What an experiment may do: `[experiment]`, completed from the logs, checked against itself."""
+"""The limits of an experiment: `[experiment]`, completed from the logs, checked for
+contradictions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -56,7 +57,7 @@ def resolve_limits(config: Config, runs: Sequence[Run], hours: float) -> Limits:
         hours: in all.
 
     Raises:
-        InputError: something needed is neither said nor in the logs, or limits contradict each
+        InputError: something needed is neither stated nor in the logs, limits contradict each
             other, or no chamber can follow.
     """
     told = config.experiment

@@ -1,4 +1,5 @@
-"""The next experiment: what is open, what may be set, and the programme that tells most of it."""
+"""The next experiment: undecided effects, limits, and the programme that distinguishes them
+best."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -59,7 +60,7 @@ class Question:
 
     hours: float = HOURS
     between: tuple[str, ...] = ()
-    """Effects to tell apart; empty: those that are open."""
+    """Effects to distinguish; empty: those that are undecided."""
     target: float | None = None
     """Share of full scale from which on an effect has to be named; None: 3 times the noise."""
     budget_s: float = BUDGET_S
@@ -74,7 +75,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Planned:
-    """A programme, and what it is expected to tell."""
+    """A programme, and what it is expected to show."""
 
     question: Question
     limits: Limits

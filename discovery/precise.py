@@ -1,4 +1,4 @@
-"""Plans by precision: of the model as it stands in zerodrift.toml, not of what it may lack."""
+"""Plans by precision: for the model in zerodrift.toml as it is, not for effects it may lack."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.case import open_case
 from zerodrift.diagnosis.examination import fit_base, measure_rest
-from zerodrift.discovery.contenders import Scene, Truth, draw_fitted
+from zerodrift.discovery.contenders import Scene, Truth, draw_fitted, spread_typical
 from zerodrift.discovery.criterion import Judge
 from zerodrift.discovery.limits import Limits, resolve_limits
 from zerodrift.discovery.patterns import choose_spaces
@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 DRIFT = 0.01
 """RMS of the drift over full scale before the first log, over a programme that moves everything."""
 SEED = 1
+DRAWS = 4
+"""Models before the first log: the catalogue's typical values, and others of their range."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,9 @@ class PlannedPrecisely:
     found: FoundPrecise
     widths: tuple[Width, ...]
     errors: dict[str, float]
-    """Output -> RMS error over the use profile, in its unit."""
+    """Output -> RMS error over the use profile and the models drawn, in its unit."""
+    aimed: dict[str, float] | None
+    """Output -> the error that the target asks for, in its unit; None without a target."""
     notes: tuple[str, ...]
     cpu_s: float
 
@@ -104,7 +108,16 @@ def plan_precisely(
     judge = Judge(scene, limits, (), tuple(range(len(config.outputs))))
     spaces = choose_spaces(limits, question.hours, scene.runs)
     widest = judge.stage(spaces[0].list_patterns(list_designs(spaces[0])[1]), np.ones(2))
-    truths = truths or (draw_base(judge, widest, DRIFT * full_scale, scene.base),)
+    if not truths:
+        truths = tuple(
+            draw_base(judge, widest, DRIFT * full_scale, terms)
+            for terms in spread_typical(scene.base, DRAWS, SEED)
+        )
+        drawn = f", and {len(truths) - 1} times drawn from it" if len(truths) > 1 else ""
+        notes.append(
+            "no logs yet: the model's values are the middle of the catalogue's typical range"
+            f"{drawn}; the drift is {100.0 * DRIFT:g} % of full scale"
+        )
     use = widest
     if question.profile is not None:
         use = judge.stage_run(_find_run(dataset, question.profile))
@@ -132,6 +145,7 @@ def plan_precisely(
         found,
         _list_widths(truths[0], found, known=known),
         dict(zip(names, found.error.tolist(), strict=True)),
+        None if question.target is None else dict(zip(names, size.tolist(), strict=True)),
         tuple(notes),
         time.process_time() - begin,
     )

@@ -1,4 +1,4 @@
-"""The search for the programme that tells most: designed ones first, then a global search.
+"""The search for the best programme: designed ones first, then a global search.
 
 Differential evolution (Storn and Price, J. Global Optimization 11 (1997)) over the cube of
 `patterns`, begun with designed programmes, within a budget of processor time. Whatever interrupts

@@ -1,4 +1,4 @@
-"""What `plan` found, as its record and in sentences."""
+"""The result of `plan`, as its record and in sentences."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -64,13 +64,13 @@ class Outlook:
 
 @dataclass(frozen=True)
 class PastPlan:
-    """What the plan before this one said, beside what came of it."""
+    """The prediction of the plan before this one, with the result."""
 
     effects: tuple[str, ...]
     probability: float
     """Of the right verdict, as it was predicted."""
     verdict: str
-    """What the logs say now: missing | complete | unknown."""
+    """Verdict of the logs now: missing | complete | unknown."""
     effect: str | None
     told_apart: bool
     """Whether one of those effects is named now, and alone."""
@@ -78,7 +78,7 @@ class PastPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanSummary:
-    """The next experiment: a programme of set points, and what it is expected to tell."""
+    """The next experiment: a programme of set points, and what it is expected to show."""
 
     hours: float
     """What it takes, rests included."""
@@ -114,6 +114,8 @@ class PlanSummary:
     """By precision or error: what each shared value of the model will be known to."""
     errors: Mapping[str, float] | None = field(default=None, metadata=OPTIONAL)
     """By precision or error: output -> RMS error of the model in the use profile, its unit."""
+    aimed: Mapping[str, float] | None = field(default=None, metadata=OPTIONAL)
+    """With a target: output -> the error that is aimed at, its unit."""
 
 
 def summarise_plan(
@@ -182,6 +184,7 @@ def summarise_precise(planned: PlannedPrecisely, units: Mapping[str, str]) -> Pl
         file=None,
         widths=planned.widths,
         errors=planned.errors,
+        aimed=planned.aimed,
     )
 
 
@@ -206,6 +209,20 @@ def _lay_out(
         ]
         at_s += log.lasts_s + programme.rest_s
     return tuple(settings), tuple(logs)
+
+
+def _tell_target(
+    errors: Mapping[str, float], aimed: Mapping[str, float], units: Mapping[str, str]
+) -> list[str]:
+    """Return whether the error that is aimed at is reached; nothing without one."""
+    if not aimed:
+        return []
+    short = {name: errors[name] / aimed[name] for name in aimed if errors[name] > aimed[name]}
+    if not short:
+        told = ", ".join(f"{name} {size:.3g} {units[name]}" for name, size in aimed.items())
+        return [f"Reached: {told}. The fewest hours that do: --units 1."]
+    told = ", ".join(f"{name} by {ratio:.2g} times" for name, ratio in short.items())
+    return [f"NOT reached: {told}. More hours, wider limits or a larger --target are needed."]
 
 
 def explain_plan(plan: PlanSummary, directory: Path) -> list[str]:
@@ -233,6 +250,7 @@ def explain_plan(plan: PlanSummary, directory: Path) -> list[str]:
     if plan.errors:
         told = ", ".join(f"{n} {e:.3g} {plan.units[n]}" for n, e in plan.errors.items())
         sentences.append(f"Error of the model in the use profile that is expected then: {told}.")
+        sentences += _tell_target(plan.errors, plan.aimed or {}, plan.units)
     hard = [pair for pair in plan.separates if pair.probability < 0.8 * MOST]
     if hard:
         told = "; ".join(f"{' and '.join(p.effects)} ({p.probability:.2f})" for p in hard[:3])

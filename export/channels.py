@@ -104,11 +104,11 @@ def make_channel(index: int, codes: ChipCodes, junction: JunctionCodes | None = 
 
     Args:
         index: its place.
-        codes: of it.
-        junction: of a thermocouple's cold junction, where a channel measures it.
+        codes: its codes.
+        junction: those of a thermocouple's cold junction, where a channel measures it.
 
     Raises:
-        CheckError: no table converts what the chip is given within the error.
+        CheckError: no table converts the raw codes within the allowed error.
     """
     conversion = None
     if codes.cover is not None and codes.by is not None:

@@ -1,4 +1,4 @@
-"""From the trained compensator and its logs to what the quantizer takes: graph and calibration."""
+"""From the trained compensator and its logs to the quantizer's input: graph and calibration."""
 
 import math
 from collections.abc import Sequence
@@ -40,6 +40,7 @@ from zerodrift.operations.backend import GraphOperations, evaluate
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.formats import RANGE_SPANS
 from zerodrift.operations.graph import Node, list_nodes
+from zerodrift.operations.times import count_us
 from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S
 from zerodrift.physics.summary import summarise_model
 from zerodrift.train.onnx_network import OnnxNetwork
@@ -69,7 +70,7 @@ def compose_quantized(model: FloatModel, config: Config, dataset: Dataset) -> Qu
 
     Raises:
         CheckError: an effect has no fixed-point form, or no safe format exists.
-        InputError: a log leaves what the codes can say.
+        InputError: a log leaves the range of the codes.
     """
     refuse_logs_outside(config, model, dataset)
     quantized = quantize_graph(model, calibrate(model, dataset.train), config.weights)
@@ -81,12 +82,13 @@ def compose_quantized(model: FloatModel, config: Config, dataset: Dataset) -> Qu
         guards=replace(cold.guards, warm_up_steps=measure_warm_up(cold, dataset.train)),
         prefix=config.firmware_prefix,
         guarded=config.firmware_guard,
+        tare=config.firmware_tare,
     )
     return replace(quantized, model=warm)
 
 
 def refuse_logs_outside(config: Config, model: FloatModel, dataset: Dataset) -> None:
-    """Refuse logs with a value that no code of the firmware's inputs stands for.
+    """Refuse logs with a value that no code of the firmware's inputs represents.
 
     Raises:
         InputError: names file and line, run, value, what the codes hold, and what to do.
@@ -116,7 +118,7 @@ def describe_compensator(
         taps = front_end.graph(ops)
         offset = compensator.tap_offset
         moving = np.abs(compensator.linear).max(axis=1) > 0.0
-        if moving.any():  # the linear part rides on the taps
+        if moving.any():  # the linear part is in the taps' coefficients
             features = (*features, *taps)
             names = (*names, *(str(tap) for tap in front_end.taps))
             coefficients = np.concatenate([coefficients, compensator.tap_coefficients])
@@ -142,6 +144,7 @@ def describe_compensator(
         tared=compensator.tared,
         set_aside=physics.set_aside,
         effects=summarise_model(physics),
+        variable_step=config.variable_step,
         physics=_describe_physics(compensator, config, runs),
     )
 
@@ -184,8 +187,10 @@ def choose_lsb_per_unit(full_scale: float) -> int:
 def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> CodeArray:
     """Return the codes [n, C] that the hardware would have given for a run, raw where they are.
 
+    Of a model with a variable step they are followed by the microseconds since the row before.
+
     Raises:
-        InputError: no code stands for a value.
+        InputError: no code represents a value.
     """
     names = [output.name for output in model.outputs]
     columns = []
@@ -198,6 +203,10 @@ def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> CodeArray:
         if outside.any():
             raise _explain_outside(channel, run, values, int(outside.argmax()))
         columns.append(codes)
+    if model.variable_step:
+        times_us = np.full(len(run), count_us(model.sample_period_s), dtype=np.float64)
+        times_us[0] = 0.0  # the log begins at rest
+        return np.stack([*columns, times_us], axis=1).astype(np.int64)
     return np.stack(columns, axis=1).astype(code_type(model.channels))
 
 
@@ -213,7 +222,8 @@ def encode_junction(
 
 def encode_quantities(model: FloatModel | IntegerModel, run: Run) -> NDArray[np.int64]:
     """Return the channels' own codes [n, C] of a run, into which raw ones are converted."""
-    return convert_codes(model.channels, encode_inputs(model, run))
+    codes = encode_inputs(model, run)[:, : len(model.channels)]
+    return convert_codes(model.channels, codes)
 
 
 def _explain_outside(channel: Channel, run: Run, values: Array, row: int) -> InputError:

@@ -27,7 +27,7 @@ def describe_imported(
     features: Sequence[str] | None = None,
     memory: str | int | None = None,
 ) -> tuple[FloatModel, list[str]]:
-    """Return an imported network as the float model of a project, and what is to be noted.
+    """Return an imported network as the float model of a project, and notes for the user.
 
     Its features are brought to -1 .. 1 before they become int16; the network takes it back.
 
@@ -39,7 +39,7 @@ def describe_imported(
         memory: "stream", or a window's length; by default what the file implies.
 
     Raises:
-        InputError: features or outputs do not match the network, or the memory cannot be.
+        InputError: features or outputs do not match the network, or the memory is not possible.
     """
     names = _choose_features(imported, config, features)
     count = imported.network.head.shape[0]
@@ -72,6 +72,7 @@ def describe_imported(
         whitening=np.diag(1.0 / scale),
         network=imported.network.rescale_inputs(center, scale),
         window=window,
+        variable_step=config.variable_step,
     )
     return model, notes
 

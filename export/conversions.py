@@ -41,7 +41,7 @@ class _Lines:
 
     @property
     def table_bytes(self) -> int:
-        """What the tables take in flash."""
+        """Size of the tables in flash, in bytes."""
         return 2 * (len(self.parts) + 1) + 4 * len(self.nodes)
 
 
@@ -58,7 +58,7 @@ class JunctionCodes:
     high: int
     """Codes that the table covers; beyond them they are limited."""
     error: float = 0.0
-    """What its own conversion is off by, in K."""
+    """Error of its own conversion, in K."""
 
 
 @lru_cache(maxsize=64)

@@ -15,7 +15,7 @@ Mask = NDArray[np.bool_]
 
 
 def find_held(channel: Channel) -> tuple[float, float]:
-    """Return the lowest and highest value that a code stands for."""
+    """Return the lowest and highest value that a code represents, in the channel's unit."""
     if channel.conversion is None or channel.conversion.is_plain:
         ends = (channel.raw_least, channel.raw_most)
         low, high = sorted(code * channel.lsb + channel.offset for code in ends)
@@ -27,7 +27,7 @@ def find_held(channel: Channel) -> tuple[float, float]:
 def encode_channel(
     channel: Channel, values: Array, junction: IntArray | None = None
 ) -> tuple[Array, Mask]:
-    """Return the codes [n] that stand for values [n] of a channel, raw where it is given such.
+    """Return the codes [n] of values [n] of a channel, raw codes where the chip takes them.
 
     Args:
         channel: of a model.
@@ -35,7 +35,7 @@ def encode_channel(
         junction: [n] codes of a thermocouple's cold junction.
 
     Returns:
-        whole numbers, the nearest code where none stands for a value (NaN stays NaN); and where
+        whole numbers, the nearest code where none represents a value (NaN stays NaN); and where
         that is so, which includes the codes that mean no reading.
     """
     low, high = find_held(channel)

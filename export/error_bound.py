@@ -1,4 +1,4 @@
-"""How far the chip's answer can ever be from the float model in real arithmetic, output by output.
+"""Bounds the distance of the chip's drift from the float model in real arithmetic, per output.
 
 The float model is the graph with the parameters as they were before rounding, limited where the
 chip is; both are given the same codes and were at rest under the same ones. Where the chip converts
@@ -19,6 +19,7 @@ from zerodrift.operations.errors import NONE, Error, Known, bound_in_place
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.load import IntegerLoad
+from zerodrift.operations.recurrent import IntegerRecurrent
 from zerodrift.operations.signals import Real, Signal
 
 HOLDS = "same start, any input, any run length; the float model is limited where the chip is"
@@ -31,7 +32,7 @@ SPARE = Fraction(1, 1 << 20)
 
 @dataclass(frozen=True)
 class ErrorBound:
-    """What is proven of the answers, or why nothing is."""
+    """The proven bounds of the outputs, or why there are none."""
 
     outputs: tuple[Error, ...]
     """Per output in its unit; empty where nothing is proven."""
@@ -40,7 +41,7 @@ class ErrorBound:
     answers: tuple[Signal, ...] = ()
     """What the bound is about: the drifts' signals, and by `meaning` all that they stand for."""
     holds: str = HOLDS
-    """Under what."""
+    """Conditions under which the bound holds."""
 
 
 def bound_errors(quantized: Quantized) -> ErrorBound:
@@ -85,6 +86,18 @@ def _prove_intervals(model: IntegerModel) -> dict[str, list[Interval]]:
     return known
 
 
+def _list_signals(answers: Sequence[Signal]) -> list[Signal]:
+    """Return the answers and all signals that they are made of, each once."""
+    found: dict[int, Signal] = {}
+    left = list(answers)
+    while left:
+        signal = left.pop()
+        if signal.meaning is not None and id(signal.meaning) not in found:
+            found[id(signal.meaning)] = signal
+            left.extend(signal.meaning.inputs)
+    return list(found.values())
+
+
 class _Pass:
     """One way through what the answers stand for."""
 
@@ -97,9 +110,12 @@ class _Pass:
         self._nodes = {node.name: node for node in model.nodes}
         self._model, self._intervals, self._drift = model, intervals, drift
         self._errors: dict[int, Error] = {}
+        self._states: dict[str, list[Error]] = {}
+        self._answers: Sequence[Signal] = ()
 
     def bound(self, answers: Sequence[Signal]) -> list[Error]:
         """Return the errors of the answers, each in its unit."""
+        self._answers = answers
         return [self._bound(answer) for answer in answers]
 
     def _know(self, signal: Signal) -> Known:
@@ -129,12 +145,24 @@ class _Pass:
         own = (signal.node, signal.index)
         if (moving and all((x.node, x.index) == own for x in moving)) or not signal.node:
             return bound_in_place(signal, real, out, inputs)
+        node = self._nodes[signal.node]
+        if isinstance(node, IntegerRecurrent):
+            return self._bound_states(node, inputs)[signal.index]
         if real.operation == "load":
             inputs = [self._know_drift(signal)]
-        error = self._nodes[signal.node].bound_error(real, out, inputs)
+        error = node.bound_error(real, out, inputs)
         if real.operation == "input":
             error += self._find_conversion(signal)
         return error
+
+    def _bound_states(self, node: IntegerRecurrent, inputs: Sequence[Known]) -> list[Error]:
+        """Return the errors of all units of a recurrent layer, which depend on each other."""
+        if node.name not in self._states:
+            found = [x for x in _list_signals(self._answers) if x.node == node.name]
+            rows = [x.meaning for x in sorted(found, key=lambda x: x.index)]
+            meant = [row for row in rows if row is not None]
+            self._states[node.name] = node.bound_states(meant, inputs)
+        return self._states[node.name]
 
     def _find_conversion(self, signal: Signal) -> Error:
         """Return how far the code of an input is from the exact quantity of what the chip is given.

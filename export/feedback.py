@@ -1,4 +1,4 @@
-"""What the float model predicts on the chip, where the load is what the compensator left of it."""
+"""The float model's prediction on the chip, where the load is the compensated output."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,7 +29,7 @@ def predict_fed_back(predict: Callable[[Run], Array], run: Run) -> Array:
         run: the run; at its start the loop is at rest.
 
     Raises:
-        CheckError: the loop does not settle: the load's effects are too strong for it.
+        CheckError: the loop does not converge: the effects of the load are too strong.
     """
     drift = predict(run)
     for _ in range(MOST_ROUNDS):

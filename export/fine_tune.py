@@ -1,6 +1,6 @@
 """Fine-tuning of a compensator's network for 8-bit recurrent weights, in the chip's arithmetic.
 
-A network of zerodrift's own and an imported one take the same road.
+zerodrift's own networks and imported ones are treated alike.
 """
 
 import hashlib
@@ -44,12 +44,12 @@ GRU_ARRAYS = ("w_x", "w_h", "bias")
 def tune_for_int8(
     model: FloatModel, runs: Sequence[Run], report: Report = lambda done, rms: None
 ) -> tuple[FloatModel, "Tuned"]:
-    """Return the float model with layers that answer as its own do once they have 8 bits.
+    """Return the float model with layers that keep their answers after rounding to 8 bits.
 
     Args:
         model: the float model; its network is recurrent.
         runs: the training runs, or those that an imported network is calibrated on.
-        report: is told the share that is done and the difference so far.
+        report: called with the share that is done and the difference so far.
 
     Raises:
         CheckError: no safe format exists.
@@ -142,7 +142,7 @@ def load_or_tune(
         model: the float model.
         config: the project.
         runs: the training runs.
-        progress: is told what is being done.
+        progress: called with a description of each stage of the work.
     """
     network = model.network
     if config.weights != "int8" or not isinstance(network, FloatNetwork):

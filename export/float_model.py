@@ -1,7 +1,7 @@
-"""The float model: a graph of operations with parameters, in which every compensator ends.
+"""The float model: the graph of operations with parameters that describes every compensator.
 
-Physics, lag bank, trained and imported networks are described as one; what comes after training
-reads nothing else.
+Physics, lag bank, trained and imported networks all become one; quantizer and exporters read
+nothing else.
 """
 
 from collections.abc import Mapping, Sequence
@@ -59,15 +59,17 @@ class FloatModel:
     clock_origin_s: float = 0.0
     """Where clock_s counts from on the clock's channel."""
     plan: SignalPlan | None = None
-    """What loads, times and saturation are read by; None: the graph reads only logged columns."""
+    """How loads, times and saturation are read; None: the graph reads only logged columns."""
     tared: bool = False
     """Whether each log had an offset of its own, that of its tare, which is not predicted."""
     set_aside: tuple[str, ...] = ()
-    """Outputs whose samples at a converter's rail say nothing of the drift."""
+    """Outputs whose samples at a converter's rail do not show the drift."""
     physics: "FloatModel | None" = None
     """The physical model alone, where something was learnt beside it."""
     effects: ModelSummary | None = None
-    """The physical model in words, for whoever reads the firmware; None where there is none."""
+    """Summary of the physical model, for readers of the firmware; None where there is none."""
+    variable_step: bool = False
+    """Whether each step is given the time since the last one."""
 
     def read_inputs(self, run: Run) -> dict[str, Array]:
         """Return the graph's signals [n] of a run by name, loads those of its reference."""
@@ -86,7 +88,8 @@ class FloatModel:
     def predict(self, run: Run) -> Array:
         """Return the drift [n, K] of a run with loads as its reference tells, each in its unit.
 
-        The run is taken to be at rest before its first sample, and gaps in it for straight lines.
+        The run is taken to be at rest before its first sample, and signals to be straight lines in
+        gaps.
         """
         if run.before is not None:
             return predict_along(self.predict, run)
@@ -108,11 +111,12 @@ class FloatModel:
         return self.predict(run)
 
     def predict_all(self, runs: Sequence[Run]) -> list[Array]:
-        """Return `predict` of every run [n, K], each chain of stretches gone through once."""
+        """Return `predict` [n, K] of every run; each chain of stretches is computed once."""
         return predict_all(self.predict, runs)
 
     def predict_all_on_chip(self, runs: Sequence[Run]) -> list[Array]:
-        """Return `predict_on_chip` of every run [n, K], chains of stretches gone through once."""
+        """Return `predict_on_chip` [n, K] of every run; each chain of stretches is computed
+        once."""
         return predict_all(self.predict_on_chip, runs)
 
     def predict_network(self, run: Run) -> Array:
@@ -124,7 +128,7 @@ class FloatModel:
         return self._whiten(self._compute_taps(run))
 
     def find_usable(self, run: Run) -> NDArray[np.bool_]:
-        """Return [n, K] which samples say something about the drift."""
+        """Return [n, K] which samples show the drift."""
         usable = np.ones(run.measured.shape, dtype=np.bool_)
         if self.set_aside:
             names = [output.name for output in self.outputs]
@@ -155,7 +159,7 @@ class FloatModel:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the training logs showed: the ranges that formats and guards are chosen from."""
+    """The ranges in the training logs, from which formats and guards are chosen."""
 
     code_limits: tuple[tuple[int, int], ...]
     """Per channel: inputs outside are limited to these codes; for a raw output, the load is."""

@@ -1,4 +1,4 @@
-"""Golden vectors: raw inputs and what the reference makes of them, in one .npz file."""
+"""Golden vectors: raw inputs with the reference's answers, in one .npz file."""
 
 import io
 import zipfile

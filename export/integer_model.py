@@ -18,6 +18,7 @@ from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.recurrent import IntegerRecurrent
+from zerodrift.operations.times import LONGEST_US, count_us
 
 FORMAT = 3
 """Version of the integer arithmetic; equals ZD_RUNTIME_FORMAT of the C runtime."""
@@ -135,7 +136,7 @@ class Guards:
     temperature_high: int
     """Codes; outside them the range flag is set."""
     rate_max: int
-    """Codes per step; a larger change sets the rate flag."""
+    """Temperature codes per step; a larger change sets the rate flag."""
     ranges: tuple[tuple[int, int, int], ...] = ()
     """(channel, lowest, highest code) of other inputs; outside them their range flag is set."""
 
@@ -150,6 +151,8 @@ FLAG_CLAMPED = 8
 FLAG_DAMAGED = 16
 FLAG_INPUT_RANGE = 32
 FLAG_NO_READING = 64
+FLAG_TARED = 256
+"""128 is the application's, in the CAN frames' eight bits."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +170,12 @@ class IntegerModel:
     prefix: str = ""
     """What the C's names begin with; empty for the name."""
     guarded: bool = False
-    """Whether the state bears a checksum, which every step looks at and writes again."""
+    """Whether the state has a checksum, which every step checks and updates."""
+    tare: bool = False
+    """Whether the drift can be counted from a moment on."""
+    variable_step: bool = False
+    """Whether each step is given the time since the last one; `sample_period_s` is then the logs'
+    period, and that of calls without a time."""
 
     @property
     def drift(self) -> IntegerDrift:
@@ -183,16 +191,27 @@ class IntegerModel:
 
     @property
     def code_type(self) -> type[np.signedinteger]:
-        """The narrowest type that holds the codes of every channel."""
-        return code_type(self.channels)
+        """The narrowest type that holds the codes of every channel, and the time of a step."""
+        return np.int64 if self.variable_step else code_type(self.channels)
+
+    @property
+    def columns(self) -> int:
+        """How many numbers a step is given: the channels' codes and, last, microseconds."""
+        return len(self.channels) + self.variable_step
+
+    @property
+    def period_us(self) -> int:
+        """The sample period in microseconds."""
+        return count_us(self.sample_period_s)
 
     @property
     def conversions(self) -> tuple[IntegerConversion, ...]:
-        """What makes the channels' codes of what the chip is given, in the channels' order."""
+        """The conversions from what the chip is given to the channels' codes, in their order."""
         return tuple(c.conversion for c in self.channels if c.conversion is not None)
 
     def convert(self, given: CodeArray) -> IntArray:
-        """Return the channels' codes [..., C] of what the chip is given [..., C]."""
+        """Return the channels' codes [..., C] of what the chip is given [..., C]; a step's time
+        behind them stays as it is."""
         return convert_codes(self.channels, given)
 
     @property
@@ -249,7 +268,12 @@ class IntegerModel:
             out, relied_on = node.prove([known[name] for name in node.inputs])
             known[node.name] = out
             bounds.extend(relied_on)
-        return bounds
+        return [*bounds, *self.prove_times()]
+
+    def prove_times(self) -> list[Bound]:
+        """Return the bound of the time slept, where steps are told their time."""
+        held = Bound("slept.us", Interval(0, LONGEST_US), 64)
+        return [held.check()] if self.variable_step else []
 
     def to_json(self) -> dict[str, Json]:
         """Return plain dicts, lists, numbers and strings."""
@@ -264,6 +288,8 @@ class IntegerModel:
             "notes": dict(sorted(self.notes.items())),
             **({"prefix": self.prefix} if self.prefix else {}),
             **({"guarded": True} if self.guarded else {}),
+            **({"tare": True} if self.tare else {}),
+            **({"variable_step": True} if self.variable_step else {}),
         }
 
     def to_text(self) -> str:

@@ -22,9 +22,11 @@ from zerodrift.export.integer_model import (
     IntegerModel,
     order_conversions,
 )
+from zerodrift.export.onnx_tare import TARE, write_count_from
+from zerodrift.export.onnx_time import SLEPT, split_time, write_rate, write_span
 from zerodrift.export.reference import Reference
 from zerodrift.operations.load import START_PASSES
-from zerodrift.operations.node import CODES, PREVIOUS_DRIFT
+from zerodrift.operations.node import CODES, ELAPSED, PREVIOUS_DRIFT
 from zerodrift.operations.onnx_writer import IR_VERSION, OPSET, OnnxWriter, Shape
 
 START_GO_ON, START_COLD, START_SETTLED = 0, 1, 2
@@ -35,10 +37,14 @@ LAST_DRIFT = "last_drift"
 
 def list_state(model: IntegerModel) -> dict[str, tuple[int, ...]]:
     """Return the state's fields with their shapes after the batch, in the order of `pack`."""
-    codes = np.zeros((1, len(model.channels)), dtype=np.int64)
+    codes = np.zeros((1, model.columns), dtype=np.int64)
     state = Reference(model).start(codes, settled=False)
     fields: dict[str, tuple[int, ...]] = {"steps": (), "previous": ()}
     fields |= dict.fromkeys(_name_held(model), ())
+    if model.variable_step:
+        fields[SLEPT] = (1,)
+    if model.tare:
+        fields[TARE] = (2 * len(model.outputs) + 1,)
     if model.feeds_back:
         fields[LAST_DRIFT] = (len(model.outputs),)
     for node, arrays in state.nodes.items():
@@ -65,7 +71,7 @@ def build_integer_onnx(model: IntegerModel, *, observe: bool = False) -> bytes:
     shapes: dict[str, Shape] = {name: ("B", *shape) for name, shape in fields.items()}
     codes = w.op("Cast", "codes", to=TensorProto.INT64)
     started = _write_start(w, model, codes, shapes)
-    channels, outputs = len(model.channels), len(model.outputs)
+    columns, outputs = model.columns, len(model.outputs)
     code_type = helper.np_dtype_to_tensor_dtype(np.dtype(model.code_type))
     collected: list[tuple[str, int, Shape]] = [
         ("drift", TensorProto.INT32, ("B", outputs)),
@@ -91,7 +97,7 @@ def build_integer_onnx(model: IntegerModel, *, observe: bool = False) -> bytes:
     results = w.scan(
         body,
         [(name, shapes[field]) for field, name in zip(fields, started, strict=True)],
-        [(codes, ("B", channels))],
+        [(codes, ("B", columns))],
         [(kind, shape) for _, kind, shape in collected],
     )
     ends = [f"{name}.next" for name in fields]
@@ -101,7 +107,7 @@ def build_integer_onnx(model: IntegerModel, *, observe: bool = False) -> bytes:
         w.nodes,
         "zerodrift_integer",
         [
-            helper.make_tensor_value_info("codes", code_type, ("T", "B", channels)),
+            helper.make_tensor_value_info("codes", code_type, ("T", "B", columns)),
             helper.make_tensor_value_info("start", TensorProto.INT64, []),
             *(
                 helper.make_tensor_value_info(name, TensorProto.INT64, shape)
@@ -141,17 +147,20 @@ def _write_step(
     w: OnnxWriter,
     model: IntegerModel,
     state: Mapping[str, str],
-    codes: str,
+    given: str,
     shapes: Mapping[str, Shape],
 ) -> tuple[dict[str, str], dict[str, str], str, str]:
     """Write one step; return the next state, all nodes' values, drift [B, K] and flags [B].
 
     The last reading stands for one that is missing; a new state waits for the first of all.
     """
+    codes, time = split_time(w, model, given)
     codes = _write_conversions(w, model, codes)
+    span = write_span(w, state, time)
     new = w.op("Equal", state["steps"], w.constant(0))
     if not model.optional:
-        return _write_advance(w, model, _write_begin(w, model, state, codes, new, shapes), codes)
+        begun = _write_begin(w, model, state, codes, new, shapes)
+        return _write_advance(w, model, begun, codes, span)
     with w.label("readings"):
         missing = _write_missing(w, model, codes)
         no_reading = _write_any(w, missing)
@@ -159,7 +168,7 @@ def _write_step(
         waits = w.op("And", new, no_reading)
         begins = w.op("And", new, w.op("Not", no_reading))
     begun = _write_begin(w, model, state, held, begins, shapes)
-    after, values, drift, flags = _write_advance(w, model, begun, held)
+    after, values, drift, flags = _write_advance(w, model, begun, held, span)
     with w.label("waiting"):
         after = {
             name: _write_where(w, waits, state[name], after[name], shapes[name]) for name in shapes
@@ -250,10 +259,10 @@ def _write_start_flag(w: OnnxWriter, model: IntegerModel, state: Mapping[str, st
 
 
 def _write_advance(
-    w: OnnxWriter, model: IntegerModel, state: Mapping[str, str], codes: str
+    w: OnnxWriter, model: IntegerModel, state: Mapping[str, str], codes: str, span: str
 ) -> tuple[dict[str, str], dict[str, str], str, str]:
     """Write what a step makes of readings: state, all nodes' values, drift [B, K], flags [B]."""
-    values = {CODES: codes}
+    values = {CODES: codes, ELAPSED: span}
     if model.feeds_back:
         values[PREVIOUS_DRIFT] = state[LAST_DRIFT]
     after: dict[str, str] = {}
@@ -271,6 +280,7 @@ def _write_advance(
         temperature = w.column(codes, guards.temperature_channel)
         moved = w.op("Abs", w.sub(temperature, state["previous"]))
         differs = w.flag(w.op("Not", w.op("Equal", unlimited, drift)))
+        clamped = w.op("ReduceMax", differs, axes=[1], keepdims=0)
         flags = [
             _write_start_flag(w, model, state),
             w.flag(
@@ -281,8 +291,8 @@ def _write_advance(
                 ),
                 FLAG_TEMPERATURE_RANGE,
             ),
-            w.flag(w.op("Greater", moved, w.constant(guards.rate_max)), FLAG_RATE_RANGE),
-            w.mul(w.op("ReduceMax", differs, axes=[1], keepdims=0), w.constant(FLAG_CLAMPED)),
+            w.flag(write_rate(w, model, moved, span), FLAG_RATE_RANGE),
+            w.mul(clamped, w.constant(FLAG_CLAMPED)),
         ]
         flags += _write_input_range(w, model, codes)
         total = flags[0]
@@ -293,8 +303,14 @@ def _write_advance(
         after["previous"] = temperature
         for channel, name in zip(model.held, _name_held(model), strict=True):
             after[name] = w.column(codes, channel)
+        if model.variable_step:
+            after[SLEPT] = w.zeros(codes, 1)
         if model.feeds_back:
             after[LAST_DRIFT] = drift
+    if model.tare:
+        after[TARE], drift, total = write_count_from(
+            w, state[TARE], drift, total, clamped, len(model.outputs)
+        )
     return after, values, drift, total
 
 
@@ -330,7 +346,8 @@ def _write_start(
     """Write the state before the first step: the one given, at rest at codes[0], or a new one."""
 
     def restart() -> list[str]:
-        first = _write_conversions(w, model, w.op("Gather", codes, w.constant(0), axis=0))
+        given = split_time(w, model, w.op("Gather", codes, w.constant(0), axis=0))[0]
+        first = _write_conversions(w, model, given)
         settled = w.flag(w.op("Equal", "start", w.constant(START_SETTLED)))
         if model.optional:
             missing = w.flag(_write_any(w, _write_missing(w, model, first)))
@@ -360,6 +377,10 @@ def _write_rest(
     }
     for channel, name in zip(model.held, _name_held(model), strict=True):
         state[name] = w.column(first, channel)
+    if model.variable_step:
+        state[SLEPT] = w.zeros(first, 1)
+    if model.tare:
+        state[TARE] = w.zeros(first, 2 * len(model.outputs) + 1)
     if not model.feeds_back:
         state |= _write_nodes_at_rest(w, model, {CODES: first}, settled)[0]
         return [state[name] for name in fields]
@@ -377,6 +398,8 @@ def _write_nodes_at_rest(
 ) -> tuple[dict[str, str], str]:
     """Write all nodes' states at rest; return them, and the drift there where it is needed."""
     values, state = dict(given), {}
+    if model.variable_step:
+        values[ELAPSED] = w.mul(w.column(given[CODES], 0), w.constant(0))
     needed = _needed_at_rest(model)
     stacked = sum(layer.streams for layer in model.recurrents) > 1
     resting = dict(values) if stacked else values  # what settles stands on what is settled

@@ -8,12 +8,14 @@ from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import Channel
 from zerodrift.operations.clip import limit
 from zerodrift.operations.counter import COUNTER_LIMIT, IntegerCounter
+from zerodrift.operations.elapsed import IntegerElapsed, choose_tick
 from zerodrift.operations.formats import RANGE_SPANS, SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.registry import OPERATIONS
 from zerodrift.operations.signals import Signal, constant
+from zerodrift.operations.times import US_PER_S, count_us
 
 INPUT_SHIFT = 12
 """Fractional bits given to a 16-bit code: 2**-19 K for the TMP117's 2**-7 K."""
@@ -129,6 +131,12 @@ class Lowering(FormattedNodes):
         return Signal(self.append(node), lsb / 2**shift).standing_for("load", (), lsb)
 
     def _count(self) -> Signal:
+        if self.variable_step:
+            bits = choose_tick(self.sample_period_s)
+            period_us = count_us(self.sample_period_s)
+            told = IntegerElapsed("elapsed", (), COUNTER_LIMIT, bits, period_us)
+            signal = Signal(self.append(told), 2.0**bits / US_PER_S)
+            return signal.standing_for("counter", (), self.sample_period_s)
         counter = IntegerCounter("counter", (), COUNTER_LIMIT)
         signal = Signal(self.append(counter), self.sample_period_s)
         return signal.standing_for("counter", (), self.sample_period_s)

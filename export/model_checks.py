@@ -1,6 +1,6 @@
-"""What a model file must be beyond its hash: fields of the right type, indices that exist, a proof.
+"""Checks a model file beyond its hash: types of fields, indices that exist, a proof.
 
-A hash shows that a file was not changed by accident; who edits a file can compute a new one.
+A hash shows that a file was not changed by accident; an editor of the file can compute a new one.
 """
 
 import types
@@ -144,6 +144,9 @@ def _check_whole(model: "IntegerModel") -> None:
         raise TypeError(f"name {model.name!r:.40}, sample period {model.sample_period_s!r:.40}")
     if type(model.prefix) is not str or type(model.guarded) is not bool:
         raise TypeError(f"prefix {model.prefix!r:.40}, guarded {model.guarded!r:.40}")
+    if type(model.variable_step) is not bool or type(model.tare) is not bool:
+        raise TypeError(f"variable_step {model.variable_step!r:.40}, tare {model.tare!r:.40}")
+    _check_step(model)
     if not fits_type(tuple(model.notes.items()), tuple[tuple[str, str], ...]):
         raise TypeError(f"notes {model.notes!r:.60}")
     drift, guards = model.drift, model.guards
@@ -169,8 +172,18 @@ def _check_whole(model: "IntegerModel") -> None:
         raise ValueError("an output's lsb_per_unit or the sample period is not above 0")
 
 
+def _check_step(model: "IntegerModel") -> None:
+    """Raise where operations need steps of one length and have none, or the other way round."""
+    for node in model.nodes:
+        refused = node.needs_equal_steps if model.variable_step else node.needs_variable_step
+        if refused:
+            raise ValueError(f"'{node.name}' with variable_step = {model.variable_step}")
+    if model.variable_step and (model.guards.warm_up_steps or model.period_us >= 2**32):
+        raise ValueError("a variable step that warms up, or logs with a row in over an hour")
+
+
 def _try_one_step(model: "IntegerModel") -> None:
     """Run the reference once: a vector where a number is read raises here."""
     from zerodrift.export.reference import Reference
 
-    Reference(model).run(np.zeros((1, 1, len(model.channels)), dtype=np.int64), settled=False)
+    Reference(model).run(np.zeros((1, 1, model.columns), dtype=np.int64), settled=False)

@@ -1,4 +1,4 @@
-"""Reads an integer model back from its file, and believes nothing in it unseen."""
+"""Reads an integer model back from its file, and checks everything in it."""
 
 import json
 import math
@@ -145,6 +145,8 @@ def parse_model(path: str, body: object) -> IntegerModel:
             notes=body["notes"],
             prefix=body.get("prefix", ""),
             guarded=body.get("guarded", False),
+            tare=body.get("tare", False),
+            variable_step=body.get("variable_step", False),
         )
         found = model.hash
     except KeyError as error:

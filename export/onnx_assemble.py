@@ -1,4 +1,4 @@
-"""What was found in a float ONNX graph becomes a network in float64."""
+"""Builds a network in float64 from the values found in a float ONNX graph."""
 
 import itertools
 

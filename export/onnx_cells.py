@@ -1,10 +1,9 @@
 """Single steps of a GRU or an LSTM that an exporter has taken apart become one node again.
 
 PyTorch writes `GRUCell` and `LSTMCell` as products, sums, sigmoids and tanhs, each version in
-another order. What such a part of a graph computes is found out by asking it: the arguments of its
-sigmoids and tanhs are linear in what it reads, so a few hundred random numbers give its weights, in
-float64, and further ones show that they are all there is. What does not follow the equations is
-left as it is.
+another order. Such a part of a graph is identified by evaluating it: the arguments of its sigmoids
+and tanhs are linear in its inputs, so a few hundred random numbers give its weights, in float64,
+and further ones confirm them. A part that does not follow the equations is left as it is.
 """
 
 import itertools
@@ -250,7 +249,7 @@ def _fit_lstm(
 
 
 class _Asking:
-    """A part of a graph in float64, which is given random numbers and asked for some values."""
+    """A part of a graph in float64, evaluated for random inputs."""
 
     def __init__(
         self, graph: onnx.GraphProto, part: _Part, wanted: Sequence[str], opset: int

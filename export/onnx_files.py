@@ -1,4 +1,4 @@
-"""What lies around a float ONNX graph: weights in files beside it, shapes that were left out."""
+"""Completes a float ONNX graph: weights in files beside it, and missing shapes."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What each operator of a float ONNX graph does to the reader's values; one function per family.
+"""The effect of each operator of a float ONNX graph on the reader's values, family by family.
 
 Only what has an exact counterpart on the chip is accepted: changes of shape, elementwise sums and
 products with constants, matrix products with constants, GRUs, and a few activations.

@@ -1,4 +1,4 @@
-"""What the recurrent operators of a float ONNX graph do to the reader's values."""
+"""The effect of the recurrent operators of a float ONNX graph on the reader's values."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def gru(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> li
 
 
 def lstm(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
-    """LSTM: a new source of signals, its outputs h; c is of nobody's use but its own."""
+    """LSTM: a new source of signals, its outputs h; c may not be used elsewhere."""
     values = values + [None] * (8 - len(values))
     w, r = pick_array(values[1], "W"), pick_array(values[2], "R")
     b, p = (

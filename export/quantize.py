@@ -1,4 +1,4 @@
-"""The quantizer: a float compensator and what it saw in calibration become an integer model."""
+"""The quantizer: from a float compensator and its calibration to an integer model."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -74,6 +74,7 @@ def quantize_graph(
         sources=model.sources,
         limits=calibration.code_limits,
         sample_period_s=model.sample_period_s,
+        variable_step=model.variable_step,
         outputs=tuple(output.name for output in model.outputs),
         clock_origin_s=model.clock_origin_s,
         ranges=calibration.ranges,
@@ -102,6 +103,7 @@ def quantize_graph(
             rate_max=calibration.rate_max,
             ranges=calibration.input_ranges,
         ),
+        variable_step=model.variable_step,
     )
     integer.prove()
     answers = describe_answers(model, lowered, heads)

@@ -43,9 +43,7 @@ def describe_network(
     """Return the head's signals [K] of a model with a network, without the head's bias."""
     below = list(features)
     if isinstance(network, FloatNetwork):
-        hidden = network.layers[-1].w_h.shape[1]
-        states = [Signal("gru", 2.0**-STATE_BITS, index=j) for j in range(hidden)]
-        below = [state.standing_for("gru", features) for state in states]
+        below = _describe_states(network, features)
     for layer, node, exponents in zip(
         network.dense, read_out.dense, read_out.dense_exponents, strict=True
     ):
@@ -55,6 +53,22 @@ def describe_network(
         head = Signal("head", 2.0 ** -int(read_out.head_exponents[k]), index=k)
         heads.append(head.standing_for("linear", below, *row))
     return heads
+
+
+def _describe_states(network: FloatNetwork, features: Sequence[Signal]) -> list[Signal]:
+    """Return the topmost state's signals; of layers on top of each other no more is said."""
+    top = network.layers[-1]
+    states = [Signal("gru", 2.0**-STATE_BITS, index=j) for j in range(top.w_h.shape[1])]
+    if network.upper:
+        return [state.standing_for("recurrent", features) for state in states]
+    rows = [
+        [*top.bias[:, j].tolist(), *top.w_x[:, j].ravel().tolist(), *top.w_h[:, j].ravel().tolist()]
+        for j in range(len(states))
+    ]
+    kind = f"gru_{top.reset}"
+    return [
+        state.standing_for(kind, features, *row) for state, row in zip(states, rows, strict=True)
+    ]
 
 
 def describe_layered(

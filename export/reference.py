@@ -5,7 +5,7 @@ The generated C must equal it at 0 LSB, flags and states included.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,15 @@ from zerodrift.export.integer_model import (
     FLAG_INPUT_RANGE,
     FLAG_NO_READING,
     FLAG_RATE_RANGE,
+    FLAG_TARED,
     FLAG_TEMPERATURE_RANGE,
     FLAG_WARMING_UP,
     IntegerModel,
 )
-from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, CodeArray, IntArray, saturate
 from zerodrift.operations.load import START_PASSES
-from zerodrift.operations.node import CODES, PREVIOUS_DRIFT, State
+from zerodrift.operations.node import CODES, ELAPSED, PREVIOUS_DRIFT, State
+from zerodrift.operations.times import LONGEST_US, exceeds_rate, hold_time
 
 Observer = Callable[[int, dict[str, IntArray]], None]
 """Called after every step with its number and the values of all nodes."""
@@ -37,23 +39,31 @@ class ModelState:
     previous: IntArray  # [B] last temperature code
     held: IntArray
     """[B, H] last readings of the other inputs that may have none."""
+    slept: IntArray
+    """[B, 1] microseconds to add to the next step with a variable step, else [B, 0]."""
+    tare: IntArray
+    """[B, 2 K + 1] where the drift can be counted from a moment on, else [B, 0]: the last answers,
+    the drifts that are taken off, and 0 before the first answer, 1 after it, 2 once tared."""
     drift: IntArray
     """[B, K] drift of the last step where the model reads it, else [B, 0]."""
 
     def pack(self) -> IntArray:
-        """Return all of it as [B, n]: steps, previous, held, drift, then the nodes' fields.
+        """Return all of it as [B, n]: steps, previous, held, slept, tare, drift, then the nodes.
 
         Delay lines and windows stand oldest first, whatever ring the C keeps them in.
         """
         batch = self.steps.size
-        columns = [self.steps[:, None], self.previous[:, None], self.held, self.drift]
+        columns = [self.steps[:, None], self.previous[:, None], self.held]
+        columns += [self.slept, self.tare, self.drift]
         for state in self.nodes.values():
             columns += [state[key].reshape(batch, -1) for key in sorted(state)]
         return np.concatenate(columns, axis=1)
 
     def unpack(self, packed: IntArray) -> "ModelState":
         """Return the state that `pack` turned into `packed` [B, n]; self gives the layout."""
-        drift = 2 + self.held.shape[1]
+        slept = 2 + self.held.shape[1]
+        tare = slept + self.slept.shape[1]
+        drift = tare + self.tare.shape[1]
         batch, column = packed.shape[0], drift + self.drift.shape[1]
         first_field = column
         nodes: dict[str, State] = {}
@@ -69,7 +79,9 @@ class ModelState:
             nodes=nodes,
             steps=packed[:, 0],
             previous=packed[:, 1],
-            held=packed[:, 2:drift],
+            held=packed[:, 2:slept],
+            slept=packed[:, slept:tare],
+            tare=packed[:, tare:drift],
             drift=packed[:, drift:first_field],
         )
 
@@ -80,7 +92,7 @@ class ModelState:
 
 @dataclass(frozen=True)
 class ReferenceTrace:
-    """What a run gave, step by step."""
+    """The results of a run, step by step."""
 
     drift: NDArray[np.int32]  # [B, T, K]
     flags: NDArray[np.uint32]  # [B, T]
@@ -97,18 +109,65 @@ class Reference:
         self._full = max(model.guards.warm_up_steps, 1)
         self._optional = np.array([c.no_reading is not None for c in model.channels])
         self._no_reading = np.array([c.no_reading or 0 for c in model.channels], dtype=np.int64)
+        self._slept = int(model.variable_step)
+        self._outputs = len(model.outputs)
 
     def start(self, codes: IntArray, *, settled: bool, elapsed: int = 0) -> ModelState:
         """Return the state before the first step, whose codes [B, C] are given.
 
         Args:
-            codes: [B, C] as the chip is given them.
+            codes: [B, C] as the chip is given them; a step's time behind them counts for nothing.
             settled: True for `settle` (at rest at these codes, or new where one is no reading),
                 False for `init` (new), after which the first step that has readings takes its
                 linear parts to be at rest but the network to be cold.
             elapsed: steps since power-on, for a log that starts later; 0 on the chip.
         """
-        return self._start(self.model.convert(codes), settled=settled, elapsed=elapsed)
+        return self._start(self._split(codes)[0], settled=settled, elapsed=elapsed)
+
+    def sleep(self, state: ModelState, age_us: int) -> ModelState:
+        """Return a saved state as it is restored after some time, of a model with a variable step.
+
+        Args:
+            state: that was saved.
+            age_us: microseconds since then, 0 .. 2**64 - 1.
+        """
+        slept = np.minimum(state.slept + min(age_us, LONGEST_US), LONGEST_US)
+        return replace(state, slept=slept)
+
+    def take_tare(self, state: ModelState) -> ModelState:
+        """Return the state after `tare`: drift counts from the last answer, where there is one."""
+        count, tare = self._outputs, state.tare.copy()
+        answered = tare[:, -1] > 0
+        tare[answered, count:-1] = tare[answered, :count]
+        tare[answered, -1] = 2
+        return replace(state, tare=tare)
+
+    def release_tare(self, state: ModelState) -> ModelState:
+        """Return the state after `untare`: drift counts from 0."""
+        tare = state.tare.copy()
+        tare[:, -1] = np.minimum(tare[:, -1], 1)
+        return replace(state, tare=tare)
+
+    def _count_from(
+        self, state: ModelState, drift: IntArray, flags: IntArray
+    ) -> tuple[ModelState, IntArray, IntArray]:
+        """Return the state with the answers kept, drift [B, K] from the tare on, and flags [B]."""
+        count = self._outputs
+        tared = state.tare[:, -1] == 2
+        wide = drift - state.tare[:, count:-1]
+        counted = np.where(tared[:, None], saturate(wide, INT32_MIN, INT32_MAX), drift)
+        limited = tared & (counted != wide).any(axis=1)
+        kept = np.where(tared, 2, 1)[:, None]
+        tare = np.concatenate([drift, state.tare[:, count:-1], kept], axis=1)
+        raised = (flags | (FLAG_CLAMPED * limited)) + FLAG_TARED * tared
+        return replace(state, tare=tare), counted, np.asarray(raised)
+
+    def _split(self, given: IntArray) -> tuple[IntArray, IntArray]:
+        """Return the channels' codes [..., C] and the time of the step [...], 0 if none is told."""
+        codes = self.model.convert(given)
+        if not self.model.variable_step:
+            return codes, np.zeros(codes.shape[:-1], dtype=np.int64)
+        return codes[..., :-1], hold_time(codes[..., -1])
 
     def _start(self, codes: IntArray, *, settled: bool, elapsed: int) -> ModelState:
         """Return the state before the first step, whose channels' codes [B, C] are given."""
@@ -127,6 +186,8 @@ class Reference:
             steps=np.full(batch, self._full if settled else 0, dtype=np.int64),
             previous=codes[:, self.model.guards.temperature_channel].astype(np.int64),
             held=codes[:, self.model.held].astype(np.int64),
+            slept=np.zeros((batch, self._slept), dtype=np.int64),
+            tare=np.zeros((batch, (2 * self._outputs + 1) * self.model.tare), dtype=np.int64),
             drift=drift if self.model.feeds_back else drift[:, :0],
         )
 
@@ -146,6 +207,7 @@ class Reference:
     ) -> tuple[dict[str, State], IntArray]:
         """Return all nodes' states at rest, and the drift [B, K] there."""
         values: dict[str, IntArray] = {CODES: codes.astype(np.int64), PREVIOUS_DRIFT: drift}
+        values[ELAPSED] = np.zeros(codes.shape[0], dtype=np.int64)
         states: dict[str, State] = {}
         stacked = sum(layer.streams for layer in self.model.recurrents) > 1
         resting = dict(values)  # what settles stands on what is settled, not a step further
@@ -165,12 +227,12 @@ class Reference:
 
         While a state is new and an input has no reading, it stays new, and all values are 0.
         """
-        return self._step(state, self.model.convert(codes))
+        return self._step(state, *self._split(codes))
 
     def _step(
-        self, state: ModelState, codes: IntArray
+        self, state: ModelState, codes: IntArray, time_us: IntArray
     ) -> tuple[ModelState, dict[str, IntArray], IntArray, IntArray]:
-        """Return what `step` does, of the channels' codes."""
+        """Return what `step` does, of the channels' codes and the time of the step."""
         missing = self._find_missing(codes)
         no_reading, new = missing.any(axis=1), state.steps == 0
         if no_reading.any():
@@ -178,7 +240,13 @@ class Reference:
         begins, waits = new & ~no_reading, new & no_reading
         if begins.any():
             state = state.choose(begins, self._begin(codes, settled=False))
-        after, values, drift, flags = self._advance(state, codes)
+        span_us = time_us
+        if self._slept:
+            span_us = np.minimum(time_us + state.slept[:, 0], LONGEST_US)
+        span_us = np.where(new, 0, span_us)  # nothing lies before the first step
+        after, values, drift, flags = self._advance(state, codes, span_us)
+        if self.model.tare:
+            after, drift, flags = self._count_from(after, drift, flags)
         if waits.any():
             after = after.choose(waits, state)
             values = {
@@ -190,10 +258,10 @@ class Reference:
         return after, values, drift, np.asarray(flags + FLAG_NO_READING * no_reading)
 
     def _advance(
-        self, state: ModelState, codes: IntArray
+        self, state: ModelState, codes: IntArray, span_us: IntArray
     ) -> tuple[ModelState, dict[str, IntArray], IntArray, IntArray]:
         """Return what a step makes of readings [B, C]: state, values, drift [B, K], flags [B]."""
-        values: dict[str, IntArray] = {CODES: codes, PREVIOUS_DRIFT: state.drift}
+        values: dict[str, IntArray] = {CODES: codes, PREVIOUS_DRIFT: state.drift, ELAPSED: span_us}
         states: dict[str, State] = {}
         for node in self.model.nodes[:-1]:
             states[node.name], values[node.name] = node.step(state.nodes[node.name], values)
@@ -201,12 +269,14 @@ class Reference:
         unlimited = last.sum(values)
         drift = last.limit(unlimited)
         states[last.name], values[last.name] = {}, drift
-        flags = self._flags(state, codes, (unlimited != drift).any(axis=1))
+        flags = self._flags(state, codes, span_us, (unlimited != drift).any(axis=1))
         after = ModelState(
             nodes=states,
             steps=np.minimum(state.steps + 1, self._full),
             previous=codes[:, self.model.guards.temperature_channel],
             held=codes[:, self.model.held],
+            slept=np.zeros_like(state.slept),
+            tare=state.tare,
             drift=drift if self.model.feeds_back else state.drift,
         )
         return after, values, drift, flags
@@ -214,18 +284,25 @@ class Reference:
     def _flag_start(self, state: ModelState) -> IntArray:
         return np.asarray(FLAG_WARMING_UP * (state.steps < self.model.guards.warm_up_steps))
 
-    def _flags(self, state: ModelState, codes: IntArray, clamped: NDArray[np.bool_]) -> IntArray:
+    def _flags(
+        self, state: ModelState, codes: IntArray, span_us: IntArray, clamped: NDArray[np.bool_]
+    ) -> IntArray:
         guards = self.model.guards
         temperature = codes[:, guards.temperature_channel]
         outside = (temperature < guards.temperature_low) | (temperature > guards.temperature_high)
         beyond = np.zeros_like(outside)
         for channel, low, high in guards.ranges:
             beyond |= (codes[:, channel] < low) | (codes[:, channel] > high)
+        change = temperature - state.previous
+        if self.model.variable_step:
+            fast = exceeds_rate(change, guards.rate_max, span_us, self.model.period_us)
+        else:
+            fast = np.abs(change) > guards.rate_max
         return np.asarray(
             self._flag_start(state)
             + FLAG_INPUT_RANGE * beyond
             + FLAG_TEMPERATURE_RANGE * outside
-            + FLAG_RATE_RANGE * (np.abs(temperature - state.previous) > guards.rate_max)
+            + FLAG_RATE_RANGE * fast
             + FLAG_CLAMPED * clamped
         )
 
@@ -238,9 +315,13 @@ class Reference:
         state: ModelState | None = None,
         observe: Observer | None = None,
     ) -> ReferenceTrace:
-        """Run T steps over codes [B, T, C], from `state` or else from `start` at codes[:, 0]."""
+        """Run T steps over codes [B, T, C], from `state` or else from `start` at codes[:, 0].
+
+        With a variable step, its time in microseconds is the last column.
+        """
         batch, steps, _ = codes.shape
-        wide = self.model.convert(np.ascontiguousarray(codes.swapaxes(0, 1)))  # step by step
+        by_step = np.ascontiguousarray(codes.swapaxes(0, 1))
+        wide, times_us = self._split(by_step)
         now = state or self._start(wide[0], settled=settled, elapsed=elapsed)
         layers = [layer for layer in self.model.recurrents if layer.streams]
         hidden = sum(now.nodes[layer.name]["h_q30"].shape[1] for layer in layers)
@@ -248,7 +329,7 @@ class Reference:
         flags = np.empty((steps, batch), dtype=np.uint32)
         states = np.empty((steps, batch, hidden), dtype=np.int32)
         for t in range(steps):
-            now, values, drift[t], flags[t] = self._step(now, wide[t])
+            now, values, drift[t], flags[t] = self._step(now, wide[t], times_us[t])
             if layers:
                 states[t] = np.concatenate([now.nodes[n.name]["h_q30"] for n in layers], axis=1)
             if observe is not None:

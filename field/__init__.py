@@ -1,1 +1,1 @@
-"""Stage of zerodrift: what comes after the flashing - units in use, watched and written down."""
+"""Units in use: monitoring their compensated output, and the registry of units."""

@@ -37,7 +37,7 @@ _PRESSURE = {"Pa": 1.0, "hPa": 100.0, "mbar": 100.0, "kPa": 1000.0}
 
 @dataclass(frozen=True)
 class Kind:
-    """What a neighbour takes."""
+    """The form that a neighbour program takes."""
 
     order: int
     outputs: int
@@ -66,7 +66,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class FullAnswers:
-    """What the full model gives at some steps."""
+    """Answers of the full model at some steps."""
 
     temperature_degC: Array
     """[n] inside the calibrated range, no flag."""
@@ -97,7 +97,7 @@ class Lost:
     """Over a sweep of the calibrated range."""
     worst_range: float
     rms_drift: float
-    """RMS of the full model's drift over the sweep: what there is to lose."""
+    """RMS of the full model's drift over the sweep: the loss of no compensation at all."""
 
 
 def find_factors(kind: str, units: Sequence[str]) -> list[float]:
@@ -151,7 +151,7 @@ def fit_polynomial(
 
 
 def evaluate(kind: str, fitted: Polynomial, temperature_degC: Array) -> Array:
-    """Return what the neighbour takes off [n, K], in its unit, as it computes it."""
+    """Return what the neighbour subtracts [n, K], in its unit, as it computes it."""
     held = np.clip(temperature_degC, fitted.low_degC, fitted.high_degC)
     if kind == CHRONY_POINTS:
         degrees, values = list_points(fitted)

@@ -94,8 +94,8 @@ def fit_noise(
     """Return what the noise of blocks may be, by restricted maximum likelihood.
 
     White and flicker noise; the same with a noise that has a memory; and more flicker noise, as
-    a quiet beginning may hide. A short time does not tell them apart, so what is tested later
-    weighs them.
+    a quiet beginning may hide. A short record does not distinguish them, so the later test weighs
+    them.
 
     Args:
         values: [n] means, in the output's unit.

@@ -6,17 +6,15 @@ stays: a unit's history is a list of events, of which none is changed. Tables an
 """
 
 import hashlib
-import os
-import secrets
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from zerodrift.base.errors import InputError, nearest
-from zerodrift.base.files import REMAINDER, telling_of_writes, write_beside
+from zerodrift.base.files import write_new
 
 FILE_NAME = "registry.sqlite"
 """Beside zerodrift.toml: unlike build/ it cannot be made again."""
@@ -212,7 +210,7 @@ class Registry:
             _add_logs(cursor, serial, "monitor", logs)
 
     def add_finding(self, serial: str, output: str, state: str, told: str) -> None:
-        """Enter what `monitor` said of an output; the same again changes nothing.
+        """Enter what `monitor` found for an output; entering the same again changes nothing.
 
         Raises:
             InputError: there is no such unit.
@@ -314,7 +312,7 @@ def open_registry(path: Path, *, make: bool = False, wait_s: float = WAIT_S) -> 
         wait_s: how long to wait for another writer.
 
     Raises:
-        InputError: it is missing, no registry, of a later version, damaged, or not to be had.
+        InputError: it is missing, no registry, of a later version, damaged, or locked.
     """
     if not make and not path.is_file():
         raise InputError(
@@ -322,7 +320,7 @@ def open_registry(path: Path, *, make: bool = False, wait_s: float = WAIT_S) -> 
             " Make it, or name it by --registry."
         )
     if make:
-        _make(path)
+        write_new(path, _write_empty())
     try:
         connection = sqlite3.connect(path, timeout=wait_s, isolation_level=None)
     except sqlite3.DatabaseError as error:
@@ -332,32 +330,6 @@ def open_registry(path: Path, *, make: bool = False, wait_s: float = WAIT_S) -> 
         yield Registry(path, connection)
     finally:
         connection.close()
-
-
-def _make(path: Path) -> None:
-    """Put an empty registry in its place as a whole, unless a file is there already."""
-    with telling_of_writes(path):
-        if not path.exists():
-            temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}{REMAINDER}")
-            try:
-                write_beside(temporary, _write_empty(), like=path)
-                with suppress(FileExistsError):  # another process may have been first
-                    _put(temporary, path)
-            finally:
-                with suppress(OSError):
-                    temporary.unlink(missing_ok=True)
-        for left in path.parent.glob(f".{path.name}.*{REMAINDER}"):  # of one that was killed
-            left.unlink(missing_ok=True)
-
-
-def _put(temporary: Path, path: Path) -> None:
-    try:
-        os.link(temporary, path)
-    except FileExistsError:
-        raise
-    except OSError:  # a disk without links, or another process has cleaned up
-        if not path.exists():
-            temporary.replace(path)
 
 
 def _write_empty() -> bytes:
@@ -402,7 +374,7 @@ def _refuse_other(path: Path) -> InputError:
 
 
 def _explain(path: Path, error: sqlite3.DatabaseError) -> InputError:
-    """Return one message for what SQLite answers."""
+    """Return one message for an error of SQLite."""
     if "locked" in str(error) or "busy" in str(error):
         return InputError(
             f"{path}: another program holds it ({error}); nothing was written."

@@ -1,4 +1,4 @@
-"""The sequential test: whether what a compensated sensor leaves is still what it left at first.
+"""The sequential test: whether the residual of a compensated sensor is still as at first.
 
 Means over blocks are whitened with the noise that the first days showed (Willsky and Jones, A
 generalized likelihood ratio approach to the detection and estimation of jumps, IEEE Trans. AC 21,
@@ -75,7 +75,7 @@ class BlockMeans:
 
 @dataclass(frozen=True)
 class Learned:
-    """What the first days showed."""
+    """What was learnt from the first days."""
 
     blocks: int
     noises: tuple[BlockNoise, ...]
@@ -136,7 +136,8 @@ class _Ratios:
 
 
 def follow(blocks: BlockMeans, rules: Rules, learned: Learned | None) -> Followed:
-    """Return what all blocks tell: another model first, then, once the noise is known, the rest.
+    """Return the result of all blocks: another model first, then, once the noise is known, the
+    rest.
 
     Args:
         blocks: all since the model, or the block of coefficients, came into use.

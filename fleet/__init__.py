@@ -1,1 +1,1 @@
-"""Stage of zerodrift: hundreds of sensors of one design, each through the whole road."""
+"""Hundreds of sensors of one design, each from its logs to checked firmware."""

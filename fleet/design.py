@@ -1,4 +1,4 @@
-"""What all sensors of a fleet share, and where each one's files lie."""
+"""What all sensors of a fleet share, and the folders of each one's files."""
 
 import hashlib
 import json
@@ -24,7 +24,7 @@ class Design:
     """Whether C is generated and checked."""
     skip_invalid: bool = False
     device: str = "cpu"
-    """What trains the networks."""
+    """Where the networks are trained."""
     force: bool = False
     """Whether a unit's firmware is written although the gate refuses it."""
     uncertainty: bool = True
@@ -69,6 +69,7 @@ class Design:
             [c.network.kind, c.network.hidden, c.network.memory, c.network.seed],
             [dict(c.network.options), list(c.network.lags_s)],
             [c.firmware_prefix, c.firmware_guard, *([True] if c.block.in_block else [])],
+            *([[c.variable_step, c.firmware_tare]] if c.variable_step or c.firmware_tare else []),
         ]
         digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
         for file in c.plugin_files:

@@ -1,4 +1,4 @@
-"""Which units are unlike the others in what their drift is made of."""
+"""Finds the units whose drift has other causes than that of the others."""
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
@@ -49,7 +49,8 @@ def find_differences(
 
     A unit differs by the size of an effect that the design lacks, by one of its values, or by an
     effect of its own: one that its logs alone would name, that `add` would keep there, and that
-    gains far more there than in the others. Where nothing has such a name, its error tells.
+    gains far more there than in the others. Where no effect explains the difference, the unit's
+    error is reported.
 
     Args:
         units: as `pool_units` left them.
@@ -74,7 +75,7 @@ def find_differences(
 def _compare_values(pooled: Pooled, limit: float) -> list[Difference]:
     """Return the units in which a fitted value of the effect is unlike the others'.
 
-    A value at its bound says that this unit does not show it, and is left out.
+    A value at its bound is not determined by this unit, and is left out.
     """
     found: list[Difference] = []
     for name in pooled.parameters:
@@ -155,6 +156,6 @@ def _find_own(
         extended = extend_model(
             model, catalogue, one.effect, unit.last.shown[one.effect].parameters
         )
-        if try_extension(model, extended, unit.dataset, catalogue)[0]:
+        if try_extension(model, (extended,), unit.dataset, catalogue)[0]:
             kept.append(one)
     return kept

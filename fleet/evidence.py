@@ -1,4 +1,4 @@
-"""What the units of one design show together: which effect its model lacks.
+"""Finds the effect that the model of a design lacks, by all of its units together.
 
 A few runs of one unit show little; the units of a design were recorded apart, so each is evidence
 of its own. Every unit is examined as it would be alone, with coefficients and shared values of its
@@ -101,7 +101,7 @@ class Pooled:
 
     kind: str
     p_value: float
-    """How often signs by chance rank some effect as high."""
+    """How often random signs rank some effect as high."""
     gains: Array
     """[U] noise units; 0 where a unit cannot test it."""
     ratio: float
@@ -219,7 +219,7 @@ def pool_units(
         units: from `look_at_unit`.
         catalogue: the known effects.
         effects: the design's `[[effect]]` tables.
-        say: is told what is being done.
+        say: called with a description of each stage of the work.
     """
     missing: list[Pooled] = []
     first = pooled = pool(units)
@@ -292,7 +292,7 @@ def _are_at_floor(units: Sequence[ExaminedUnit]) -> bool:
 
 
 def _is_explained(units: Sequence[ExaminedUnit], missing: Sequence[Pooled]) -> bool:
-    """Return whether what was found explains enough of the excess, in the median unit."""
+    """Return whether the effects found explain enough of the excess error, in the median unit."""
     shares = [share_explained(u.first.fitted_ratio**2, u.last.fitted_ratio**2) for u in units]
     if all(unit.dataset.dwell for unit in units):
         return float(np.median(shares)) >= EXPLAINED

@@ -1,4 +1,4 @@
-"""What `diagnose` prints of a fleet."""
+"""The result of `diagnose` for a fleet."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

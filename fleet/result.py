@@ -1,4 +1,4 @@
-"""What is known about one sensor of a fleet, and the file that keeps it."""
+"""The result of one sensor of a fleet, and the file that keeps it."""
 
 import hashlib
 import math
@@ -35,7 +35,7 @@ class OutputResult:
 
     @property
     def judged(self) -> float:
-        """The error that limits are held against: the firmware's where there is one."""
+        """The error that limits apply to: the firmware's where there is one."""
         return self.rmse if self.rmse_integer is None else self.rmse_integer
 
     @property
@@ -79,9 +79,9 @@ class SensorResult:
     """Steps at which the C was equal to the reference; 0 without firmware."""
     model_hash: str = ""
     refused: tuple[str, ...] = ()
-    """Why the gate did not let the firmware be written, or would not have."""
+    """Why the gate refused the firmware; also where it was forced."""
     forced: bool = False
-    """Whether it was written all the same."""
+    """Whether it was written nevertheless."""
     warnings: tuple[str, ...] = ()
     """What else the gate says: runs beyond the calibrated ranges, what was not judged."""
     files: Mapping[str, str] = field(default_factory=dict)
@@ -90,7 +90,7 @@ class SensorResult:
 
 @dataclass(frozen=True)
 class SensorOutcome:
-    """What became of one sensor."""
+    """The result of one sensor, or why there is none."""
 
     sensor: str
     result: SensorResult | None

@@ -40,7 +40,7 @@ def run_fleet(
     fresh: bool = False,
     report: Callable[[FleetProgress], None] = lambda _: None,
 ) -> tuple[SensorOutcome, ...]:
-    """Return what became of every sensor, sorted by name.
+    """Return the outcome of every sensor, sorted by name.
 
     Args:
         design: what they share.
@@ -48,11 +48,11 @@ def run_fleet(
         jobs: processes that want work at the same time.
         batch: sensors in a batch; by default as many as are worth it.
         fresh: compute anew what is kept.
-        report: is told whenever a batch is done.
+        report: called whenever a batch is done.
 
     Raises:
-        InputError: nothing says where the sensors are.
-        CheckError: the executor went away; what was done is kept.
+        InputError: zerodrift.toml does not say where the sensors are.
+        CheckError: the executor was lost; finished results are kept.
     """
     sensors = find_sensors(design.config)
     refuse_equal_prefixes(design, sensors)
@@ -83,7 +83,7 @@ def run_fleet(
 
 
 def refuse_equal_prefixes(design: Design, sensors: Sequence[str]) -> None:
-    """Refuse prefixes that are to tell sensors apart and do not.
+    """Refuse prefixes that are equal for two sensors.
 
     Raises:
         InputError: two sensors' C would have the same names.

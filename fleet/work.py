@@ -1,4 +1,5 @@
-"""A few sensors from logs to checked C, in one process; what goes wrong with one stays with it."""
+"""A few sensors from logs to checked C, in one process; a failure of one does not stop the
+others."""
 
 import json
 import tempfile
@@ -36,10 +37,10 @@ from zerodrift.fleet.summary import EffectValues, SensorConfiguration
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.compensator import Compensator
+from zerodrift.train.refits import Original
 from zerodrift.train.scores import Trained
 from zerodrift.train.tasks import Handling
 from zerodrift.train.training import train_together
-from zerodrift.train.understudies import Original
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.chip_error import ChipReplay
 from zerodrift.verify.firmware import certify_checked, list_sequences
@@ -106,13 +107,13 @@ class _Batch:
 
 
 def explain_unforeseen(error: Exception) -> str:
-    """Return what to tell of an error that is none of zerodrift's own."""
+    """Return the message for an error that is none of zerodrift's own."""
     told = explain_refusal(error) if isinstance(error, OSError) else None
     return told or f"unforeseen {type(error).__name__}: {error}. Please report it."
 
 
 def work_on(design: Design, sensors: Sequence[str]) -> list[SensorOutcome]:
-    """Return what became of these sensors; each one's files are written when it is complete.
+    """Return the outcomes of these sensors; each one's files are written when it is complete.
 
     Args:
         design: what they share.

@@ -1,5 +1,5 @@
-"""What a compensator is made of: one folder per operation, with all of its meanings.
+"""The operations of a compensator: one folder per operation, with all of its forms.
 
-A folder holds the operation's float, integer, range, error, ONNX and C meaning; `registry` finds
-it, and everything else loops over that. The modules beside the folders are what they share.
+A folder has the operation's float, integer, range, error, ONNX and C form; `registry` finds it, and
+all other code loops over the registry. The modules beside the folders are shared by them.
 """

@@ -1,7 +1,7 @@
-"""What an effect is written against: one set of operations, computed at once or recorded.
+"""The operations that an effect is written with, either computed at once or recorded as nodes.
 
-`NumpyOperations` gives arrays; `GraphOperations` gives nodes that the exporter turns into integers
-and C. An effect's definition cannot tell the two apart.
+`NumpyOperations` returns arrays; `GraphOperations` returns nodes that the exporter turns into
+integers and C. An effect's definition is the same for both.
 """
 
 from abc import ABC, abstractmethod
@@ -37,7 +37,7 @@ class Operations(ABC, Generic[S]):
 
     @abstractmethod
     def apply(self, operation: Operation, arguments: tuple[object, ...]) -> S:
-        """Return what an operation makes of signals and, after them, constants."""
+        """Return the result of an operation on signals and, after them, constants."""
 
     def __getattr__(self, name: str) -> Callable[..., S]:
         if name not in OPERATIONS:

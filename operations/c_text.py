@@ -1,4 +1,4 @@
-"""What the C of every operation is made of: fields of the state, tables, numbers as text."""
+"""Parts of the C of every operation: fields of the state, tables, numbers as text."""
 
 import zlib
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 class FieldNumber(int):
     """A number that the C reads from the unit's block: there it is the field's name.
 
-    Its value is only what templates ask before they write a number at all, such as whether it is 0.
+    Its value is used only where templates test a number, such as for 0, before they write it.
     """
 
     text: str
@@ -71,7 +71,7 @@ def list_ring(node: str, name: str, bits: int, sizes: tuple[int, ...]) -> tuple[
 
 @dataclass(frozen=True, order=True)
 class RuntimePart:
-    """A header of the runtime, and its function that tells whether its table is whole."""
+    """A header of the runtime, and its function that checks its table."""
 
     header: str
     is_sound: str
@@ -79,7 +79,7 @@ class RuntimePart:
 
 @dataclass(frozen=True)
 class CTable:
-    """A constant array of the generated C, as the self-test finds it there."""
+    """A constant array of the generated C, as the self-test reads it."""
 
     name: str
     type: str

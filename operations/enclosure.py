@@ -1,7 +1,7 @@
-"""Rational numbers on either side of exponentials, logarithms and powers, for proofs.
+"""Rational lower and upper bounds of exponentials, logarithms and powers, for proofs.
 
-Everything is integers of 2**-BITS, rounded down on the one side and up on the other; the rest of a
-series is bounded by a geometric one. Nothing here is a float's approximation.
+Everything is integers of 2**-BITS, rounded down on the one side and up on the other; the remainder
+of a series is bounded by a geometric one. No floating point is used.
 """
 
 from fractions import Fraction
@@ -41,7 +41,7 @@ def _exp_small(y: int) -> tuple[int, int]:
     """Return bounds of exp(y / ONE) in units of 1 / ONE, for |y| <= ONE >> 8."""
     total, term = ONE, ONE
     for k in range(1, TERMS):
-        term = term * y // (ONE * k)  # off by less than 2 with what the term before was off by
+        term = term * y // (ONE * k)  # less than 2 off, the error of the term before included
         total += term
     slack = 2 * TERMS + 1
     return total - slack, total + slack

@@ -1,8 +1,8 @@
-"""How far integers can be from real arithmetic: errors by cause, and what every error rule shares.
+"""Bounds on the error of integer against real arithmetic, by cause; shared by every error rule.
 
-A signal's integer q stands for the number q scale + offset. A rule bounds how far that can be from
-what exact arithmetic gives with the parameters as they were before rounding. All numbers are
-fractions; what cannot be exact is rounded up.
+A signal's integer q represents the number q scale + offset. A rule bounds its distance from the
+result of exact arithmetic with the unrounded parameters. All numbers are fractions; what cannot be
+exact is rounded up.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Integer nodes with formats that fit by proof: what an operation adds its own nodes to."""
+"""Collects integer nodes whose formats are proven to fit; operations add their nodes to it."""
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
@@ -28,12 +28,14 @@ MOST_EXTRA_BITS = 16
 ROW_ERROR = 2.0**-4
 """Rounded coefficients may put a sum wrong by this many counts at most, as far as bits allow."""
 COEFFICIENT_LIMIT = 2**30
+LOWPASS_FRACTION = 24
+"""Extra fractional bits of a low-pass's state, against stalling (see `IntegerLowpass`)."""
 SUM_LIMIT = 2**61
 """64-bit sums stay below this, halves and biases included."""
 
 
 def _describe(node: IntegerNode) -> Hashable:
-    """Return all of a node but its name, or None where nodes are never equal."""
+    """Return a node's fields except its name, or None where nodes are never equal."""
     key = (node.kind, *(item for item in node.attributes().items() if item[0] != "name"))
     try:
         hash(key)
@@ -48,10 +50,12 @@ class FormattedNodes:
 
     Args:
         sample_period_s: the firmware's step.
+        variable_step: whether each step is given its duration.
         ranges: lowest and highest value of float nodes over calibration, as far as known.
     """
 
     sample_period_s: float
+    variable_step: bool = False
     ranges: Mapping[Node, tuple[float, float]] = field(default_factory=dict)
     nodes: list[IntegerNode] = field(default_factory=list)
     intervals: dict[str, list[Interval]] = field(default_factory=dict)
@@ -62,6 +66,12 @@ class FormattedNodes:
         key = _describe(node)
         if key in self._equal:
             return self._equal[key]
+        if self.variable_step and node.needs_equal_steps:
+            raise CheckError(
+                f"operation '{node.name}' ({node.kind}) carries from sample to sample what stands"
+                " for steps of one length; a variable step has none. Use [network] kind ="
+                ' "lag_bank" or "none", or state sample_period_s as a number.'
+            )
         interval, _ = node.prove([self.intervals[name] for name in node.inputs])
         self.nodes.append(node)
         self.intervals[node.name] = interval

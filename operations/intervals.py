@@ -52,7 +52,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Bound:
-    """One line of the certificate: a place in the arithmetic, what it reaches, what it holds."""
+    """One line of the certificate: a place in the arithmetic, its interval, and its width."""
 
     where: str
     interval: Interval
@@ -77,7 +77,7 @@ class Bound:
 
 @dataclass(frozen=True)
 class Shift:
-    """A right shift: where, by how many bits, and by how many it may be at most."""
+    """A right shift: where, by how many bits, and the largest number of bits allowed."""
 
     where: str
     amount: int

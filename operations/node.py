@@ -20,6 +20,8 @@ CODES = "codes"
 """The values under this name are the raw input codes [B, C]."""
 PREVIOUS_DRIFT = "previous drift"
 """The values under this name are the drifts [B, K] that the step before gave."""
+ELAPSED = "elapsed"
+"""The values under this name are the microseconds [B] since the last step, where it is told."""
 State = dict[str, IntArray]
 """What a node carries from one step to the next, by field name; arrays lead with the batch."""
 Writer: TypeAlias = "OnnxWriter"
@@ -34,8 +36,8 @@ OnnxStep = tuple[dict[str, str], str]
 class IntegerNode:
     """One operation of the integer compensator.
 
-    A signal is an integer q with a real value q * 2**exponent in its physical unit; the exponent is
-    for people and for the quantizer, the arithmetic needs only integers.
+    A signal is an integer q with the physical value q * scale + offset (`signals.Signal`); scale
+    and offset serve the quantizer and messages, the arithmetic needs only integers.
     """
 
     kind: ClassVar[str]
@@ -66,6 +68,16 @@ class IntegerNode:
     def at_rest(self, state: State, values: Values) -> IntArray:
         """Return the output under a state that is settled: what other nodes settle under."""
         return self.step(state, values)[1]
+
+    @property
+    def needs_equal_steps(self) -> bool:
+        """Whether the state is valid only if all steps have the same length."""
+        return False
+
+    @property
+    def needs_variable_step(self) -> bool:
+        """Whether the step takes the time since the last one."""
+        return False
 
     @property
     def reads_drift(self) -> bool:
@@ -112,7 +124,7 @@ class IntegerNode:
             inputs: what is known of the signals that `real` reads, with their errors.
 
         Raises:
-            NoRuleError: there is no rule for this; nothing is told of a model with this node.
+            NoRuleError: there is no rule for this; a model with this node has no proven bound.
         """
         raise NoRuleError(f"'{self.kind}' has no error rule")
 

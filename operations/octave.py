@@ -1,4 +1,4 @@
-"""How far a polynomial in fixed point can be from the function that it stands for."""
+"""Bounds on the error of a polynomial in fixed point against the function it approximates."""
 
 from collections.abc import Callable, Sequence
 from fractions import Fraction

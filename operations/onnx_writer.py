@@ -47,7 +47,7 @@ class OnnxWriter:
 
     @contextmanager
     def label(self, label: str) -> Iterator[None]:
-        """Give everything written inside a name that starts with `label`."""
+        """Within this context, names start with `label`."""
         before, self._label = self._label, label
         yield
         self._label = before
@@ -82,7 +82,7 @@ class OnnxWriter:
         return names
 
     def rename(self, value: str, name: str) -> None:
-        """Give a value a second, chosen name."""
+        """Give a value an additional, chosen name."""
         self._nodes[-1].append(helper.make_node("Identity", [value], [name], name=f"{name}/name"))
 
     @property

@@ -13,6 +13,8 @@ from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, State, Values, Writer
 from zerodrift.operations.signals import Real
 
+NO_RULE = "a recurrent layer of this kind carries errors on, and no contraction is shown"
+
 
 @dataclass(frozen=True)
 class IntegerRecurrent(IntegerNode):
@@ -20,6 +22,11 @@ class IntegerRecurrent(IntegerNode):
 
     The output is the topmost layer's state in Q1.30, which is the field "h_q30" of what is carried.
     """
+
+    @property
+    def needs_equal_steps(self) -> bool:
+        """Whether the state is valid only if all steps have the same length."""
+        return True
 
     @property
     def streams(self) -> bool:
@@ -31,8 +38,20 @@ class IntegerRecurrent(IntegerNode):
         raise NotImplementedError
 
     def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
-        """Raise: no contraction is shown, without which errors may grow from step to step."""
-        raise NoRuleError("a recurrent layer carries errors on, and no contraction is shown")
+        """Raise: a state's error is bounded with those of all others, by `bound_states`."""
+        raise NoRuleError(NO_RULE)
+
+    def bound_states(self, rows: Sequence[Real], inputs: Sequence[Known]) -> list[Error]:
+        """Return the error of every unit of the topmost state, whatever the number of steps.
+
+        Args:
+            rows: what each of them stands for.
+            inputs: what is known of the features.
+
+        Raises:
+            NoRuleError: no contraction is shown, without which errors may grow from step to step.
+        """
+        raise NoRuleError(NO_RULE)
 
     def at_rest(self, state: State, values: Values) -> IntArray:
         """Return the topmost output as it stands in a carried state, which is last there."""
@@ -78,7 +97,7 @@ def prove_layers(
         layers: from the bottom up.
         below: of the features, int16.
         windowed: the features of a window are taken to be any int16, so that the proof does not
-            rest on what is stored in it.
+            depend on the stored values.
 
     Raises:
         CheckError: a layer does not read as many values as the one below gives, or is not safe.

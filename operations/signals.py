@@ -1,4 +1,4 @@
-"""Integers with a meaning: what a signal stands for, in counts and in real arithmetic."""
+"""The meaning of a signal's integers, in its unit and in real arithmetic."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +17,7 @@ class Signal:
     index: int = 0
     """Of the integer, where the node gives several."""
     real: "Real | None" = field(default=None, compare=False, repr=False)
-    """What it stands for; see `meaning`."""
+    """Its value in real arithmetic; see `meaning`."""
 
     def standing_for(
         self, operation: str, inputs: Sequence["Signal"] = (), *numbers: float
@@ -28,18 +28,21 @@ class Signal:
 
     @property
     def meaning(self) -> "Real | None":
-        """What the signal stands for; None where nobody said, or it was said of another format."""
+        """The signal in real arithmetic; None where not stated, or stated for another format."""
         place = (self.node, self.index, self.scale, self.offset)
         return self.real if self.real is not None and self.real.place == place else None
 
 
 @dataclass(frozen=True, eq=False)
 class Real:
-    """What a signal stands for in real arithmetic: an operation on others, with unrounded numbers.
+    """A signal in real arithmetic: an operation on other signals, with unrounded numbers.
 
     The error rules (`bound_error`) are about this. `operation` is that of the float graph, or one
     of "same" (its input in another format), "linear" (a sum with a gain for each input, limited
-    where the chip's is), "dense_tanh" and "dense_clip" (low, high, bias, weights), and "gru".
+    where the chip's is), "dense_tanh" and "dense_clip" (low, high, bias, weights), and "gru_after"
+    and "gru_before": a unit of a GRU over the features, with its biases r, u, n, n inside the reset
+    product, its weights of the features for r, u, n and those of the state; the other units are
+    those of the same node.
     """
 
     operation: str

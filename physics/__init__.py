@@ -1,1 +1,1 @@
-"""Stage of zerodrift."""
+"""The physical model: effects, their catalogue, and the fit of their parameters to logs."""

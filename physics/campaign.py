@@ -1,8 +1,8 @@
-"""Runs made ready for having columns built for them again and again, reduced to octaves.
+"""Training runs prepared so that columns can be built for them many times, reduced to octaves.
 
 Signals are averaged over blocks of samples, see `rates`; the blocks of each run are taken apart
-into octaves, see `octaves`; deviations within blocks are kept for every few blocks, so that nothing
-fast is lost from sight. What is left to do then is small algebra on sums of products.
+into octaves, see `octaves`; deviations within blocks are kept for every few blocks, so that fast
+parts are kept. All that follows is small algebra on sums of products.
 """
 
 from collections import OrderedDict
@@ -50,9 +50,9 @@ class Sums:
     products: Array
     """[G, L, C, C]."""
     counts: Array
-    """[G, L] free coefficients behind each."""
+    """[G, L] number of free coefficients behind each sum."""
     features: tuple[Feature[Node], ...] | tuple[Feature[Array], ...]
-    """Of the graph, or of the arrays that were summed; the algebra asks for their number alone."""
+    """Of the graph, or of the arrays that were summed; the algebra uses only their number."""
     slopes: tuple[tuple[int, int], ...]
     """(coordinate, feature) of each slope column."""
     offsets: int
@@ -116,6 +116,11 @@ class Campaign:
         self._drifts = [self._reduce_drift(k, None) for k in range(len(plan.outputs))]
         self._offsets = self._make_offsets()
 
+    def average_runs(self, values: Array) -> Array:
+        """Return the means [R, K] over each run's pieces of values [G, K]."""
+        shape = (len(self.groups), self.pieces_per_run, values.shape[1])
+        return np.asarray(values.reshape(shape).mean(axis=1))
+
     @property
     def block(self) -> int:
         """Samples in a block."""
@@ -152,7 +157,7 @@ class Campaign:
         """Return the features of the terms as nodes, without the constant.
 
         Raises:
-            InputError: an effect fails, or gives something else than nodes.
+            InputError: an effect fails, or returns something other than nodes.
         """
         features = build_features(self.ops, self._signals, terms, self.order)
         for feature in features:
@@ -168,7 +173,7 @@ class Campaign:
 
         Args:
             node: what to compute.
-            label: whose it is, for messages.
+            label: the column's name, for messages.
 
         Raises:
             InputError: it is NaN or infinite somewhere.
@@ -177,7 +182,7 @@ class Campaign:
         if key in self._cache:
             self._cache.move_to_end(key)
             return self._cache[key]
-        # What overflows or is undefined is refused below, with a name.
+        # Values that overflow or are undefined are refused below, with a name.
         with np.errstate(over="ignore", invalid="ignore"):
             column = self.rates.compute(node)
         if not np.isfinite(column.octaves).all():
@@ -237,10 +242,10 @@ class Campaign:
         return np.asarray(column.octaves[rows] * octaves.left[rows] / np.sqrt(self.block))
 
     def fill(self, terms: Sequence[Term], coefficients: Array) -> None:
-        """Fill samples at a converter's rail anew, by what a fitted model says of them.
+        """Fill samples at a converter's rail again, with the prediction of a fitted model.
 
-        A straight line across many of them misses the bend of a fast ramp; what the model leaves
-        is straight enough.
+        A straight line across many of them misses the curvature of a fast ramp; the residual of the
+        model is straight enough.
 
         Args:
             terms: the fitted model.

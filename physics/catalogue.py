@@ -1,4 +1,4 @@
-"""The effects that are known: built-ins, entry points, a user's files; all registered alike."""
+"""The known effects: built-ins, entry points, a user's files; all registered in the same way."""
 
 import importlib.machinery
 import importlib.util
@@ -32,7 +32,7 @@ def load_catalogue(plugin_files: Iterable[Path] = ()) -> Catalogue:
         if not any(effect.file == where for effect in registered.values()):
             with declare(where, registered):
                 entry_point.load()
-    # A project's own effects are its own: another project may use the same names.
+    # A project's own effects are not shared: another project may use the same names.
     effects = dict(registered)
     for path in plugin_files:
         _load_file(path, effects)

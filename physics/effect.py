@@ -50,6 +50,9 @@ class Parameter:
     but any value of it is as credible as any other."""
     when: Values = field(default_factory=dict)
     """The choices under which this parameter exists at all."""
+    slack_in: str = ""
+    """The signal that this is the half-width of a play of, `load` or `temperature`: a narrower one
+    than the signal's noise smooths, and shows no hysteresis."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class Feature(Generic[S]):
 
 @dataclass(frozen=True)
 class Signals(Generic[S]):
-    """What an effect may see: all of it is there on the chip."""
+    """The signals that an effect may read, each [n]; all of them exist on the chip."""
 
     temperature_degC: S
     """The thermometer chosen by the effect's `signal`, after lag and hysteresis of the element."""
@@ -93,7 +96,7 @@ class Signals(Generic[S]):
 
 
 class Build(Protocol):
-    """An effect's features, in whatever the operations calculate with."""
+    """An effect's features, in the type that the operations calculate with."""
 
     def __call__(
         self, ops: Operations[S], signals: Signals[S], p: Values, /
@@ -103,7 +106,7 @@ class Build(Protocol):
 
 
 class Rewrite(Protocol):
-    """What an effect makes of the signals, in whatever the operations calculate with."""
+    """An effect's change of the signals, in the type that the operations calculate with."""
 
     def __call__(self, ops: Operations[S], signals: Signals[S], p: Values, /) -> Signals[S]:
         """Return the signals that all effects see from now on."""
@@ -138,7 +141,7 @@ class Effect:
     tidy: Callable[[Values], Values] | None = None
     """values -> equal values as people write them, such as the slower time constant last."""
     sets_aside: bool = False
-    """Whether samples at a converter's rail are set aside: they say nothing about the drift."""
+    """Whether samples at a converter's rail are set aside, since they do not show the drift."""
     parameters: tuple[Parameter, ...] = ()
     needs: tuple[str, ...] = ()
     """temperature, load, saturated, elapsed, clock or inputs' names; `a|b` asks for one of them."""
@@ -155,8 +158,8 @@ class Effect:
     variants: tuple[Values, ...] = ({},)
     """Choices that the diagnosis tries, simplest first; the first one is the default."""
     upgrades: tuple[Values, ...] = ()
-    """Richer choices that are tried once the effect is in the model: beside its simple form their
-    values are shown by little, and few runs tempt to take them for it."""
+    """Richer choices, tried only once the effect is in the model: on few runs they might be taken
+    for the effect itself."""
     file: str = ""
     """The user's file it was declared in; empty for a built-in."""
 

@@ -1,4 +1,4 @@
-"""Effects on what the sensing element feels: clock skew, thermal lag, thermal hysteresis.
+"""Effects on the temperature of the sensing element: clock skew, thermal lag, hysteresis.
 
 They rewrite the temperature that every temperature-driven effect sees, in this order.
 """
@@ -18,7 +18,7 @@ def rewrite_clock_delay(ops: Operations[S], signals: Signals[S], p: Values) -> S
         shifted = ops.delay(temperature, p["delay_s"])
     else:
         window_s = 5.0 * ops.sample_period_s
-        # Ahead of time there is only the slope: of the last five samples, for the sake of noise.
+        # Ahead of time only the slope is known: that of the last five samples, to reduce noise.
         rise = ops.difference(temperature, ops.delay(temperature, window_s))
         shifted = ops.total(temperature, ops.affine(rise, -p["delay_s"] / window_s, 0.0))
     return replace(signals, temperature_degC=shifted)
@@ -214,6 +214,7 @@ register(
                 40.0,
                 (0.2, 10.0),
                 meaning="half-width of the play",
+                slack_in="temperature",
             ),
         ),
         needs=("temperature",),

@@ -64,9 +64,9 @@ register(
 
 
 def build_humidity(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
-    """Return the relative humidity filtered by tau, or how far it is ahead of that.
+    """Return the relative humidity filtered by tau, or its distance from that.
 
-    Where asked the moisture's part of the span stands beside it.
+    On request with the effect of moisture on the span.
     """
     humidity = signals.channels["humidity"]
     wet = ops.lowpass(humidity, p["tau_s"])

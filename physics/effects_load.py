@@ -85,9 +85,9 @@ register(
 def build_creep(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
     """Return the load filtered by tau, and by a second, slower one where asked.
 
-    A logarithmic creep is the mean of lowpasses a factor of 4 apart. A rate that follows the
-    temperature is told by its first order: with a rate 1 + b (T - T0), the creep is x + b x1, and
-    x1 is the lowpass of (T - T0)(load - x).
+    A logarithmic creep is the mean of lowpasses a factor of 4 apart. A rate that depends on the
+    temperature is taken to first order: with a rate 1 + b (T - T0), the creep is x + b x1, and x1
+    is the lowpass of (T - T0)(load - x).
     """
     if p["logarithmic"]:
         return of_each_load(
@@ -247,6 +247,7 @@ register(
                 50.0,
                 (0.3, 15.0),
                 meaning="half-width of the play",
+                slack_in="load",
             ),
         ),
         needs=("load",),

@@ -93,10 +93,10 @@ register(
 def build_thermal_gradient(
     ops: Operations[S], signals: Signals[S], p: Values
 ) -> Sequence[Feature[S]]:
-    """Return dT/dt, smoothed over `smoothing_s` without coming late: 2 s - LP(s).
+    """Return dT/dt in K/s, smoothed over `smoothing_s` without delay to first order: 2 s - LP(s).
 
-    s = (T - LP(T)) / smoothing follows the slope late by the smoothing; its own lag, taken away
-    once more, makes up for that to first order.
+    s = (T - LP(T)) / smoothing_s is the slope with a lag of `smoothing_s`; adding s - LP(s)
+    corrects that lag to first order.
     """
     temperature = signals.temperature_degC
     smooth_s = max(p["smoothing_s"], ops.sample_period_s)

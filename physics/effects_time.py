@@ -102,7 +102,7 @@ register(
 
 
 def build_ageing(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:
-    """Return t, or t^p for `power_law` = 1, in days; that of the span beside it where asked."""
+    """Return t, or t^p for `power_law` = 1, with t in days; on request also that of the span."""
     age, name, unit = ops.affine(signals.clock_s, 1.0 / DAY_S, 0.0), "age", "day"
     if p["power_law"]:
         age, name, unit = ops.power(age, p["exponent"]), "age^p", "day^p"

@@ -1,4 +1,5 @@
-"""Fit of a physical model to runs: values, coefficients, their errors, and what cannot be told."""
+"""Fits a physical model to runs: parameters, coefficients, their errors, and what is
+undetermined."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -225,9 +226,9 @@ def estimate_errors(
 ) -> tuple[Array, Array]:
     """Return the standard errors of the coordinates [P] and of the coefficients [J, K].
 
-    Residuals are correlated in time, so their variance is taken octave by octave, as it is left by
-    the fit, and carried through the least-squares solution (the sandwich estimator); with eight
-    runs or more also run by run (clusters), and the larger of the two holds.
+    Residuals are correlated in time, so their variance is taken octave by octave and carried
+    through the least-squares solution (the sandwich estimator); with eight runs or more also run by
+    run (clusters), and the larger of the two holds.
 
     Source: White, Econometrica 48 (1980); Cameron and Miller, J. Human Resources 50 (2015).
     """
@@ -279,7 +280,7 @@ def estimate_errors(
     variance = np.diag(inverse @ by_octave @ inverse)
     if clustered:
         variance = np.maximum(variance, np.sum((by_run @ inverse) ** 2, axis=0))
-    # Where nothing bends, the value is anywhere in its range.
+    # Without curvature the value may be anywhere in its range.
     told = np.diag(curvature) > 0.0
     return np.where(told, np.sqrt(np.maximum(variance, 0.0)), UNTOLD), errors
 
@@ -289,8 +290,8 @@ def _attach_errors(
 ) -> tuple[FittedTerm, ...]:
     """Return the terms with errors and intervals in the parameters' own units.
 
-    A scatter that was read from few runs is itself uncertain: Student's t with a degree of freedom
-    for each run but one.
+    A scatter from few runs is itself uncertain, so Student's t is used, with one degree of freedom
+    less than there are runs.
     """
     quantile = float(student.ppf(0.975, runs - 1)) if runs >= CLUSTERS else 1.96
     u = get_coordinates(terms, coordinates)
@@ -303,7 +304,7 @@ def _attach_errors(
             name = coordinate.parameter.name
             std_errors[name] = float(abs(coordinate.slope(position)) * error)
             low, high = coordinate.bounds
-            # Beyond ten times its range an interval says no more than that.
+            # An interval is cut at ten times the range.
             reach = min(quantile * error, UNTOLD * (high - low))
             intervals[name] = (
                 coordinate.decode(position - reach),

@@ -1,4 +1,4 @@
-"""Outputs that say nothing: those whose reading never moves, or whose drift never does."""
+"""Outputs without information: those whose reading or drift never moves."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,8 +28,8 @@ def _moves(x: NDArray[np.float64], scale: NDArray[np.float64] | None = None) -> 
 def leave_out_still(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     """Return the data without outputs that never move, and a note for each change.
 
-    The dwell is left out too where an output that moves in the runs stands still in it: it then
-    tells no noise.
+    The dwell is left out too where an output that moves in the runs is constant in it: it then does
+    not show the noise.
 
     Raises:
         InputError: no output moves at all.

@@ -27,7 +27,7 @@ class FittedTerm:
     std_errors: Mapping[str, float] = field(default_factory=dict)
     """For fitted parameters only, in the parameter's unit; held ones have none."""
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """95 % interval of each fitted parameter."""
+    """95 % interval of each fitted parameter, in the parameter's unit."""
     at_bound: tuple[str, ...] = ()
     """Parameters that the fit pushed against their bounds: not to be trusted."""
 
@@ -64,7 +64,7 @@ class PhysicalModel:
     tared: bool
     """Whether each run has an offset of its own."""
     notes: tuple[str, ...] = ()
-    """What the fit has to say: parameters at bounds, terms that cannot be told apart."""
+    """Notes of the fit: parameters at bounds, terms that cannot be distinguished."""
     order: tuple[str, ...] = ()
     """The catalogue's order, in which rewriting effects act."""
 
@@ -86,7 +86,7 @@ class PhysicalModel:
     def features(self, run: Run) -> Array:
         """Return the features [n, J] of one stretch, the constant first.
 
-        What has a memory remembers the stretches before it; see `Run.at_rest`.
+        Effects with memory continue from the stretches before it; see `Run.at_rest`.
         """
         terms = [fitted.term for fitted in self.terms]
         (columns,) = build_stretches([run], self.plan, terms, self.order)
@@ -97,7 +97,7 @@ class PhysicalModel:
         return np.asarray(self.features(run) @ self.coefficients)
 
     def predict_all(self, runs: Sequence[Run]) -> list[Array]:
-        """Return `predict` of every run [n, K], each chain of stretches gone through once."""
+        """Return `predict` [n, K] of every run; each chain of stretches is computed once."""
         terms = [fitted.term for fitted in self.terms]
         return [
             np.stack([column.signal for column in columns], axis=1) @ self.coefficients
@@ -106,14 +106,14 @@ class PhysicalModel:
 
     @property
     def set_aside(self) -> tuple[str, ...]:
-        """Outputs whose samples at a converter's rail say nothing, as some effect knows."""
+        """Outputs whose samples at a converter's rail do not count, by an effect of the model."""
         knows = any(fitted.term.effect.sets_aside for fitted in self.terms)
         return self.plan.saturated if knows else ()
 
     def find_usable(self, run: Run) -> NDArray[np.bool_]:
-        """Return [n, K] which samples say something about the drift.
+        """Return [n, K] which samples show the drift.
 
-        All of them do unless the model knows of a converter's rails (adc_saturation).
+        All of them do unless the model has an effect for a converter's rails (adc_saturation).
         """
         usable = np.ones(run.measured.shape, dtype=bool)
         if self.set_aside:
@@ -122,7 +122,7 @@ class PhysicalModel:
         return usable
 
     def fill_rails(self, run: Run) -> Array:
-        """Return the drift [n, K], samples that are not usable filled by what the model says."""
+        """Return the drift [n, K], with samples that are not usable replaced by the prediction."""
         usable = self.find_usable(run)
         drift = run.steady_drift
         if usable.all():

@@ -1,4 +1,4 @@
-"""Haar octaves: a run cut in halves again and again, so that slow and fast are told apart.
+"""Haar octaves: a run is cut in halves repeatedly, which separates slow from fast parts.
 
 Each coefficient is the scaled difference between the means of two neighbouring pieces of a run. The
 coefficients of one run are an orthonormal change of basis: squared errors add up to the same

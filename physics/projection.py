@@ -139,7 +139,7 @@ def solve(sums: Sums, total: Array, shift: Array | None = None) -> Solution:
 
 
 def _lay_out(sums: Sums, shift: Array | None) -> tuple[Array, Array, Array]:
-    """Return the moved features and offsets as columns, the drifts, and who sees which.
+    """Return the moved features and offsets as columns, the drifts, and the mask of outputs.
 
     The basis is [..., 1, C, J + O], the drifts [K, C], the mask [K, J + O] in zeros and ones.
     """

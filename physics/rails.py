@@ -26,10 +26,10 @@ def find_rails(measured: Array, reference: Array) -> Array:
         measured: [n] one output of one run.
         reference: [n] its true load.
 
-    Limits: noise makes a value that is not clipped repeat its very extreme hardly ever. In a log
-    of few distinct values every value lasts, and the extreme must last much longer to count.
-    Where no load moves, a drift may rest at the end of its range; there the extreme must be met
-    much more often than the values next to it, which noise would spread it over.
+    Limits: with noise, a value that is not clipped hardly ever repeats its exact extreme. In a log
+        of few distinct values every value lasts, and the extreme must last much longer to count.
+        Where no load moves, the drift may stay at the end of its range; there the extreme must
+        occur much more often than the neighbouring values, over which noise would spread it.
     """
     flags = np.zeros(measured.size)
     spread = float(np.ptp(measured))
@@ -66,7 +66,7 @@ def find_rails(measured: Array, reference: Array) -> Array:
 
 
 def bridge(x: Array, flags: Array) -> Array:
-    """Return x with straight lines across the flagged samples, so that these weigh nothing.
+    """Return x with straight lines across the flagged samples, so that these have no weight.
 
     Args:
         x: [n].

@@ -1,8 +1,8 @@
-"""At which rate a signal is computed: on block means where it is slow, else on all samples.
+"""Chooses the rate at which a signal is computed: block means where it is slow, else all samples.
 
-Temperature moves over minutes, logs come at up to hundreds of hertz. What depends on signals that
-are as good as straight lines within a block is computed on block means, stretch by stretch; what
-depends on a fast signal is computed on all samples and averaged then.
+Temperature moves over minutes, logs have up to hundreds of samples per second. Columns of signals
+that are nearly straight within a block are computed on block means, stretch by stretch; columns of
+a fast signal are computed on all samples and then averaged.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -56,7 +56,8 @@ class Rates:
 
     @contextmanager
     def search_roughly(self) -> Iterator[None]:
-        """Within this context, block means stand for all that is nearly straight within blocks."""
+        """Within this context, block means replace all signals that are nearly straight within
+        blocks."""
         before, self.roughly = self.roughly, True
         try:
             yield

@@ -118,7 +118,7 @@ class Reduction:
     def reduce_means(self, means: Sequence[Array], *, centre: bool = True) -> Column:
         """Return the coefficients of block means, given per stretch, and none within blocks."""
         laid = np.concatenate([means[i] for i in self.sequence]) * np.sqrt(self.block)
-        # Any constant is the offsets' business; without it the running sums keep their digits.
+        # The offsets take any constant; without it the running sums keep their precision.
         return Column(self.octaves.transform(laid - laid.mean() if centre else laid))
 
     def sum_products(self, columns: Sequence[Column]) -> Array:

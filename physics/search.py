@@ -71,8 +71,8 @@ def search(
         vary: indices of the terms whose parameters start from a grid over their typical ranges;
             None = all, () = start where the terms are.
         refined_starts: how many of the best starts are followed to their optimum.
-        without: the cost without what is searched for, of a rough search: it ends where a step
-            adds next to nothing to what is gained over that.
+        without: for a rough search, the cost without the terms that are searched for: the search
+            ends where a step adds almost nothing to the gain over that cost.
     """
     coordinates = list_coordinates(terms)
     starts = [assess(campaign, terms, weights)]
@@ -98,8 +98,8 @@ def search_beyond_rails(
 ) -> Found:
     """Return what `search` returns, samples at a converter's rail filled by the model found.
 
-    What fills them comes from a fit that they took part in, so it is repeated: the share of
-    samples that were filled is the share of the first fit's error that one repetition leaves.
+    The filling comes from a fit that included those samples, so the fit is repeated: one repetition
+    leaves of the first fit's error the share of samples that were filled.
     """
     found = search(campaign, terms, weights, vary=vary)
     if campaign.set_aside and campaign.plan.saturated:
@@ -152,7 +152,7 @@ def refine(
         total = weigh(sums, weights).sum(axis=0)
         solution = solve(sums, total)
         gradient, normal = step_values(sums, total, solution, len(coordinates))
-        # A coordinate at its bound that wants to leave the range stays where it is.
+        # A coordinate at its bound whose step would leave the range stays there.
         stuck = ((u <= bounds[:, 0]) & (gradient < 0)) | ((u >= bounds[:, 1]) & (gradient > 0))
         free = np.flatnonzero(~stuck & (np.diag(normal) > 0.0))
         if free.size == 0:
@@ -202,7 +202,7 @@ def list_slopes(
 ) -> tuple[tuple[Feature[Node], ...], list[tuple[int, int, Column]]]:
     """Return the features, and (coordinate, feature, column) of each slope that is not zero."""
     u = get_coordinates(terms, coordinates)
-    # Through the same decoding as the moved ones, so that what does not move is the same node.
+    # Decoded in the same way as the moved ones, so that equal values give the same node.
     features = campaign.build(set_coordinates(terms, coordinates, u))
     slopes: list[tuple[int, int, Column]] = []
     for p, coordinate in enumerate(coordinates):

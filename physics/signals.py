@@ -1,4 +1,4 @@
-"""From a run, or for the exporter from nothing but names, to the signals that effects see."""
+"""The signals that effects see: from a run as arrays, or for the exporter as named nodes."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ FEWEST_IN_ORDER = 3
 
 @dataclass(frozen=True)
 class SignalPlan:
-    """What the signals of a project are: fixed when its model is fitted, the same ever after."""
+    """The signals of a project: fixed when its model is fitted, and unchanged from then on."""
 
     outputs: tuple[str, ...]
     full_scale: tuple[float, ...]
@@ -80,9 +80,9 @@ def plan_signals(
 
 
 def _start_at_first_row(runs: Sequence[Run]) -> bool:
-    """Return whether the log's time tells nothing of power-on, which the first row then is.
+    """Return whether the log's time does not count from power-on; the first row then is power-on.
 
-    So it is where no run begins near zero, and where one clock runs on from run to run.
+    That is so where no run begins near zero, and where one clock continues from run to run.
     """
     starts = {run.group: _start_of(run) for run in runs}
     ends = {run.group: float(run.time_s[-1]) for run in runs}
@@ -100,7 +100,7 @@ def _start_of(run: Run) -> float:
 def _find_rails(run: Run, k: int) -> Array:
     measured = run.measured[:, k]
     if run.outliers is not None:
-        # A spike beyond the rail would be the extreme; its neighbours say what was measured.
+        # A spike beyond the rail would be the extreme; its neighbours show what was measured.
         light = run.outliers.weights[:, k] < 1.0
         measured = np.where(light, take_medians(measured), measured)
     return find_rails(measured, run.reference[:, k])

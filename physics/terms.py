@@ -1,4 +1,4 @@
-"""Effects with their values put together: the columns of the linear model."""
+"""Effects with their values, combined to the columns of the linear model."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -72,7 +72,7 @@ def tidy_terms(terms: Sequence[Term]) -> list[Term]:
 
 
 def list_defaults(effect: Effect) -> dict[str, float]:
-    """Return the values of an effect's choices where nobody chose."""
+    """Return the default values of an effect's choices."""
     return {p.name: p.default for p in effect.parameters if p.default is not None}
 
 
@@ -194,7 +194,7 @@ def build_features(
 def build_columns(
     signals: Signals[Array], terms: Sequence[Term], order: Sequence[str], sample_period_s: float
 ) -> list[Feature[Array]]:
-    """Return the columns as arrays [n], checked: a user's effect may give anything.
+    """Return the columns as arrays [n], checked, since a user's effect may return anything.
 
     Raises:
         InputError: an effect raised, or gave NaN or a wrong shape.
@@ -235,7 +235,7 @@ def _where(effect: Effect) -> str:
 def _call(
     effect: Effect, name: str, function: Callable[P, T], *given: P.args, **named: P.kwargs
 ) -> T:
-    """Call a part of an effect; what a user's file raises becomes one message."""
+    """Call a part of an effect; an exception in a user's file becomes one message."""
     try:
         return function(*given, **named)
     except InputError:

@@ -1,8 +1,8 @@
-"""The stretches of a run laid on one track, so that what has a memory keeps it over a gap.
+"""The stretches of a run placed on one track, so that effects keep their memory over a gap.
 
-A log with a gap comes as two stretches, and the sensor lived on in between. Signals are taken for
-straight lines over the gap; columns are built along the whole track, and only what was logged is
-cut out of them again. No sample of a gap is ever compared with anything.
+A log with a gap has two stretches, but the sensor was in operation between them. Signals are taken
+as straight lines over the gap; columns are built along the whole track, and then cut to the samples
+that were logged. No sample of a gap is compared with anything.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,1 +1,1 @@
-"""Logs as they are recorded: a source's readings become rows, kept whole, and what they cover."""
+"""Records logs: readings of a source become rows, safe against a kill, and their coverage."""

@@ -88,7 +88,7 @@ class CanSource:
         }
 
     def list_strays(self) -> list[str]:
-        """Return which frames meant nothing, and how often they came."""
+        """Return which frames could not be decoded, and how often they came."""
         return [f"{what}: {count} times" for what, count in self._strays.most_common()]
 
     def close(self) -> None:
@@ -101,7 +101,7 @@ def _read_dbc(path: Path) -> dict[int, tuple[_Message, dict[str, str]]]:
     """Return messages by identifier, each with the columns of its signals.
 
     Raises:
-        InputError: the file is none.
+        InputError: the file is no DBC file.
     """
     try:
         database = import_module("cantools").database.load_file(str(path))

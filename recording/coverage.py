@@ -1,4 +1,4 @@
-"""What a recording has covered so far: ranges, rates, and how much of what was planned."""
+"""What a recording has covered so far: ranges, rates, and the share of what was planned."""
 
 import math
 from collections import deque
@@ -23,7 +23,7 @@ class Wanted:
     heating_K_per_min: float | None = None
     cooling_K_per_min: float | None = None
     columns: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Loads and inputs, by column."""
+    """Ranges of loads and inputs, by column, in the column's unit."""
     seconds: float | None = None
     why: str = ""
     """Where this comes from: the plan, or the logs of the model."""
@@ -52,7 +52,7 @@ class CoveredRange:
     unit: str
     low: float
     high: float
-    """What was reached."""
+    """What was reached, as `low`."""
     wanted_low: float
     wanted_high: float
     share: float

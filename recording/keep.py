@@ -1,8 +1,8 @@
-"""A log that is whole after a kill: rows in a journal first, from time to time all in Parquet.
+"""A log that survives a kill: rows go to a journal first, from time to time all to Parquet.
 
 Beside `NAME.parquet` lies `.NAME.parquet.rows`, a line of JSON for each row: its number and its
 values. The Parquet file is replaced as a whole; rows that it lacks are in the journal. Whatever
-ends the process, `recover` has every row but those of the last second.
+ends the process, `recover` returns every row except those of the last second.
 """
 
 import io
@@ -29,7 +29,7 @@ SHARE = 30.0
 
 
 def name_journal(path: Path) -> Path:
-    """Return where the rows lie that a log may lack."""
+    """Return the path of the journal, which has the rows that a log may lack."""
     return path.with_name(f".{path.name}.rows")
 
 
@@ -37,10 +37,10 @@ class Keeper:
     """Keeps the rows of one log.
 
     Args:
-        path: of the log; must end in .parquet and not be there.
+        path: of the log; must end in .parquet and not exist yet.
 
     Raises:
-        InputError: it is there, or cannot be written.
+        InputError: it exists, or cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -62,21 +62,21 @@ class Keeper:
 
     @property
     def rows(self) -> int:
-        """How many rows there are."""
+        """The number of rows."""
         return self._rows.count
 
     def add(self, values: Values) -> None:
         """Keep one row.
 
         Raises:
-            InputError: the disk does not take it.
+            InputError: it cannot be written to the disk.
         """
         with telling_of_writes(name_journal(self.path)):
             self._journal.write(_write_line(self._rows.count, values))
         self._rows.add(values)
 
     def settle(self) -> None:
-        """Wait for the disk, if it is time; call it about every tenth of a second."""
+        """Flush to the disk, if it is due; call it about every tenth of a second."""
         now_s = time.monotonic()
         if now_s - self._synced_s >= SYNC_S:
             self._sync()

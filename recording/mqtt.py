@@ -22,7 +22,7 @@ class MqttSource:
         columns: names, where a message is a line of numbers alone.
 
     Raises:
-        InputError: nobody answers, or the broker refuses.
+        InputError: no broker answers, or it refuses the connection.
     """
 
     is_rows = False

@@ -18,7 +18,7 @@ def open_source(text: str, columns: tuple[str, ...], dbc: Path | None) -> LiveSo
     Args:
         text: as it is written on the command line.
         columns: names of the columns, where its lines have numbers alone.
-        dbc: what the frames of a CAN bus mean.
+        dbc: the DBC file that describes the frames of a CAN bus.
 
     Raises:
         InputError: it cannot be opened; says why and what helps.

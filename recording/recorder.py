@@ -26,9 +26,9 @@ class RowRules:
 
     Args:
         time_column: seconds since the first row, unless the source sends a column of that name.
-        period_s: of the rows, for sources that send parts.
-        hold_s: how long a part counts where no newer one came.
-        most_s: when to stop; None: when asked to.
+        period_s: of the rows in s, for sources that send parts.
+        hold_s: for how many seconds a part counts where no newer one came.
+        most_s: when to stop, in s; None: when asked to.
         until_enough: stop once all that is wanted is covered.
     """
 
@@ -69,13 +69,13 @@ class Recording:
         """Rows left out because the source's own time ran backwards."""
 
     def run(self, show: Show) -> bool:
-        """Record until the source ends, it is enough, or Ctrl-C.
+        """Record until the source ends, enough is covered, or Ctrl-C is pressed.
 
         Returns:
             Whether it was ended by Ctrl-C or by the system.
 
         Raises:
-            InputError: the source failed, or the disk did; what came before is kept.
+            InputError: the source or the disk failed; the rows before are kept.
         """
         heard_s = began_s = self._now_s()
         try:

@@ -20,10 +20,10 @@ MQTT_PORT = 1883
 
 @dataclass(frozen=True)
 class Reading:
-    """What came at one moment."""
+    """Values that arrived at one moment."""
 
     at_s: float
-    """Of the monotonic clock, when it arrived."""
+    """When it arrived, in s of the monotonic clock."""
     values: Values
 
 
@@ -42,13 +42,15 @@ class SourceText:
 
 
 class LiveSource(Protocol):
-    """What readings come from."""
+    """A source of readings."""
 
     is_rows: bool
     """Whether each reading is a row; else they are parts, put together at a period."""
 
     def read(self, timeout_s: float) -> list[Reading] | None:
-        """Return what has come, waiting at most so long for the first; None: there will be no more.
+        """Return the readings that have arrived; None: the source has ended.
+
+        Waits at most `timeout_s` for the first.
 
         Raises:
             InputError: the source has failed.
@@ -56,11 +58,11 @@ class LiveSource(Protocol):
         ...
 
     def list_strays(self) -> list[str]:
-        """Return a sentence for each kind of thing that came and is in no row."""
+        """Return a sentence for each kind of input that came and is in no row."""
         ...
 
     def close(self) -> None:
-        """Let the source go."""
+        """Close the source."""
         ...
 
 
@@ -68,7 +70,7 @@ def parse_source(text: str) -> SourceText:
     """Read a source as it is written.
 
     Raises:
-        InputError: it is of no form of `FORMS`.
+        InputError: it has none of the forms in `FORMS`.
     """
     if text == "-":
         return SourceText("-", "-")
@@ -103,5 +105,5 @@ def _read_count(text: str, source: str) -> int:
 
 
 def now_s() -> float:
-    """Return the monotonic clock."""
+    """Return the monotonic clock in s."""
     return time.monotonic()

@@ -35,7 +35,7 @@ class LineSource:
     Args:
         name: of the source, for messages.
         stream: where the lines come from.
-        reader: what they mean.
+        reader: turns them into values.
     """
 
     is_rows = True
@@ -104,7 +104,7 @@ class LineSource:
         return [f"{lines}; the first: {self._first_stray}"]
 
     def close(self) -> None:
-        """Let the port or the command go."""
+        """Close the port or end the command."""
         self._stream.close()
 
 

@@ -15,9 +15,9 @@ class RecordingSummary(Covered):
     interrupted: bool
     """Whether it was ended by Ctrl-C or by the system."""
     why: str
-    """What the ranges wanted come from: a plan, the model's logs, or nothing."""
+    """Where the wanted ranges come from: a plan, the model's logs, or nothing."""
     notes: tuple[str, ...]
-    """What came and is in no row."""
+    """What arrived and is in no row."""
 
 
 def explain_missing(covered: Covered) -> list[str]:

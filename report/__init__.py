@@ -1,1 +1,1 @@
-"""Figures, tables and the report: everything that shows what the commands found."""
+"""Figures, tables and the report: everything that presents the results of the commands."""

@@ -1,7 +1,7 @@
-"""The cause picture: drift, what is left, an effect's share and the channels on one time axis.
+"""The cause picture: drift, residual, an effect's share and the channels on one time axis.
 
-Beside them what is left against a channel, its rate or its lag, the ways up and down apart: there a
-lag or a hysteresis is a loop.
+Beside them the residual against a channel, its rate or its lag, with rising and falling parts in
+different marks: there a lag or a hysteresis is a loop.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -1,13 +1,13 @@
 """TK0, TKC, creep and hysteresis, before and after compensation, in a datasheet's terms.
 
-Each output's drift, and then what the compensation leaves of it, is described by the same few
-columns: an offset of each run, T - T0, the load, (T - T0) load, and the creeping load. For span and
-creep the drift's bend with temperature and its lag are described too (powers of T - T0 up to the
-third, T against T late by `LAGS_S`), since they are much larger than creep and would pass for it.
-Runs are the unit of evidence, so standard uncertainties come from how runs differ.
+Each output's drift, and then its residual after compensation, is described by the same few columns:
+an offset of each run, T - T0, the load, (T - T0) load, and the creeping load. For span and creep
+the drift's bend with temperature and its lag are described too (powers of T - T0 up to the third, T
+against T late by `LAGS_S`), since they are much larger than creep and would pass for it. Runs are
+the unit of evidence, so standard uncertainties come from how runs differ.
 
-The drift before compensation is the sensor's own, so all runs tell it; what is left after it is
-told by held-out runs where there are any.
+The drift before compensation is the sensor's own and is taken from all runs; the residual after it
+is taken from held-out runs where there are any.
 """
 
 from collections.abc import Mapping, Sequence

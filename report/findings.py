@@ -1,4 +1,4 @@
-"""What the commands found about a project: the one source of figures and tables.
+"""The results of the commands for a project: the one source of figures and tables.
 
 `traces` holds the signals behind the figures, at full rate. Findings can be written to a directory
 and read back with the arrays left on disk, so that a page of many million samples opens at once.
@@ -25,6 +25,7 @@ from zerodrift.diagnosis.history import Step
 from zerodrift.diagnosis.run_errors import RunError
 from zerodrift.physics.description import EffectDescription
 from zerodrift.physics.summary import ModelSummary
+from zerodrift.report.proposal import ProposedFormula
 from zerodrift.verify.summary import CertificateSummary, FirmwareSummary, StatedUncertainty
 
 Array = NDArray[np.float64]
@@ -93,7 +94,7 @@ class Provenance:
 
 @dataclass(frozen=True)
 class Findings:
-    """A project, its model and what the commands say about both."""
+    """A project, its model and the results of the commands for both."""
 
     sensor: str
     outputs: tuple[str, ...]
@@ -133,6 +134,8 @@ class Findings:
     """Further channels that every run has."""
     uncertainty: Mapping[str, StatedUncertainty] | None = None
     """Output -> of its compensated value, by the last firmware, where it is current."""
+    proposal: ProposedFormula | None = None
+    """Of the last `propose`, where it is current."""
     contribution: Contribution | None = field(default=None, metadata=UNWRITTEN)
     """Of the effect that the verdict names, where it was asked for."""
 

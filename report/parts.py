@@ -1,4 +1,4 @@
-"""What the lines along the runs say, part by part: for those who read tables."""
+"""The curves along the runs as tables, part by part."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -18,6 +18,7 @@ from zerodrift.report.findings import Findings
 from zerodrift.report.page import render_template
 from zerodrift.report.pictures import draw_error_budget, draw_ranking, draw_stairs
 from zerodrift.report.plot import Picture
+from zerodrift.report.proposal import draw_remainder
 from zerodrift.report.verdict import explain_candidate, write_headline
 from zerodrift.report.window import Window
 
@@ -71,6 +72,10 @@ def render_report(findings: Findings, datasheet: Sequence[DatasheetRow] | None =
         "steps": tables.tabulate_steps(steps),
         "worst": tables.take_rows(tables.tabulate_worst(compared), MOST_WORST),
         "ranking": draw_ranking(diagnosis, WIDTH) if diagnosis and diagnosis.candidates else None,
+        "proposal": findings.proposal,
+        "remainder": draw_remainder(findings.proposal.curves, findings.proposal.units, WIDTH)
+        if findings.proposal is not None and findings.proposal.curves
+        else None,
         "why": [
             (c.effect, findings.titles.get(c.effect, ""), explain_candidate(diagnosis, c))
             for c in diagnosis.candidates[:MOST_WHY]

@@ -14,6 +14,7 @@ from zerodrift.calibration.summary import CalibrationSummary
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.formula.curve import FormulaCurve
 from zerodrift.diagnosis.remainder import RemainderPattern
 from zerodrift.diagnosis.summary import AdviceSummary, RevisionSummary, StepSummary
 from zerodrift.discovery.summary import PlanSummary
@@ -30,6 +31,7 @@ from zerodrift.physics.summary import FittedCoefficient, ModelSummary, Parameter
 from zerodrift.recording.summary import RecordingSummary
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Provenance
+from zerodrift.train.scores import ContractingCost
 from zerodrift.train.summary import NetworkChoice, TrainingSummary
 from zerodrift.verify.machine import Item
 from zerodrift.verify.summary import (
@@ -92,7 +94,7 @@ class DiagnosisStep(Diagnosis):
 
 @dataclass(frozen=True)
 class AddedEffect:
-    """An effect that `diagnose --auto` added in mind."""
+    """An effect that `diagnose --auto` added, without writing it."""
 
     effect: str
     parameters: Mapping[str, float]
@@ -129,7 +131,7 @@ class ProposedError:
 
 @dataclass(frozen=True)
 class ProposedRival:
-    """What these runs cannot tell from the formula."""
+    """A formula that these runs cannot distinguish from the proposed one."""
 
     name: str
     """Another formula."""
@@ -141,7 +143,7 @@ class ProposedRival:
 
 @dataclass(frozen=True)
 class ProposedCost:
-    """What a formula adds to the C of the physical model; empty where it could not be told."""
+    """What a formula adds to the C of the physical model; empty where that is not known."""
 
     instructions: Mapping[str, int]
     """Core -> instructions more in a step."""
@@ -151,9 +153,32 @@ class ProposedCost:
     """Output -> RMS difference of the integers from the float model in the first run, its unit."""
 
 
+@dataclass(frozen=True)
+class ProposedBlackBox:
+    """Errors of a black box that sees every signal, on runs that it did not learn from."""
+
+    name: str
+    """lag bank | GRU."""
+    sees: str
+    """The signals that it was given."""
+    rmse_left_out: Mapping[str, float]
+    """Output -> RMSE in the formula's place, beside the model as it is, in the output's unit."""
+    rmse_beside: Mapping[str, float] | None
+    """Output -> RMSE beside model and formula; null without a formula."""
+    floor_ratio: float
+    """`rmse_left_out` over the noise floor, pooled over outputs."""
+    floor_ratio_beside: float | None
+    """The same of `rmse_beside`."""
+    learns_more: bool
+    """Whether it is better than the formula, in its place or beside it, by what `add` asks of a
+    change; without a formula, than the model as it is."""
+    reason: str
+    """Why, in a sentence."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ProposeResult:
-    """A formula for what no effect of the catalogue explains, or that there is none."""
+    """A formula for a drift that no effect of the catalogue explains, or that there is none."""
 
     SCHEMA: ClassVar = "propose/1"
 
@@ -191,6 +216,12 @@ class ProposeResult:
     """What would confirm or refute it."""
     remainder: tuple[RemainderPattern, ...]
     """Without a formula: what is left follows these."""
+    black_boxes: tuple[ProposedBlackBox, ...]
+    """How much more a lag bank and a GRU learn; empty where none was tried."""
+    black_box_note: str
+    """Why one was not tried; empty where both were."""
+    curves: Mapping[str, FormulaCurve]
+    """Output -> what the model leaves against what the formula says of it; empty without one."""
     instructions: Mapping[str, int]
     """Core -> instructions that it adds to a step; empty where that could not be told."""
     flash_bytes: Mapping[str, int]
@@ -205,7 +236,7 @@ class ProposeResult:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanResult(PlanSummary, Shown):
-    """The next experiment: a programme of set points, and what it is expected to tell."""
+    """The next experiment: a programme of set points, and what it is expected to show."""
 
     SCHEMA: ClassVar = "plan/1"
 
@@ -222,7 +253,7 @@ class RecordResult(RecordingSummary, Shown):
 
 @dataclass(frozen=True, kw_only=True)
 class AddResult(RevisionSummary, Shown):
-    """An effect more, and what it brought."""
+    """An effect was added; the errors before and after."""
 
     SCHEMA: ClassVar = "add/1"
 
@@ -232,7 +263,7 @@ class AddResult(RevisionSummary, Shown):
 
 @dataclass(frozen=True, kw_only=True)
 class RemoveResult(RevisionSummary, Shown):
-    """An effect less, and what that costs."""
+    """An effect was removed; the errors before and after."""
 
     SCHEMA: ClassVar = "remove/1"
 
@@ -258,6 +289,8 @@ class TrainResult(TrainingSummary, Shown):
     """What the logs can teach; null where no output moves."""
     choice: NetworkChoice | None = None
     """With `[network] kind = "auto"`: what was tried, and what it took."""
+    contracting: ContractingCost | None = None
+    """With `[network] contracting = true`: what it costs."""
 
 
 @dataclass(frozen=True)
@@ -273,7 +306,7 @@ class ExportResult:
 
 @dataclass(frozen=True)
 class ShownBlock:
-    """What a unit's block says of itself."""
+    """The fields of a unit's block."""
 
     file: str
     serial: str
@@ -333,7 +366,7 @@ class ProofResult(Shown):
     SCHEMA: ClassVar = "verify-prove/1"
 
     proven: bool
-    """Nothing is left open; what is tested only is told beside it."""
+    """No part is `not proven`; parts that are only tested are listed."""
     model_hash: str
     parts: tuple[ProvenPart, ...]
 
@@ -351,7 +384,7 @@ class OutputApplied:
 
 @dataclass(frozen=True)
 class AppliedLog:
-    """What a model gave for one log."""
+    """The answers of a model to one log."""
 
     log: str
     file: str
@@ -493,7 +526,7 @@ class UpgradeResult:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrateResult(CalibrationSummary):
-    """A calibration matrix, and what it leaves."""
+    """A calibration matrix, and its residuals."""
 
     SCHEMA: ClassVar = "calibrate/1"
 
@@ -525,7 +558,7 @@ class OutputDifference:
 
 @dataclass(frozen=True)
 class DiffResult:
-    """What changed between two models, and what that does."""
+    """What changed between two models, and by how much their drifts differ."""
 
     SCHEMA: ClassVar = "diff/1"
 

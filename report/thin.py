@@ -1,4 +1,4 @@
-"""Lines of many samples with few points: the least and the largest of each step are kept."""
+"""Reduces lines of many samples to few points: least and largest value of each step."""
 
 import numpy as np
 from numpy.typing import NDArray

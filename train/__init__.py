@@ -1,1 +1,1 @@
-"""Stage of zerodrift."""
+"""Training: the lag bank or a network that learns the drift the physical model leaves."""

@@ -1,4 +1,4 @@
-"""What is trained: problems, the starts of each, and where a start stood when it was kept."""
+"""Training problems, the starts of each, and a start's state in a checkpoint."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -26,9 +26,9 @@ class Problem:
     sequences: Sequence[Sequence32]
     """What to learn from."""
     held_out: Sequence[Sequence32]
-    """What start and epoch are chosen by; empty = best start, last epoch."""
+    """Runs by which start and epoch are chosen; empty = best start, last epoch."""
     settings: Settings
-    """Of problems that are trained at once, starts and epochs may differ, and nothing else."""
+    """Problems that are trained together may differ only in starts and epochs."""
     tared: bool = False
     """Each group has an offset of its own."""
 
@@ -44,7 +44,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Standing:
-    """Where an attempt stood when a checkpoint was written."""
+    """The state of an attempt in a checkpoint."""
 
     epoch: int
     best_epoch: int
@@ -53,9 +53,9 @@ class Standing:
     best: Mapping[str, Array32]
     """The weights of `best_epoch`."""
     arrays: Mapping[str, Stored]
-    """Weights, moments and states to go on from; none of an attempt that is complete."""
+    """Weights, moments and states to continue from; empty for a complete attempt."""
     rmse_without: float | None = None
-    """None: not kept; it follows from the untrained network."""
+    """RMSE of the untrained network; None: not kept, as it can be computed again."""
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Training of `[network] kind = "lag_bank"`: seconds, so that nothing is taken up again."""
+"""Training of `[network] kind = "lag_bank"`: it takes seconds, so there are no checkpoints."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -42,7 +42,7 @@ def train_bank(
         config: the project.
         dataset: its runs.
         catalogue: the known effects.
-        report: is told how far it is.
+        report: called with the progress.
     """
     tell = report or (lambda _: None)
     split = split_runs(dataset.train)

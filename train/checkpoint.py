@@ -23,7 +23,7 @@ VALUES = "values"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where a training stands: arrays by name, and JSON values beside them."""
+    """The state of a training: arrays by name, and further JSON values."""
 
     arrays: Mapping[str, NDArray[np.generic]]
     values: Mapping[str, Json]

@@ -1,6 +1,6 @@
-"""The trained compensator: physics, the linear part, the network; saved, loaded, asked for drift.
+"""The trained compensator: physics, the linear part, the network; it predicts, saves and loads.
 
-Nothing here needs PyTorch: the network is what its ONNX file says, run by onnxruntime.
+Nothing here needs PyTorch: the network is its ONNX file, run by onnxruntime.
 """
 
 import hashlib
@@ -39,7 +39,7 @@ BIASES = (".B", ".bias")
 
 @dataclass(frozen=True)
 class TrainedRanges:
-    """What the training logs showed; beyond it the compensator has not been tried."""
+    """Ranges of the training logs; beyond them the compensator has not been tested."""
 
     temperature_degC: tuple[float, float]
     """Lowest and highest."""
@@ -58,7 +58,7 @@ class TrainedAs:
     """How a network's last training went, so that it can be repeated without some of the runs."""
 
     start: int
-    """Which first weights."""
+    """Number of the first weights."""
     epochs: int
 
 
@@ -76,7 +76,7 @@ class Compensator:
     linear: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """[I, K] output units per unit of each feature; zeros where a linear part did not help."""
     constant: Array = field(default_factory=lambda: np.zeros(0))
-    """[K] what is added at features of zero, in the outputs' units; beside a front end only."""
+    """[K] added where all features are zero, in the outputs' units; only with a front end."""
     network: bytes | None = None
     """The ONNX file of `zerodrift.train.onnx_export`, or None without a network."""
     memory: str | int = "stream"
@@ -88,14 +88,15 @@ class Compensator:
     trained_from: str = ""
     """Mark of the configuration and logs it was trained from."""
     notes: tuple[str, ...] = ()
-    """What training has to say about the result."""
+    """Notes of the training on the result."""
     trained_as: TrainedAs | None = None
     """None without a network, and in files from before this was kept."""
 
     def predict(self, run: Run) -> Array:
         """Return the predicted drift [n, K] of a run, each output in its unit.
 
-        The run is taken to be at rest before its first sample, and gaps in it for straight lines.
+        The run is taken to be at rest before its first sample, and signals to be straight lines in
+        gaps.
         """
         if run.before is not None:
             return predict_along(self.predict, run)
@@ -112,7 +113,7 @@ class Compensator:
         return np.asarray(drift)
 
     def predict_all(self, runs: Sequence[Run]) -> list[Array]:
-        """Return `predict` of every run [n, K], each chain of stretches gone through once."""
+        """Return `predict` [n, K] of every run; each chain of stretches is computed once."""
         return predict_all(self.predict, runs)
 
     @property
@@ -123,7 +124,7 @@ class Compensator:
 
     @property
     def tap_offset(self) -> Array:
-        """[K] what is added at taps of zero, so that linear part = taps coefficients + offset."""
+        """[K] added where all taps are zero, so that linear part = taps coefficients + offset."""
         assert self.front_end is not None
         return np.asarray(self.constant - self.front_end.mean @ self.tap_coefficients)
 
@@ -166,7 +167,7 @@ class Compensator:
 
     @property
     def is_recurrent(self) -> bool:
-        """Whether the network carries a state, or walks through a window."""
+        """Whether the network carries a state, or is run over a window."""
         return self.network is not None and bool({"gru.W", "lstm.W"} & set(self._network_weights))
 
     @cached_property

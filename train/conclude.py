@@ -1,4 +1,4 @@
-"""What comes after a network is trained: the compensator, and whether the network is worth it."""
+"""After training: whether the network is kept, and the compensator."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,8 +25,8 @@ def is_worth_its_flash(validation: Result) -> bool:
 def choose_length(validation: Result, epochs: int) -> int:
     """Return the epochs of the final training.
 
-    A cycle that is cut short ends while its steps are long, so the cycle is walked to its end;
-    unless the validation had lost by then what it had gained, which calls for a shorter one.
+    A cycle that is cut short ends at a high learning rate, so the whole cycle is used, unless the
+    validation error had by then risen to that without a network; then a shorter cycle is used.
     """
     whole = validation.last_rmse < WORTH_ITS_FLASH * validation.rmse_without
     return epochs if whole else validation.epoch

@@ -1,6 +1,6 @@
-"""The two ways of walking through the training runs of many networks at once: streams and windows.
+"""The two orders in which many networks go through their training runs: streams and windows.
 
-A course hands out, for each step of the optimiser and each network, sequences of equal length.
+For each step of the optimiser and each network a course returns sequences of equal length.
 Arrays run [time, network, channel, sequence].
 """
 
@@ -78,7 +78,7 @@ class Batch:
 
 
 class Course(ABC):
-    """A way of walking through the training sequences of several attempts, epoch by epoch."""
+    """An order in which several attempts go through their training sequences, epoch by epoch."""
 
     def __init__(self, problems: Sequence[Problem], owner: Places, front: int, device: str) -> None:
         """Lay out the runs.
@@ -137,7 +137,7 @@ class Course(ABC):
 
     @abstractmethod
     def keep(self, states: Tensor) -> None:
-        """Take note of the states [T, A, H, B] that the batch taken last went through."""
+        """Store the states [T, A, H, B] of the last batch."""
 
     @abstractmethod
     def end_epoch(self, active: Sequence[int]) -> None:

@@ -1,9 +1,9 @@
-"""The training of networks: any number at once, one sensor being a batch of one.
+"""Trains any number of networks at once; one sensor is a batch of one.
 
-Each network has weights, chunks, order and learning rate of its own, and goes through the very
-steps that it would go through alone; the company changes the order of sums, so that results differ
-by rounding. The same call gives the same weights to the bit on one machine, also where it was
-interrupted and taken up again.
+Each network has weights, chunks, order and learning rate of its own, and makes the same steps as it
+would alone; training together changes the order of sums, so that results differ by rounding. The
+same call gives the same weights to the bit on one machine, also where it was interrupted and taken
+up again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +31,7 @@ BLOCK = 32
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training stands after an epoch, for a progress bar."""
+    """The progress of a training after an epoch, for a progress bar."""
 
     done: float
     """Share of all epochs of all networks, 0 .. 1."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from zerodrift.train.attempts import Attempt, Problem, Standing, Stored
+from zerodrift.train.contraction import measure_reach
 from zerodrift.train.courses import (
     STEPS_AT_ONCE,
     Batch,
@@ -63,6 +64,11 @@ class Training:
             networks.append(self._problems[owner].build(generator))
         self._network = networks[0]
         self._stack = Stack(networks, s.weight_decay, device)
+        reach = [measure_reach(self._problems[owner].sequences) for owner in self._owner]
+        most = max(map(len, reach))
+        self._reach = torch.tensor([[*r, *[0.0] * (most - len(r))] for r in reach], device=device)
+        """[A, I] largest absolute values of the features that the chip can hold."""
+        self._constrain()
         self._course = self._open_course()
         self._held = (
             Runs(
@@ -94,8 +100,8 @@ class Training:
         """Train all attempts to their ends.
 
         Args:
-            report: is told after each epoch the RMSE on the way, averaged over the attempts, and
-                whether any of them was judged.
+            report: called after each epoch with its training RMSE, averaged over the attempts, and
+                whether any of them was evaluated.
         """
         while active := [i for i, a in enumerate(self.attempts) if a.is_active]:
             rmse = self._run_epoch(active)
@@ -181,6 +187,11 @@ class Training:
             for a, moves in zip(self.attempts, moving, strict=True)
         ]
         self._stack.step(rates, moving)
+        self._constrain()
+
+    def _constrain(self) -> None:
+        """Bring all weights to what their kind of network allows."""
+        self._network.constrain_many(self._stack.read(), self._reach)
 
     def _judge(self, train_rmse: Array, due: Sequence[int]) -> None:
         """Keep the weights of those that are at their best; with nothing held out, the latest."""

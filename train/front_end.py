@@ -1,7 +1,7 @@
-"""What the network sees: a few linear, causal views of the thermometers, decorrelated.
+"""The network's inputs: a few linear, causal filters of the thermometers, decorrelated.
 
 Temperature and its lags or differences are nearly the same signal, and a network that is given them
-as they are spends its training on undoing that. The front end therefore passes on, tap by tap, only
+unchanged has to learn first to separate them. The front end therefore passes on, tap by tap, only
 what a tap adds to those before it, at unit variance over the training logs:
 
     x = matrix (v - mean)

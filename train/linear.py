@@ -1,9 +1,9 @@
 """The linear part of what physics leaves, solved exactly before the network sees anything.
 
-A network approximates a straight line at a price: units, epochs, and a bend where the training data
-end. So the part of the residual that is linear in the network's own features is taken out by least
-squares first, and the network learns only what is curved. It is kept where it predicts runs left
-out better than nothing does.
+A network needs units and epochs to approximate a straight line, and bends where the training data
+end. So the part of the residual that is linear in the network's features is first removed by least
+squares, and the network learns only the non-linear part. It is kept where it predicts runs left out
+better than nothing does.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """Networks that are trained by epochs, of many sensors at once: a validation, then all runs.
 
-In the validation training some runs are held out; it tells which start does best, after how many
+In the validation training some runs are held out; it shows which start is best, after how many
 epochs, and whether the network is worth its flash at all. The final training repeats it with all
 runs, since a run left out is a run not learnt from.
 """
@@ -15,11 +15,14 @@ from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.train.conclude import choose_length, conclude, is_worth_its_flash
 from zerodrift.train.engine import Problem, Progress, Result, train_networks
 from zerodrift.train.networks import Network, build_network
-from zerodrift.train.scores import Stage
+from zerodrift.train.scores import ContractingCost, Stage
 from zerodrift.train.sequences import Sequence32
 from zerodrift.train.settings import Settings
 from zerodrift.train.stages import Stages
-from zerodrift.train.tasks import FINAL, UNFORESEEN, VALIDATION, Answer, Handling, Task
+from zerodrift.train.tasks import FINAL, FREE, UNFORESEEN, VALIDATION, Answer, Handling, Task
+
+Run = Callable[[Sequence[Problem], str, Callable[[Progress], None]], list[Result | InputError]]
+"""Trains problems with a checkpoint of some name."""
 
 
 def train_tasks(tasks: Sequence[Task], handling: Handling) -> list[Answer]:
@@ -47,6 +50,7 @@ def train_tasks(tasks: Sequence[Task], handling: Handling) -> list[Answer]:
         )
 
     validations = run([pose_validation(task) for task in tasks], VALIDATION, tell_validation)
+    costs = _measure_costs(tasks, validations, run)
     worth = {
         i: pose_final(tasks[i], validation)
         for i, validation in enumerate(validations)
@@ -54,13 +58,42 @@ def train_tasks(tasks: Sequence[Task], handling: Handling) -> list[Answer]:
     }
     final = dict(zip(worth, run(list(worth.values()), FINAL, tell_final), strict=True))
     return [
-        _conclude(task, validation, final.get(i))
+        _conclude(task, validation, final.get(i), costs.get(i))
         for i, (task, validation) in enumerate(zip(tasks, validations, strict=True))
     ]
 
 
+def _measure_costs(
+    tasks: Sequence[Task], validations: Sequence[Result | InputError], run: Run
+) -> dict[int, ContractingCost]:
+    """Return what `[network] contracting` costs by the task's number, where it is asked for."""
+    asked = [i for i, task in enumerate(tasks) if task.config.network.options.get("contracting")]
+    if not asked:
+        return {}
+    free = run([pose_validation(_free(tasks[i])) for i in asked], FREE, lambda _: None)
+    costs = {}
+    for i, other in zip(asked, free, strict=True):
+        own = validations[i]
+        if isinstance(own, Result) and isinstance(other, Result):
+            left_out = bool(tasks[i].prepared.split.held_out)
+            ratio = own.rmse / max(other.rmse, 1e-300)
+            costs[i] = ContractingCost(own.rmse, other.rmse, ratio, left_out)
+    return costs
+
+
+def _free(task: Task) -> Task:
+    """Return the training of the same network without the constraint."""
+    network = task.config.network
+    options = {name: value for name, value in network.options.items() if name != "contracting"}
+    config = replace(task.config, network=replace(network, options=options))
+    return replace(task, config=config)
+
+
 def _conclude(
-    task: Task, validation: Result | InputError, final: Result | InputError | None
+    task: Task,
+    validation: Result | InputError,
+    final: Result | InputError | None,
+    cost: ContractingCost | None,
 ) -> Answer:
     """Return one sensor's compensator, or what ended its training."""
     if isinstance(validation, InputError):
@@ -68,9 +101,14 @@ def _conclude(
     if isinstance(final, InputError):
         return final
     try:
-        return conclude(task.config, task.dataset, task.prepared, validation, final)
+        trained = conclude(task.config, task.dataset, task.prepared, validation, final)
     except (ZerodriftError, *UNFORESEEN) as error:
         return error
+    if cost is None:
+        return trained
+    notes = (*trained.compensator.notes, str(cost))
+    compensator = replace(trained.compensator, notes=notes)
+    return replace(trained, compensator=compensator, contracting=cost)
 
 
 def pose_validation(task: Task) -> Problem:

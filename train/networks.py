@@ -1,4 +1,4 @@
-"""The networks that learn what physics leaves: features in, drift at unit scale out.
+"""The networks that learn the residual of the physical model: features in, drift at unit scale out.
 
 A network carries a state from sample to sample, or is run afresh over the last `memory` samples;
 that is the business of whoever calls it (`zerodrift.train.courses`). Arrays run
@@ -19,6 +19,7 @@ from zerodrift.base.config import NetworkConfig
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.lstm.cell import FloatLstm
+from zerodrift.train.contraction import contract, round_weights
 from zerodrift.train.lstm_recurrence import LstmWeights, run_lstm, settle_lstm
 from zerodrift.train.recurrence import GruWeights, run_gru, settle
 
@@ -63,6 +64,14 @@ class Network(ABC, torch.nn.Module):
             x: features.
         """
 
+    def constrain_many(self, parameters: Parameters, reach: Tensor) -> None:
+        """Bring the parameters of S networks to what is allowed, in place; anything is.
+
+        Args:
+            parameters: of the S networks; this network's own are not read.
+            reach: [S, I] largest absolute value of each feature.
+        """
+
     def _alone(self) -> Parameters:
         return {name: p[None] for name, p in self.named_parameters()}
 
@@ -89,9 +98,12 @@ class Network(ABC, torch.nn.Module):
 class GruNetwork(Network):
     """A gated recurrent unit and a linear head."""
 
-    def __init__(self, features: int, hidden: int, outputs: int, form: str) -> None:
+    def __init__(
+        self, features: int, hidden: int, outputs: int, form: str, *, contracting: bool = False
+    ) -> None:
         super().__init__()
         self.reset = FORMS[form]
+        self.contracting = contracting
         self.w_x = torch.nn.Parameter(torch.zeros(3, hidden, features))
         self.w_h = torch.nn.Parameter(torch.zeros(3, hidden, hidden))
         self.bias = torch.nn.Parameter(torch.zeros(4, hidden))
@@ -129,6 +141,12 @@ class GruNetwork(Network):
         drift = torch.matmul(parameters["head"], states) + parameters["head_bias"][..., None]
         return drift, states
 
+    def constrain_many(self, parameters: Parameters, reach: Tensor) -> None:
+        """Shrink recurrent weights until an error of the state shrinks, if that is asked for."""
+        if self.contracting:
+            w_x, w_h, bias = (parameters[name] for name in ("w_x", "w_h", "bias"))
+            contract(w_x, w_h, bias, self.reset, reach)
+
     def rest_many(self, parameters: Parameters, x: Tensor) -> Tensor:
         """Return the states at rest [S, H, B], by the relaxation that the chip's `settle` does."""
         return settle(x, self._gather(parameters))
@@ -136,6 +154,8 @@ class GruNetwork(Network):
     def to_float(self) -> FloatGru:
         """Return the recurrence's weights in the form that simulation and export use."""
         w_x, w_h, bias = (read_array(w) for w in (self.w_x, self.w_h, self.bias))
+        if self.contracting:
+            w_h = round_weights(w_h)
         if self.reset == "before":
             bias[3] = 0.0
         return FloatGru(w_x=w_x, w_h=w_h, bias=bias, reset=self.reset)
@@ -361,7 +381,8 @@ def build_network(
     match config.kind:
         case "gru":
             form = str(config.options.get("form", "reset_after"))
-            network = GruNetwork(features, config.hidden, outputs, form)
+            forgets = bool(config.options.get("contracting", False))
+            network = GruNetwork(features, config.hidden, outputs, form, contracting=forgets)
         case "lstm":
             network = LstmNetwork(features, config.hidden, outputs)
         case "tcn":

@@ -1,4 +1,4 @@
-"""What comes before a network is trained: the settings, and all that is solved exactly."""
+"""Before a network is trained: the settings, and all parts that are solved exactly."""
 
 import hashlib
 import json
@@ -127,6 +127,8 @@ def mark_inputs(config: Config, dataset: Dataset, settings: Settings | None = No
         list(config.inputs),
     ]
     form = config.network.options.get("form", "reset_after")
+    if config.network.options.get("contracting"):
+        network.append("contracting")
     values = [
         effects,
         network,

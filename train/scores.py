@@ -44,6 +44,30 @@ class Scores:
 
 
 @dataclass(frozen=True)
+class ContractingCost:
+    """What `[network] contracting = true` costs: errors beside those of a GRU trained freely.
+
+    In multiples of what physics leaves, on the training runs that were left out, which also chose
+    the epoch of both; where none could be, in training.
+    """
+
+    rmse: float
+    rmse_free: float
+    ratio: float
+    """The first over the second."""
+    left_out: bool
+    """Whether runs were left out."""
+
+    def __str__(self) -> str:
+        """Return it in a sentence."""
+        where = "on the runs left out" if self.left_out else "in training"
+        return (
+            f"[network] contracting = true: {where} the error is {self.ratio:.3f} times that of a"
+            " GRU trained without it"
+        )
+
+
+@dataclass(frozen=True)
 class Stage:
     """Progress of the whole training, for a bar."""
 
@@ -58,12 +82,14 @@ class Trained:
 
     compensator: Compensator
     scores: Scores
+    contracting: ContractingCost | None = None
+    """With `[network] contracting = true`: what it costs."""
 
 
 def score(
     compensator: Compensator,
     dataset: Dataset,
-    understudy: Compensator | None = None,
+    refit: Compensator | None = None,
     split: Split | None = None,
 ) -> Scores:
     """Return the errors of a compensator.
@@ -71,15 +97,15 @@ def score(
     Args:
         compensator: trained on all training runs.
         dataset: the runs; its test runs are the held-out ones where there are any.
-        understudy: without test runs, the same trained without the runs that `split` held out.
+        refit: without test runs, the same trained without the runs that `split` held out.
         split: which those were.
     """
     tared = compensator.tared
     if dataset.test:
         judge, runs, skip = compensator, dataset.test, {}
         explanation = "held out: the test logs"
-    elif understudy and split:
-        judge, runs, skip = understudy, split.held_out, dict(split.skip)
+    elif refit and split:
+        judge, runs, skip = refit, split.held_out, dict(split.skip)
         explanation = f"{split.explanation}; they also chose the epoch, which flatters a little"
     else:
         judge, runs, skip = compensator, (), {}

@@ -16,7 +16,7 @@ class Sequence32:
     features: Array32
     """[n, I]."""
     target: Array32
-    """[n, K] drift that physics leaves, in multiples of each output's scale."""
+    """[n, K] residual of the physical model, in multiples of each output's scale."""
     skip: int = 0
     """Samples at the start that a held-out sequence only passes through, without being judged."""
 

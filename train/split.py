@@ -29,8 +29,8 @@ class Split:
 def split_runs(runs: Sequence[Run]) -> Split:
     """Hold out whole runs, those that the others cover best; of a single run, its end.
 
-    A run at the edge of the temperatures is worth more in training than as a judge: what lies
-    outside of all other runs says little about when to stop.
+    A run at the edge of the temperatures is worth more in training: its error, outside of all other
+    runs, says little about when to stop.
     """
     groups = list(dict.fromkeys(run.group for run in runs))
     if len(groups) == 1:

@@ -1,4 +1,4 @@
-"""What comes before the network: physics, its lag, the linear part, and what is left to learn."""
+"""The parts before the network: physics, its lags, the linear part, and the residual to learn."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ class Stages:
     constant: Array
     """[K] what the linear part adds at features of zero, in the outputs' units."""
     tared: bool
-    """Whether each run has an offset of its own, which nobody can predict."""
+    """Whether each run has an offset of its own, which is not predictable."""
     offsets: Mapping[str, Array]
     """Group -> [K] offset of its own, where logs are tared; empty otherwise."""
     scale: Array
@@ -111,7 +111,8 @@ def fit_stages(config: Config, physics: PhysicalModel, runs: Sequence[Run]) -> S
 def settle_offsets(runs: Sequence[Run], left: Sequence[Array]) -> tuple[Array, dict[str, Array]]:
     """Return the constant [K], and each group's own offset beyond it if the logs are tared.
 
-    Physics has asked the same question, but of its own remainder, in which a lag may hide a tare.
+    The fit of the physical model decides the same, but from its own residual, in which a lag may
+    hide a tare.
     """
     together = np.concatenate(left)
     constant = together.mean(axis=0)
@@ -140,8 +141,8 @@ def mean_by_group(runs: Sequence[Run], values: Sequence[Array]) -> dict[str, Arr
 def list_taps(config: Config, runs: Sequence[Run], lags_s: Sequence[float]) -> tuple[Tap, ...]:
     """Return what the network sees: the chip's temperature, other thermometers, the lags.
 
-    Channels other than thermometers reach the compensator through effects: a network that is shown
-    a supply voltage or a clock learns the few values it had while the logs were taken.
+    Channels other than thermometers reach the compensator through effects: a network that is given
+    a supply voltage or a clock learns the few values that the logs have.
     """
     others = [
         name

@@ -72,7 +72,7 @@ class TriedNetwork:
 
 @dataclass(frozen=True)
 class NetworkChoice:
-    """What `[network] kind = "auto"` tried and took."""
+    """The networks that `[network] kind = "auto"` tried, and its choice."""
 
     taken: str
     tried: tuple[TriedNetwork, ...]
@@ -93,7 +93,7 @@ class TrainingSummary:
     features: tuple[str, ...]
     """What the network sees."""
     network: bool
-    """Whether one stayed in the compensator: what does not earn its flash does not."""
+    """Whether a network stayed in the compensator; one that is not worth its flash is left out."""
     notes: tuple[str, ...]
 
 

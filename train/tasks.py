@@ -11,7 +11,8 @@ from zerodrift.train.scores import Stage, Trained
 from zerodrift.train.settings import Settings
 
 VALIDATION, FINAL, LEFT_OUT = "rehearsal.npz", "performance.npz", "left_out.npz"
-"""Checkpoints in build/; the last one stays when it is complete: the next `firmware` takes it."""
+FREE = "free.npz"
+"""Checkpoints in build/; the third stays when it is complete: the next `firmware` takes it."""
 UNFORESEEN = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
 """What one sensor's numbers might raise that nobody thought of; the others go on."""
 Answer = Trained | Exception

@@ -19,6 +19,7 @@ from zerodrift.train.settings import Settings
 from zerodrift.train.stages import fit_physics
 from zerodrift.train.tasks import (
     FINAL,
+    FREE,
     LEFT_OUT,
     UNFORESEEN,
     VALIDATION,
@@ -31,7 +32,7 @@ from zerodrift.train.tasks import (
 
 def list_checkpoints(config: Config) -> tuple[Path, ...]:
     """Return where trainings keep their state, which is removed with the result's arrival."""
-    return tuple(config.build_directory / name for name in (VALIDATION, FINAL, LEFT_OUT))
+    return tuple(config.build_directory / name for name in (VALIDATION, FINAL, LEFT_OUT, FREE))
 
 
 def train(

@@ -1,1 +1,1 @@
-"""Reference = host C (and every other back end): 0 LSB, or a report of the first difference."""
+"""Compares host C and every other back end with the reference: 0 LSB, or the first difference."""

@@ -1,4 +1,4 @@
-"""What the C does beside stepping: the warm-up flag, a damaged state, save and restore."""
+"""Checks the C besides stepping: the warm-up flag, a damaged state, save and restore."""
 
 from collections.abc import Iterator
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.export.integer_model import FLAG_DAMAGED, FLAG_WARMING_UP
+from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 
 STEPS = 24
@@ -74,7 +75,8 @@ def check_behaviour(host: HostModel, codes: CodeArray) -> tuple[str, ...]:
         host: the source as it is flashed, already held against the reference.
         codes: [T, C] some sequence of at least 2 x 24 steps.
     """
-    return (*_check_warm_up(host, codes), *_check_damage(host, codes), *_check_copies(host, codes))
+    found = (*_check_warm_up(host, codes), *_check_damage(host, codes), *_check_copies(host, codes))
+    return (*found, *_check_tare(host, codes), *_check_sleep(host, codes))
 
 
 def _check_warm_up(host: HostModel, codes: CodeArray) -> Iterator[str]:
@@ -83,6 +85,54 @@ def _check_warm_up(host: HostModel, codes: CodeArray) -> Iterator[str]:
     flagged = (host.run(constant, settled=False).flags & FLAG_WARMING_UP) != 0
     if not (flagged == (np.arange(len(constant)) < steps)).all():
         yield f"warming up is flagged on {int(flagged.sum())} steps after init, not on {steps}"
+
+
+def _check_tare(host: HostModel, codes: CodeArray) -> Iterator[str]:
+    """Drift counts from the last answer on, saved and restored too, and from 0 again after."""
+    if not host.model.tare:
+        return
+    reference = Reference(host.model)
+    state = reference.run(codes[None, :STEPS]).state
+    parts = [codes[k * STEPS // 2 : (k + 1) * STEPS // 2] for k in (2, 3)]
+    host.run(codes[:STEPS])
+    for name, act, change in (
+        ("tare", host.tare, reference.take_tare),
+        ("untare", host.untare, reference.release_tare),
+    ):
+        act()
+        state = change(state)
+        if host.restore(host.save()) != 0:
+            yield f"restore refuses a state after {name}"
+        found, expected = (
+            host.run(parts[0], restart=False),
+            reference.run(parts[0][None], state=state),
+        )
+        if (found.drift != expected.drift[0]).any() or (found.flags != expected.flags[0]).any():
+            yield f"drifts or flags after {name} are others than the reference's"
+        state = expected.state
+        parts.reverse()
+    host.run(codes[:1], settled=False)
+    host.overwrite(bytes(host.state_bytes))
+    host.tare()
+    if host.save()[_COPY_HEAD:-4] != bytes(host.state_bytes):
+        yield "tare changes a state that was never started"
+
+
+def _check_sleep(host: HostModel, codes: CodeArray) -> Iterator[str]:
+    """A state that is restored with an age goes on as after a longer step."""
+    if not host.model.variable_step:
+        return
+    reference = Reference(host.model)
+    state = reference.run(codes[None, :STEPS]).state
+    then = codes[STEPS : 2 * STEPS]
+    for age_us in (0, host.model.period_us, 10**10, 2**64 - 1):
+        host.run(codes[:STEPS])
+        if host.restore_after(host.save(), age_us) != 0:
+            yield "restore_after refuses what save wrote"
+        found = host.run(then, restart=False)
+        expected = reference.run(then[None], state=reference.sleep(state, age_us))
+        if (found.drift != expected.drift[0]).any() or (found.flags != expected.flags[0]).any():
+            yield f"a state restored after {age_us} us goes on otherwise than the reference's"
 
 
 def _check_damage(host: HostModel, codes: CodeArray) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Derives the error bound again: from the C's numbers and tables, and the float model's.
+"""Derives the error bound again from the numbers and tables of the C and those of the float model.
 
 The certificate lists the float model signal by signal, with its unrounded numbers and with how the
 chip has each: node times scale plus offset. For each the distance of the two is bounded anew, from
@@ -14,6 +14,7 @@ from zerodrift.verify import bound_numbers as numbers
 from zerodrift.verify.bound_claims import ErrorClaim, FloatLine, Place, read_bound
 from zerodrift.verify.bound_conversion import ConversionCheck
 from zerodrift.verify.bound_forms import CODE, LOAD, NodeForm, find_list, read_forms
+from zerodrift.verify.bound_gru import FeatureRange, bound_gru
 from zerodrift.verify.c_model import Model
 from zerodrift.verify.c_values import Block, NotUnderstoodError, Pointer, Struct
 
@@ -88,6 +89,7 @@ class _BoundCheck:
         self._model, self._lines, self._claims = model, lines, claims
         self._forms = read_forms(model.program, model.prefix)
         self._vectors: dict[str, list[tuple[int, int]]] = {}
+        self._states: dict[str, list[Fraction]] = {}
         self._conversions = ConversionCheck(
             conversions, model.program.tokens.words, model.prefix, model.constants
         )
@@ -127,6 +129,8 @@ class _BoundCheck:
         raise NotUnderstoodError(f"{line.node}: its range is not known")
 
     def _derive(self, line: FloatLine, inputs: list[Has]) -> Has:
+        if line.operation in ("gru_after", "gru_before"):
+            return self._state(line, inputs)
         vector = line.node in ("features", "head") or line.node.startswith("dense_")
         if line.node == "drift":
             claim = self._claims[line.index]
@@ -378,6 +382,32 @@ class _BoundCheck:
             return low, high, _linear(_gains(line), copies, own, line.offset)
         return self._dense(line, inputs)
 
+    def _state(self, line: FloatLine, inputs: list[Has]) -> Has:
+        """Return a unit of a recurrent layer: those of its node depend on each other."""
+        if line.scale != Fraction(1, 1 << 30) or line.offset:
+            raise NotUnderstoodError(f"{line.node}: a state in another format")
+        if any(x.line.place != ("features", k) or x.line.offset for k, x in enumerate(inputs)):
+            raise NotUnderstoodError(f"{line.node} reads something else than the features")
+        if line.node not in self._states:
+            self._states[line.node] = self._find_states(line, inputs)
+        errors = self._states[line.node]
+        if not 0 <= line.index < len(errors):
+            raise NotUnderstoodError(f"{line.node}[{line.index}] is no unit")
+        most = self._model.h_limit
+        return Has(line, -most, most, line.scale, _up(errors[line.index]))
+
+    def _find_states(self, line: FloatLine, inputs: list[Has]) -> list[Fraction]:
+        layer = self._model.grus.get(line.node)
+        rows = [x for x in self._lines if x.node == line.node]
+        alike = all((x.operation, x.of) == (line.operation, line.of) for x in rows)
+        if layer is None or not alike or [x.index for x in rows] != list(range(len(rows))):
+            raise NotUnderstoodError(f"{line.node}: its units are not listed one by one")
+        if layer.after != (line.operation == "gru_after"):
+            raise NotUnderstoodError(f"{line.node}: the reset gate acts elsewhere")
+        features = [FeatureRange(x.low, x.high, x.scale, x.error) for x in inputs]
+        given = [[_given(number) for number in x.numbers] for x in rows]
+        return bound_gru(layer, given, features, tuple(self._model.tanh_lines))
+
     def _weights(self, name: str, row: int, count: int) -> list[int]:
         cells = self._cells(name)
         if count == 0 or len(cells) % count:
@@ -436,7 +466,7 @@ class _BoundCheck:
         if least > 0:
             e = numbers.exp(2 * min(least, Fraction(32)))[0]
             slope = 4 * e / (1 + e) ** 2
-        table = _tanh_error(tuple(self._model.tanh_lines))
+        table = numbers.cached_tanh_error(tuple(self._model.tanh_lines))
         most = self._model.tanh_max
         return -most, most, slope * error + table * line.scale
 
@@ -452,15 +482,6 @@ class _BoundCheck:
         constant = (form.constant - (1 << form.shift >> 1)) * unit
         rounded = HALF * scale if form.shift else Fraction(0)
         return _linear(_gains(line), inputs, own, constant) + rounded
-
-
-_TABLES: dict[tuple[tuple[int, int], ...], Fraction] = {}
-
-
-def _tanh_error(lines: tuple[tuple[int, int], ...]) -> Fraction:
-    if lines not in _TABLES:
-        _TABLES[lines] = numbers.tanh_error(lines)
-    return _TABLES[lines]
 
 
 def _linear(

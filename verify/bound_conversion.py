@@ -1,4 +1,4 @@
-"""How far the chip's conversion of raw codes is from its formula, for every real number between.
+"""Bounds the distance of the chip's conversion of raw codes from its formula, for all real numbers.
 
 For the check of the error bound: the table as the C has it (`bound_lookup`), the formula as the
 certificate states it (`bound_formulas`). Each line of the table is held against the formula at the

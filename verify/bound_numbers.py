@@ -1,6 +1,6 @@
 """Exponentials, logarithms and tables for the check of the error bound, on the standard library.
 
-`decimal` rounds exp and ln correctly; each result is taken with what its last digits leave open.
+`decimal` rounds exp and ln correctly; each result is widened by the rounding of its last digit.
 Shares no code with what the bound was derived by.
 """
 
@@ -84,6 +84,62 @@ def tanh_error(lines: Sequence[tuple[int, int]]) -> Fraction:
             low, high = low * factor[0] >> bits, (high * factor[1] >> bits) + 1
             table += slope
     return max(Fraction(worst, 1 << 64), Fraction(unit - abs(half[-1][1])))
+
+
+@cache
+def cached_tanh_error(lines: tuple[tuple[int, int], ...]) -> Fraction:
+    """Return `tanh_error`, found once for a table."""
+    return tanh_error(lines)
+
+
+@cache
+def _sigmoid_errors(lines: tuple[tuple[int, int], ...]) -> tuple[list[int], list[int]]:
+    """Return what the table of the sigmoid is off by at -t 2**-15, t = 0 .. 2**19 - 1, in 2**-64.
+
+    First the largest up to t as a share of table (1 - table), then the largest from t on.
+    """
+    bits, one = 160, 1 << 160
+    step = exp(Fraction(2, 1 << 16))
+    factor = (int(step[0] * one), int(step[1] * one) + 1)
+    low = high = one
+    shares, offs, worst = list[int](), list[int](), 0
+    for first, last in lines[256:]:
+        slope, rest = divmod(last - first, 2047)
+        if rest:
+            raise ValueError("a line of tanh is not straight")
+        tanh = first
+        for _ in range(2048):
+            # sigmoid(-a) = 1 / (e**a + 1); the table's in counts of 2**-31
+            table = (1 << 30) - tanh
+            below, above = (one << 95) // (high + one), (one << 95) // (low + one) + 1
+            off = max(abs((table << 64) - below), abs((table << 64) - above)) + 1  # of 2**-95
+            offs.append((off >> 31) + 1)
+            worst = max(worst, (off << 31) // (table * ((1 << 31) - table)) + 1)
+            shares.append(worst)
+            low, high = low * factor[0] >> bits, (high * factor[1] >> bits) + 1
+            tanh += slope
+    worst = ((1 << 30) - tanh + slope) << 33  # beyond the end: the table's last, the sigmoid's none
+    for t in range(len(offs) - 1, -1, -1):
+        offs[t] = worst = max(worst, offs[t])
+    return shares, offs
+
+
+def sigmoid_error(
+    lines: tuple[tuple[int, int], ...], low: int, high: int
+) -> tuple[Fraction, Fraction]:
+    """Return k, r: the table is off by at most table (k (1 - table) + r) at low .. high 2**-15.
+
+    The share k is that of arguments up to some end, at which one line begins; r is twice what the
+    table, then above 1/2, is off by beyond it.
+    """
+    first = max(-low, 0)
+    shares, offs = _sigmoid_errors(lines)
+    if first >= len(shares):
+        return Fraction(1), Fraction(1)
+    ends = [first, *range((first // 2048 + 1) * 2048, len(shares), 2048)]
+    found = [(shares[end], 2 * offs[end] if high > end else 0) for end in ends]
+    share, rest = min(found, key=lambda pair: pair[0] + 2 * pair[1])
+    return Fraction(share, 1 << 64), Fraction(rest, 1 << 64)
 
 
 def octave_error(coefficients: tuple[int, ...], value: Value, steepest: Fraction) -> Fraction:

@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 from zerodrift.verify.c_arguments import Action
 from zerodrift.verify.c_intervals import IntervalMachine
-from zerodrift.verify.c_values import TYPES, FaultError, Pointer, Struct, Value
+from zerodrift.verify.c_values import TYPES, FaultError, GruNumbers, Pointer, Struct, Value
 
 MOST = 1 << 16
 """Units and inputs that are looked at; a generated model has some hundreds at most."""
@@ -290,6 +290,17 @@ def _gru(machine: IntervalMachine, layer: Struct, weights: Weights, step: GruSte
         machine.note(where, -total, total, 32)
     machine.shift = None
     machine.recurrent.add((name, tuple(x)))
+    machine.grus[name] = GruNumbers(
+        w_x,
+        w_h,
+        bias,
+        shifts,
+        multiplier,
+        multiplier_shifts if multiplier else [],
+        weights.after,
+        n_x,
+        n_h,
+    )
     most = machine.tanh_max + limit
     machine.note(f"{name}.state_step", -most, most, 32)
 

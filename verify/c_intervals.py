@@ -32,6 +32,7 @@ from zerodrift.verify.c_values import (
     Cell,
     FaultError,
     Found,
+    GruNumbers,
     Holder,
     Pointer,
     Struct,
@@ -71,6 +72,8 @@ class IntervalMachine(Statements):
         self._rules = rules
         self.recurrent: set[tuple[str, tuple[Value, ...]]] = set()
         """The GRUs that were stepped, and under which features."""
+        self.grus: dict[str, GruNumbers] = {}
+        """Their numbers."""
         self.stepped: set[tuple[str, tuple[Value, ...]]] = set()
         """The LSTMs that were."""
         self.outputs, self.per_pair = 0, 2
@@ -197,7 +200,7 @@ class IntervalMachine(Statements):
             if own == "sum_up":
                 self._called.add(name)
                 return self._sum_up(*arguments)
-            if self._replaying and own in ("settle", "step"):
+            if self._replaying and own in ("settle", "step", "step_after"):
                 return self._replay(own, arguments)
             result = self.call(name, arguments)
             if own == "is_of" and isinstance(result, Value) and result.exact is None:
@@ -370,13 +373,16 @@ class IntervalMachine(Statements):
 
     def _replay(self, name: str, arguments: Sequence[Found]) -> Value | None:
         """The self-test's calls of functions that were shown for any state and input."""
-        state, codes, *drifts = [a for a in arguments if not self._is_block(a)]
+        given = [a for a in arguments if not self._is_block(a)]
+        if name == "step_after" and len(given) == 4:
+            self.keep(self.as_number(given.pop(2)), "uint64_t")
+        state, codes, *drifts = given
         if not (isinstance(state, Address) and isinstance(codes, Address)):
             raise self.not_understood(f"{name} of something else")
         types = (state.struct.type, codes.struct.type)
         if types != (f"{self.prefix}_state_t", f"{self.prefix}_input_t"):
             raise self.not_understood(f"{name} of {types}")
-        read = [codes.struct] + ([state.struct] if name == "step" else [])
+        read = [codes.struct] + ([state.struct] if name != "settle" else [])
         for struct in read:
             for block in struct.fields.values():
                 Pointer(block, Value(0, 0), (block.count,)).values(block.count)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from zerodrift.verify.c_arguments import check_number, check_row, number, typed
+from zerodrift.verify.c_elapsed import add_span, add_time, draw_time, is_fast, lowpass_after
 from zerodrift.verify.c_gru import (
     COLUMNS,
     PAIRS,
@@ -88,6 +89,24 @@ def _play(machine: IntervalMachine, place: Pointer, x: Value, half_width: Value)
     after = Value(min(y.low, x.low), max(y.high, x.high))
     place.fill([after])
     return after
+
+
+def _count_from(
+    machine: IntervalMachine,
+    drift: Pointer,
+    answered: Pointer,
+    tared: Pointer,
+    tare: Pointer,
+    count: Value,
+) -> Value:
+    """Any answers less any others, limited to int32_t."""
+    n = number(count, 0, TYPES["uint32_t"][1], "the length")
+    answered.fill(drift.values(n))
+    tare.values(n)
+    _state_cell(tared)
+    drift.fill([anything("int32_t")] * n)
+    tared.fill([Value(1, 2)])
+    return Value(0, 1, "uint32_t")
 
 
 def _between(machine: IntervalMachine, older: Value, newer: Value, share: Value) -> Value:
@@ -315,12 +334,24 @@ RULES: dict[str, Rule] = {
     "zd_round_shift64": typed("int64_t, uint32_t", _round_shift, "int64_t"),
     "zd_load": typed("int32_t, int32_t, int32_t, int32_t", _load, "int32_t"),
     "zd_play": typed("int32_t *, int32_t, int32_t", _play, "int32_t"),
+    "zd_count_from": typed(
+        "int32_t *, int32_t *, int32_t *, const int32_t *, uint32_t", _count_from, "uint32_t"
+    ),
     "zd_between": typed("int32_t, int32_t, int32_t", _between, "int32_t"),
     "zd_exp2": typed("int32_t, int32_t", _exp2, "int32_t"),
     "zd_power": typed("&zd_power_t, int32_t", _power, "int32_t"),
     "zd_dot_i16": typed("const int16_t *, const int16_t *, uint32_t", _dot, "int32_t"),
     "zd_lowpass_rest": typed("int32_t, int32_t", _lowpass_rest, "int64_t"),
     "zd_lowpass": typed("int64_t *, int32_t, int32_t, int32_t, uint32_t", _lowpass, "int32_t"),
+    "zd_add_span": typed("int64_t, uint64_t", add_span, "int64_t"),
+    "zd_draw_time": typed("uint32_t", draw_time, "uint64_t"),
+    "zd_is_fast": typed("int32_t, int32_t, int32_t, int64_t, uint32_t", is_fast, "uint32_t"),
+    "zd_add_time": typed("int64_t *, int64_t, int32_t, uint32_t", add_time, "int32_t"),
+    "zd_lowpass_after": typed(
+        "int32_t *, int32_t *, int64_t *, int32_t, int64_t, int32_t, uint32_t",
+        lowpass_after,
+        "int32_t",
+    ),
     "zd_gru_copy_state": typed("const int32_t *, int16_t *, uint32_t", _copy_state),
     "zd_gru_step_after": typed(
         f"&zd_gru_t, {GRU}, int16_t *, int32_t",

@@ -31,6 +31,8 @@ from zerodrift.verify.c_values import (
 )
 
 ENTRIES = ("init", "settle", "step", "selftest", "save", "restore")
+FURTHER = ("step_after", "restore_after", "tare", "untare")
+"""Entries of models whose steps are told their time, or whose drift counts from a moment on."""
 
 
 class Runtime:
@@ -155,10 +157,14 @@ class Model(IntervalMachine):
         except FaultError as error:
             self.fail(str(error))
             return
+        entries = (
+            *ENTRIES,
+            *(e for e in FURTHER if f"{self.prefix}_{e}" in self.program.functions),
+        )
         missing = [e for e in ENTRIES if f"{self.prefix}_{e}" not in self.program.functions]
         if missing:
             raise NotUnderstoodError(f"{self.prefix}: no function {missing[0]}")
-        for entry in ENTRIES:
+        for entry in entries:
             self.explore(getattr(self, f"_run_{entry}"))
         left = {*self.program.functions, *self.program.assembly} - self._called
         if left and not self.failures:
@@ -286,14 +292,20 @@ class Model(IntervalMachine):
         self.require_sound(state, "settle")
 
     def _run_step(self) -> None:
+        self._step("step")
+
+    def _run_step_after(self) -> None:
+        self._step("step_after", anything("uint64_t"))
+
+    def _step(self, entry: str, *times: Value) -> None:
         state, codes = self.make_state(), self.make_input()
         drift = make_block("drift", "int32_t", [self.outputs], None)
         self._live.append(drift)
         given = Pointer(drift, Value(0, 0), drift.sizes)
         block, own = self._blocks(), Address(codes, constant=True)
-        self._call_entry("step", Address(state), *block, own, given)
+        self._call_entry(entry, Address(state), *block, own, *times, given)
         given.values(self.outputs)
-        self.require_sound(state, "step")
+        self.require_sound(state, entry)
         self.require_asked()
 
     def _run_save(self) -> None:
@@ -303,10 +315,32 @@ class Model(IntervalMachine):
         saved.values(saved.count)
 
     def _run_restore(self) -> None:
+        self._restore_copy("restore")
+
+    def _run_restore_after(self) -> None:
+        self._restore_copy("restore_after", anything("uint64_t"))
+
+    def _restore_copy(self, entry: str, *times: Value) -> None:
         state = self.make_state()
         saved = self._saved(any_bits=True, entry="restore")
-        self._call_entry("restore", Address(state), *self._blocks(), saved)
-        self.require_sound(state, "restore")
+        self._call_entry(entry, Address(state), *self._blocks(), saved, *times)
+        self.require_sound(state, entry)
+
+    def _run_tare(self) -> None:
+        self._tare("tare")
+
+    def _run_untare(self) -> None:
+        self._tare("untare")
+
+    def _tare(self, entry: str) -> None:
+        """A state that is sound stays so; one that was damaged is left as it is."""
+        state = self.make_state()
+        self.guard.admit(state, fresh=self.choose(2) == 0)
+        self.give(state)
+        self._call_entry(entry, Address(state))
+        if any(cell is None for block in state.fields.values() for cell in block.cells):
+            return  # the checksum of what was given is another
+        self.require_sound(state, entry)
 
     def _run_selftest(self) -> None:
         self._replaying = True

@@ -200,3 +200,22 @@ def make_block(
 def anything(kind: str) -> Value:
     """Return any bit pattern of a type."""
     return Value(*TYPES[kind], kind)
+
+
+@dataclass(frozen=True)
+class GruNumbers:
+    """A layer as the C has it, for the check of the error bound."""
+
+    w_x: list[int]
+    """[H][3][I]."""
+    w_h: list[int]
+    """[H][3][H]."""
+    bias: list[int]
+    """[H][4]: r, u, n, n inside the reset product."""
+    shifts: list[int]
+    multipliers: list[int]
+    """[H][3] of 8-bit recurrent weights; else empty."""
+    multiplier_shifts: list[int]
+    after: bool
+    inputs: int
+    hidden: int

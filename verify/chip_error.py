@@ -1,7 +1,7 @@
-"""What separates the chip from the float model, row by row: rounding, range, clamp, saturation.
+"""The error between chip and float model, row by row: rounding, range, clamp, saturation.
 
-Integer and float model are run over the same rows. Where they differ by no more than rounding can,
-it is rounding; a larger difference goes to what the row shows: a channel outside its calibrated
+Integer and float model are run over the same rows. A difference no larger than rounding can make is
+rounding; a larger one is assigned to the cause that the row shows: a channel outside its calibrated
 range, a drift at its limit, an operation or a code at its limit.
 """
 
@@ -228,8 +228,9 @@ def measure_rounding(
 ) -> Array:
     """Return the RMS [K] that rounding is budgeted with, in the outputs' units.
 
-    It is what the float model answers differently when its inputs are rounded to codes, which
-    nothing on the chip can mend, and ROUNDING_SHARE of the drift for all arithmetic after that.
+    It is the change of the float model's answer when its inputs are rounded to codes, which no
+    arithmetic on the chip can correct, and ROUNDING_SHARE of the drift for all arithmetic after
+    that.
     """
     rounded = predict_all(lambda run: floating.predict_on_chip(_round_inputs(model, run)), runs)
     inputs = np.concatenate(rounded) - np.concatenate(answers)
@@ -259,8 +260,8 @@ def _find_after_effects(
 ) -> list[RunReplay]:
     """Mark the rows on which the float model remembers more than the chip could see.
 
-    Outside its range the chip limits a channel; a lag carries that on. How far it carries is what
-    the float model answers differently when the same rows are limited.
+    Outside its range the chip limits a channel, and a lag carries the error on. Its extent is the
+    change of the float model's answer when the same rows are limited.
     """
     if not any(replayed.is_outside.any() for replayed in replays):
         return list(replays)

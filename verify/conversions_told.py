@@ -1,4 +1,4 @@
-"""What `firmware` tells of the inputs whose raw codes the chip converts."""
+"""What `firmware` reports on the inputs whose raw codes the chip converts."""
 
 from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.verify.summary import ConversionSummary

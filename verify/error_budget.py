@@ -1,9 +1,10 @@
-"""What each operation of the chip's arithmetic costs, in the outputs' units, and over time.
+"""The error that each operation of the chip's arithmetic adds, in the outputs' units, and over
+time.
 
-The integer model differs from the float one in many small ways. To tell them apart the float model
-is turned into the integer one a node at a time, in the order of the arithmetic: up to some node
-everything is as on the chip, from there on everything is float. What the answer changes by when a
-node changes sides is that node's cost. The costs, as signals, add up to the whole difference.
+The integer model differs from the float one in many small ways. To separate them, the float model
+is turned into the integer one node by node, in the order of the arithmetic: up to some node all is
+as on the chip, from there on all is float. The change of the answer when a node becomes integer is
+that node's cost. The costs, as signals, add up to the whole difference.
 """
 
 import itertools

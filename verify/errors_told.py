@@ -46,8 +46,8 @@ class OutputError:
 def tell_errors(model: FloatModel, host: HostModel, runs: Sequence[Run]) -> tuple[OutputError, ...]:
     """Return the errors over all samples of `runs`.
 
-    Where training found the logs tared, the offset of each run is nobody's to predict and
-    is taken off every error, as `compare` and `train` do.
+    Where training found the logs tared, the offset of each run is not predictable and is subtracted
+    from every error, as in `compare` and `train`.
 
     Args:
         model: the float model.

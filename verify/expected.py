@@ -1,4 +1,4 @@
-"""What the reference says of a sequence, step by step, and where a back end says otherwise."""
+"""The reference's answers to a sequence, step by step, and where a back end differs."""
 
 from dataclasses import dataclass
 

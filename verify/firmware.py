@@ -1,4 +1,5 @@
-"""The main job's second half: quantize, generate, check bit for bit, tell the errors, write."""
+"""The second half of `firmware`: quantize, generate, check bit for bit, measure the errors,
+write."""
 
 import json
 from collections.abc import Callable
@@ -72,7 +73,7 @@ MODEL, EFFECTS = "model.json", "effects.json"
 
 @dataclass(frozen=True)
 class Firmware:
-    """What was built and what is known about it."""
+    """The firmware that was built, with its checks and errors."""
 
     model: IntegerModel
     code: GeneratedCode
@@ -92,15 +93,15 @@ class Firmware:
     chip: ChipCheck | None
     """On the emulated core; None where unicorn is not installed."""
     certificate: CertificateOutcome
-    """What the independent check of the certificate says."""
+    """Result of the independent check of the certificate."""
     bound: ErrorBound
-    """How far the answers can ever be from the float model's, as far as it is proven."""
+    """Proven bound on the distance of the answers from the float model's, where there is one."""
     gate: GateVerdict
-    """Whether the firmware is any good on held-out runs."""
+    """Whether the firmware is good enough on held-out runs."""
     replay: ChipReplay
-    """The runs that say so, as chip and float model answer them."""
+    """The runs that were judged, with the answers of chip and float model."""
     forced: tuple[str, ...]
-    """What the gate refused and `--force` wrote all the same."""
+    """Reasons of the gate that `--force` has overridden."""
     files: tuple[Path, ...]
     """Written beside the C; empty where the gate refused."""
 
@@ -122,8 +123,8 @@ def build_firmware(
         config: the project; says where the C goes.
         dataset: its logs; the test runs are the held-out ones.
         described: the float model.
-        progress: is told what is being done.
-        left_out: without test runs, what models say of runs that they did not learn from.
+        progress: called with a description of each stage of the work.
+        left_out: without test runs, predictions for runs by models that did not learn from them.
         network: the ONNX file that the network comes from.
         force: write what the gate refuses, and mark the C with it.
 
@@ -326,7 +327,7 @@ def write_artefacts(
 ) -> tuple[Path, ...]:
     """Write model, C, certificate and manifest, all or none; return the files beside the C.
 
-    They change together, whenever the process ends or the disk refuses.
+    They change together, whenever the process ends or the disk fails.
 
     Args:
         config: the project.

@@ -1,10 +1,11 @@
 """The certificate of a firmware folder, derived again while `verify` is at it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.verify.certificate import FILE_NAME
-from zerodrift.verify.certificate_check import SHARED_RUNTIME, check_certificate
+from zerodrift.verify.certificate_check import check_certificate
 from zerodrift.verify.known_runtime import is_known
 from zerodrift.verify.manifest import NotChecked
 
@@ -26,22 +27,17 @@ NO_CERTIFICATE = FolderCertificate()
 """It did not get that far."""
 
 
-def check_folder_certificate(folder: Path) -> FolderCertificate:
+def check_folder_certificate(folder: Path, runtime: Mapping[str, str]) -> FolderCertificate:
     """Derive the bounds of a firmware folder's certificate again from the C that lies there.
 
     Args:
         folder: the firmware's. One without certificate.json, or with a runtime that this version
             has no rules for, is not checked.
+        runtime: its runtime (zd_*), which units of a fleet share: file name -> text.
     """
     if not (folder / FILE_NAME).is_file():
         return _leave("there is no certificate.json")
-    texts = {
-        path.name: path.read_text(encoding="utf-8", errors="replace")
-        for place in (folder.parent / SHARED_RUNTIME, folder)
-        for path in (sorted(place.iterdir()) if place.is_dir() else ())
-        if path.name.startswith("zd_") and path.is_file()
-    }
-    if not is_known(texts):
+    if not is_known(runtime):
         return _leave("the runtime (zd_*) is of another version, or was changed")
     outcome = check_certificate(folder)
     return FolderCertificate(

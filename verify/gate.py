@@ -1,4 +1,4 @@
-"""The gate: whether the firmware does on held-out runs what the float model does, and any good.
+"""The gate: whether the firmware matches the float model on held-out runs, and improves the drift.
 
 Per output, on rows inside the calibrated ranges, the integer model must not be worse than no
 compensation, than the physical model alone, or than the float model by more than rounding explains;
@@ -64,7 +64,7 @@ class GateVerdict:
 
     @property
     def passes(self) -> bool:
-        """Whether nothing speaks against writing the firmware."""
+        """Whether the firmware may be written: there is no refusal."""
         return not self.refused
 
     def explain(self) -> str:
@@ -362,7 +362,8 @@ class Contrast:
 
     @property
     def counts(self) -> bool:
-        """Whether this speaks against us; the share alone decides where chance is not known."""
+        """Whether this counts against our model; the share alone decides where chance is not
+        known."""
         return self.worse and self.beyond_chance is not False
 
 
@@ -408,7 +409,7 @@ def find_quantile(count: int) -> float:
 
 
 def measure_correlation(residual: Array) -> int:
-    """Return a length in samples beyond which a residual [n] no longer knows of itself.
+    """Return a length in samples beyond which a residual [n] is no longer correlated with itself.
 
     It is twice the sum of the autocorrelation on both sides, up to where that is lost in noise.
     """

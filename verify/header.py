@@ -1,4 +1,5 @@
-"""What a header says and no comparison of bits sees: units per LSB, sample period, indices, flags.
+"""Checks the header's values that no comparison of bits covers: LSBs, sample period, indices,
+flags.
 
 The harness compiles the header's own macros and hands their values over, so that what is compared
 is what an application gets, whatever the text looks like.
@@ -16,6 +17,7 @@ from zerodrift.export.integer_model import (
     FLAG_INPUT_RANGE,
     FLAG_NO_READING,
     FLAG_RATE_RANGE,
+    FLAG_TARED,
     FLAG_TEMPERATURE_RANGE,
     FLAG_WARMING_UP,
     FORMAT,
@@ -82,6 +84,8 @@ def list_expected(
         expected["FLAG_INPUT_RANGE"] = FLAG_INPUT_RANGE
     if model.optional:
         expected["FLAG_NO_READING"] = FLAG_NO_READING
+    if model.tare:
+        expected["FLAG_TARED"] = FLAG_TARED
     expected |= {f"FAULT_{name}": value for name, value in FAULTS.items()}
     return {f"{upper}_{name}": value for name, value in expected.items()}
 

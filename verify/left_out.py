@@ -1,4 +1,4 @@
-"""What models that left a training run out say of it."""
+"""Predictions for training runs by models that left them out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,9 +14,9 @@ from zerodrift.diagnosis.held_out import hold_out
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.bank_training import assemble_bank, fit_bank
 from zerodrift.train.compensator import Compensator
+from zerodrift.train.refits import Original, Refit, train_refits
 from zerodrift.train.stages import fit_physics
 from zerodrift.train.tasks import Handling
-from zerodrift.train.understudies import Original, Understudy, train_understudies
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -70,11 +70,11 @@ def leave_out(config: Config, dataset: Dataset, compensator: Compensator) -> Lef
         return LeftOut(alone.method, physics, None, covered)
     if len(parts) < 2:
         return None
-    understudies = []
+    refits = []
     for groups in parts:
         others = tuple(run for run in dataset.train if run.group not in groups)
-        understudies.append(Understudy(groups, _fit_without(config, dataset, others, compensator)))
-    floating = _ask(understudies, dataset.train)
+        refits.append(Refit(groups, _fit_without(config, dataset, others, compensator)))
+    floating = _ask(refits, dataset.train)
     return LeftOut(alone.method, floating, physics, covered)
 
 
@@ -94,15 +94,15 @@ def leave_out_together(
     """
     plain = [replace(o, dataset=replace(o.dataset, test=())) for o in originals]
     trained = [o for o in plain if takes_epochs(o.compensator)]
-    answers = iter(train_understudies(trained, handling))
+    answers = iter(train_refits(trained, handling))
     found: list[LeftOut | InputError] = []
     for original in plain:
         if takes_epochs(original.compensator):
-            understudies = next(answers)
-            if isinstance(understudies, InputError):
-                found.append(understudies)
+            refits = next(answers)
+            if isinstance(refits, InputError):
+                found.append(refits)
             else:
-                found.append(_tell(original, understudies))
+                found.append(_tell(original, refits))
             continue
         left = leave_out(original.config, original.dataset, original.compensator)
         found.append(left if left is not None else InputError(ONE_RUN))
@@ -115,24 +115,24 @@ def takes_epochs(compensator: Compensator) -> bool:
     return compensator.bank is None and beside
 
 
-def _tell(original: Original, understudies: Sequence[Understudy]) -> LeftOut:
+def _tell(original: Original, refits: Sequence[Refit]) -> LeftOut:
     """Return what networks say of the runs that they did not learn from."""
     runs = original.dataset.train
-    parts = tuple(one.groups for one in understudies)
+    parts = tuple(one.groups for one in refits)
     alone = hold_out(original.compensator.physics, original.dataset)
     return LeftOut(
         alone.method if all(len(groups) == 1 for groups in parts) else PARTS.format(len(parts)),
-        _ask(understudies, runs),
+        _ask(refits, runs),
         tuple(alone.predictions[run.name] for run in runs),
         _find_all_covered(runs, parts),
         by_epochs=True,
     )
 
 
-def _ask(understudies: Sequence[Understudy], runs: Sequence[Run]) -> tuple[Array, ...]:
-    """Return the drift [n, K] of each run as the understudy says that did not learn from it."""
+def _ask(refits: Sequence[Refit], runs: Sequence[Run]) -> tuple[Array, ...]:
+    """Return the drift [n, K] of each run as the refit says that did not learn from it."""
     floating: dict[str, Array] = {}
-    for one in understudies:
+    for one in refits:
         own = [run for run in runs if run.group in one.groups]
         answers = one.compensator.predict_all(own)
         floating |= {run.name: answer for run, answer in zip(own, answers, strict=True)}

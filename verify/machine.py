@@ -1,4 +1,4 @@
-"""What this machine has to build and check with, and what a project's folder holds besides."""
+"""What this machine has to build and check firmware with, and the state of a project's folder."""
 
 import importlib.metadata
 import os

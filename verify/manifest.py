@@ -1,7 +1,7 @@
 """firmware/manifest.json: what a firmware was made from and what it consists of, as hashes.
 
-It has no date and no place of this machine in it: the same project gives the same bytes again.
-`check_manifest` holds it against what lies there now; every command that takes a firmware uses it.
+It has no date and no path of this machine in it: the same project gives the same bytes again.
+`check_manifest` compares it with the present files; every command that takes a firmware uses it.
 """
 
 import hashlib
@@ -242,7 +242,7 @@ def load_manifest(path: Path) -> Manifest:
 
     Raises:
         InputError: it is missing, damaged, or of a later format.
-        OSError: it is there and the system does not hand it out.
+        OSError: it exists and cannot be read.
     """
     try:
         content = path.read_bytes()

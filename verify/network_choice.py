@@ -49,7 +49,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class _Cost:
-    """What a candidate takes on the chip; None where nothing measures it."""
+    """The cost of a candidate on the chip; None where it cannot be measured."""
 
     products: int
     instructions: int | None
@@ -186,8 +186,8 @@ def _measure_physics(config: Config, dataset: Dataset, catalogue: Catalogue) -> 
     physics = fit_physics(config, dataset, split.fit, catalogue)
     plain = replace(config, network=replace(config.network, kind="none"))
     alone = train(plain, dataset, catalogue=catalogue).compensator
-    understudy = replace(alone, physics=physics, tared=physics.tared)
-    return measure(understudy, split.held_out, understudy.tared, dict(split.skip))
+    refit = replace(alone, physics=physics, tared=physics.tared)
+    return measure(refit, split.held_out, refit.tared, dict(split.skip))
 
 
 def measure_cost(config: Config, dataset: Dataset, compensator: Compensator, folder: Path) -> _Cost:

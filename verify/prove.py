@@ -22,6 +22,7 @@ from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError
 from zerodrift.verify.header import list_expected
 from zerodrift.verify.known_runtime import is_known
 from zerodrift.verify.prove_checksum import prove_checksum
+from zerodrift.verify.prove_elapsed import TESTED_ALONE, make_elapsed_rules, say_span
 from zerodrift.verify.prove_kernels import Layers, Numbered
 from zerodrift.verify.prove_lemmas import prove_exp2, prove_layer, prove_power, prove_tanh
 from zerodrift.verify.prove_machine import Rule, TermMachine
@@ -40,7 +41,9 @@ from zerodrift.verify.prove_specification import (
     CHECK,
     DRIFT,
     IDENTITY,
+    SLEPT,
     STEPS,
+    TARED,
     Outcome,
     Specification,
     State,
@@ -151,6 +154,7 @@ class Proof:
         self.used = Used()
         self.sound: Callable[[TermMachine], Whole] | None = None
         rules = make_rules(prefix, lambda: self.meaning.layers, self.used)
+        rules |= make_elapsed_rules()
         self.machine = TermMachine(self.program, rules)
         self.meaning = Specification(self.machine.terms, model)
         self.terms = self.machine.terms
@@ -202,11 +206,18 @@ class Proof:
         yield self._show("step, of a state that is not sound", lambda: self._step("unsound"))
         yield self._show("step, of a new state", lambda: self._step("new"))
         yield self._show("step", lambda: self._step("running"))
+        if self.model.variable_step:
+            yield from self._show_times()
+        if self.model.tare:
+            yield self._show("tare", lambda: self._tare("tare", 1, self.meaning.tare))
+            yield self._show("untare", lambda: self._tare("untare", 2, self.meaning.untare))
         for node, why in self.nodes.items():
             yield self._judge(f"node {node}", why)
         if whole:
             yield self._show("save", self._save)
             yield self._show("restore", self._restore)
+            if self.model.variable_step:
+                yield self._show("restore_after", lambda: self._restore("restore_after"))
             del rules[f"{self.prefix}_state_is_sound"]
             yield self._show("selftest", self._selftest)
         yield from self._lemmas()
@@ -219,6 +230,16 @@ class Proof:
             return self._judge(what, run())
         except UNCHECKED as error:
             return self._judge(what, f"{self.machine.place}: {_tell(error)}")
+
+    def _show_times(self) -> Iterator[ShownPart]:
+        """Yield what a variable step has more; `step` is one of the sample period."""
+        for scenario, what in (
+            ("unsound", "step_after, of a state that is not sound"),
+            ("new", "step_after, of a new state"),
+            ("running", "step_after"),
+        ):
+            yield self._show(what, partial(self._step, scenario, "step_after"))
+        yield ShownPart("functions of a variable step", self.build, TESTED, TESTED_ALONE)
 
     def _lemmas(self) -> Iterator[ShownPart]:
         machine, used, layers = self.machine, self.used, self.meaning.layers
@@ -417,17 +438,19 @@ class Proof:
                 return why
         return ""
 
-    def _step(self, scenario: str) -> str:
+    def _step(self, scenario: str, entry: str = "step") -> str:
         state = self._any_state(scenario)
         self.sound = lambda machine: machine.terms.constant(int(scenario != "unsound"))
         ways = self._split_windows(state) if scenario == "running" else iter([state])
         for one in ways:
-            if why := self._step_one(scenario, one):
+            if why := self._step_one(scenario, one, entry):
                 return why
         return ""
 
-    def _step_one(self, scenario: str, state: State) -> str:
+    def _step_one(self, scenario: str, state: State, entry: str) -> str:
         raw, meaning, machine = self._raw(), self.meaning, self.machine
+        elapsed = self._say_elapsed(entry)
+        times = [Number(elapsed, "uint64_t")] if entry == "step_after" else []
         made: list[tuple[Instance, CellBlock, Found]] = []
 
         def run() -> None:
@@ -435,12 +458,17 @@ class Proof:
             drift.cells = [None] * len(self.model.outputs)
             instance = self._as_instance(state)
             place = Spot(drift, self.terms.constant(0), drift.sizes)
-            flags = self._entry("step", AddressOf(instance), AddressOf(self._as_input(raw)), place)
+            own = AddressOf(instance), AddressOf(self._as_input(raw))
+            flags = self._entry(entry, *own, *times, place)
             made.append((instance, drift, flags))
 
         codes = meaning.convert(raw)
         for _ in machine.explore(run):
+            meaning.span = self.terms.constant(0)
+            if scenario == "running" and self.model.variable_step:
+                meaning.span = say_span(self.terms, state[SLEPT][0], elapsed)
             wanted = self._say_step(scenario, state, codes)
+            meaning.span = self.terms.constant(0)
             instance, drift, flags = made.pop()
             if why := self._compare(instance, wanted.state):
                 return why
@@ -450,6 +478,38 @@ class Proof:
             if not isinstance(flags, Number) or flags.term is not wanted.flags:
                 return "the flags are others than the specification's"
         return ""
+
+    def _tare(self, entry: str, least: int, after: Callable[[State], State]) -> str:
+        """Return where `tare` or `untare` of a sound state leaves another than it should."""
+        state, machine, terms = self._any_state("running"), self.machine, self.terms
+        made: list[Instance] = []
+
+        def run() -> None:
+            made.append(self._as_instance(state))
+            self._entry(entry, AddressOf(made[-1]))
+
+        for _ in machine.explore(run):
+            asked = [terms.less(state[TARED][0], terms.constant(least))]
+            if self.model.guarded:
+                same = terms.equal(state[CHECK][0], self.meaning.checksum(state))
+                asked.insert(0, terms.negate(same))
+            wanted = after(state)
+            for question in asked:
+                decided = machine.decide(question).exact
+                if decided is None:
+                    return "it does not ask what it has to"
+                if decided:
+                    wanted = state
+                    break
+            if why := self._compare(made.pop(), wanted):
+                return why
+        return ""
+
+    def _say_elapsed(self, entry: str) -> Whole:
+        """Return the time that a step is told; `step` tells itself the sample period."""
+        if entry == "step_after":
+            return self.terms.symbol("elapsed_us", 0, 2**64 - 1)
+        return self.terms.constant(self.model.period_us)
 
     def _say_step(self, scenario: str, state: State, codes: list[Whole]) -> Outcome:
         """Return what the specification says of the path that the machine has just gone."""
@@ -472,6 +532,8 @@ class Proof:
                 if lacks.exact:
                     return meaning.wait(state)
             begun = meaning.rest(state, codes, settled=False)
+            if self.model.tare:
+                begun[TARED] = [self.terms.constant(0)]
             return meaning.step(begun, codes, codes, lacks)[0]
         outcome, done = meaning.step(state, codes, meaning.hold(state, codes), lacks)
         self._compare_nodes(done.values)
@@ -515,8 +577,11 @@ class Proof:
         block = CellBlock("saved", "uint8_t", (1 << 30,), [None])
         return Spot(block, self.terms.constant(0), block.sizes)
 
-    def _restore(self) -> str:
-        """Refused or not sound: as after init, and 1. Otherwise the copy's bits, and 0."""
+    def _restore(self, entry: str = "restore") -> str:
+        """Refused or not sound: as after init, and 1. Otherwise the copy's bits, and 0.
+
+        With an age, that is added to the time slept, unless the copy is of a new state.
+        """
         machine, terms = self.machine, self.terms
         before = self._any_state("unsound")
         answers: list[int] = []
@@ -532,7 +597,10 @@ class Proof:
             answers.clear()
             machine.forking = True
             instance = self._as_instance(before)
-            made.append((instance, self._entry("restore", AddressOf(instance), self._saved())))
+            age = [Number(terms.symbol("age_us", 0, 2**64 - 1), "uint64_t")]
+            times = age if entry == "restore_after" else []
+            found = self._entry(entry, AddressOf(instance), self._saved(), *times)
+            made.append((instance, found))
 
         paths = 0
         for _ in machine.explore(run):
@@ -554,6 +622,8 @@ class Proof:
                 if decided is None:
                     return "restore does not compare the checksum"
                 sound = decided == 1
+            if sound and entry == "restore_after":
+                copy = self._age(copy)
             wanted = copy if sound else self.meaning.blank()
             if why := self._compare(instance, wanted):
                 return why
@@ -562,6 +632,17 @@ class Proof:
                 return f"restore returns {code} where {int(not sound)} was expected"
         machine.forking = False
         return "" if paths > 2 else "restore does not try to restore"
+
+    def _age(self, copy: State) -> State:
+        """Return a copy's state as it is restored some time later."""
+        new = self.machine.decide(self.terms.equal(copy[STEPS][0], self.terms.constant(0)))
+        if new.exact is None:
+            raise UndecidedError("restore_after does not ask whether the state is new")
+        if new.exact:
+            return copy
+        age = self.terms.symbol("age_us", 0, 2**64 - 1)
+        copy = {**copy, SLEPT: [say_span(self.terms, copy[SLEPT][0], age)]}
+        return {**copy, CHECK: [self.meaning.checksum(copy)]} if self.model.guarded else copy
 
     def _selftest(self) -> str:
         """It replays known inputs: with these tables it answers 0."""

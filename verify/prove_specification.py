@@ -16,6 +16,7 @@ from zerodrift.export.integer_model import (
     FLAG_INPUT_RANGE,
     FLAG_NO_READING,
     FLAG_RATE_RANGE,
+    FLAG_TARED,
     FLAG_TEMPERATURE_RANGE,
     FLAG_WARMING_UP,
     IntegerModel,
@@ -25,6 +26,7 @@ from zerodrift.operations.conversion import IntegerConversion
 from zerodrift.operations.counter import IntegerCounter
 from zerodrift.operations.delay import IntegerDelay
 from zerodrift.operations.dense import IntegerDense
+from zerodrift.operations.elapsed import IntegerElapsed
 from zerodrift.operations.exp2 import IntegerExp2
 from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.gru import IntegerGruLayer
@@ -35,6 +37,7 @@ from zerodrift.operations.intervals import Bound
 from zerodrift.operations.join import IntegerJoin
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.lowpass import IntegerLowpass
+from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.operations.lstm import IntegerLstmLayer
 from zerodrift.operations.lstm.cell import IntegerLstm
 from zerodrift.operations.node import IntegerNode
@@ -45,6 +48,7 @@ from zerodrift.operations.product import IntegerProduct
 from zerodrift.operations.recurrent import IntegerRecurrent
 from zerodrift.operations.sum import IntegerSum
 from zerodrift.verify.c_values import TYPES
+from zerodrift.verify.prove_elapsed import LONGEST, say_fast, say_lowpass, say_time
 from zerodrift.verify.prove_kernels import (
     CELL_LIMIT,
     H_LIMIT_Q30,
@@ -62,7 +66,8 @@ State = dict[str, list[Whole]]
 """Field of the C's state -> its numbers."""
 START_PASSES = 4
 IDENTITY, STEPS, PREVIOUS = "identity", "steps", "previous_temperature"
-DRIFT, CHECK = "drift", "check"
+DRIFT, CHECK, SLEPT = "drift", "check", "slept_us"
+ANSWERED, TARE, TARED = "answered", "tare", "tared"
 """Fields of the state that no node has."""
 
 
@@ -116,6 +121,8 @@ class Specification(TermArithmetic):
     def __post_init__(self) -> None:
         """Read the layers and what the state may hold."""
         self.channels = name_channels(self.model)
+        self.span = self.number(0)
+        """Of a variable step: the time since the last one."""
         self.full = max(self.model.guards.warm_up_steps, 1)
         found = [layer for node in self.model.recurrents for layer in list_layers(node)]
         self.layers = Layers(self.terms, found)
@@ -130,6 +137,12 @@ class Specification(TermArithmetic):
         kinds = [f"int{channel.bits}_t" for channel in model.channels]
         fields = [Field("previous_temperature", kinds[thermometer])]
         fields += [Field(f"last_{self.channels[k]}", kinds[k]) for k in model.held]
+        if model.variable_step:
+            fields.append(Field(SLEPT, "int64_t", (), 0, LONGEST))
+        if model.tare:
+            fields.append(Field(ANSWERED, "int32_t", (len(model.outputs),)))
+            fields.append(Field(TARE, "int32_t", (len(model.outputs),)))
+            fields.append(Field(TARED, "int32_t", (), 0, 2))
         if model.feeds_back:
             fields.append(Field("drift", "int32_t", (len(model.outputs),)))
         for node in model.nodes:
@@ -149,6 +162,15 @@ class Specification(TermArithmetic):
             case IntegerLowpass():
                 v = self._range(f"{name}.v").interval
                 return [Field(f"{name}_v", "int64_t", (), v.low, v.high)]
+            case IntegerLowpassAfter():
+                own = [("before", "int32_t"), ("waiting", "int32_t"), ("y", "int64_t")]
+                ranges = [self._range(f"{name}.{part}").interval for part, _ in own]
+                return [
+                    Field(f"{name}_{part}", kind, (), x.low, x.high)
+                    for (part, kind), x in zip(own, ranges, strict=True)
+                ]
+            case IntegerElapsed():
+                return [Field(f"{name}_time", "int64_t", (), 0, node.most_us)]
             case IntegerPlay():
                 y = self._range(f"{name}.y").interval
                 return [Field(f"{name}_y", "int32_t", (), y.low, y.high)]
@@ -334,6 +356,12 @@ class Specification(TermArithmetic):
             case IntegerLowpass():
                 x = values[node.inputs[0]][0]
                 return {f"{name}_v": [terms.scale(x, 2**24 - node.c_q24)]}
+            case IntegerLowpassAfter():
+                x = values[node.inputs[0]][0]
+                y = terms.scale(x, 2**24)
+                return {f"{name}_before": [x], f"{name}_waiting": [zero], f"{name}_y": [y]}
+            case IntegerElapsed():
+                return {f"{name}_time": [zero]}
             case IntegerPlay():
                 return {f"{name}_y": values[node.inputs[0]]}
             case IntegerCounter():
@@ -428,6 +456,13 @@ class Specification(TermArithmetic):
                 return {}, [terms.call(find_power(terms, name, read_power(node)), [given[0][0]])]
             case IntegerLowpass():
                 return self._lowpass(node, state, given[0][0])
+            case IntegerLowpassAfter():
+                return self._lowpass_after(node, state, given[0][0])
+            case IntegerElapsed():
+                time, ticks = say_time(
+                    terms, state[f"{name}_time"][0], self.span, node.limit, node.bits
+                )
+                return {f"{name}_time": [time]}, [ticks]
             case IntegerDelay():
                 return self._delay(node, state, given[0][0])
             case IntegerClip():
@@ -480,6 +515,15 @@ class Specification(TermArithmetic):
         gap = self.round_shift(terms.subtract(terms.scale(x, 1 << 24), y), 22)
         moved = self.round_shift(terms.scale(gap, node.m_q31), node.shift)
         return {f"{name}_v": [terms.add(v, moved)]}, [self.round_shift(y, 24)]
+
+    def _lowpass_after(
+        self, node: IntegerLowpassAfter, state: State, x: Whole
+    ) -> tuple[State, list[Whole]]:
+        name = node.name
+        own = [state[f"{name}_{part}"][0] for part in ("before", "waiting", "y")]
+        moved = say_lowpass(self.terms, [*own, x, self.span], node.rate_q31, node.shift)
+        after = {"before": moved.before, "waiting": moved.waiting, "y": moved.y}
+        return {f"{name}_{part}": [value] for part, value in after.items()}, [moved.out]
 
     def _delay(self, node: IntegerDelay, state: State, x: Whole) -> tuple[State, list[Whole]]:
         """The oldest place takes the present input; the next one is the oldest then."""
@@ -587,6 +631,10 @@ class Specification(TermArithmetic):
         del codes
         terms, guards = self.terms, self.model.guards
         done = self.advance(state, held)
+        drift, limited = done.drift, done.clamped
+        if self.model.tare:
+            drift, more = self._count_from(state, done)
+            limited = terms.either([limited, more])
         previous, now = state[PREVIOUS][0], held[guards.temperature_channel]
         most = self.number(guards.rate_max)
         low, high = self.number(guards.temperature_low), self.number(guards.temperature_high)
@@ -595,16 +643,23 @@ class Specification(TermArithmetic):
         for channel, least, largest in guards.ranges:
             beyond.append(terms.less(held[channel], self.number(int(least))))
             beyond.append(terms.less(self.number(int(largest)), held[channel]))
-        rises = terms.less(most, terms.subtract(now, previous))
-        falls = terms.less(most, terms.subtract(previous, now))
+        if self.model.variable_step:
+            period = self.number(self.model.period_us)
+            fast = say_fast(terms, [now, previous, most, self.span, period])
+        else:
+            rises = terms.less(most, terms.subtract(now, previous))
+            falls = terms.less(most, terms.subtract(previous, now))
+            fast = terms.either([rises, falls])
         raised = {
-            FLAG_CLAMPED: done.clamped,
+            FLAG_CLAMPED: limited,
             FLAG_WARMING_UP: terms.less(steps, self.number(guards.warm_up_steps)),
             FLAG_TEMPERATURE_RANGE: terms.either([terms.less(now, low), terms.less(high, now)]),
-            FLAG_RATE_RANGE: terms.either([rises, falls]),
+            FLAG_RATE_RANGE: fast,
             FLAG_INPUT_RANGE: terms.either(beyond),
             FLAG_NO_READING: lacks,
         }
+        if self.model.tare:
+            raised[FLAG_TARED] = terms.equal(done.state[TARED][0], self.number(2))
         flags = self.number(0)
         for bit, truth in raised.items():
             flags = terms.add(flags, terms.scale(truth, bit))
@@ -612,8 +667,33 @@ class Specification(TermArithmetic):
         after[PREVIOUS] = [now]
         for k in self.model.held:
             after[f"last_{self.channels[k]}"] = [held[k]]
+        if self.model.variable_step:
+            after[SLEPT] = [self.number(0)]
         after[STEPS] = [terms.add(steps, terms.less(steps, self.number(self.full)))]
-        return Outcome(self._sum_up(after), done.drift, flags), done
+        return Outcome(self._sum_up(after), drift, flags), done
+
+    def _count_from(self, state: State, done: Advance) -> tuple[list[Whole], Whole]:
+        """Keep the answers in the state after a step; return them from the tare on, and whether
+        one of them is limited."""
+        terms = self.terms
+        tared = terms.equal(state[TARED][0], self.number(2))
+        drift, limited = [], []
+        for answer, tare in zip(done.drift, state[TARE], strict=True):
+            wide = terms.subtract(answer, tare)
+            counted = self.saturate(wide, -(2**31), 2**31 - 1)
+            drift.append(terms.choose(tared, counted, answer))
+            limited.append(terms.negate(terms.equal(counted, wide)))
+        done.state[ANSWERED] = list(done.drift)
+        done.state[TARED] = [terms.choose(tared, state[TARED][0], self.number(1))]
+        return drift, terms.both([tared, terms.either(limited)])
+
+    def tare(self, state: State) -> State:
+        """Return the state after `tare`, of a state that has given an answer."""
+        return self._sum_up({**state, TARE: state[ANSWERED], TARED: [self.number(2)]})
+
+    def untare(self, state: State) -> State:
+        """Return the state after `untare`, of a state that is tared."""
+        return self._sum_up({**state, TARED: [self.number(1)]})
 
 
 def sum_up(terms: Terms, row: Sequence[Whole]) -> Whole:

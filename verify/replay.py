@@ -1,4 +1,4 @@
-"""`verify`: what lies in a project's firmware folder and in build/, held against the model."""
+"""`verify`: compares the files of a project's firmware folder and of build/ with the model."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -68,7 +68,7 @@ class Replay:
     """What had been found against this firmware when it was built, and was overridden."""
     not_checked: tuple[NotChecked, ...]
     certificate: FolderCertificate = NO_CERTIFICATE
-    """What became of the bounds that the firmware claims."""
+    """Result of the check of the bounds that the firmware claims."""
 
     @property
     def bit_exact(self) -> bool:
@@ -138,7 +138,7 @@ class Replay:
 def replay(
     config: Config, progress: Progress = lambda _: None, required: Iterable[str] = ()
 ) -> Replay:
-    """Check everything that a project has built, as it lies there.
+    """Check everything that a project has built, as the files are now.
 
     Args:
         config: the project.
@@ -173,7 +173,8 @@ def replay(
     if is_lean(config):
         files = replace(files, not_checked=(*files.not_checked, MADE_AGAIN))
     progress("deriving the certificate's bounds again from the C")
-    return _conclude(files, check, model.hash, (), check_folder_certificate(config.firmware_out))
+    certificate = check_folder_certificate(config.firmware_out, code.runtime or {})
+    return _conclude(files, check, model.hash, (), certificate)
 
 
 def refuse_unknown(required: Iterable[str]) -> None:
@@ -236,10 +237,10 @@ def _read(config: Config) -> tuple[IntegerModel, GoldenVectors, GeneratedCode, b
             f" {AGAIN}"
         )
     widths = golden.codes.shape[1], golden.drift.shape[1]
-    if widths != (len(model.channels), len(model.outputs)):
+    if widths != (model.columns, len(model.outputs)):
         raise InputError(
             f"{path}: has {widths[0]} inputs and {widths[1]} outputs, model.json has"
-            f" {len(model.channels)} and {len(model.outputs)}. {AGAIN}"
+            f" {model.columns} and {len(model.outputs)}. {AGAIN}"
         )
     return (
         model,

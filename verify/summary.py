@@ -51,13 +51,14 @@ class ErrorCauses:
 
 @dataclass(frozen=True, kw_only=True)
 class ProvenError:
-    """How far the chip's answer can ever be from that of the float model in real arithmetic."""
+    """Proven bound on the distance of the chip's drift from that of the float model in real
+    arithmetic."""
 
     value: float | None
     """In the output's unit; null where nothing is proven."""
     unit: str
     holds: str = field(default="", metadata=OPTIONAL)
-    """Under what; there where something is proven."""
+    """Conditions under which the bound holds; empty where nothing is proven."""
     causes: ErrorCauses | None = field(default=None, metadata=OPTIONAL)
     """They add up to the value."""
     why: str = field(default="", metadata=OPTIONAL)
@@ -74,7 +75,7 @@ class StatedUncertainty:
     noise: float
     """Standard uncertainty of a reading: what no compensation can take away."""
     parameters: float
-    """Standard uncertainty: by how far the model moves when a run is left out."""
+    """Standard uncertainty: how far the predictions move when a run is left out."""
     left_out: float
     """Standard uncertainty: what the model lacks."""
     rounding: float
@@ -86,8 +87,8 @@ class StatedUncertainty:
     tared: bool
     """Whether each run's own offset is not in it."""
     covered: float | None
-    """Share of the test logs' readings inside the calibrated ranges within `expanded`; null without
-    test logs."""
+    """Share of the test logs' readings inside the calibrated ranges whose error is within
+    `expanded`; null without test logs."""
     covered_readings: int
     """Of how many readings."""
 
@@ -106,7 +107,7 @@ class StatedUncertainty:
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """Something that the gate says."""
+    """A refusal or a warning of the gate."""
 
     kind: str
     """worse_than_none | worse_than_physics | worse_than_float | worse_beyond_range for a refusal;
@@ -190,7 +191,7 @@ class ConversionSummary:
     error: float
     """Largest distance to the formula, rounding included, in the unit."""
     code_worth: tuple[float, float]
-    """What one raw code is worth where it is worth least and most, in the unit."""
+    """Smallest and largest step of the result per raw code, in the unit."""
     cold_junction: str | None = field(default=None, metadata=OPTIONAL)
     """The input that measures a thermocouple's cold junction."""
 
@@ -245,7 +246,7 @@ REFUSED = "refused.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Refusal:
-    """What the gate said against the last firmware, which was not written."""
+    """Why the gate refused the last firmware, which was not written."""
 
     model_hash: str
     """Of the refused model."""
@@ -276,7 +277,7 @@ class CertificateSummary:
 
 @dataclass(frozen=True)
 class VerifySummary:
-    """What lies in the firmware folder, held against the model."""
+    """The comparison of the firmware folder with the model."""
 
     SCHEMA: ClassVar = "verify/1"
 
@@ -293,7 +294,7 @@ class VerifySummary:
     changed: tuple[ManifestFinding, ...]
     """Files that are not as they were written."""
     stale: tuple[ManifestFinding, ...]
-    """What would be made otherwise today."""
+    """Files that would be made differently today."""
     forced: tuple[str, ...]
     """What had been found against this firmware when it was built, and was overridden."""
     not_checked: tuple[NotChecked, ...]

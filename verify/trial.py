@@ -1,4 +1,4 @@
-"""Runs a host build in a process of its own first, should its C crash, trap or never end."""
+"""Runs a host build in a separate process first, in case its C crashes, traps or never ends."""
 
 import json
 import subprocess

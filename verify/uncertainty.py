@@ -1,8 +1,8 @@
 """The uncertainty of a compensated value, by cause, in the terms of the GUM (JCGM 100:2008).
 
-It is read from what models say of training runs that they did not learn from: the root mean square
-of those errors is split into noise, parameters and what the model lacks; the chip's rounding is
-added, and, outside the calibrated ranges, what lies beyond them.
+It is estimated from predictions for training runs by models that did not learn from them: the root
+mean square of those errors is split into noise, parameters and what the model lacks; the chip's
+rounding is added, and, outside the calibrated ranges, a share for the distance from them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ class OutputUncertainty:
     noise: float
     """Of a reading: what no compensation can take away."""
     parameters: float
-    """By how far the model moves when a run is left out."""
+    """RMS by which the predictions move when a run is left out."""
     left_out: float
     """Of what the model lacks: the rest of the error on runs left out."""
     rounding: float

@@ -1,4 +1,4 @@
-"""The input sequences that a model is checked on: the logs themselves, and what logs never show."""
+"""The input sequences that a model is checked on: the logs, and inputs that logs never have."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,12 @@ from zerodrift.operations.tables import NODES, watching_lines
 
 RANDOM_SEED = 20250217
 """Only makes the sequences repeatable; any other would do."""
+LONGEST_DRAWN_BITS = 47
+"""Of a time between steps, in microseconds: four years."""
+_RUN_STEPS = 16
+"""In which steps are equal, or not."""
+_EDGES_US, _EDGE_EVERY = (0, 1, 2**32, -1, 2**63 - 1), 24
+"""Times at which something changes, the largest of 64 bits among them; one every so many steps."""
 MISSING_SHARE = 0.1
 """Of the noise's codes, where a channel has one that means no reading."""
 EDGE_SHARE = 0.04
@@ -54,9 +60,27 @@ def draw_sequences(model: IntegerModel, steps: int) -> dict[str, CodeArray]:
     dwell = np.repeat(((low + high) / 2.0)[None], steps - 4 * part, axis=0)
     named = {"noise": noise, "rails": rails, "jumps": jumps, "walk": walk, "constant": dwell}
     return {
-        name: np.clip(np.round(codes), first, last).astype(model.code_type)
+        name: tell_times(model, np.clip(np.round(codes), first, last)).astype(model.code_type)
         for name, codes in named.items()
     }
+
+
+def tell_times(model: IntegerModel, codes: IntArray | NDArray[np.float64]) -> IntArray:
+    """Return codes [T, C] followed by times between steps, where the model is told them.
+
+    Times are the logs' period in one half of the steps, and in the other spread over all powers of
+    two up to 2**47 us, with 0 and the largest number there is among them.
+    """
+    whole = codes.astype(np.int64)
+    if not model.variable_step:
+        return whole
+    rng = np.random.default_rng(RANDOM_SEED + 1)
+    row = np.arange(len(codes))
+    drawn = np.floor(np.exp2(rng.uniform(0.0, LONGEST_DRAWN_BITS, len(codes)))).astype(np.int64)
+    times = np.where((row // _RUN_STEPS) % 2 == 1, model.period_us, drawn)
+    edges = row[_EDGE_EVERY // 2 :: _EDGE_EVERY]
+    times[edges] = np.resize(np.array(_EDGES_US), edges.size)
+    return np.concatenate([whole, times[:, None]], axis=1)
 
 
 def _list_ends(model: IntegerModel) -> tuple[IntArray, IntArray]:
@@ -113,7 +137,8 @@ def draw_starts(model: IntegerModel) -> list[CodeArray]:
         codes = {x for x in _list_edges(channel) if channel.raw_least <= x <= channel.raw_most}
         codes |= {int(low[k]), int(high[k]), *channel.raw_lacks}
         firsts += [np.where(np.arange(middle.size) == k, code, middle) for code in sorted(codes)]
-    return [np.stack([first, first, middle]).astype(model.code_type) for first in firsts]
+    stretches = [np.stack([first, first, middle]) for first in firsts]
+    return [tell_times(model, codes).astype(model.code_type) for codes in stretches]
 
 
 GOLDEN_LOG_STEPS = 2000
@@ -132,9 +157,11 @@ def draw_golden(model: IntegerModel, log: CodeArray) -> CodeArray:
 
     Args:
         model: gives the channels and their limits.
-        log: [T, C] codes of a log, of which the first 2000 steps are taken.
+        log: [T, C] codes of a log, of which the first 2000 steps are taken, with their times where
+            the model is told them.
     """
-    log = log[:GOLDEN_LOG_STEPS].astype(np.int64)
+    told = log[:GOLDEN_LOG_STEPS].astype(np.int64)
+    log = told[:, : len(model.channels)]
     limits = [_list_edges(c) for c in model.channels]
     guards = model.guards
     temperature = (guards.temperature_channel, guards.temperature_low, guards.temperature_high)
@@ -159,7 +186,8 @@ def draw_golden(model: IntegerModel, log: CodeArray) -> CodeArray:
     rows += [least, most, least, least, most, most]
     share = np.linspace(0.0, 1.0, _RAMP_STEPS)[:, None]
     ramp = np.round(least + share * (most - least)).astype(np.int64)
-    codes = np.clip(np.concatenate([log, np.array(rows), ramp]), least, most)
+    codes = tell_times(model, np.clip(np.concatenate([log, np.array(rows), ramp]), least, most))
+    codes[: len(told), len(model.channels) :] = told[:, len(model.channels) :]
     return np.concatenate([codes, _search_lines(model, codes)]).astype(model.code_type)
 
 
@@ -192,6 +220,9 @@ def _search_lines(model: IntegerModel, before: IntArray) -> IntArray:
         ends = np.where(rng.random(shape) < 0.5, least, most)
         pieces = np.where(pick < 0.3, pieces[:, :1], np.where(pick < 0.5, ends, pieces))
         pieces = np.where((pick > 0.4) & (pick < 0.5), pieces[:, :1], pieces)
+        if model.variable_step:
+            times = np.full((*shape[:2], 1), model.period_us)
+            pieces = np.concatenate([pieces, times], axis=2)
         read = np.zeros((_PIECES, NODES - 1), dtype=bool)
 
         def note(index: IntArray, read: NDArray[np.bool_] = read) -> None:

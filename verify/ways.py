@@ -1,4 +1,4 @@
-"""The ways in which one C is compiled: every layout and kernel that it holds, on host and cores."""
+"""The ways in which one C is compiled: every layout and kernel in it, on host and cores."""
 
 import importlib.util
 import platform

@@ -10,8 +10,12 @@ PRACTICE_EFFECT = "zero_tempco"
 MOST_DIGITS = 9
 APPLIED = "applied"
 """Folder for what `apply` writes from the page."""
+PLANNED = "plan.csv"
+"""In build/: the programme, its protocols beside it."""
+PLAN_BUDGET_S = 30
 TITLES = {
     "propose": "Looking for a formula",
+    "plan": "Planning the next experiment",
     "train": "Training",
     "firmware": "Building firmware",
     "verify": "Verifying",
@@ -76,14 +80,21 @@ def press(place: Workplace, button: str, chosen: Mapping[str, object]) -> None:
     elif button == "apply":
         apply(place)
     elif button in TITLES:
-        options = ["--no-diagnose"] if button == "report" else []
-        place.run(button, TITLES[button], [button, "--json", *options])
+        place.run(button, TITLES[button], [button, "--json", *list_options(place, button)])
     elif button in simple:
         simple[button]()
     else:
         known = ("add", "add-chosen", "remove", "restore", "apply", *TITLES, *simple)
         expected = ", ".join(known)
         raise InputError(f"{button!r}: is no button of the page; expected one of {expected}.")
+
+
+def list_options(place: Workplace, button: str) -> list[str]:
+    """Return what the page asks of a command beside its result."""
+    if button == "plan":
+        file = place.directory / "build" / PLANNED
+        return ["--budget", str(PLAN_BUDGET_S), "--out", str(file)]
+    return ["--no-diagnose"] if button == "report" else []
 
 
 def apply(place: Workplace) -> None:
@@ -112,7 +123,7 @@ def practise(place: Workplace) -> None:
 
 
 def draw_seed() -> int:
-    """Return a seed that nobody knows, for a practice case."""
+    """Return a random seed for a practice case."""
     import secrets
 
     return secrets.randbelow(1_000_000)

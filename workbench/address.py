@@ -1,7 +1,7 @@
 """A project's address on this machine: the same port and token each time, so that a tab finds it.
 
 They lie in the user's own state directory, readable by that user alone, and never in the project,
-which may be shared. Another user's file, or one that others may read, is not believed.
+which may be shared. Another user's file, or one that others may read, is ignored.
 """
 
 import hashlib

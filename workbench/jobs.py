@@ -1,7 +1,7 @@
-"""Commands run as processes of their own: with progress, to be cancelled, unable to harm the page.
+"""Commands run as separate processes: with progress, and cancellable; a crash spares the page.
 
-A child tells what it is doing by lines on stderr that begin with `progress: `, and that something
-is ready by lines on stdout that begin with `event: `; all else on stdout is its result.
+A child reports progress by lines on stderr that begin with `progress: `, and that something is
+ready by lines on stdout that begin with `event: `; all else on stdout is its result.
 """
 
 import contextlib

@@ -1,13 +1,19 @@
 """What a command that leaves the model as it is found: training, firmware, formula, report."""
 
+from pathlib import Path
+
 from dash import html
 from dash.development.base_component import Component
 
 from zerodrift.codegen.snippet import write_snippet
+from zerodrift.discovery.summary import explain_plan
 from zerodrift.report import tables
 from zerodrift.report.findings import Findings
 from zerodrift.report.pictures import draw_error_budget
-from zerodrift.report.results import ApplyResult, ProposeResult, TrainResult
+from zerodrift.report.pictures_plan import draw_programme
+from zerodrift.report.proposal import draw_remainder
+from zerodrift.report.proposal_words import explain_black_boxes
+from zerodrift.report.results import ApplyResult, PlanResult, ProposeResult, TrainResult
 from zerodrift.verify.summary import FirmwareSummary, VerifySummary
 from zerodrift.workbench.panels import show_picture, show_table
 from zerodrift.workbench.workplace import Outcome
@@ -21,6 +27,8 @@ def show_outcome(outcome: Outcome) -> list[Component]:
         return _show_built(outcome)
     if isinstance(outcome, ProposeResult):
         return _show_proposed(outcome)
+    if isinstance(outcome, PlanResult):
+        return _show_planned(outcome)
     if isinstance(outcome, ApplyResult):
         return _show_applied(outcome)
     if isinstance(outcome, TrainResult):
@@ -88,7 +96,9 @@ def _show_uncertainty(findings: Findings) -> list[Component]:
 def _show_proposed(outcome: ProposeResult) -> list[Component]:
     if not outcome.found:
         nearest = f" Nearest: {outcome.nearest}." if outcome.nearest else ""
-        return [html.P(f"No formula was found: {outcome.reason}.{nearest}")]
+        told = [html.P(f"No formula was found: {outcome.reason}.{nearest}")]
+        return told + [html.P(line, className="note") for line in explain_black_boxes(outcome)]
+    units = {name: error.unit for name, error in outcome.rmse_left_out.items()}
     errors = ", ".join(
         f"{name} {tables.write_number(e.before)} to {tables.write_number(e.after)} {e.unit}"
         for name, e in outcome.rmse_left_out.items()
@@ -97,9 +107,18 @@ def _show_proposed(outcome: ProposeResult) -> list[Component]:
     return [
         html.P([html.Code(outcome.formula), f" ({outcome.physics})"], className="standing"),
         html.P(f"RMSE on runs left out: {errors}."),
+        show_picture(draw_remainder(outcome.curves, units)),
+        *[html.P(told, className="note") for told in explain_black_boxes(outcome)],
         html.P(f"To confirm it: {outcome.next_experiment}", className="note"),
         html.P(["To use it as an effect of your own: ", html.Code(command)], className="note"),
     ]
+
+
+def _show_planned(outcome: PlanResult) -> list[Component]:
+    """Return a programme as a picture, what it is expected to tell, and where its files are."""
+    told = [html.P(line) for line in explain_plan(outcome, Path())]
+    notes = [html.P(line, className="note") for line in outcome.notes]
+    return [show_picture(draw_programme(outcome)), *told, *notes]
 
 
 def show_firmware(findings: Findings) -> list[Component]:

@@ -23,6 +23,7 @@ RUNS = {
     "add": "add",
     "remove": "add",
     "propose": "add",
+    "plan": "diagnose",
     "train": "firmware",
     "firmware": "firmware",
     "verify": "verify",
@@ -43,6 +44,8 @@ class ProjectStanding:
     """Effect -> why `add` refused it on these logs and this model."""
     proposed: bool = False
     """Whether a formula was looked for."""
+    planned: bool = False
+    """Whether the next experiment was planned."""
     verified: bool = False
     applied: bool = False
     reported: bool = False
@@ -156,16 +159,17 @@ def _choose(
     open_names = [name for name in explained.named if name not in standing.refused]
     adds = [Offer("add", f"Add {name}", name) for name in open_names]
     firmware = Offer("firmware", "Train and build firmware")
+    plan = () if standing.planned else (Offer("plan", "Plan the next experiment"),)
     if diagnosis.verdict == "missing" and adds and not weak:
         gain = (
             f"With it the error on runs left out falls from {diagnosis.floor_ratio_before:.2f} to "
             f"{diagnosis.floor_ratio_after:.2f} times the noise floor."
         )
         alike = [Offer("add", f"Add look-alike {o.effect}", o.effect) for o in adds[1:]]
-        return "add", adds[0], gain, (*alike, firmware)
+        return "add", adds[0], gain, (*alike, *(plan if alike else ()), firmware)
     others: list[Offer] = []
     if weak and adds:
-        others = [Offer("add", f"Add {adds[0].effect} all the same", adds[0].effect)]
+        others = [Offer("add", f"Add {adds[0].effect} all the same", adds[0].effect), *plan]
     for other in explained.thermometers[:1]:
         kind = other.command.kind
         offer = Offer("add", f"Add {kind} after {other.signal}", kind)
@@ -177,9 +181,9 @@ def _choose(
             "No effect of the catalogue explains what is left "
             f"({diagnosis.floor_ratio_before:.2f} times the noise floor)."
         )
-        return "add", propose, reason, (firmware,)
+        return "add", propose, reason, (*plan, firmware)
     if diagnosis.verdict == "unknown":
-        others.append(propose)
+        others += [propose, *plan]
     if findings.firmware is not None:
         return _choose_after_firmware(standing, tuple(others))
     why = _tell_why_firmware(explained, standing, weak)

@@ -18,7 +18,7 @@ REFUSED = (
 
 
 def make_token() -> str:
-    """Return a token that nobody guesses."""
+    """Return a random token that cannot be guessed."""
     return secrets.token_urlsafe(24)
 
 
@@ -28,8 +28,8 @@ def guard(server: Flask, token: str, port: int) -> None:
     Args:
         server: the application.
         token: what the address carries at first, and a cookie from then on.
-        port: where the server listens. Asked under another name than this machine's own, it
-            refuses: somebody's page had its own name resolve here.
+        port: where the server listens. Requests under any host name but this machine's are refused,
+            against DNS rebinding.
     """
     hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
     cookie = f"zerodrift_token_{port}"

@@ -113,7 +113,7 @@ class Workbench:
         self.close()
 
     def close(self) -> None:
-        """Let the port and the directory go."""
+        """Release the port and the directory."""
         self._server.server_close()
         self._listener.close()
         self.place.close()

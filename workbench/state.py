@@ -70,7 +70,7 @@ class DrawnPicture:
     panes: tuple[PageChoice, ...]
     """What can be put into a pane."""
     drivers: tuple[PageChoice, ...]
-    """What what is left can be held against."""
+    """The signals that the residual can be plotted against."""
     against: str
     is_whole: bool
     seconds: float
@@ -91,7 +91,7 @@ class JobState:
 
 @dataclass(frozen=True)
 class PageState:
-    """Where things stand."""
+    """The page's version and its running job."""
 
     version: int
     """Counts up whenever there is something new to show."""

@@ -66,7 +66,7 @@ def receive(stream: IO[bytes], target: Path, size: int) -> None:
     """Write what is sent to a file, whole or not at all.
 
     Raises:
-        InputError: it ended early, or the disk does not take it.
+        InputError: it ended early, or cannot be written to the disk.
     """
     part = target.with_name(f".{target.name}.part")
     try:

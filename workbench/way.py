@@ -18,6 +18,7 @@ def describe_standing(place: Workplace) -> ProjectStanding:
         job=find_job(place),
         refused=dict(place.refused),
         proposed="propose" in place.done,
+        planned="plan" in place.done,
         verified="verify" in place.done,
         applied="apply" in place.done,
         reported="report" in place.done,

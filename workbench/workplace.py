@@ -30,6 +30,7 @@ from zerodrift.report.results import (
     ApplyResult,
     HistoryResult,
     InitResult,
+    PlanResult,
     ProposeResult,
     RemoveResult,
     ReportResult,
@@ -55,15 +56,26 @@ from zerodrift.workbench.state import JobState, PageState
 Array = NDArray[np.float64]
 
 CHILD = "zerodrift.app.page"
-LOOKS_AT = ("verify", "report", "apply", "propose")
+LOOKS_AT = ("verify", "report", "apply", "propose", "plan")
 """Commands after which the project is as it was."""
 CHANGES = ("add", "remove", "restore")
 """Commands that change the model, so that what was found of it is out of date."""
-Outcome = TrainResult | FirmwareSummary | VerifySummary | ReportResult | ProposeResult | ApplyResult
-OUTCOMES = (TrainResult, FirmwareSummary, VerifySummary, ReportResult, ProposeResult, ApplyResult)
+Outcome = (
+    TrainResult
+    | FirmwareSummary
+    | VerifySummary
+    | ReportResult
+    | ProposeResult
+    | PlanResult
+    | ApplyResult
+)
+OUTCOMES = (
+    *(TrainResult, FirmwareSummary, VerifySummary, ReportResult, ProposeResult, PlanResult),
+    ApplyResult,
+)
 MOST_READ = 12
 """Drivers of runs that are kept in memory."""
-READS_LOGS = ("add", "remove", "propose", "train", "firmware", "report")
+READS_LOGS = ("add", "remove", "propose", "plan", "train", "firmware", "report")
 """Commands that the page runs and that can drop invalid rows."""
 
 
@@ -97,11 +109,11 @@ class Workplace:
         self.revision: AddResult | RemoveResult | None = None
         """What the last `add` or `remove` found."""
         self.outcome: Outcome | None = None
-        """What the last `train`, `firmware`, `verify`, `apply`, `propose` or `report` found."""
+        """What the last command found that leaves the model as it is."""
         self.refused: dict[str, str] = {}
         """Effect -> why `add` refused it, of this model on these logs."""
         self.done: set[str] = set()
-        """What was done with the firmware as it is: verify | apply | report | propose."""
+        """What was done with the firmware as it is: verify | apply | report | propose | plan."""
         self.version = 0
         """Counts up whenever there is something new to show."""
         self.shown = 0

@@ -17,6 +17,14 @@ _LIMITS = {
     "int32_t": (-(2**31), 2**31 - 1),
 }
 
+TIMES_US = tuple(
+    f"UINT64_C({time})"
+    for time in (500_000, 0, 1, 77, 4_003, 500_000, 1_000_003, 500_000, 63_000_001, 2**32 - 1)
+) + tuple(f"UINT64_C({time})" for time in (2**32, 7 * 10**9 + 1, 500_000, 10**13, 2**61, 2**64 - 1))
+AGES_US = ("UINT64_C(1)", "UINT64_C(86400000000)", "UINT64_MAX")
+_AGED = """    feed_number(4, {prefix}_restore_after(&other, copy, {age}));
+    feed(4, &other, sizeof other);
+"""
 _PROGRAM = """\
 /* Judges @P@: a 64-bit hash per phase. ZD_CHIP: no C library, hashes left in `judged`. */
 #include <stddef.h>
@@ -99,7 +107,7 @@ static void watch(const char *name, const void *values, size_t size, uint32_t co
 static const @CODE@ codes[][@C@] = {
 @CODES@};
 static const uint32_t lengths[] = {@LENGTHS@};
-static @P@_state_t live, other;
+@TIMES@static @P@_state_t live, other;
 static uint8_t copy[sizeof(@P@_state_t) + 64];
 static void put(@P@_input_t *in, const @CODE@ *row) {
     const @P@_input_t read = {@FIELDS@};
@@ -119,7 +127,7 @@ static void run(uint32_t first, uint32_t count, int settled) {
         uint32_t flags;
         put(&in, codes[first + t]);
         for (int k = 0; k < @K@; k++) { drift[k] = 123456789; }
-        flags = @P@_step(&live, &in, drift);
+        flags = @STEP@;
         tell(1, drift, flags);
         if (t % 8 == 0) { feed(3, &live, sizeof live); }
     }
@@ -131,7 +139,7 @@ static void keep(void) {
     for (size_t i = 0; i < sizeof other; i++) { ((volatile uint8_t *)&other)[i] = 0xA5; }
     feed_number(4, @P@_restore(&other, copy));
     feed(4, &other, sizeof other);
-    for (size_t i = 0; i < sizeof live + 16u; i++) {
+@AGED@    for (size_t i = 0; i < sizeof live + 16u; i++) {
         copy[i] ^= (uint8_t)(1u << (i % 8u));
         feed_number(4, @P@_restore(&other, copy));
         feed(4, &other, sizeof other);
@@ -210,6 +218,7 @@ def render_driver(
     macros = re.findall(rf"(?m)^#define ({upper}_\w+) (.+?)(?:/\*.*)?$", header)
     numbers = [name for name, value in macros if re.match(r"-?\d|U?INT\d+_C|\(", value)]
     texts = [name for name, value in macros if value.startswith('"')]
+    timed = f"{prefix}_step_after(" in header
     indices = [
         f"drift[{name}]" for name, _ in macros if f"{name}_LSB_PER_UNIT" in dict(macros)
     ] or [f"drift[{k}]" for k in range(int(outputs[1]))]
@@ -226,6 +235,11 @@ def render_driver(
         ),
         "LENGTHS": ", ".join(f"{len(part)}u" for part in rows),
         "FIELDS": ", ".join(f"({kind})row[{k}]" for k, kind in enumerate(types)),
+        "STEP": f"{prefix}_step_after(&live, &in, times[(first + t) % {len(TIMES_US)}u], drift)"
+        if timed
+        else f"{prefix}_step(&live, &in, drift)",
+        "TIMES": f"static const uint64_t times[] = {{{', '.join(TIMES_US)}}};\n" if timed else "",
+        "AGED": "".join(_AGED.format(prefix=prefix, age=age) for age in AGES_US) if timed else "",
         "TELL": "".join(f"    feed(phase, &{place}, sizeof(int32_t));\n" for place in indices),
         "HEADER": "".join(f"    feed_number(0, (int64_t)({name}));\n" for name in numbers)
         + "".join(f"    feed(0, {name}, sizeof({name}));\n" for name in texts),

@@ -12,6 +12,7 @@ from tests.golden.model_factory import Shape, draw_model
 from tests.golden.models import CASES
 from tests.operations.test_conversion import make_model
 from tests.projects import render_toml
+from tests.variable_step.models import make_model as make_asleep
 from tests.verify.conftest import write_firmware
 
 from benchmarks.mutants.driver import render_driver
@@ -33,6 +34,7 @@ MODELS = (
     "guarded",
     "lstm",
     "raw",
+    "asleep",
 )
 _EXTRA = {
     "physics": Shape(
@@ -86,6 +88,8 @@ def draw_subject(name: str) -> IntegerModel:
     """Return the integer model of one of `MODELS`."""
     if name == "raw":
         return make_model("ntc")
+    if name == "asleep":
+        return make_asleep(guarded=True)
     shape = _EXTRA[name] if name in _EXTRA else CASES[name].shape
     return replace(draw_model(shape, sum(name.encode())), guarded=name == "guarded")
 

@@ -16,7 +16,7 @@ _NUMBERS = itertools.count()
 
 
 def read(path: Path) -> Iterable[FormatTable]:
-    """Yield each sheet as text, a line to a row, so that what stands above a header is told."""
+    """Yield each sheet as text, one line per row, so that lines above a header are recognised."""
     workbook = CalamineWorkbook.from_path(str(path))
     for name in workbook.sheet_names:
         rows = workbook.get_sheet_by_name(name).to_python(skip_empty_area=False)

@@ -15,7 +15,7 @@ def read(path: Path) -> Iterable[FormatTable]:
     """Yield a table for each topic; its times are the headers' stamps, else when it was logged.
 
     Raises:
-        InputError: no topic is encoded in a way that is known.
+        InputError: no topic has a known encoding.
     """
     topics: dict[str, Recorder] = {}
     unread: dict[str, str] = {}

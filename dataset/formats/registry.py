@@ -1,4 +1,4 @@
-"""Which reader a file's suffix asks for, and what is said where it cannot be read."""
+"""The reader for a file's suffix, and the message where the file cannot be read."""
 
 import importlib
 from collections.abc import Callable, Iterable

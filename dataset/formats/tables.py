@@ -22,7 +22,7 @@ class FormatTable:
     """The rows; None where they are in `text`."""
     units: Mapping[str, str] = field(default_factory=dict)
     text: Path | None = None
-    """The same as text, where header, units and lines above them have yet to be told."""
+    """The rows as text, where header, units and the lines above them are still to be found."""
 
     @property
     def holds_rows(self) -> bool:
@@ -31,7 +31,7 @@ class FormatTable:
 
     @property
     def holds_numbers(self) -> bool:
-        """Tell whether there is anything beside times."""
+        """Tell whether there are numbers besides the times."""
         return self.frame is None or any(name != TIME for name in self.frame.columns)
 
 

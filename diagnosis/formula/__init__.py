@@ -1,1 +1,2 @@
-"""Where the catalogue ends: formulas grown from the chip's operations, and which of them holds."""
+"""Formulas beyond the catalogue of effects, built from the chip's operations, and their
+judgement."""

@@ -54,7 +54,7 @@ EQUAL = 0.1
 
 @dataclass(frozen=True)
 class Rival:
-    """A formula that these runs cannot tell from the one proposed."""
+    """A formula that these runs cannot distinguish from the proposed one."""
 
     name: str
     """The formula."""
@@ -109,7 +109,7 @@ class _Choice:
 
 @dataclass(frozen=True)
 class FormulaSearch:
-    """What was found, and what the search was."""
+    """The result of a search, and its extent."""
 
     formula: Formula | None
     reason: str
@@ -140,7 +140,7 @@ def propose_formula(
         config: the project.
         dataset: its runs; test logs are not looked at.
         catalogue: the known effects.
-        advance: is told what has been tried.
+        advance: called with the name of what has been tried.
 
     Raises:
         InputError: as `fit_config`.

@@ -1,4 +1,4 @@
-"""From the raw code that the hardware gives to the code of the quantity: a table and its lines."""
+"""From the hardware's raw code to the code of the quantity, by a table of straight lines."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -53,12 +53,12 @@ class IntegerConversion(IntegerNode):
     raw: str
     """uint16, int16 or int32."""
     formula: ConversionConfig
-    """What is converted by, exactly; the table is within `error` of it."""
+    """The exact conversion; the table is within `error` of it."""
     begin: int
     end: int
     """Raw codes beyond these are no readings."""
     lacks: int | None
-    """One more raw code that is none."""
+    """One more raw code that is no reading."""
     none: int | None
     """The quantity's code for no reading; None: every raw code is a reading."""
     low: int
@@ -66,7 +66,7 @@ class IntegerConversion(IntegerNode):
     """Raw codes that the table covers; beyond them they are limited."""
     block_bits: int = 0
     first: tuple[int, ...] = ()
-    """Of each block its first line, and behind them the number of lines."""
+    """First line of each block, and at the end the number of lines."""
     nodes: tuple[int, ...] = ()
     """The quantity at the lines' ends, in its codes and shift - block_bits fractional bits."""
     shift: int = 0
@@ -76,7 +76,7 @@ class IntegerConversion(IntegerNode):
     """Largest distance to the formula at any code that is covered, rounding included, in the
     quantity's unit."""
     worth: tuple[float, float] = (0.0, 0.0)
-    """What one raw code is worth where it is worth least and most, in the quantity's unit."""
+    """Smallest and largest step of the quantity per raw code, in the quantity's unit."""
     junction: "IntegerConversion | None" = None
     """From the code of the cold junction's channel to a voltage in counts of the sum."""
     fraction_bits: int | None = None
@@ -114,7 +114,7 @@ class IntegerConversion(IntegerNode):
 
     @property
     def half(self) -> int:
-        """What rounds the shift."""
+        """The rounding half of the shift."""
         return 1 << self.shift >> 1
 
     @property
@@ -240,7 +240,7 @@ class IntegerConversion(IntegerNode):
         ]
 
     def check_form(self) -> None:
-        """Raise ValueError where the table is not one, or the codes are none of their type."""
+        """Raise ValueError where the table is malformed, or a code is outside of its type."""
         if self.raw not in RAW_TYPES:
             raise ValueError(f"'{self.name}' is given {self.raw!r}")
         if (self.junction is None) != (self.fraction_bits is None):
@@ -290,7 +290,7 @@ class IntegerConversion(IntegerNode):
 
     @property
     def table_bytes(self) -> int:
-        """What the tables take in flash."""
+        """Size of the tables in flash, in bytes."""
         own = 2 * len(self.first) + 4 * len(self.nodes)
         return own + (0 if self.junction is None else self.junction.table_bytes)
 

@@ -31,6 +31,11 @@ class IntegerCounter(IntegerNode):
         """No count is as low as -1, and the one that it stops at."""
         return -1, self.limit
 
+    @property
+    def needs_equal_steps(self) -> bool:
+        """Whether the state is valid only if all steps have the same length."""
+        return True
+
     def rest(self, values: Values) -> State:
         """Return a count of 0, with as many entries as the batch has."""
         return {"count": np.zeros(values[CODES].shape[0], dtype=np.int64)}

@@ -66,6 +66,11 @@ class IntegerDelay(IntegerNode):
     newer_q31: int = 0
     """Share of the sample `steps` - 1 ago, in Q0.31; 0: none."""
 
+    @property
+    def needs_equal_steps(self) -> bool:
+        """Whether the state is valid only if all steps have the same length."""
+        return True
+
     def rest(self, values: Values) -> State:
         """Return a line filled with the present input, oldest first."""
         x = values[self.inputs[0]]
@@ -138,6 +143,11 @@ class IntegerDelay(IntegerNode):
 def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
     """Return x as it was some time ago: whole steps, and a share of one more."""
     delay_s = node.constants[0]
+    if nodes.variable_step and delay_s > 0.0 and x.node:
+        raise CheckError(
+            f"a delay of {delay_s:g} s: it is a line of samples at equal times, and a variable step"
+            " has none. Remove what delays, or state sample_period_s as a number."
+        )
     whole, share = delay_taps(nodes.sample_period_s, delay_s)
     newer_q31 = round((1.0 - share) * 2.0**31) if share > 1e-6 else 0
     steps = whole if newer_q31 == 0 else whole + 1

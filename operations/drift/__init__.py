@@ -1,4 +1,4 @@
-"""The answer: the last node of every model."""
+"""The drift: the last node of every model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from zerodrift.operations.signals import Real
 
 @dataclass(frozen=True)
 class IntegerDrift(IntegerNode):
-    """The answer: per output a 64-bit sum of signals and the head's row, rounded once and limited.
+    """The drift: per output a 64-bit sum of signals and the head's row, rounded once and limited.
 
     Inputs are the scalar signals in order and, last and only if `head` is set, the head's vector.
     """

@@ -119,7 +119,7 @@ class IntegerExp2(IntegerNode):
         ]
 
     def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
-        """Return what an exponent that is off by d makes of the largest result, and the octave's.
+        """Return the error of the largest result from an exponent error of d, and the octave's.
 
         Both exponents are limited to low .. high, so that 2**e is off by 2**top (2**d - 1) at most.
         """

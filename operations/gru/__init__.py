@@ -10,6 +10,7 @@ from zerodrift.base.config import LONGEST_WINDOW
 from zerodrift.operations.arithmetic import IntArray, round_shift
 from zerodrift.operations.c_text import RuntimePart, StateField, list_ring
 from zerodrift.operations.dense import COPY_BITS
+from zerodrift.operations.errors import Error, Known
 from zerodrift.operations.gru.cell import (
     GATES,
     H_LIMIT_Q30,
@@ -18,10 +19,12 @@ from zerodrift.operations.gru.cell import (
     write_gru_step,
     write_relaxed,
 )
+from zerodrift.operations.gru.error import bound_states
 from zerodrift.operations.gru.layouts import FILTERS
 from zerodrift.operations.intervals import Bound, Interval, Shift
 from zerodrift.operations.node import Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.recurrent import IntegerRecurrent, number_layers, prove_layers
+from zerodrift.operations.signals import Real
 from zerodrift.operations.tables import TANH
 
 
@@ -159,6 +162,12 @@ class IntegerGruLayer(IntegerRecurrent):
 
     def _write_joined(self, w: Writer, states: Sequence[str]) -> dict[str, str]:
         return {"h_q30": states[-1]}
+
+    def bound_states(self, rows: Sequence[Real], inputs: Sequence[Known]) -> list[Error]:
+        """Return the error of every unit where the layer is alone and forgets; see `error`."""
+        if len(self.layers) > 1 or any(row.operation != f"gru_{self.gru.reset}" for row in rows):
+            return super().bound_states(rows, inputs)
+        return bound_states(self.gru, [row.numbers for row in rows], inputs)
 
     def list_state(self) -> tuple[StateField, ...]:
         """Return the fields of the state in C."""

@@ -1,4 +1,4 @@
-"""What a layer reads that stands on several others: their int16 copies side by side."""
+"""The input of a layer that reads several others: their int16 copies side by side."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -56,7 +56,8 @@ class IntegerJoin(IntegerNode):
         return out, [Bound(f"{self.name}[{i}]", x, 32) for i, x in enumerate(reach)]
 
     def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
-        """Raise: what a join stands for is told by nobody; it stands beside a recurrent layer."""
+        """Raise NoRuleError: joins occur with recurrent layers, for which no real meaning is
+        stated."""
         raise NoRuleError("a join stands beside a recurrent layer, which carries errors on")
 
     def write_step(self, w: Writer, values: Names, state: Names) -> OnnxStep:

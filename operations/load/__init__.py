@@ -1,4 +1,4 @@
-"""The load as the chip knows it: the raw output less the drift found one step before."""
+"""The load as the chip computes it: the raw output less the drift of the step before."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""First-order low-pass: what a thermal mass, a creeping polymer or a drying body does."""
+"""First-order low-pass: the response of a thermal mass, a creeping polymer or a drying body."""
 
 import math
 from collections.abc import Sequence
@@ -14,16 +14,14 @@ from zerodrift.operations.arithmetic import INT32_MAX, Array, IntArray, round_sh
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.enclosure import Range, enclose_exp, furthest, shorten
 from zerodrift.operations.errors import HALF, Error, Known
-from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes
+from zerodrift.operations.formats import LOWPASS_FRACTION, SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
+from zerodrift.operations.lowpass_after import make_lowpass_after
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import fit
-
-LOWPASS_FRACTION = 24
-"""Extra fractional bits of the low-pass state, against stalling (see `IntegerLowpass`)."""
 
 
 def lowpass_coefficients(sample_period_s: float, tau_s: float) -> tuple[float, float, float]:
@@ -98,6 +96,11 @@ class IntegerLowpass(IntegerNode):
     m_q31: int
     shift: int
     """31 + k - 22 for a = m_q31 * 2**-(31 + k)."""
+
+    @property
+    def needs_equal_steps(self) -> bool:
+        """Whether the state is valid only if all steps have the same length."""
+        return True
 
     def rest(self, values: Values) -> State:
         """Return v at which y equals x exactly."""
@@ -207,6 +210,11 @@ def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
     tau_s = node.constants[0]
     if tau_s <= 0.0 or not x.node:
         return x
+    if nodes.variable_step:
+        x = fit(nodes, x, SIGNAL_BITS)
+        told = make_lowpass_after(nodes.new_name("lowpass"), (x.node,), tau_s)
+        out = Signal(nodes.append(told), x.scale, x.offset)
+        return out.standing_for("lowpass", (x,), tau_s, nodes.sample_period_s)
     _, b0, _ = lowpass_coefficients(nodes.sample_period_s, tau_s)
     share = -math.expm1(-nodes.sample_period_s / tau_s)
     exponent = -math.frexp(share)[1]

@@ -1,4 +1,4 @@
-"""A constant taken off a signal, so that its integers stand for it without one."""
+"""Subtracts a constant from a signal, so that its integers have no offset."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ class IntegerOffset(IntegerNode):
         return [out], [Bound(self.name, out, 32).check()]
 
     def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
-        """Return the error of x and what the rounded offset is wrong by, half a count at most."""
+        """Return the error of x and that of the rounded offset, at most half a count."""
         chip = {(self.inputs[0], 0): out.scale}
         constant = out.offset - self.offset * out.scale
         return bound_sum(list_terms(real, inputs), chip, constant, "coefficients")

@@ -1,4 +1,4 @@
-"""Play (backlash): the rate-independent memory that hysteresis is made of."""
+"""Play (backlash): the rate-independent memory of which hysteresis is composed."""
 
 import math
 from collections.abc import Sequence
@@ -106,7 +106,8 @@ class IntegerPlay(IntegerNode):
         ]
 
     def bound_error(self, real: Real, out: Known, inputs: Sequence[Known]) -> Error:
-        """Return the error of x and of the slack: y is limited by x -+ r, and holds no error long.
+        """Return the error of x and of the slack; y is limited by x -+ r, so errors do not
+        accumulate.
 
         y is the old y limited to x - r .. x + r. Two limits at most d apart leave two y at most d
         apart, if they were before, as they are at rest. A slack wider than all that x can do never
@@ -148,7 +149,7 @@ def lower(nodes: FormattedNodes, node: Node, x: Signal) -> Signal:
     interval = nodes.intervals[x.node][0]
     width = round(half_width / abs(x.scale))
     span = interval.high - interval.low
-    # A slack wider than everything that x can do is no other than one of that width.
+    # A slack wider than the whole range of x acts like one of that width.
     slack = IntegerPlay(nodes.new_name("play"), (x.node,), min(width, span))
     out = Signal(nodes.append(slack), x.scale, x.offset)
     return out.standing_for("play", (x,), half_width)

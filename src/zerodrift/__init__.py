@@ -28,7 +28,7 @@ _PLACES = {
 
 
 def __getattr__(name: str) -> object:
-    """Load what is used when it is used; importing zerodrift loads the standard library alone."""
+    """Load a name's module on first use; importing zerodrift loads only the standard library."""
     if name == "effects":
         return import_module("zerodrift.effects")
     if name in _PLACES:
@@ -37,5 +37,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """Return the names that are there to be used."""
+    """Return the public names."""
     return sorted([*__all__, "__version__"])

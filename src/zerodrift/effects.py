@@ -1,4 +1,4 @@
-"""What a user's effect is made of; see docs/how-to/write-an-effect.md.
+"""The parts of a user's own effect; see docs/how-to/write-an-effect.md.
 
 Example:
     >>> from zerodrift.effects import Effect, Feature, Parameter, register

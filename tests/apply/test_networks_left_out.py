@@ -17,11 +17,11 @@ from zerodrift.base.records import from_json
 from zerodrift.base.sealed import read_sealed
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.train import conclude, understudies
+from zerodrift.train import conclude, refits
 from zerodrift.train.compensator import Compensator, TrainedAs
+from zerodrift.train.refits import MOST_PARTS, Original, find_network, split_parts
 from zerodrift.train.tasks import Handling
 from zerodrift.train.training import train
-from zerodrift.train.understudies import MOST_PARTS, Original, find_network, split_parts
 from zerodrift.verify.left_out import LeftOut, leave_out, leave_out_together
 from zerodrift.verify.uncertainty import Uncertainty
 
@@ -152,14 +152,14 @@ def test_one_run_alone_says_why(original: Original) -> None:
 def test_what_diverges_is_told_and_spoils_no_other(
     original: Original, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = understudies._prepare
+    real = refits._prepare
 
     def fail(number: int, *rest: object) -> object:
         if number == 0:
             raise FloatingPointError("too large")
         return real(number, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(understudies, "_prepare", fail)
+    monkeypatch.setattr(refits, "_prepare", fail)
     first, second = leave_out_together([original, original], Handling())
     assert isinstance(first, InputError) and "too large" in str(first)
     assert isinstance(second, LeftOut)

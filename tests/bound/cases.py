@@ -30,9 +30,9 @@ class Case:
     codes: NDArray[np.int64]  # [B, T, C]
 
     @classmethod
-    def of(cls, described: FloatModel, calibration: Calibration) -> "Case":
+    def of(cls, described: FloatModel, calibration: Calibration, weights: str = "int16") -> "Case":
         """Return the case of a float model, without codes."""
-        quantized = quantize_graph(described, calibration)
+        quantized = quantize_graph(described, calibration, weights)
         return cls(described, calibration, quantized, np.zeros((0, 0, 0), dtype=np.int64))
 
     def bound(self) -> ErrorBound:

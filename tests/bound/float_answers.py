@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.export.float_model import Calibration, FloatModel
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.quantize import Quantized
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.operations.dense import FloatFeedForward
@@ -124,11 +125,16 @@ class _Held:
     def _run_network(self, taps: Array) -> Array:
         described = self._float
         assert described.whitening is not None and described.tap_mean is not None
-        assert isinstance(described.network, FloatFeedForward)
         x = (taps - described.tap_mean) @ described.whitening.T
         scales = np.array([s.scale for s in _list_features(self._quantized)])
         x = np.clip(x, -32768 * scales, 32767 * scales)
-        return described.network.run(x)
+        network = described.network
+        if isinstance(network, FloatFeedForward):
+            return network.run(x)
+        assert isinstance(network, FloatNetwork)
+        if described.window:
+            return np.stack([network.run_windows(run, described.window) for run in x])
+        return network.run(x, network.settle(x[:, 0]))
 
 
 def _list_features(quantized: Quantized) -> Sequence[Signal]:
@@ -139,7 +145,9 @@ def _list_features(quantized: Quantized) -> Sequence[Signal]:
         signal = stack.pop()
         if signal.node == "features":
             found[signal.index] = signal
-        elif signal.node.startswith(("drift", "head", "dense")) and signal.meaning is not None:
+        elif (
+            signal.node.startswith(("drift", "head", "dense", "gru")) and signal.meaning is not None
+        ):
             first = signal.meaning.inputs
             stack.extend(first)
     return [found[i] for i in sorted(found)]

@@ -16,12 +16,13 @@ from hypothesis import strategies as st
 from tests.fixed_point.strategies import shapes
 from tests.golden.model_factory import Shape, draw_model
 from tests.golden.models import CASES
+from zerodrift.base import fleet_config
 from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.integer_model import FORMAT, IntegerModel
-from zerodrift.verify import known_runtime
+from zerodrift.verify import certificate_check, known_runtime
 from zerodrift.verify.c_model import Model, read_models
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import check_certificate, compare, judge, judge_each
@@ -452,3 +453,8 @@ GRU_FAULTS: dict[str, tuple[Shape, str, str]] = {
 def test_a_fault_in_a_gru_s_further_assembly_is_noticed(fault: str) -> None:
     shape, pattern, becomes = GRU_FAULTS[fault]
     assert check_edited(shape, C, pattern, becomes), f"not noticed: {fault}"
+
+
+def test_the_folder_that_units_share_has_one_name() -> None:
+    """The check imports the standard library alone, so that it has a literal of its own."""
+    assert certificate_check.SHARED_RUNTIME == fleet_config.SHARED_RUNTIME

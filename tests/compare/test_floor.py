@@ -80,3 +80,31 @@ def test_a_short_log_keeps_its_noise(make_run):
     runs = tuple(make_run(i).take(slice(0, 240)) for i in range(30))
     one = [measure_floor(Dataset((run,), (), (), *NAMES)).rms for run in runs]
     assert np.median(one, axis=0) == pytest.approx([0.05, 0.05], rel=0.1)
+
+
+@pytest.mark.parametrize("at", [0.0, 0.25, 0.5])
+def test_floor_of_a_coarse_converter_is_not_that_of_one_place_between_two_steps(make_run, at):
+    """At rest the steps show all of themselves or nothing; going through many, always the same."""
+    step, sigma = 0.2, 0.05
+
+    def convert(run, shift=0.0):
+        rng = np.random.default_rng(len(run.name) + int(1e3 * shift))
+        fine = rng.normal(size=run.measured.shape) * sigma + run.measured + shift
+        return replace(run, measured=step * np.round(fine / step))
+
+    slow = np.linspace(0.0, 3.0, 6000)[:, None] * np.ones(2)
+    runs = []
+    for i in range(3):
+        run = make_run(i, noise=0.0)
+        moved = (
+            run.measured
+            + np.interp(run.time_s, np.linspace(*run.time_s[[0, -1]], 6000), slow[:, 0])[:, None]
+        )
+        runs.append(convert(replace(run, measured=moved, name=f"run{i}" * (i + 1))))
+    still = make_run(9, noise=0.0)
+    rest = replace(still, measured=np.zeros_like(still.measured), reference=0 * still.reference)
+    dwell = convert(rest, at * step)
+    floor = measure_floor(Dataset(tuple(runs), (), (dwell,), *NAMES))
+    truth = np.sqrt(sigma**2 + step**2 / 12)
+    most = 0.5 * step if at == 0.5 else 1.1 * truth  # half of the samples at either step
+    assert (0.9 * truth < floor.rms).all() and (floor.rms <= most).all()

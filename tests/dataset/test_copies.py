@@ -11,8 +11,9 @@ from tests.projects import FORCE, render_toml
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.copies import LEAST_NOISE_STEPS, measure_noise, measure_step
+from zerodrift.dataset.copies import LEAST_NOISE_STEPS, measure_white_noise
 from zerodrift.dataset.load import load_dataset
+from zerodrift.dataset.resolution import measure_step
 from zerodrift.dataset.runs import Dataset
 
 HEADER = "time_s,temperature_degC,Fz_N,ref_Fz_N"
@@ -227,12 +228,27 @@ def test_step_of_a_converter_is_measured_and_that_of_doubles_is_none() -> None:
 def test_noise_is_measured_on_a_drift_and_not_in_a_smooth_curve() -> None:
     at = np.arange(2000.0)
     noise = np.random.default_rng(0).normal(0, 0.1, at.size)
-    assert measure_noise(20 * np.sin(at / 100) + noise) == pytest.approx(0.1, rel=0.15)
-    assert measure_noise(20 * np.sin(at / 100)) == 0
-    assert measure_noise(np.repeat(np.arange(20.0), 100)) == 0
+    assert measure_white_noise(20 * np.sin(at / 100) + noise) == pytest.approx(0.1, rel=0.15)
+    assert measure_white_noise(20 * np.sin(at / 100)) == 0
+    assert measure_white_noise(np.repeat(np.arange(20.0), 100)) == 0
 
 
 @pytest.mark.parametrize("slope", [0.5, 0.47, 0.34, 1.3])
 def test_ramp_over_a_coarse_converters_steps_is_no_noise(slope: float) -> None:
     ramp = np.rint(slope * np.arange(200.0) + 0.2)
-    assert measure_noise(ramp) < LEAST_NOISE_STEPS
+    assert measure_white_noise(ramp) < LEAST_NOISE_STEPS
+
+
+def record_coarsely(seed: int, rows: int = 1500) -> list[np.ndarray]:
+    """Return one column of a converter of two or three codes, zeroed where it stands."""
+    rng = np.random.default_rng(seed)
+    slow = 0.4 * np.sin(np.arange(rows) / rng.uniform(150, 400) + rng.uniform(0, 6))
+    codes = np.rint(slow + rng.uniform(-0.5, 0.5) + rng.normal(0, 0.33, rows))
+    return [0.2 * (codes + rng.integers(-500, 500))]
+
+
+def test_two_codes_of_a_zeroed_converter_are_no_copy() -> None:
+    runs = [record_coarsely(seed) for seed in range(24)]
+    assert find(runs) == {}
+    copied = [*runs[:3], [runs[0][0][200:900] + 0.4]]
+    assert find(copied) == {}  # so few bits prove nothing, be it a copy or not

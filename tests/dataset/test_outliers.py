@@ -14,7 +14,7 @@ from zerodrift.dataset.outliers import (
     _prepare,
     weigh_samples,
 )
-from zerodrift.dataset.runs import Run, tell_outliers
+from zerodrift.dataset.runs import Run, share_resolution, tell_outliers
 
 
 @pytest.fixture
@@ -119,3 +119,29 @@ def test_regression_of_steps_is_that_with_all_rows_weighted():
     )
     found = _follow(x, signals, regression)
     assert np.abs(found - expected)[4:-4].max() < 1e-8 * np.ptp(x)
+
+
+def read_coarsely(run):
+    """Return the run by a converter of three times the noise, the reference as fine as it is."""
+    steps = np.array([1.5, 0.03])
+    fine = run.reference + np.random.default_rng(9).normal(size=run.reference.shape) * 1e-3
+    return replace(run, measured=np.round(run.measured / steps) * steps, reference=fine)
+
+
+def test_one_step_off_a_fine_reference_is_no_outlier(run):
+    quiet = replace(run, measured=run.measured - run.drift + 0.12 * run.drift)
+    coarse = read_coarsely(quiet)
+    assert coarse.resolution == pytest.approx([1.5, 0.03])  # the second has three codes in all
+    assert coarse.outliers is None
+    far = coarse.measured.copy()
+    far[1000] += [30.0, 0.6]
+    spoilt = replace(coarse, measured=far)
+    assert np.flatnonzero((spoilt.weights < 1.0).any(axis=1)).tolist() == [1000]
+
+
+def test_a_run_that_hardly_moves_has_the_step_of_the_others(run):
+    coarse = read_coarsely(run)
+    still = replace(coarse, measured=coarse.measured * 0.0)
+    assert still.resolution.tolist() == [0.0, 0.0]
+    assert share_resolution([coarse, still]) == pytest.approx([1.5, 0.03])
+    assert replace(still, output_steps=coarse.resolution).resolution is coarse.resolution

@@ -56,7 +56,7 @@ PLAN = (
     *("plan", "-C", "{}", "--hours", "0.5", "--between", "thermal_lag", "creep", "--budget", "1"),
     *("--out", "{}/plan.csv", "--picture", "{}/plan.html"),
 )
-MONITOR = ("monitor", "{}/logs/run_2.csv", "-C", "{}", "--metrics", "{}/unit.prom")
+MONITOR = ("monitor", "{}/logs/run_2.csv", "-C", "{}", "--reset", "--metrics", "{}/unit.prom")
 NEIGHBOUR = ("neighbour", "polynomial", "-C", "{}", "--out", "{}/polynomial.json")
 ANNEX = ("report", "-C", "{}", "--no-diagnose", "--datasheet", "--annex", "{}/annex")
 LIST = ("registry", "list", "-C", "{}")

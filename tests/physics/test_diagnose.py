@@ -1,17 +1,21 @@
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.physics.conftest import SLOPE, follow, linear, make_dataset
+from tests.physics.conftest import NOISE, SLOPE, follow, linear, make_dataset
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.records import to_dict
+from zerodrift.diagnosis import diagnose as diagnosing
+from zerodrift.diagnosis import rules
 from zerodrift.diagnosis.candidates import are_sound
 from zerodrift.diagnosis.case import open_case
 from zerodrift.diagnosis.course import diagnose_until_done
 from zerodrift.diagnosis.diagnose import diagnose, look
 from zerodrift.diagnosis.rules import lead
+from zerodrift.diagnosis.span import LogSpan
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.terms import start_term
 
@@ -216,4 +220,89 @@ def test_values_that_logs_of_1200_s_cannot_show_are_unsound(values, is_sound):
     catalogue = load_catalogue()
     free = start_term(catalogue, EffectConfig("thermal_lag"))
     term = replace(free, values={**free.values, **values})
-    assert are_sound(term, shortest_s=2.0, longest_s=1200.0) is is_sound
+    assert are_sound(term, LogSpan(shortest_s=2.0, longest_s=1200.0)) is is_sound
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "is_sound"),
+    [
+        ("load_hysteresis", {"half_width_pct": 0.2}, False),
+        ("load_hysteresis", {"half_width_pct": 0.4}, True),
+        ("thermal_hysteresis", {"half_width_K": 0.04}, False),
+        ("thermal_hysteresis", {"half_width_K": 0.06}, True),
+    ],
+)
+def test_a_play_as_wide_as_its_signals_noise_is_unsound(kind, values, is_sound):
+    term = start_term(load_catalogue(), EffectConfig(kind))
+    played = replace(term, values={**term.values, **values})
+    span = LogSpan(2.0, 1200.0, {"load": 0.3, "temperature": 0.05})
+    assert are_sound(played, span) is is_sound
+
+
+def test_a_noisy_reference_is_no_hysteresis():
+    """What remembers the load lacks the reference's noise, so that it lowers the error by it."""
+
+    def blur(dataset, rms):
+        runs = [
+            replace(
+                run,
+                reference=run.reference
+                + np.random.default_rng(i).normal(size=run.reference.shape) * rms * NOISE,
+            )
+            for i, run in enumerate((*dataset.train, *dataset.dwell))
+        ]
+        count = len(dataset.train)
+        return replace(dataset, train=tuple(runs[:count]), dwell=tuple(runs[count:]))
+
+    effects = [EffectConfig("zero_tempco")]
+    for seed in (0, 1):
+        found = diagnose(effects, blur(make_dataset(linear, seed=seed), 1.0))
+        assert found.verdict == "complete"
+        [play] = [c for c in found.candidates if c.effect == "load_hysteresis"]
+        assert not play.sound or play.rmse_left_out_ratio > 0.985
+
+
+def test_what_remembers_the_load_must_gain_more_than_the_references_noise():
+    catalogue = load_catalogue()
+    span = LogSpan(2.0, 1200.0, reference_noise=np.array([0.1, 0.0]))
+    play = start_term(catalogue, EffectConfig("load_hysteresis"))
+    span_shift = start_term(catalogue, EffectConfig("span_tempco"))
+    little, much = np.array([0.012, 0.0]), np.array([0.02, 0.0])
+    assert not span.is_more_than_smoothing(play, little)
+    assert span.is_more_than_smoothing(play, much)
+    assert span.is_more_than_smoothing(span_shift, little)
+
+
+def test_what_is_surely_there_is_named_though_much_is_left(monkeypatch):
+    def disturbed(bench):
+        rng = np.random.default_rng(int(1e6 * bench.supply[0] + 1e3 * bench.temperature[0]) % 2**31)
+        phase, period = rng.uniform(0.0, 6.0), rng.uniform(300.0, 500.0)
+        unlogged = np.sin(2.0 * np.pi * bench.time_s / period + phase)
+        moves = np.ptp(bench.temperature) > 1.0  # the dwell knows nothing of it
+        drift = linear(bench) + (bench.supply - 5.0)[:, None] * np.array([60.0, 0.6])
+        return drift + moves * unlogged[:, None] * np.array([1.5, 0.0125])
+
+    dataset = make_dataset(disturbed, length=600)
+    unsure = diagnose([EffectConfig("zero_tempco")], dataset)
+    assert (unsure.verdict, unsure.nearest) == ("unknown", "supply_sensitivity")
+    chance = unsure.probability_of("supply_sensitivity")
+    assert 0.5 < chance < diagnosing.SURELY_THERE
+    monkeypatch.setattr(diagnosing, "SURELY_THERE", chance)
+    sure = diagnose([EffectConfig("zero_tempco")], dataset)
+    assert (sure.verdict, sure.effect) == ("missing", "supply_sensitivity")
+    assert sure.something_else >= unsure.something_else > 0.9
+    assert sure.floor_ratio_after > 1.5 and sure.remainder
+
+
+def test_what_gains_more_in_disguise_is_a_look_alike(monkeypatch):
+    def judge(kind, gain, plausible):
+        gains = np.full(8, gain)
+        facts = {"kind": kind, "plausible": plausible, "sound": True}
+        return SimpleNamespace(gains=gains, gain=gains.sum(), **facts)
+
+    monkeypatch.setattr(rules, "helps", lambda judged, examination: True)
+    leading = judge("zero_tempco", 100.0, True)
+    better = judge("dark_current", 100.5, False)
+    worse = judge("thermal_hysteresis", 99.5, False)
+    examination = SimpleNamespace(judged=[better, leading, worse])
+    assert rules.list_lookalikes(rules.Finding(examination, leading)) == [better]

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from tests.physics.conftest import SLOPE, linear, make_dataset
 
+from zerodrift.diagnosis.changes import list_extensions
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.offsets import lay_out_runs
+from zerodrift.diagnosis.revision import try_extension
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit
@@ -115,3 +117,37 @@ def test_what_the_project_says_of_a_tare_holds(tempco, said):
     assert model.tared is said
     remarks = diagnose(tempco, told).remarks
     assert any("own offset is taken off, as [logs] tared says so" in r for r in remarks) is said
+
+
+@pytest.mark.parametrize("runs", [3, 4, 5])
+def test_few_offsets_on_a_line_over_the_clock_are_ageing(tempco, runs):
+    apart = np.array([0.0, 3.5, 1.0, 7.0, 4.0])[:runs]
+    dataset = make_dataset(linear, length=300, runs=runs, tared=False)
+    train = tuple(
+        replace(run, inputs={**run.inputs, "clock": run.time_s + DAY_S * day})
+        for run, day in zip(dataset.train, apart, strict=True)
+    )
+    dwell = replace(dataset.dwell[0], inputs=train[0].inputs)
+    aged = shifted(replace(dataset, train=train, dwell=(dwell,)), 30.0 * apart)
+    assert not lay_out(tempco, aged).tared
+    diagnosis = diagnose(tempco, aged)
+    assert (diagnosis.verdict, diagnosis.effect) == ("missing", "ageing")
+
+
+@pytest.mark.parametrize("runs", [3, 4, 5])
+def test_few_offsets_drawn_at_random_are_a_tare(tempco, runs):
+    dataset = with_clock(make_dataset(linear, length=300, runs=runs, tared=False))
+    draws = np.random.default_rng(runs).normal(size=(8, runs)) * 20.0
+    assert all(lay_out(tempco, shifted(dataset, offsets)).tared for offsets in draws)
+
+
+def test_ageing_that_no_line_follows_is_kept_as_add_keeps_it(tempco):
+    """By a straight line the offsets stay a tare; not by a power of time, which `add` tries."""
+    age = 60.0 * np.arange(8.0) ** 0.5
+    dataset = shifted(with_clock(make_dataset(linear, length=300, tared=False)), age)
+    catalogue = load_catalogue()
+    forms = list_extensions(tempco, catalogue, "ageing", {})
+    assert [model[-1].held for model in forms] == [{}, {"power_law": 1}]
+    assert try_extension(tempco, forms, dataset, catalogue)[0]
+    diagnosis = diagnose(tempco, dataset)
+    assert (diagnosis.verdict, diagnosis.effect) == ("missing", "ageing")

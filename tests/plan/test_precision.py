@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,13 +11,14 @@ from tests.plan.projects import EXPERIMENT, HEAD, read, write_blank
 from zerodrift.base.config import parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.diagnosis.noise import Noise
-from zerodrift.discovery.contenders import Scene, Truth
+from zerodrift.discovery.contenders import Scene, Truth, spread_typical
 from zerodrift.discovery.criterion import Judge
 from zerodrift.discovery.limits import resolve_limits
 from zerodrift.discovery.plan import Question
 from zerodrift.discovery.precise import plan_precisely
 from zerodrift.discovery.precision import measure_precision
 from zerodrift.discovery.programme import Log, Setting
+from zerodrift.discovery.summary import explain_plan, summarise_precise
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.signals import SignalPlan
 from zerodrift.physics.terms import start_term
@@ -113,3 +115,34 @@ def test_the_command_says_what_is_known_then(tmp_path, zerodrift):
     assert plan["errors"]["Fz"] > 0.0
     told = zerodrift("plan", "-C", tmp_path, *options)
     assert "Known then" in told.out and "Error of the model" in told.out
+
+
+def test_before_any_log_several_models_are_planned_for_and_the_target_is_judged():
+    question = Question(1.0, target=0.001, budget_s=2.0, criterion="error")
+    found = plan_precisely(CONFIG, None, CATALOGUE, question)
+    assert len(found.found.precisions) == 4
+    assert len({float(p.widths[0]) for p in found.found.precisions}) == 4
+    assert found.aimed == {"Fz": pytest.approx(2.0)}
+    assert any("3 times drawn from it" in note for note in found.notes)
+    units = {"Fz": "N"}
+    easy = explain_plan(summarise_precise(found, units), Path())
+    assert any(line.startswith("Reached: Fz 2 N") for line in easy)
+    hard = replace(found, aimed={"Fz": found.errors["Fz"] / 3.0})
+    assert any(
+        line.startswith("NOT reached: Fz by 3 times")
+        for line in explain_plan(summarise_precise(hard, units), Path())
+    )
+    free = plan_precisely(CONFIG, None, CATALOGUE, replace(question, target=None))
+    assert not any(
+        "eached" in line for line in explain_plan(summarise_precise(free, units), Path())
+    )
+
+
+def test_values_are_drawn_from_their_typical_range():
+    terms = open_scene(*CONFIG.effects).base
+    models = spread_typical(terms, 30, 7)
+    low, high = next(p for p in terms[1].effect.parameters if p.name == "doubling_K").typical
+    drawn = [model[1].values["doubling_K"] for model in models[1:]]
+    assert models[0] == terms and len(set(drawn)) == 29
+    assert low <= min(drawn) < low + 0.2 * (high - low) and high >= max(drawn)
+    assert spread_typical(terms[:1], 5, 7) == [tuple(terms[:1])]

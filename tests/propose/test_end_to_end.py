@@ -40,6 +40,14 @@ def test_a_formula_is_proposed_written_added_and_becomes_checked_c(tmp_path, zer
     assert told["formula"].startswith("k * |T - LP(T, ")
     assert told["instructions"]["cortex-m4"] > 0 and told["flash_bytes"]["cortex-m4"] > 0
     assert all(told["rounding"][k] < 0.1 * told["rmse_left_out"][k]["after"] for k in ("Fz", "Mx"))
+    for box in told["black_boxes"]:
+        assert not box["learns_more"] and 1.0 < box["floor_ratio_beside"] < box["floor_ratio"]
+    assert [box["name"] for box in told["black_boxes"]] == ["lag bank", "GRU"]
+    for curve in told["curves"].values():
+        x, y = np.array(curve["formula"]), np.array(curve["remainder"])
+        assert np.corrcoef(x, y)[0, 1] > 0.98 and abs(np.polyfit(x, y, 1)[0] - 1.0) < 0.05
+    assert zerodrift("report", "-C", tmp_path, "--no-diagnose").code == 0
+    assert told["formula"] in (tmp_path / "report.html").read_text()
     toml = tmp_path / "zerodrift.toml"
     toml.write_text(toml.read_text() + '\n[plugins]\nfiles = ["my_effect.py"]\n')
     added = json.loads(zerodrift("add", told["kind"], "-C", tmp_path, "--json").out)
@@ -71,4 +79,4 @@ def test_where_there_is_no_formula_none_is_proposed(tmp_path, zerodrift, kind):
     file = tmp_path / "my_effect.py"
     told = json.loads(zerodrift("propose", "-C", tmp_path, "--write", file, "--json").out)
     assert not told["found"] and told["written"] is None and not file.exists()
-    assert "NO FORMULA" in zerodrift("propose", "-C", tmp_path).out
+    assert "NO FORMULA" in zerodrift("propose", "-C", tmp_path, "--no-black-box").out

@@ -6,7 +6,18 @@ from pathlib import Path
 
 from benchmarks.mutants.judge import identify_files, replace_file
 
-from zerodrift.verify.folder_certificate import CERTIFICATE, check_folder_certificate
+from zerodrift.verify.folder_certificate import (
+    CERTIFICATE,
+    FolderCertificate,
+    check_folder_certificate,
+)
+
+
+def derive(project: Path) -> FolderCertificate:
+    """Return what becomes of a project's certificate beside the runtime of its own folder."""
+    folder = project / "firmware"
+    runtime = {path.name: path.read_text() for path in folder.glob("zd_*.[ch]")}
+    return check_folder_certificate(folder, runtime)
 
 
 def replace_text(project: Path, name: str, before: str, after: str) -> None:
@@ -33,7 +44,7 @@ def test_a_sound_certificate_is_counted_and_may_be_required(project: Path, zerod
 def test_a_scratch_array_that_is_too_short_is_found(project: Path) -> None:
     short = "int32_t v[-1 + ZD_PAIR_SCRATCH("
     replace_text(project, "front_end.c", "int32_t v[ZD_PAIR_SCRATCH(", short)
-    found = check_folder_certificate(project / "firmware")
+    found = derive(project)
     assert any("ZD_KERNEL_PAIRS" in text and "of v from" in text for text in found.failures)
 
 
@@ -50,7 +61,7 @@ def test_a_claim_that_is_too_narrow_fails_though_no_bit_differs(project: Path, z
 
 def test_without_a_certificate_it_is_not_checked(project: Path, zerodrift) -> None:
     (project / "firmware/certificate.json").unlink()
-    found = check_folder_certificate(project / "firmware")
+    found = derive(project)
     assert (found.holds, found.failures) == (0, ())
     assert [one.what for one in found.not_checked] == [CERTIFICATE]
     done = zerodrift("verify", "-C", project, "--require", "certificate")
@@ -64,5 +75,5 @@ def test_another_runtime_has_no_rules(project: Path) -> None:
     certificate = project / "firmware/certificate.json"
     after = hashlib.sha256(path.read_bytes()).hexdigest()
     certificate.write_text(certificate.read_text().replace(before, after))
-    found = check_folder_certificate(project / "firmware")
+    found = derive(project)
     assert not found.failures and "another version" in found.not_checked[0].why

@@ -98,3 +98,10 @@ def test_model_is_applied_to_test_logs_or_else_to_those_it_learnt_from(place):
         place.findings.provenance = SimpleNamespace(files=left)
         actions.press(place, "apply", {})
         assert place.ran.pop()[2][:2] == ["apply", str(place.directory / log)]
+
+
+def test_plan_writes_its_programme_into_build(place):
+    actions.press(place, "plan", {})
+    ((name, _, arguments),) = place.ran
+    assert name == "plan" and arguments[:4] == ["plan", "--json", "--budget", "30"]
+    assert arguments[4:] == ["--out", str(place.directory / "build" / "plan.csv")]

@@ -75,7 +75,7 @@ def test_weak_evidence_is_not_what_is_proposed_first(diagnosis, words):
     path = find_path(stand(diagnosis))
     assert words in path.weak
     assert path.offer.button == "firmware"
-    assert [o.effect for o in path.others] == ["creep"]
+    assert [(o.button, o.effect) for o in path.others] == [("add", "creep"), ("plan", "")]
 
 
 def test_look_alikes_and_another_thermometer_have_buttons_of_their_own():
@@ -157,3 +157,19 @@ def test_step_that_kept_no_settings_is_not_gone_back_to():
     steps = walk("a", "b")
     steps[0] = replace(steps[0], settings=())
     assert find_timeline(steps).undo is None
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "offered"),
+    [
+        (missing("load_hysteresis"), True),
+        (missing(), False),
+        (told("unknown"), True),
+        (told("complete"), False),
+    ],
+)
+def test_a_plan_is_offered_where_something_is_open(diagnosis, offered):
+    path = find_path(stand(diagnosis))
+    assert ("plan" in [o.button for o in path.others]) is offered
+    again = find_path(stand(diagnosis, planned=True))
+    assert "plan" not in [o.button for o in again.others]

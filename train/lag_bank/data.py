@@ -120,8 +120,8 @@ class BankData:
     def covered(self) -> NDArray[np.bool_]:
         """[m] rows whose temperatures the other groups have seen too.
 
-        Only these judge: what lies beyond all other runs says how a model extrapolates, which one
-        run at the edge would decide by itself.
+        Only these rows are evaluated: rows beyond all other runs show how a model extrapolates,
+        which a single run at the edge would decide alone.
         """
         covered = np.ones(len(self.group), dtype=bool)
         for x in self._levels:

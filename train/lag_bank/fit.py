@@ -189,7 +189,7 @@ def _is_tared(rows: Rows, said: bool | None) -> bool:
 
     Args:
         rows: without what loads add.
-        said: what `[logs] tared` says; None: nothing.
+        said: `[logs] tared`; None: not stated.
     """
     if len(np.unique(rows.data.run_group)) < 2:
         return False
@@ -203,9 +203,9 @@ def _is_tared(rows: Rows, said: bool | None) -> bool:
 def _weigh(rows: Rows) -> Array:
     """Return the rows' weights [m]: less where a class of rows, by run and load, is noisier.
 
-    A reference that carries noise of its own, as a second sensor under a walking robot does, would
-    otherwise have the say in what drift is. Noise is what jumps from row to row; what a model does
-    not explain yet moves slowly, and is no reason to look away.
+    A reference with noise of its own, such as a second sensor under a walking robot, would
+    otherwise dominate the fit. Noise is estimated from jumps between rows; drift that the model
+    does not explain yet moves slowly and does not lower the weight.
     """
     labels = 2 * rows.data.run_group + rows.data.loaded
     jumps = np.diff(_residual(rows) / np.sqrt(rows.weight)[:, None], axis=0) ** 2
@@ -229,7 +229,7 @@ def _measure_jumps(jumps: Array) -> Array:
     """Return the typical squared jump [K] of rows [n, K].
 
     The median; of readings so coarse that most neighbours are equal, that of the others, by their
-    share of the rows. Above zero, for a reading that never jumps is not infinitely sure.
+    share of the rows. It is above zero, since a reading that never jumps is not exact.
     """
     typical = np.asarray(np.median(jumps, axis=0))
     for k in np.flatnonzero(typical <= NO_JUMP):
@@ -328,7 +328,7 @@ def choose_sources(others: Sequence[str], runs: Sequence[Run]) -> tuple[str, ...
     """Return the chip's thermometer and those of the others that every run has and that move.
 
     Others need `FEWEST_RUNS` runs: within one history anything that moves slowly, such as the air
-    of the room, seems to explain what is left, and says something else in the next run.
+    of the room, seems to explain the residual, but not in the next run.
     """
     if len({run.group for run in runs}) < FEWEST_RUNS:
         return (TEMPERATURE,)

@@ -1,8 +1,8 @@
-"""What loads do to the drift: the gain by temperature, and its curvature.
+"""The effect of loads on the drift: the gain by temperature, and its curvature.
 
-A weight is hung on at once, where drift moves slowly: what changes with it is the load's doing,
-however badly the drift of the temperature is known by then. Rows are therefore differenced, by as
-much as neighbouring rows of what is left resemble each other, before loads are solved (generalised
+A weight is applied at once, while drift moves slowly: a change at that moment is due to the load,
+however badly the drift with temperature is known. Rows are therefore differenced, by the
+correlation of neighbouring rows of the residual, before loads are solved (generalised
 least squares with correlation of the first order; Prais and Winsten 1954).
 """
 
@@ -125,7 +125,7 @@ def fit_loads(
         rows: of these runs.
         lags: of the bank.
         choice: orders of the load terms to choose from, see `POWERS`.
-        alike: how alike neighbouring rows of what is left are; None: as found.
+        alike: correlation of neighbouring rows of the residual; None: as found.
     """
     data, outputs = rows.data, rows.unit.size
     loads = list_loads(physics, runs)

@@ -1,4 +1,4 @@
-"""Whether tanh units earn their place beside the bank, and which lags they then see."""
+"""Decides whether tanh units are added to the bank, and which lags they see."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -117,8 +117,8 @@ def measure_left_out(rows: Rows, fit: Callable[[NDArray[np.bool_]], Callable[[],
 
     Infinite where no row is covered.
 
-    Runs are the evidence: a short one under a lamp says as much as hours in the chamber, beside
-    which units that only help under the lamp would not be seen to help.
+    Runs have equal weight: by samples, hours in the chamber would hide the gain of units in a short
+    run under a lamp.
 
     Args:
         rows: the rows.

@@ -9,7 +9,7 @@
 
 #include "zd_network.h"
 
-#if ZD_RUNTIME_ID != 0x08eba25e
+#if ZD_RUNTIME_ID != 0x3c8e4938
 #error "zd_lstm.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 

@@ -1,4 +1,4 @@
-"""What `apply` works with: a project's finished model, and the files that it may write."""
+"""What `apply` needs: a project's finished model, and the files that it may write."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class AppliedModel:
     model: IntegerModel
     uncertainty: Uncertainty | None
     predict_float: PredictFloat | None
-    """Of the float model, where that was asked for."""
+    """The float model's prediction, where it was asked for."""
     notes: tuple[str, ...]
     """Why there is no uncertainty, and what has changed since the firmware was built."""
 
@@ -40,12 +40,12 @@ class AppliedModel:
 def open_applied(
     config: Config, kind: str = INTEGER, *, load_logs: Callable[[], Dataset]
 ) -> AppliedModel:
-    """Return the model that a project's last `firmware` left.
+    """Return the model of a project's last `firmware`.
 
     Args:
         config: the project.
         kind: integer | float.
-        load_logs: gives the project's logs, which the float model needs.
+        load_logs: returns the project's logs, which the float model needs.
 
     Raises:
         InputError: no firmware was built yet, it has other outputs, or `kind` is neither.
@@ -84,7 +84,7 @@ def choose_file(log: Path, out: Path | None, several: bool) -> Path:
         several: whether there are more logs.
 
     Raises:
-        InputError: a file is named for several logs, or its suffix stands for no format.
+        InputError: one file is named for several logs, or its suffix belongs to no known format.
     """
     written = (*CSV_SUFFIXES, *PARQUET_SUFFIXES)
     suffix = log.suffix if log.suffix.lower() in written else ".csv"
@@ -105,13 +105,13 @@ def choose_file(log: Path, out: Path | None, several: bool) -> Path:
 
 
 def refuse_taken(pairs: Sequence[tuple[Path, Path]]) -> None:
-    """Refuse to write over a log, over another's answer, or over what `apply` did not write.
+    """Refuse to overwrite a log, another log's answer, or a file that `apply` did not write.
 
     Args:
         pairs: (log, file to be written).
 
     Raises:
-        InputError: a file would be lost.
+        InputError: a file would be overwritten.
     """
     taken: dict[Path, Path] = {}
     logs = {log.resolve() for log, _ in pairs}

@@ -1,6 +1,6 @@
-"""The rows of a log with what a model gives for them, and the file they are written to."""
+"""The rows of a log with the model's answers, and the file they are written to."""
 
-import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
+from polars.exceptions import PolarsError
 from polars.io.plugins import register_io_source
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
-from zerodrift.base.files import explain_write
+from zerodrift.base.files import explain_write, name_beside
 from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.log_steps import LogSteps, find_column
 from zerodrift.dataset.selectors import PARQUET_SUFFIXES
@@ -22,6 +23,7 @@ from zerodrift.export.integer_model import (
     FLAG_INPUT_RANGE,
     FLAG_NO_READING,
     FLAG_RATE_RANGE,
+    FLAG_TARED,
     FLAG_TEMPERATURE_RANGE,
     FLAG_WARMING_UP,
     IntegerModel,
@@ -40,6 +42,7 @@ FLAG_NAMES = {
     FLAG_DAMAGED: "state or model damaged",
     FLAG_INPUT_RANGE: "an input outside its calibrated range",
     FLAG_NO_READING: "no reading",
+    FLAG_TARED: "tared",
 }
 UNSTATED = FLAG_CLAMPED | FLAG_DAMAGED | FLAG_NO_READING
 """Rows with one of these flags have no uncertainty: nothing says how far off they are."""
@@ -49,10 +52,10 @@ BLOCK = 65_536
 
 @dataclass(frozen=True)
 class StepAnswers:
-    """What the model gives for each step of a log."""
+    """The model's answers for each step of a log."""
 
     drift: NDArray[np.float32] | NDArray[np.int32]
-    """[steps, K]: int32 codes, or float32 values of the float model."""
+    """[steps, K]: int32 output codes, or float32 values of the float model in output units."""
     flags: NDArray[np.uint32]
     """[steps]."""
     beyond: NDArray[np.float32] | None
@@ -61,7 +64,7 @@ class StepAnswers:
 
 
 class AppliedRows:
-    """The log's rows with what the model gives for them, in batches."""
+    """The log's rows with the model's answers, in batches."""
 
     def __init__(
         self,
@@ -82,8 +85,8 @@ class AppliedRows:
         """Yield the rows.
 
         Args:
-            as_text: keep a CSV's fields as they were written, but for the outputs; else what is
-                numbers in its first rows is read as numbers.
+            as_text: keep a CSV's fields as they were written, except the outputs; else columns
+                whose first rows are numbers are read as numbers.
         """
         source = self.steps.source
         numeric = set(self.measured)
@@ -118,7 +121,10 @@ class AppliedRows:
         return [*columns, told.zip_with(pl.Series(~none), pl.Series([None], dtype=pl.UInt32))]
 
     def expand(self, output: str, step: NDArray[np.int64]) -> Array:
-        """Return the expanded uncertainty [n] at some steps; NaN where none is known."""
+        """Return the expanded uncertainty (k = 2) [n] at some steps, in the output's unit.
+
+        NaN where none is known.
+        """
         known = self._known.get(output)
         if known is None or self.answers.beyond is None:
             return np.full(step.size, np.nan)
@@ -163,7 +169,7 @@ def write_rows(rows: AppliedRows, out: Path) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    beside = out.with_name(f".{out.name}.{os.getpid()}.part")
+    beside = name_beside(out)
     try:
         if out.suffix.lower() in PARQUET_SUFFIXES:
             _write_parquet(rows, beside)
@@ -172,6 +178,12 @@ def write_rows(rows: AppliedRows, out: Path) -> None:
         beside.replace(out)
     except OSError as error:
         raise InputError(explain_write(out, error)) from error
+    except PolarsError as error:  # its text contains the disk's error
+        answer = re.search(r"(.*)\(os error (\d+)\)", str(error))
+        if answer is None:
+            raise
+        cause = OSError(int(answer[2]), answer[1].strip())
+        raise InputError(explain_write(out, cause)) from error
     finally:
         beside.unlink(missing_ok=True)
 
@@ -192,7 +204,7 @@ def _write_parquet(rows: AppliedRows, path: Path) -> None:
         most: int | None,
         size: int | None,
     ) -> Iterator[pl.DataFrame]:
-        del columns, predicate, most, size  # a sink asks for everything
+        del columns, predicate, most, size  # a sink requires all of these methods
         yield first
         yield from stream
 
@@ -200,7 +212,7 @@ def _write_parquet(rows: AppliedRows, path: Path) -> None:
 
 
 def summarise(log: Path, out: Path, rows: AppliedRows, notes: tuple[str, ...]) -> AppliedLog:
-    """Return what a log was given, in numbers: drift per output, steps per flag, notes."""
+    """Return the answers to a log as figures: drift per output, steps per flag, notes."""
     outputs = {}
     answers, scales = rows.answers, rows.scales
     every = np.arange(rows.steps.steps)

@@ -66,6 +66,9 @@ class Chip:
             codes: raw codes.
             elapsed: begin at rest so many steps after power-on; None goes on from the last call.
         """
+        if self.model.variable_step and elapsed is not None:
+            codes = codes.copy()
+            codes[0, -1] = 0  # it begins with this row
         if self._host is not None:
             restart = elapsed is not None
             trace = self._host.run(codes, restart=restart, elapsed=elapsed or 0)
@@ -86,7 +89,7 @@ def apply_model(
     skip_invalid: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> list[AppliedLog]:
-    """Write each log with what the model gives for its rows; return what was given.
+    """Write each log with the model's answers for its rows; return a summary of each.
 
     Each output gains `NAME_drift`, `NAME_compensated` and `NAME_uncertainty` (k = 2), in its unit,
     and the log `flags`, the chip's. A row's drift is that of the last step of the firmware that is
@@ -97,9 +100,10 @@ def apply_model(
         model: the integer model.
         logs: (log, file to be written), .csv or .parquet.
         uncertainty: of the model; None leaves the columns empty.
-        predict_float: run -> [n, K] drift of the float model, which then stands for the chip's.
+        predict_float: run -> [n, K] drift of the float model in output units, used instead of the
+            chip's.
         skip_invalid: drop rows whose time is no number or does not rise.
-        say: is told what is being done.
+        say: called with a description of each stage of the work.
 
     Raises:
         InputError: a log cannot be read or lacks a channel, or a file cannot be written.
@@ -129,14 +133,14 @@ def apply_model(
 
 
 def _find_streamed(config: Config, model: IntegerModel) -> frozenset[str]:
-    """Return the columns that no channel takes: they are only written again, row by row."""
+    """Return the columns that no channel takes: they are only copied, row by row."""
     measured = {find_column(config, f"{MEASURED}{output.name}") for output in model.outputs}
     taken = {find_column(config, c.source or c.name) for c in model.channels}
     return frozenset(measured - taken)
 
 
 def answer(chip: Chip, config: Config, steps: LogSteps, *, with_range: bool = True) -> StepAnswers:
-    """Return what the chip gives for each step of a log, each run begun at rest.
+    """Return the chip's answers for each step of a log, each run begun at rest.
 
     Args:
         chip: the model.
@@ -196,15 +200,15 @@ def _read_channels(
 ) -> Array:
     """Return the channels' values [n, C] over a stretch; count steps at which one was held.
 
-    A channel with a code for "no reading" lacks values as the log does (NaN); one without holds its
-    last reading, and before its first one that.
+    A channel with a code for "no reading" has NaN where the log has no value; one without holds its
+    last reading, and before its first reading, that one.
 
     Args:
         config: names the columns.
         model: has the channels.
         steps: the log.
         one: the stretch.
-        held: channel -> steps, counted on.
+        held: channel -> steps at which it was held; incremented here.
     """
     values = np.empty((one.stretch.steps, len(model.channels)))
     for index, channel in enumerate(model.channels):
@@ -226,9 +230,9 @@ def _read_channels(
 
 
 def hold_last(values: Array) -> Array:
-    """Return values [n] whose gaps (NaN) hold the last known one, or at the start the first.
+    """Return values [n] with gaps (NaN) filled by the last known value, or at the start the first.
 
-    Values of which none is known stay as they are.
+    Without any known value they stay NaN.
     """
     lacks = np.isnan(values)
     known = np.flatnonzero(~lacks)
@@ -238,7 +242,7 @@ def hold_last(values: Array) -> Array:
 
 
 def encode_values(model: IntegerModel, values: Array) -> tuple[list[int], CodeArray]:
-    """Return per channel how many values lie beyond its codes, and the codes [n, C].
+    """Return per channel how many values lie beyond its codes, and the steps' inputs [n, ...].
 
     Args:
         model: has the channels.
@@ -255,16 +259,18 @@ def encode_values(model: IntegerModel, values: Array) -> tuple[list[int], CodeAr
         codes, beyond = _encode_channel(model.channels[index], values[:, index], cold)
         counts[index], columns[index] = beyond, codes
     given = [columns[index] for index in range(len(columns))]
+    if model.variable_step:
+        given.append(np.full(len(values), float(model.period_us)))
     return counts, np.stack(given, axis=1).astype(model.code_type)
 
 
 def _encode_channel(
     channel: Channel, values: Array, junction: NDArray[np.int64] | None
 ) -> tuple[Array, int]:
-    """Return codes [n], raw where the chip is given such, and how many values lie beyond them."""
+    """Return codes [n], raw codes where the chip takes them, and how many values lie beyond."""
     codes, beyond = encode_channel(channel, values, junction)
     lacks = np.isnan(values)
-    if channel.conversion is None:  # one of them may be the code for none, which says so
+    if channel.conversion is None:  # one of them may be the code for no reading, which is flagged
         beyond = codes != np.round((values - channel.offset) / channel.lsb)
     if lacks.any():
         if not channel.raw_lacks:
@@ -299,7 +305,7 @@ def measure_beyond(model: IntegerModel, codes: CodeArray) -> NDArray[np.float32]
 def _predict_float(
     predict: PredictFloat, config: Config, model: IntegerModel, steps: LogSteps
 ) -> NDArray[np.float32]:
-    """Return the float model's drift [steps, K]; what lacks readings holds the last ones."""
+    """Return the float model's drift [steps, K] in output units; missing readings hold the last."""
     drift = np.zeros((steps.steps, len(model.outputs)), dtype=np.float32)
     before: Run | None = None
     for one in steps.stretches:

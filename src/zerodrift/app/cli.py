@@ -109,16 +109,16 @@ def run() -> None:
     """Run the command that the arguments name.
 
     Raises:
-        InputError: code that is not zerodrift's, such as a file of effects, asked for the end of
-            the process in the midst of a command, which is then not done.
+        InputError: code that is not zerodrift's, such as a file of effects, ended the process
+            during a command, which is then incomplete.
     """
     try:
         cli.main(standalone_mode=False, complete_var=COMPLETION)
         sys.stdout.flush()
     except SystemExit as ended:
-        if is_own_exit(ended) or COMPLETION in os.environ:  # click answers the shell, and exits
+        if is_own_exit(ended) or COMPLETION in os.environ:  # click completes, and exits
             raise
-        if find_raiser(ended) == "rich.console":  # so it answers a reader that has gone
+        if find_raiser(ended) == "rich.console":  # click's way to report a closed pipe
             raise BrokenPipeError from ended
         raise InputError(
             f"something that this command ran called sys.exit({ended.code!r}), so that the command"
@@ -128,12 +128,12 @@ def run() -> None:
 
 
 def is_own_exit(ended: SystemExit) -> bool:
-    """Tell whether one of zerodrift's own commands ended the process, after all was done."""
+    """Tell whether one of zerodrift's own commands ended the process, its work done."""
     return find_raiser(ended).startswith("zerodrift.")
 
 
 def find_raiser(ended: SystemExit) -> str:
-    """Return the name of the module that asked for the end of the process; "" if unknown."""
+    """Return the name of the module that ended the process; "" if unknown."""
     trace = ended.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
@@ -141,7 +141,7 @@ def find_raiser(ended: SystemExit) -> str:
 
 
 def drop_output() -> None:
-    """Let what is still to be written on stdout go nowhere."""
+    """Discard what is still to be written on stdout."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
@@ -158,7 +158,7 @@ def main() -> None:
         click.echo(f"error: {error}", err=True)
         sys.exit(error.exit_code)
     except BrokenPipeError:
-        # who reads our output has gone; nothing more can be said to them
+        # the reader of our output has closed it: nothing more can be written
         drop_output()
         sys.exit(1)
     except MemoryError:
@@ -168,7 +168,7 @@ def main() -> None:
         if is_refused_write(error):
             place = error.filename or f"standard output, or {tempfile.gettempdir()}"
             click.echo(f"error: {explain_write(place, error, NOTHING_HALF)}", err=True)
-            drop_output()  # what is still to be written would fail again as the process ends
+            drop_output()  # pending output would fail again as the process ends
         elif told := explain_refusal(error):
             click.echo(f"error: {told}", err=True)
         else:

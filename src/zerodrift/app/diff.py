@@ -1,4 +1,4 @@
-"""What changed from one model to another, and what that does to the drift."""
+"""What changed from one model to another, and by how much the drift differs."""
 
 import hashlib
 import json
@@ -37,14 +37,14 @@ HOLDS = (0.0, 1.0, 0.0, -1.0, 0.0)
 
 @dataclass(frozen=True)
 class OpenedModel:
-    """A model, and what lies beside it."""
+    """A model, and what its folder says of it."""
 
     label: str
     model: IntegerModel
     effects: ModelSummary | None
-    """Its effects; None where nothing there tells them."""
+    """Its effects; None where no file states them."""
     learnt: str | None
-    """What was learnt beside them; None likewise."""
+    """What was learnt besides them; None where no file states it."""
     notes: tuple[str, ...] = ()
 
 
@@ -74,7 +74,7 @@ def open_model(path: Path, plugins: Sequence[Path] = ()) -> OpenedModel:
 
 
 def _check_files(folder: Path) -> tuple[str, ...]:
-    """Return what is to be said where a folder's files are not as its manifest has them."""
+    """Return notes where a folder's files differ from its manifest."""
     changed = []
     for name, digest in load_manifest(folder / MANIFEST).firmware.items():
         file = folder / name
@@ -89,7 +89,8 @@ def _check_files(folder: Path) -> tuple[str, ...]:
 
 
 def _read_effects(place: Path, plugins: Sequence[Path]) -> tuple[ModelSummary | None, str | None]:
-    """Return a model's effects and what was learnt beside them, as far as its folder tells them."""
+    """Return a model's effects and what was learnt besides them, as far as its folder states
+    them."""
     if (place / EFFECTS).is_file():
         try:
             told = json.loads((place / EFFECTS).read_text(encoding="utf-8"))
@@ -137,7 +138,7 @@ def _find_model(path: Path) -> tuple[Path, Path]:
 
 
 def list_changes(old: OpenedModel, new: OpenedModel) -> tuple[ModelChange, ...]:
-    """Return what the two state differently, the weightier first."""
+    """Return the statements in which the two differ, the more important first."""
     effects = old.effects is not None and new.effects is not None
     learnt = old.learnt is not None and new.learnt is not None
     before, after = (_state(one, effects=effects, learnt=learnt) for one in (old, new))
@@ -150,12 +151,12 @@ def list_changes(old: OpenedModel, new: OpenedModel) -> tuple[ModelChange, ...]:
 
 
 def _state(opened: OpenedModel, *, effects: bool, learnt: bool) -> dict[str, str]:
-    """Return what a model states, name by name, in words.
+    """Return the statements of a model: name -> text.
 
     Args:
         opened: the model.
-        effects: whether to state them; only where both models' are known.
-        learnt: the same of what was learnt beside them.
+        effects: whether to list the effects; only where those of both models are known.
+        learnt: the same for what was learnt besides them.
     """
     model = opened.model
     told = {"sample period": f"{model.sample_period_s:g} s"}
@@ -219,7 +220,7 @@ def measure_over_logs(
     *,
     skip_invalid: bool,
 ) -> tuple[dict[str, OutputDifference], tuple[str, ...]]:
-    """Return how far the drifts of two models lie apart on the rows of logs, output by output.
+    """Return the differences of two models' drifts on the rows of logs, output by output.
 
     Raises:
         InputError: a log cannot be read or lacks a channel.
@@ -260,10 +261,10 @@ def _read(
 
 
 def measure_over_range(old: IntegerModel, new: IntegerModel) -> dict[str, OutputDifference]:
-    """Return how far two models lie apart on a sweep of the calibrated range, unloaded.
+    """Return the differences of two models' drifts on a sweep of the calibrated range, unloaded.
 
     The temperature goes from the middle to the top, back, to the bottom and back, at half of the
-    calibrated rate, and rests at each place; then each further input does so in turn.
+    calibrated rate, and rests at each corner; then each further input does so in turn.
     """
     times, profiles = plan_sweep(old, new)
     answers = []
@@ -330,12 +331,12 @@ def plan_sweep(old: IntegerModel, new: IntegerModel) -> tuple[Array, dict[str, A
 
 
 def key_of(channel: Channel) -> str:
-    """Return where a log has what a channel is given."""
+    """Return the source in a log of a channel's values."""
     return channel.source or channel.name
 
 
 def _pair_outputs(old: IntegerModel, new: IntegerModel) -> list[tuple[int, int]]:
-    """Return the places in the old and in the new model of the outputs that both have."""
+    """Return the indices in the old and in the new model of the outputs that both have."""
     places = {output.name: i for i, output in enumerate(old.outputs)}
     pairs = [(places[o.name], j) for j, o in enumerate(new.outputs) if o.name in places]
     if not pairs:
@@ -372,16 +373,16 @@ def diff_models(
     skip_invalid: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> DiffResult:
-    """Return what changed from the old to the new model, and by how much the drift does.
+    """Return what changed from the old to the new model, and by how much the drift differs.
 
     Args:
-        old: the one model.
-        new: the other.
+        old: the old model.
+        new: the new model.
         config: says how the logs are read; needed where there are some.
         logs: to compare over; none: the calibrated range.
         limit_pct_fs: the largest difference allowed, in % of full scale.
         skip_invalid: drop rows whose time is no number or does not rise.
-        say: is told what is being done.
+        say: called with a description of each stage of the work.
 
     Raises:
         InputError: a log cannot be read, or the models have nothing in common.

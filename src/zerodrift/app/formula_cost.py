@@ -1,4 +1,4 @@
-"""What a formula costs on the chip: the model's C with it and without, compiled and counted."""
+"""The cost of a formula on the chip: the model's C with it and without, compiled and counted."""
 
 import importlib.util
 from dataclasses import replace
@@ -27,9 +27,9 @@ CORE = "cortex-m4"
 
 
 def measure_cost(config: Config, dataset: Dataset, formula: Formula) -> tuple[ProposedCost, str]:
-    """Return what the formula adds on a Cortex-M4, and why something could not be told.
+    """Return what the formula adds on a Cortex-M4, and why a figure is missing.
 
-    The network is left aside: its cost does not change.
+    The network is left out: its cost does not change.
 
     Args:
         config: the project.
@@ -55,7 +55,7 @@ def measure_cost(config: Config, dataset: Dataset, formula: Formula) -> tuple[Pr
 def _measure(
     config: Config, dataset: Dataset, physics: PhysicalModel, folder: Path
 ) -> tuple[int, int, list[float]] | None:
-    """Return instructions per step, bytes of flash, and RMS of what integers differ by [K]."""
+    """Return instructions per step, bytes of flash, and the RMS [K] of the quantization error."""
     if importlib.util.find_spec("unicorn") is None or not find_cross_compilers(CORE):
         return None
     from zerodrift.c_runtime.emulator import EmulatedModel

@@ -25,7 +25,7 @@ _UNSAFE = re.compile(r"[^\w.-]+")
 
 
 class PandasTimes(Protocol):
-    """What pandas knows of a column of times."""
+    """The methods of a pandas column of times that are used."""
 
     def tz_convert(self, zone: str, /) -> "PandasColumn":
         """Return the same instants in another zone."""
@@ -58,7 +58,7 @@ class PandasIndex(Protocol):
 
     @property
     def names(self) -> Iterable[object]:
-        """What its levels are called; None for a mere count."""
+        """The names of its levels; None for a plain row count."""
         ...
 
 
@@ -72,7 +72,7 @@ class PandasFrame(Protocol):
 
     @property
     def index(self) -> PandasIndex:
-        """What its rows are called by."""
+        """The index of its rows."""
         ...
 
     def reset_index(self) -> Self:
@@ -100,7 +100,7 @@ class BeginningOptions(TypedDict, total=False):
 
 
 class FrameOptions(BeginningOptions, total=False):
-    """What `Project.from_frames` takes beside the frames and their columns."""
+    """What `Project.from_frames` takes besides the frames and their columns."""
 
     inputs: Mapping[str, str]
     path: str | Path | None
@@ -116,18 +116,18 @@ class Output:
     """
 
     measured: str
-    """Column before compensation."""
+    """Column of the readings before compensation."""
     reference: str | float = 0.0
-    """Column of what it should have been, or a number."""
+    """Column of the true value, or a number, in the output's unit."""
     unit: str = ""
-    """Left out: what the column's name ends in, or none."""
+    """Unit; if left out, the one that the column's name ends in, or none."""
     full_scale: float | None = None
-    """Left out: a round number that holds what was measured."""
+    """Full scale in that unit; if left out, a round number above the largest reading."""
 
 
 @dataclass(frozen=True)
 class FrameColumns:
-    """What the columns of the frames are."""
+    """The roles of the frames' columns."""
 
     time: str
     temperature: str
@@ -137,7 +137,7 @@ class FrameColumns:
 
 @dataclass(frozen=True)
 class Beginning:
-    """How the frames are used, and what the first model is."""
+    """How the frames are used, and the first model."""
 
     test: Sequence[str] = ()
     """Runs that nothing is learnt from."""
@@ -147,9 +147,9 @@ class Beginning:
     network: str = "lag_bank"
     """`[network] kind`."""
     sample_period_s: float | None = None
-    """Of the firmware's step; None: the frames' median interval."""
+    """Period of the firmware's step in s; None: the frames' median interval."""
     name: str = "sensor"
-    """Of the sensor, and the prefix of its C."""
+    """Name of the sensor, and prefix of its C."""
 
 
 def to_polars(name: str, frame: pl.DataFrame | pl.LazyFrame | PandasFrame) -> pl.DataFrame:
@@ -192,7 +192,8 @@ def to_polars(name: str, frame: pl.DataFrame | pl.LazyFrame | PandasFrame) -> pl
 
 
 def _unify(values: Sequence[object]) -> list[object]:
-    """Return the cells of a column of objects: missing ones as None, and all text where some is."""
+    """Return the cells of a column of objects: missing ones as None, all as text where one is
+    text."""
     plain = [None if isinstance(v, float) and np.isnan(v) else v for v in values]
     if not any(isinstance(v, str) for v in plain):
         return plain
@@ -210,7 +211,7 @@ def write_project(
     Args:
         folder: of the project, without a zerodrift.toml yet.
         frames: run -> its rows.
-        columns: what their columns are.
+        columns: the roles of their columns.
         begin: how they are used, and the first model.
 
     Raises:
@@ -330,7 +331,7 @@ def _render(
 
 
 def _render_input(frames: Mapping[str, pl.DataFrame], key: str, column: str) -> str:
-    """Return an input's line; what one code is worth holds all frames."""
+    """Return an input's line in zerodrift.toml, with an LSB whose codes hold all frames."""
     if key == CLOCK:
         return f"{key} = {json.dumps(column)}"
     largest = max(_find_largest(frame[column]) for frame in frames.values())

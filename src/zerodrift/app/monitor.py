@@ -52,21 +52,21 @@ UNDECIDED = "undecided"
 
 @dataclass(frozen=True)
 class Deployed:
-    """A unit in use, and how it is watched."""
+    """A unit in use, and how it is monitored."""
 
     sensor: str
     config: Config
     model: IntegerModel
     uncertainty: Uncertainty | None
     loads: Mapping[str, float]
-    """Output -> its true value in the logs, where that is known and no column."""
+    """Output -> its true value in the logs, in its unit, where it is known without a column."""
     when: tuple[str, float] | None = None
     """(column, value) of the rows at which the load is known; None: all."""
 
 
 @dataclass(frozen=True)
 class _Read:
-    """What one log holds, step by step."""
+    """The content of one log, step by step."""
 
     time_s: Array
     flags: NDArray[np.uint32]
@@ -74,12 +74,12 @@ class _Read:
     """[n, C]"""
     temperature: Array
     residuals: Mapping[str, Array]
-    """NaN where nothing is known."""
+    """Output -> [n] measured less drift less true value, in its unit; NaN where that is unknown."""
     notes: tuple[str, ...]
 
 
 class Monitor:
-    """A unit, shown one log after the other."""
+    """Monitors a unit, log by log."""
 
     def __init__(self, deployed: Deployed, state: MonitorState) -> None:
         self.deployed, self.state = deployed, state
@@ -92,12 +92,12 @@ class Monitor:
         self._notes: list[str] = [self._chip.note] if self._chip.note else []
 
     def read(self, log: Path, *, skip_invalid: bool = False, overlap: bool = False) -> None:
-        """Take a log in.
+        """Read a log.
 
         Args:
-            log: the log; one that was read before is passed over.
+            log: the log; one that was read before is skipped.
             skip_invalid: drop rows whose time is no number or does not rise.
-            overlap: rows up to the last time seen are expected, and only let the model settle.
+            overlap: rows up to the last time seen are expected; they only settle the model.
 
         Raises:
             InputError: it cannot be read, or lacks what the model takes.
@@ -143,7 +143,7 @@ class Monitor:
         )
 
     def _place(self, time_s: Array, log: Path, overlap: bool) -> Array:
-        """Return times that go on from the last log, where the log's own begin anew."""
+        """Return times that continue from the last log, where the log's own start again."""
         last = self.state.last_s
         if time_s[0] >= ABSOLUTE_S or overlap or last is None:
             return time_s
@@ -161,7 +161,7 @@ class Monitor:
         return time_s + shift
 
     def _answer(self, log: Path, skip_invalid: bool) -> _Read:
-        """Return what the model leaves of a log."""
+        """Return a log's flags, channels and residuals with the model applied."""
         deployed, config, model = self.deployed, self.deployed.config, self.deployed.model
         wanted = [c.source or c.name for c in model.channels]
         wanted += [f"{MEASURED}{output.name}" for output in model.outputs]
@@ -247,7 +247,7 @@ class Monitor:
         self._steps += int(new.sum())
 
     def judge(self, say: Callable[[str], None] = lambda _: None) -> MonitorResult:
-        """Run the test on all that was read; return what it says."""
+        """Run the sequential test on all logs that were read; return its result."""
         outputs, watched = dict(self.state.outputs), {}
         state = self.state
         number = max(1, len(outputs))
@@ -331,7 +331,7 @@ def _whole_blocks(blocks: BlockMeans, period_s: float, rules: Rules) -> BlockMea
 
 
 def _measure_move(blocks: BlockMeans, followed: Followed, rules: Rules) -> float | None:
-    """Return the median of the last day's means less that of the days that were learnt from."""
+    """Return the median of the last day's means less that of the days of learning."""
     if followed.learned is None:
         return None
     later = blocks.place > blocks.place[-1] - DAY_S / rules.block_s
@@ -363,7 +363,7 @@ def tell_date(time_s: float) -> str:
 def _tell(
     sensor: str, output: str, unit: str, blocks: BlockMeans, followed: Followed, rules: Rules
 ) -> tuple[str, ChangeVerdict, str]:
-    """Return the state of an output, what was found, and what to do."""
+    """Return the state of an output, the finding, and what to do."""
     finding = followed.finding
     if finding is None:
         if followed.learned is None:

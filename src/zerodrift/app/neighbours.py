@@ -1,4 +1,4 @@
-"""The finished model for programs that take a polynomial, and what that loses."""
+"""The finished model for programs that take a polynomial, and the accuracy that is lost."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Rendered:
-    """A neighbour's file, and what it loses."""
+    """The file for a neighbour program, and the accuracy that is lost."""
 
     text: str
     lost: dict[str, Lost]
@@ -48,20 +48,20 @@ def render_neighbour(
     logs: Sequence[Path] = (),
     say: Callable[[str], None] = lambda _: None,
 ) -> Rendered:
-    """Return a model as a neighbour takes it.
+    """Return a model in the form that a neighbour program takes.
 
     Args:
         config: the project.
         model: the integer model of its firmware.
         kind: one of `KINDS`.
         outputs: which, in the order of the neighbour's axes; none: all.
-        device: the number of the sensor there; None: its first.
+        device: number of the sensor in that program; None: its first.
         order: of `polynomial`; the others have their own.
         logs: over which it is fitted and judged; none: those of [logs].
-        say: is told what is being done.
+        say: called with a description of each stage of the work.
 
     Raises:
-        InputError: an output or unit that the neighbour does not take, or a log cannot be read.
+        InputError: the neighbour does not take an output or its unit, or a log cannot be read.
     """
     known = [output.name for output in model.outputs]
     chosen = list(outputs) or known
@@ -95,7 +95,8 @@ def render_neighbour(
 
 
 def _sweep(chip: Chip, places: Sequence[int]) -> FullAnswers:
-    """Return the full model over its calibrated range, as `zerodrift diff` goes through it."""
+    """Return the full model's answers over its calibrated range, on the sweep of `zerodrift
+    diff`."""
     model = chip.model
     times, profiles = plan_sweep(model, model)
     count = min(int(times[-1] / model.sample_period_s) + 1, MOST_STEPS)
@@ -113,7 +114,7 @@ def _read_logs(
     places: Sequence[int],
     say: Callable[[str], None],
 ) -> tuple[FullAnswers | None, tuple[str, ...]]:
-    """Return the full model over the logs, at steps without a flag, and what was noticed."""
+    """Return the full model's answers over the logs, at steps without a flag, and notes."""
     model = chip.model
     wanted = [c.source or c.name for c in model.channels]
     wanted += [f"{MEASURED}{output.name}" for output in model.outputs]

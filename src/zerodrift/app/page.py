@@ -1,8 +1,8 @@
-"""What the page asks of processes of its own: the survey of a project, and its diagnosis.
+"""What the page runs in separate processes: the survey of a project, and its diagnosis.
 
 python -m zerodrift.app.page survey|diagnose PROJECT RESULT [--skip-invalid]
 
-Both write into the directory RESULT and say by an event when something there is complete.
+Both write into the directory RESULT and report by an event when a file there is complete.
 """
 
 import json
@@ -31,7 +31,7 @@ PREVIEWS = 4
 
 
 def survey(directory: Path, result: Path, skip_invalid: bool) -> None:
-    """Write the findings, with the diagnosis where one of these logs is kept."""
+    """Write the findings, with the diagnosis where one for these logs is kept."""
     findings = survey_project(
         directory, skip_invalid=skip_invalid, wants_diagnosis=False, say=print_progress
     )
@@ -41,7 +41,7 @@ def survey(directory: Path, result: Path, skip_invalid: bool) -> None:
 
 
 def diagnose(directory: Path, result: Path, skip_invalid: bool) -> None:
-    """Write the diagnosis, and then what the effects that it names would look like."""
+    """Write the diagnosis, and then the curves of the effects that it names."""
     from zerodrift.app.commands.project import open_project
     from zerodrift.app.commands.survey import trace_provenance
     from zerodrift.physics.catalogue import load_catalogue

@@ -48,10 +48,10 @@ def has_logs(config: Config) -> bool:
 def read_within(config: Config, within: str) -> Config:
     """Return the project with other limits: a TOML file, or `KEY = VALUE; KEY = VALUE`.
 
-    What is not said there stays as `[experiment]` has it.
+    Limits that are not given there stay as in `[experiment]`.
 
     Raises:
-        InputError: it is no TOML, or holds what `[experiment]` does not know.
+        InputError: it is not TOML, or has a key that `[experiment]` does not have.
     """
     path = Path(within)
     is_file = path.suffix == ".toml"
@@ -110,7 +110,7 @@ def find_plan(
 
 
 def keep_plan(config: Config, plan: PlanResult, runs: int) -> None:
-    """Keep what a plan predicts, for the next one to compare with what came of it."""
+    """Keep what a plan predicts, for the next plan to compare with the result."""
     if plan.probability is None:
         return
     config.build_directory.mkdir(parents=True, exist_ok=True)
@@ -119,14 +119,14 @@ def keep_plan(config: Config, plan: PlanResult, runs: int) -> None:
 
 
 def _compare_past(config: Config, dataset: Dataset, catalogue: Catalogue) -> PastPlan | None:
-    """Return the last plan beside what came of it; None where no log followed it."""
+    """Return the last plan with its result; None where no log followed it."""
     path = config.build_directory / KEPT
     if not path.is_file():
         return None
     try:
         kept = from_json(KeptPlan, json.loads(path.read_text(encoding="utf-8")), str(path))
     except ValueError:
-        # Of another version: it has nothing to compare with.
+        # Written by another version: it cannot be compared.
         return None
     plan = kept.plan
     if plan.probability is None or len({run.group for run in dataset.train}) <= kept.runs:

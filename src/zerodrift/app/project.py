@@ -1,4 +1,4 @@
-"""The Python face: a project, and what the commands do with it, as typed results."""
+"""The Python face: a project with the commands as methods that return typed results."""
 
 import contextlib
 import io
@@ -43,10 +43,10 @@ Pandas = TypeVar("Pandas", bound="PandasFrame")
 class Project:
     """A sensor's logs and its model, as they were when it was opened.
 
-    What a method finds is what the command of the same name prints with `--json`; in a notebook it
-    shows itself as a table, and `.plot()` returns a Plotly figure where there is one to draw.
-    `add` and `remove` write zerodrift.toml and return the new project; the old one still compares
-    and diagnoses, but no longer writes.
+    A method returns what the command of the same name prints with `--json`; a notebook shows it as
+    a table, and `.plot()` returns a Plotly figure where there is one. `add` and `remove` write
+    zerodrift.toml and return the new project; the old one still compares and diagnoses, but no
+    longer writes.
 
     Args:
         directory: the folder with zerodrift.toml.
@@ -96,10 +96,10 @@ class Project:
             **options: `inputs` (name -> column), `test` and `dwell` (names of runs), `effects` (of
                 the first model; zero_tempco), `network` ("lag_bank"), `sample_period_s` (the
                 frames' median interval), `name` ("sensor"), and `path`, where the project is kept;
-                left out, it lies in a temporary folder as long as a project of it is in use.
+                left out, it is in a temporary folder that lasts as long as the project is in use.
 
         Raises:
-            InputError: a column is missing, or a frame holds what a log must not.
+            InputError: a column is missing, or a frame holds values that a log must not have.
             TypeError: an option is not one of these.
 
         Example:
@@ -155,7 +155,7 @@ class Project:
         """The runs: time [n] s, temperature [n] degC, drift [n, K] in the outputs' units.
 
         Raises:
-            InputError: a log is missing, damaged, or holds what cannot be right.
+            InputError: a log is missing or damaged, or holds impossible values.
 
         Example:
             >>> run = project.dataset.train[0]
@@ -168,7 +168,7 @@ class Project:
             return load_dataset(self.config, self._skip_invalid)
 
     def compare(self, model: str | None = None) -> CompareResult:
-        """Return the model against the measurements; `.plot(output)` draws one output.
+        """Return the comparison of model and measurements; `.plot(output)` draws one output.
 
         Args:
             model: physics | network | integer | c; None: the most complete there is.
@@ -203,7 +203,7 @@ class Project:
         """Return which effect the model lacks; `.plot()` draws the candidates.
 
         Args:
-            auto: add what is missing, in mind, and look again until nothing is.
+            auto: add what is missing, without writing it, and diagnose again until nothing is.
 
         Example:
             >>> verdict = project.diagnose()
@@ -242,13 +242,13 @@ class Project:
 
         Args:
             hours: how long it may take; None: [experiment] hours, or 8.
-            between: effects to tell apart; empty: those that are open.
+            between: effects to distinguish; empty: those that are undecided.
             target: share of full scale from which on an effect has to be named.
             within: limits beside those of [experiment], as the command takes them.
-            budget_s: processor seconds of the search.
+            budget_s: processor time for the search, in s.
 
         Raises:
-            InputError: limits that contradict each other, or nothing left to tell apart.
+            InputError: limits that contradict each other, or nothing left to distinguish.
 
         Example:
             >>> wanted = ["thermal_lag", "thermal_gradient"]
@@ -283,7 +283,7 @@ class Project:
     ) -> "Project":
         """Add an effect to zerodrift.toml, refit, and return the new project.
 
-        What it brought is the new project's `revision`.
+        The change of the errors is in the new project's `revision`.
 
         Args:
             effect: its name, such as `diagnose().effect`.
@@ -293,7 +293,7 @@ class Project:
 
         Raises:
             CheckError: runs left out are not predicted better; nothing was written.
-            InputError: no effect was named, or it is unknown, or the folder has moved on.
+            InputError: no effect was named, it is unknown, or zerodrift.toml has changed since.
 
         Example:
             >>> better = project.add("thermal_lag")
@@ -330,7 +330,7 @@ class Project:
             signal: of which thermometer, where the model has it for several.
 
         Raises:
-            InputError: the model has no such effect, or the folder has moved on.
+            InputError: the model has no such effect, or zerodrift.toml has changed since.
 
         Example:
             >>> plain = project.add("thermal_lag").remove("thermal_lag")
@@ -348,7 +348,7 @@ class Project:
         return self._follow(RemoveResult(**vars(summarise_revision(revision))), revision)
 
     revision: AddResult | RemoveResult | None = None
-    """What the change that made this project brought; None for one that was opened."""
+    """The change that made this project, with its errors; None for a project that was opened."""
 
     def history(self) -> HistoryResult:
         """Return the staircase of errors so far; `.plot()` draws it.
@@ -370,7 +370,7 @@ class Project:
         return with_picture(HistoryResult(tuple(step.summarise() for step in steps)), draw)
 
     def train(self) -> TrainResult:
-        """Fit the effects, then train what learns the rest; checkpoints go to build/.
+        """Fit the effects, then train the network on the rest; checkpoints go to build/.
 
         Example:
             >>> trained = project.train()
@@ -395,14 +395,19 @@ class Project:
         advice = advise(self.config, self.dataset)
         told = summarise_training(trained.compensator, trained.scores)
         advised = None if advice is None else advice.summarise()
-        return TrainResult(**vars(told), advice=advised, choice=chosen.choice)
+        return TrainResult(
+            **vars(told),
+            advice=advised,
+            choice=chosen.choice,
+            contracting=trained.contracting,
+        )
 
     def firmware(self, *, force: bool = False, uncertainty: bool = True) -> "FirmwareSummary":
         """Train if needed, quantize, generate C, check it bit for bit, and write it.
 
         Args:
-            force: write what the gate refuses; header and manifest say so.
-            uncertainty: fit, or train, again without some of the runs, for the uncertainty.
+            force: write it even if the gate refuses it; header and manifest then say so.
+            uncertainty: also fit, or train, without some of the runs, to find the uncertainty.
 
         Raises:
             CheckError: the gate refuses the firmware, or a bit differs; nothing was written.
@@ -444,7 +449,7 @@ class Project:
         *,
         model: str = "integer",
     ) -> "pl.DataFrame | Pandas":
-        """Return a frame with what the last firmware gives for its rows.
+        """Return a frame with the answers of the last firmware for its rows.
 
         Adds OUTPUT_drift, OUTPUT_compensated and OUTPUT_uncertainty (k = 2), in the output's unit,
         and the chip's flags.
@@ -526,7 +531,7 @@ class Project:
         return target
 
     def _refuse_moved(self) -> None:
-        """Refuse to write where zerodrift.toml is another than the one that was opened."""
+        """Refuse to write where zerodrift.toml is not the one that was opened."""
         if self.config.path.read_bytes() != self._text:
             raise InputError(
                 f"{self.config.path}: the folder has moved on since this project was opened; "

@@ -1,26 +1,50 @@
-"""What `propose` found, as its record and in sentences."""
+"""The result of `propose`, as its record and in sentences."""
 
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.changes import name_directory
+from zerodrift.diagnosis.formula.curve import trace_formula
 from zerodrift.diagnosis.formula.proposal import Formula, FormulaSearch
 from zerodrift.physics.summary import ParameterInterval, describe_coefficients
-from zerodrift.report.results import ProposedCost, ProposedError, ProposedRival, ProposeResult
+from zerodrift.report.proposal_words import explain_black_boxes
+from zerodrift.report.results import (
+    ProposedBlackBox,
+    ProposedCost,
+    ProposedError,
+    ProposedRival,
+    ProposeResult,
+)
+from zerodrift.train.black_box.compare import BlackBoxes
+
+Array = NDArray[np.float64]
 
 
-def summarise_search(
-    found: FormulaSearch, dataset: Dataset, cost: ProposedCost, cost_note: str, file: Path | None
-) -> ProposeResult:
-    """Return what the command prints.
+@dataclass(frozen=True)
+class FormulaAnswer:
+    """The result of a search, with the black boxes and the cost on the chip."""
+
+    search: FormulaSearch
+    boxes: BlackBoxes | None
+    """Errors of the black boxes; None: not asked for, or nothing to learn."""
+    cost: ProposedCost
+    cost_note: str
+    """Why the cost is not known; empty where it is."""
+
+
+def summarise_search(whole: FormulaAnswer, dataset: Dataset, file: Path | None) -> ProposeResult:
+    """Return the record that the command prints.
 
     Args:
-        found: the search's end.
-        dataset: the runs it was made in.
-        cost: what the formula adds on the chip.
-        cost_note: why that could not be told.
-        file: where the effect's file was asked for.
+        whole: the result of the search.
+        dataset: the runs that were searched.
+        file: the effect's file, where one was asked for.
     """
+    found, cost = whole.search, whole.cost
     formula = found.formula
     before, after, floor = found.rmse_left_out, None, found.noise_floor
     if formula is not None:
@@ -31,6 +55,8 @@ def summarise_search(
         floor = dict(zip(names, revision.floor.rms.tolist(), strict=True))
     units = dict(zip(dataset.outputs, dataset.units, strict=True))
     fitted = formula.revision.term if formula is not None else None
+    levels = np.array([floor[name] for name in dataset.outputs])
+    boxes = whole.boxes
     return ProposeResult(
         found=formula is not None,
         kind=formula.effect.kind if formula is not None else None,
@@ -65,11 +91,38 @@ def summarise_search(
         physics=formula.meaning.physics if formula is not None else "",
         next_experiment=formula.meaning.experiment if formula is not None else "",
         remainder=found.remainder if formula is None else (),
+        black_boxes=_list_black_boxes(boxes, dataset, levels) if boxes is not None else (),
+        black_box_note=boxes.note if boxes is not None else "",
+        curves=trace_formula(formula, dataset) if formula is not None else {},
         instructions=cost.instructions,
         flash_bytes=cost.flash_bytes,
         rounding=cost.rounding,
-        cost_note=cost_note,
+        cost_note=whole.cost_note,
         written=str(file) if file is not None and formula is not None else None,
+    )
+
+
+def _list_black_boxes(
+    boxes: BlackBoxes, dataset: Dataset, floor: Array
+) -> tuple[ProposedBlackBox, ...]:
+    def pool(rmse: Array) -> float:
+        return float(np.sqrt(np.mean((rmse / floor) ** 2)))
+
+    def sort(rmse: Array) -> dict[str, float]:
+        return dict(zip(dataset.outputs, rmse.tolist(), strict=True))
+
+    return tuple(
+        ProposedBlackBox(
+            name=box.name,
+            sees=box.sees,
+            rmse_left_out=sort(box.rmse),
+            rmse_beside=sort(box.rmse_beside) if box.rmse_beside is not None else None,
+            floor_ratio=pool(box.rmse),
+            floor_ratio_beside=pool(box.rmse_beside) if box.rmse_beside is not None else None,
+            learns_more=box.learns_more,
+            reason=box.reason,
+        )
+        for box in boxes.boxes
     )
 
 
@@ -90,7 +143,7 @@ def _list_parameters(formula: Formula) -> dict[str, ParameterInterval]:
 
 
 def explain_proposal(result: ProposeResult, directory: Path) -> list[str]:
-    """Return what was found in sentences."""
+    """Return the findings in sentences."""
     where = name_directory(directory)
     tried = (
         f"{result.forms_tried} formulas were tried, with {result.columns_tried} values of their "
@@ -110,6 +163,7 @@ def explain_proposal(result: ProposeResult, directory: Path) -> list[str]:
         ]
         if not result.remainder and result.forms_tried:
             told.append("What is left follows no signal in the logs.")
+        told += explain_black_boxes(result)
         return [*told, tried] if tried else told
     told = [
         f"FORMULA: drift = {result.formula}, with coefficients of its own for each output.",
@@ -121,6 +175,7 @@ def explain_proposal(result: ProposeResult, directory: Path) -> list[str]:
     for rival in result.lookalikes:
         says = "says the same" if rival.equal else "cannot be told from it by these logs"
         told.append(f"drift = {rival.name} {says} ({rival.apart:.2f} times the noise apart).")
+    told += explain_black_boxes(result)
     for core, instructions in result.instructions.items():
         rounding = ", ".join(
             f"{name} {value:.2g} {result.rmse_left_out[name].unit}"

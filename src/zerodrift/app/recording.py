@@ -1,4 +1,4 @@
-"""What a recording should cover, from the project it is for, and what it taught."""
+"""What a recording should cover, by its project, and what can be learnt from it."""
 
 import json
 from collections.abc import Mapping
@@ -100,7 +100,7 @@ def _want_log(config: Config, plan: PlanResult, number: int) -> Wanted:
 def _name_loads(
     config: Config, loads: Mapping[str, tuple[float, float]]
 ) -> dict[str, tuple[float, float]]:
-    """Return ranges of loads by the column that tells them: the reference, or what is measured."""
+    """Return the loads' ranges by column: that of the reference, or else of the reading."""
     columns = {
         output.name: output.reference if isinstance(output.reference, str) else output.measured
         for output in config.outputs
@@ -109,7 +109,7 @@ def _name_loads(
 
 
 def explain_taught(config: Config, file: Path) -> list[str]:
-    """Return what the project's logs can teach, the new one included, and what to record next.
+    """Return what can be learnt from the project's logs, the new one included, and what is next.
 
     Empty where they cannot be read together yet; nothing is raised for that.
     """

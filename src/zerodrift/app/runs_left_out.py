@@ -1,4 +1,4 @@
-"""What models say of training runs that they did not learn from: for the gate, for uncertainty."""
+"""Predictions for training runs by models that did not learn from them: for gate, uncertainty."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -26,7 +26,7 @@ class RunsLeftOut:
     """Why no uncertainty is stated; empty where one is."""
 
     def judge(self, dataset: "Dataset") -> "LeftOut | None":
-        """Return what the gate judges by: nothing where there are test runs, or of networks."""
+        """Return what the gate judges by; None where there are test runs, and for networks."""
         if dataset.test or self.left_out is None or self.left_out.by_epochs:
             return None
         return self.left_out
@@ -42,20 +42,20 @@ NO_TRAINING = RunsLeftOut(
 def leave_runs_out(
     config: Config, dataset: "Dataset", compensator: "Compensator", *, wanted: bool = True
 ) -> RunsLeftOut:
-    """Return what models say of training runs that they did not learn from.
+    """Return predictions for training runs by models that did not learn from them.
 
-    A network is trained again without a part of the runs at a time, all of them in step; what is
-    complete stays in build/ and is not repeated.
+    Networks are trained again without a part of the runs each, all of them in parallel; finished
+    parts stay in build/ and are not repeated.
 
     Args:
         config: the project.
         dataset: its runs.
         compensator: trained on all training runs.
-        wanted: False fits again what is quick, for the gate alone.
+        wanted: False: only models that are quick to fit are fitted again, for the gate.
     """
     from zerodrift.train.progress import show_progress
+    from zerodrift.train.refits import Original
     from zerodrift.train.tasks import Handling
-    from zerodrift.train.understudies import Original
     from zerodrift.verify.left_out import leave_out, leave_out_together
 
     if not wanted:
@@ -76,7 +76,7 @@ def keep_uncertainty(
     described: "FloatModel",
     left: RunsLeftOut,
 ) -> None:
-    """Write build/uncertainty.json where models left a run out; remove it where none did."""
+    """Write build/uncertainty.json where some model left runs out; remove it where none did."""
     from zerodrift.verify.uncertainty import FILE_NAME, measure_firmware
 
     path = config.build_directory / FILE_NAME

@@ -1,4 +1,4 @@
-"""What surrounds a run of the command line: output streams, memory limits, code that ends us."""
+"""The environment of the command line: output streams and memory limits."""
 
 import io
 import os
@@ -10,10 +10,10 @@ LEAST_ADDRESS_SPACE = 2_500_000_000
 
 
 def prepare_streams() -> None:
-    """Make stdout and stderr able to take any text, whatever the locale and the caller left.
+    """Make stdout and stderr accept any text, whatever the locale and the caller's streams.
 
-    A closed stream becomes one that is read by nobody. Characters that the stream's encoding lacks
-    are written as escapes such as \\xe4.
+    A closed stream is replaced by one that discards its text. Characters that the stream's encoding
+    lacks are written as escapes such as \\xe4.
     """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -24,7 +24,7 @@ def prepare_streams() -> None:
 
 
 def describe_memory_limit() -> str:
-    """Return a note on a limit of the address space under which libraries fail, or nothing."""
+    """Return a note on a limit of the address space at which libraries fail, or nothing."""
     limit = read_address_space()
     if limit is None or limit >= LEAST_ADDRESS_SPACE:
         return ""

@@ -1,4 +1,4 @@
-"""Which files of effects this user has agreed to run: they are Python, which can do anything.
+"""Which files of effects this user has agreed to run: they are Python and can do anything.
 
 The user's own commands (`compare`, `add`, `train`, `firmware`, ...) run the files that their
 project names, and remember them. `report` and `workbench`, with which one looks at a project that
@@ -43,7 +43,7 @@ def remember(files: Sequence[Path]) -> None:
 
 
 def require_trust(files: Sequence[Path], *, trusted: bool) -> None:
-    """Ask once before files of effects are run that were never run here.
+    """Ask once before files of effects are run that this user has not run before.
 
     Args:
         files: the project's `[plugins] files`.

@@ -1,4 +1,4 @@
-"""`zerodrift init --upgrade`: what a project's logs chose so far is written into its file."""
+"""`zerodrift init --upgrade`: codes that the logs decided so far are written into the project."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,8 +28,8 @@ THERMOMETER = "[sensor] temperature"
 def upgrade(directory: Path) -> "UpgradeResult":
     """Write the codes that zerodrift.toml leaves to the logs into it, and its format.
 
-    They are those that the training logs chose so far, of a fleet those that hold the logs of all
-    units; from then on they are the same for every unit and whatever else is logged.
+    They are the codes that followed from the training logs so far, in a fleet the codes that hold
+    the logs of all units; from then on they no longer depend on unit or logs.
 
     Raises:
         InputError: a log cannot be read, or the file's layout is not understood.
@@ -113,7 +113,7 @@ def _list_units(config: Config) -> list[Config]:
 
 
 def _read_extremes(config: Config, names: Sequence[str]) -> list[Run]:
-    """Return the training runs, of each input the lowest and the highest value alone."""
+    """Return the training runs, reduced to the lowest and the highest value of each input."""
     runs = load_dataset(config).train
     ends = [{n: np.array([r.inputs[n].min(), r.inputs[n].max()]) for n in names} for r in runs]
     return [replace(run, inputs=own) for run, own in zip(runs, ends, strict=True)]

@@ -27,7 +27,7 @@ FEWEST_LINES = 3
 
 
 class Options(Protocol):
-    """What of the command line matters here."""
+    """The options that are read here."""
 
     @property
     def sensor(self) -> str | None:
@@ -46,7 +46,7 @@ class Options(Protocol):
 
     @property
     def alarms_per_unit_month(self) -> float:
-        """False alarms."""
+        """False alarms per unit and month."""
         ...
 
     @property
@@ -56,7 +56,7 @@ class Options(Protocol):
 
     @property
     def block_hours(self) -> float:
-        """Length of a block."""
+        """Length of a block in hours."""
         ...
 
     @property
@@ -71,12 +71,12 @@ class Options(Protocol):
 
     @property
     def every_s(self) -> float:
-        """Time between two looks at a live source."""
+        """Time in s between two reads of a live source."""
         ...
 
 
 def open_deployed(directory: Path, options: Options) -> tuple[Deployed, Path, tuple[str, ...]]:
-    """Return the unit as it is in use, the file of its state, and what is to be noted.
+    """Return the unit as it is in use, the file of its state, and notes for the user.
 
     Raises:
         InputError: there is no firmware, no such unit, or an option cannot be read.
@@ -94,7 +94,7 @@ def open_deployed(directory: Path, options: Options) -> tuple[Deployed, Path, tu
 
 
 def load_nothing() -> Dataset:
-    """Stand for a project's logs, which the integer model does not need."""
+    """Take the place of a project's logs, which the integer model does not need."""
     raise AssertionError("the integer model needs no logs")
 
 
@@ -129,10 +129,10 @@ def _read_pair(option: str, text: str, example: str) -> tuple[str, float]:
 def open_state(
     place: Path, deployed: Deployed, options: Options
 ) -> tuple[MonitorState, tuple[str, ...]]:
-    """Return the state to go on from, and what is to be noted.
+    """Return the state to continue from, and notes for the user.
 
     Raises:
-        InputError: it is damaged, or was begun with other options.
+        InputError: it is damaged, or was started with other options.
     """
     fresh = MonitorState(
         deployed.sensor,
@@ -168,7 +168,7 @@ def open_state(
 
 
 def enter(directory: Path, told: MonitorResult, logs: Sequence[LogSeen]) -> tuple[str, ...]:
-    """Enter logs and alarms into the registry where there is one; return what is to be noted.
+    """Enter logs and alarms into the registry where there is one; return notes for the user.
 
     Raises:
         InputError: it cannot be written.
@@ -191,11 +191,11 @@ def live_chunks(source: str, deployed: Deployed, options: Options) -> Iterator[P
 
     Args:
         source: - or a command, which prints CSV with a header, a row for each sample.
-        deployed: says how much the model must see to settle.
-        options: how often to look.
+        deployed: gives the time that the model needs to settle.
+        options: how often to read.
 
     Raises:
-        InputError: the command cannot be started, or nothing came.
+        InputError: the command cannot be started, or printed nothing.
     """
     config = deployed.config
     warm_s = deployed.model.guards.warm_up_steps * config.sample_period_s

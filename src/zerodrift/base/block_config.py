@@ -1,4 +1,4 @@
-"""The keys of `[firmware]` that say where a program's coefficients lie, and what a block tells."""
+"""The keys of `[firmware]` on where a program's coefficients are, and on the block's fields."""
 
 from dataclasses import dataclass
 from datetime import date
@@ -22,7 +22,7 @@ class BlockConfig:
     sequence: int = 0
     """Of two slots the larger is newer; 0: the date of calibration as days since 1970."""
     address: int = 0
-    """Of the block in flash, for the HEX file."""
+    """Address of the block in flash, for the HEX file."""
 
     @property
     def in_block(self) -> bool:
@@ -31,12 +31,12 @@ class BlockConfig:
 
     @property
     def number(self) -> int:
-        """The sequence that the block bears, 1 at least."""
+        """The sequence number in the block, at least 1."""
         return self.sequence or max((self.calibrated - date(1970, 1, 1)).days, 1)
 
 
 def read_block_config(firmware: TomlTable) -> BlockConfig:
-    """Return what `[firmware]` says of blocks.
+    """Return the keys of `[firmware]` on blocks.
 
     Raises:
         InputError: a value of the wrong type or range.

@@ -1,4 +1,4 @@
-"""How zerodrift.toml says what a log's times are: column, unit or format, zone, by hand."""
+"""How zerodrift.toml states a log's times: column, unit or format, zone, offset."""
 
 import re
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ class TimeConfig:
     format: str = ""
     """Of text, by the codes of strftime; empty: ISO 8601 or HH:MM:SS."""
     zone: str = ""
-    """Of text without one: a name such as Europe/Berlin, or +02:00; empty: a clock of its own."""
+    """Zone of text that has none: a name such as Europe/Berlin, or +02:00; empty: not known."""
 
     @property
     def name(self) -> str:
@@ -38,14 +38,14 @@ class TimeConfig:
 
 @dataclass(frozen=True)
 class ClockConfig:
-    """What holds of the logs' clocks beyond `[sensor] time`; patterns are of file names."""
+    """Settings of the logs' clocks besides `[sensor] time`; patterns match file names."""
 
     periods_s: Mapping[str, float] = field(default_factory=dict)
-    """Pattern -> interval between rows, for logs without a column of times."""
+    """Pattern -> interval between rows in s, for logs without a column of times."""
     offsets_s: Mapping[str, float] = field(default_factory=dict)
     """Pattern -> seconds to add to the log's times."""
     times: Mapping[str, TimeConfig] = field(default_factory=dict)
-    """Pattern -> its times, where it is not as `[sensor] time` says."""
+    """Pattern -> its times, where they are not as `[sensor] time` says."""
     common: tuple[str, ...] = ()
     """Columns of one quantity that several logs of a run record: one name, or one per log."""
 
@@ -72,7 +72,7 @@ def _read_zone(table: TomlTable) -> str:
     """Return a zone's name, or a difference to UTC.
 
     Raises:
-        InputError: this machine knows zones, and none of that name.
+        InputError: this machine has a list of zones, and none of that name.
     """
     zone = table.text("zone")
     if read_fixed_zone(zone) is not None:

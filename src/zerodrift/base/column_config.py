@@ -31,22 +31,23 @@ is open or shorted. At least one code does."""
 
 @dataclass(frozen=True)
 class CodesConfig:
-    """What the chip is given of a column; None: chosen from the logs."""
+    """The codes of a column that the chip is given; a field that is None is chosen from the
+    logs."""
 
     bits: int | None = None
     """16 or 32 (`raw`) where the chip is given the quantity's codes."""
     lsb: float | None = None
-    """What one code of the quantity is worth, in the column's unit."""
+    """LSB of the quantity's codes, in the column's unit."""
     range: tuple[float, float] | None = None
-    """What codes and flags must cover, in the column's unit."""
+    """Range that codes and flags must cover, in the column's unit."""
     no_reading: int | None = None
-    """The code that means that there is none; None: the lowest of the type, if that is signed."""
+    """The code that means no reading; None: the lowest of the type, if that is signed."""
     always_read: bool = False
     """Every code is a reading (`no_reading = false`)."""
     raw: str = ""
-    """What the chip is given where it is not the quantity's codes of `bits`."""
+    """Type of the raw codes that the chip is given, where they are not the quantity's codes."""
     by: ConversionConfig | None = None
-    """From that to the quantity; None: one code is worth lsb, or what suits the logs."""
+    """From raw code to quantity; None: the LSB is `lsb`, or chosen from the logs."""
 
 
 def read_column(table: TomlTable, key: str) -> tuple[str, CodesConfig, ConversionConfig | None]:
@@ -91,7 +92,7 @@ def read_column(table: TomlTable, key: str) -> tuple[str, CodesConfig, Conversio
 
 
 def _find_chip_conversion(table: TomlTable, by: ConversionConfig | None) -> ConversionConfig | None:
-    """Return what the chip converts its codes by; None where these are the quantity's."""
+    """Return the conversion on the chip; None where its codes are the quantity's."""
     if by is None:
         return None
     if by.kind or by.divider is not None:
@@ -124,7 +125,7 @@ def _check_chip_conversion(table: TomlTable, by: ConversionConfig, raw: str) -> 
                 "quantity by one code. Correct the points, or take raw out.",
             )
     if by.divider is None:
-        if by.kind == "thermocouple":  # a chip's table is from V
+        if by.kind == "thermocouple":  # a table on the chip starts from V
             factor = FACTORS[by.unit or "V"][1] if by.unit not in TEMPERATURES else 1.0
             return replace(by, scale=by.scale * factor, offset=by.offset * factor, unit="")
         return replace(by, unit="" if by.kind else by.unit)
@@ -151,7 +152,7 @@ def _find_log_conversion(
 def check_junctions(
     inputs: TomlTable, columns: Sequence[tuple[TomlTable, str, ConversionConfig | None]]
 ) -> None:
-    """Refuse cold junctions that nothing measures.
+    """Refuse cold junctions that no input measures.
 
     Args:
         inputs: the table [inputs].
@@ -185,9 +186,9 @@ def check_junctions(
 
 
 def _take_quantity(by: ConversionConfig) -> ConversionConfig | None:
-    """Return the conversion of a log that holds what the chip's codes are converted to.
+    """Return the conversion of a log that holds the quantity the chip's codes are converted to.
 
-    That is ohm for a resistor's conversion unless its unit is one of temperature.
+    For a resistor's conversion that is ohm, unless its unit is one of temperature.
     """
     if by.unit in TEMPERATURES:
         return None if by.unit == "degC" else ConversionConfig(unit=by.unit)

@@ -22,6 +22,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.base.experiment_config import ExperimentConfig, read_experiment
 from zerodrift.base.files import name_kind
 from zerodrift.base.fleet_config import PLACEHOLDER, FleetConfig, read_fleet
+from zerodrift.base.step_config import STEP_KEYS, read_step, refuse_equal_steps
 from zerodrift.base.toml_lines import find_line, index_lines
 from zerodrift.base.toml_table import LARGEST, TomlTable
 
@@ -39,7 +40,10 @@ MOST = {"starts": 1000, "epochs": 1_000_000}
 """Trainings from different weights, and passes over the logs, that are still meant."""
 MODEL_TABLES = ("effect", "network", "quantization", "firmware", "plugins", "fleet", "experiment")
 NETWORK_KINDS = ("lag_bank", "gru", "lstm", "mlp", "mlp_seq", "tcn", "none", AUTO)
-CHOSEN_BY_AUTO = ("hidden", "memory", "spacing_s", "form", "learning_rate", "lags_s")
+CHOSEN_BY_AUTO = (
+    *("hidden", "memory", "spacing_s", "form", "learning_rate", "lags_s"),
+    "contracting",
+)
 """Keys that mean nothing beside kind = "auto"."""
 RECURRENT_KINDS = ("gru", "lstm")
 """These carry a state, or run over a window."""
@@ -55,7 +59,7 @@ MAX_OUTPUTS = 16
 MAX_HIDDEN = 256
 GRU_FORMS = ("reset_after", "reset_before")
 NETWORK_KEYS = ("kind", "hidden", "memory", "seed", "lags_s")
-NETWORK_OPTIONS = ("starts", "epochs", "form", "learning_rate", "spacing_s")
+NETWORK_OPTIONS = ("starts", "epochs", "form", "learning_rate", "spacing_s", "contracting")
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ class EffectConfig:
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """`[network]`: what learns the part that physics leaves."""
+    """`[network]`: what learns the part of the drift that the physical model leaves."""
 
     kind: str = "none"
     """lag_bank | gru | lstm | mlp | mlp_seq | tcn | none | auto."""
@@ -110,6 +114,7 @@ class Config:
     time_column: str
     temperature_column: str
     sample_period_s: float
+    """Seconds between two steps; of a variable step, between two rows of the logs."""
     outputs: tuple[OutputConfig, ...]
     inputs: Mapping[str, str]
     """Channel name -> column."""
@@ -126,15 +131,18 @@ class Config:
     where: Mapping[str, str] = field(default_factory=dict)
     """`[logs] where`: column -> the value that a row must have there to be read."""
     tared: bool | None = None
-    """`[logs] tared`: whether each run is zeroed by itself; None ("auto"): as the logs tell."""
+    """`[logs] tared`: whether each run is zeroed by itself; None ("auto"): decided from the
+    logs."""
     unit_build: Path | None = None
-    """Of a unit of a fleet: where its model lies; None: in build/."""
+    """Of a unit of a fleet: the folder of its model; None: build/."""
     firmware_prefix: str = ""
     """What the C's names begin with, `{sensor}` standing for a fleet's sensor; empty: its name."""
     firmware_guard: bool = False
     """Whether the C keeps a checksum over its state."""
+    firmware_tare: bool = False
+    """Whether the C can count the drift from a moment on."""
     block: BlockConfig = field(default_factory=BlockConfig)
-    """`[firmware]`: whether the coefficients lie in a block, and what it says of its unit."""
+    """`[firmware]`: whether the coefficients are in a block, and the block's fields."""
     fleet: FleetConfig = field(default_factory=FleetConfig)
     """`[fleet]`: for `zerodrift fleet` alone."""
     experiment: ExperimentConfig = field(default_factory=ExperimentConfig)
@@ -142,15 +150,17 @@ class Config:
     time: TimeConfig = field(default_factory=TimeConfig)
     """How the times of `time_column` are written."""
     clocks: ClockConfig = field(default_factory=ClockConfig)
-    """What `[logs]` says of single logs' clocks."""
+    """What `[logs]` states about the clocks of single logs."""
     temperature_codes: CodesConfig = field(default_factory=CodesConfig)
-    """What the chip is given of the thermometer."""
+    """The codes of the thermometer that the chip is given."""
     input_codes: Mapping[str, CodesConfig] = field(default_factory=dict)
-    """Channel name -> what the chip is given of it."""
+    """Channel name -> its codes that the chip is given."""
     conversions: Mapping[str, ConversionConfig] = field(default_factory=dict)
     """Column -> how its logged values become the quantity."""
+    variable_step: bool = False
+    """`sample_period_s = "variable"`: whether each step is given the time since the last one."""
     format: int = 1
-    """Of zerodrift.toml. From 2 on what a code is worth does not follow from a unit's logs."""
+    """Format of zerodrift.toml. From 2 on no LSB follows from a unit's logs."""
 
     @property
     def directory(self) -> Path:
@@ -181,13 +191,13 @@ def load_config(path_or_directory: Path) -> Config:
             "from your logs; `-C DIR` names the directory it lies in."
         )
     if not path.is_file():
-        # A named pipe would be waited for, for ever.
+        # Opening a named pipe would block for ever.
         raise InputError(
             f"{path}: is {name_kind(path)}; expected a file, the project's configuration. Remove "
             f"it, and run `zerodrift init LOG...`, or name another directory by -C."
         )
     try:
-        # The mark that some editors put in front of UTF-8 text is not part of it.
+        # The byte order mark that some editors write is not part of the text.
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         line = path.read_bytes()[: error.start].count(b"\n") + 1
@@ -219,10 +229,13 @@ def parse_config(text: str, path: Path) -> Config:
         ) from error
     root = TomlTable(path, index_lines(text), (), values)
     root.refuse_unknown((*DATA_TABLES, *MODEL_TABLES, "format"))
-    sensor = root.table("sensor", ("name", "time", "temperature", "sample_period_s"))
+    sensor = root.table("sensor", ("name", "time", "temperature", *STEP_KEYS))
+    step = read_step(sensor)
     logs = root.table("logs", LOG_KEYS)
     quantization = root.table("quantization", ("weights",), optional=True)
-    firmware = root.table("firmware", ("out", "prefix", "guard", *BLOCK_KEYS), optional=True)
+    firmware = root.table(
+        "firmware", ("out", "prefix", "guard", "tare", *BLOCK_KEYS), optional=True
+    )
     outputs, converted_outputs = _read_outputs(root)
     inputs = root.table("inputs", None, optional=True)
     clocks = read_clocks(logs)
@@ -245,7 +258,8 @@ def parse_config(text: str, path: Path) -> Config:
         time=time,
         clocks=clocks,
         temperature_column=temperature_column,
-        sample_period_s=sensor.positive("sample_period_s"),
+        sample_period_s=step.period_s,
+        variable_step=step.is_variable,
         outputs=outputs,
         inputs={name: column for name, (column, _, _) in columns.items()},
         train_logs=_read_selectors(logs, "train"),
@@ -258,6 +272,7 @@ def parse_config(text: str, path: Path) -> Config:
         / (firmware.text("out") if "out" in firmware.values else "firmware"),
         firmware_prefix=_read_prefix(firmware),
         firmware_guard=firmware.flag("guard"),
+        firmware_tare=firmware.flag("tare"),
         block=read_block_config(firmware),
         plugin_files=_read_plugins(root),
         where=_read_where(logs),
@@ -275,6 +290,8 @@ def parse_config(text: str, path: Path) -> Config:
         conversions={column: by for column, by in conversions if by is not None},
         format=_read_format(root),
     )
+    if step.is_variable:
+        refuse_equal_steps(root, config.network.kind)
     _refuse_shared_columns(config, root)
     _refuse_file_as_build(config)
     return config
@@ -293,7 +310,7 @@ def locate_key(path: Path, *key: str) -> str:
 
 @lru_cache(maxsize=4)
 def _index_lines(text: str) -> Mapping[tuple[str | int, ...], int]:
-    """Return `index_lines`, once for a text that a whole fleet shares."""
+    """Return `index_lines`, cached for a text that a whole fleet shares."""
     return MappingProxyType(index_lines(text))
 
 
@@ -306,7 +323,7 @@ def _describe_syntax_error(path: Path, message: str) -> str:
 
 
 def _read_format(root: TomlTable) -> int:
-    """Read the file's own format; projects made before it was written are of format 1."""
+    """Read the file's format; files without the key are of format 1."""
     found = root.values.get("format", FORMATS[0])
     if isinstance(found, bool) or not isinstance(found, int) or found not in FORMATS:
         raise root.error(
@@ -330,7 +347,7 @@ def _read_selectors(logs: TomlTable, use: str) -> tuple[str, ...]:
 def _read_outputs(
     root: TomlTable,
 ) -> tuple[tuple[OutputConfig, ...], list[tuple[TomlTable, str, str, ConversionConfig | None]]]:
-    """Read the outputs, and how columns of theirs are converted: table, key, column, by what."""
+    """Read the outputs, and the conversions of their columns: table, key, column, conversion."""
     tables = root.table("outputs", None)
     if not 1 <= len(tables.values) <= MAX_OUTPUTS:
         raise tables.error(
@@ -364,7 +381,7 @@ def _read_outputs(
 
 
 def _read_effects(root: TomlTable) -> tuple[EffectConfig, ...]:
-    """Read the `[[effect]]` tables; which kinds and parameters exist is the catalogue's matter."""
+    """Read the `[[effect]]` tables; the catalogue checks kinds and parameters."""
     found = root.values.get("effect", [])
     if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
         raise root.expect("effect", "tables in double brackets, written [[effect]]")
@@ -407,6 +424,14 @@ def _read_network(table: TomlTable) -> NetworkConfig:
     for key in CHOSEN_BY_AUTO if kind == AUTO else ():
         if key in table.values:
             raise table.error(key, f'kind = "auto" chooses that by itself; leave `{key}` out.')
+    if table.flag("contracting"):
+        if kind != "gru":
+            raise table.error(
+                "contracting",
+                f"only a GRU is trained so that it forgets, and `kind` is '{kind}'; leave it out,"
+                ' or write kind = "gru".',
+            )
+        options["contracting"] = True
     if kind in WINDOWED_KINDS and memory == "stream":
         memory = WINDOW
     if memory != "stream" and kind not in (*WINDOWED_KINDS, *RECURRENT_KINDS):
@@ -466,7 +491,7 @@ def _read_where(logs: TomlTable) -> dict[str, str]:
 
 
 def _read_tared(logs: TomlTable) -> bool | None:
-    """Read whether runs are zeroed one by one; None for "auto", and where nothing is said."""
+    """Read whether runs are zeroed one by one; None for "auto", and where the key is missing."""
     value = logs.values.get("tared", AUTO)
     if value == AUTO:
         return None
@@ -486,7 +511,7 @@ def _refuse_file_as_build(config: Config) -> None:
 
 
 def _refuse_shared_columns(config: Config, root: TomlTable) -> None:
-    """Refuse a column in two roles: the mark of a table copied and not edited."""
+    """Refuse a column in two roles: most likely a table was copied and not edited."""
     sensor = root.table("sensor", None)
     roles = {config.time_column: sensor.label("time")}
     uses = [(sensor, "temperature", config.temperature_column)]

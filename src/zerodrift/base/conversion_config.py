@@ -1,4 +1,4 @@
-"""How a column of the logs becomes the quantity that the model takes, as zerodrift.toml says it."""
+"""How a column of the logs becomes the quantity that the model takes, by zerodrift.toml."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -35,15 +35,16 @@ FACTORS = {
 
 @dataclass(frozen=True)
 class DividerConfig:
-    """A resistor in series with the sensor's, whose middle a converter measures."""
+    """A series resistor and the sensor's resistor; a converter measures the voltage between
+    them."""
 
     series_ohm: float
     is_low: bool
-    """The sensor lies between the middle and ground."""
+    """The sensor is between the middle and ground."""
     counts: float
-    """What the converter gives for its whole range, which is that of the divider."""
+    """The converter's counts at full range, which is the divider's supply."""
     rail: float = 0.0
-    """Counts from either end within which the converter stands at a rail: no reading."""
+    """Counts from either end within which the converter is at a rail: no reading."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +53,10 @@ class ConversionConfig:
 
     scale: float = 1.0
     offset: float = 0.0
-    """Value * scale + offset is in `unit`."""
+    """value * scale + offset is in `unit`."""
     unit: str = ""
     divider: DividerConfig | None = None
-    """From the share of the counts to ohm."""
+    """From the share of the full counts to ohm."""
     kind: str = ""
     """ntc | pt100 | pt1000 | thermocouple | table | polynomial; empty: none. A model's file also
     has emf: `times` times the voltage of a thermocouple against 0 degC."""
@@ -71,7 +72,7 @@ class ConversionConfig:
     junction: str | None = None
     """The input that measures its cold junction, in degC."""
     junction_degC: float | None = None
-    """Where that is always at one temperature."""
+    """Temperature of a cold junction that is constant, in degC."""
     times: float | None = None
 
 
@@ -80,8 +81,8 @@ def read_conversion(table: TomlTable, *, of_code: bool = True) -> ConversionConf
 
     Args:
         table: of the column.
-        of_code: what is converted is what the log holds; else only what the chip is given, and the
-            log's unit may be that of the result.
+        of_code: the log holds the values to convert; else only the chip's codes are converted, and
+            the log's unit may be that of the result.
 
     Raises:
         InputError: a key is missing, contradicts another, or has a value of the wrong type.
@@ -139,7 +140,7 @@ def read_conversion(table: TomlTable, *, of_code: bool = True) -> ConversionConf
 
 
 def sum_formula(by: ConversionConfig, fraction_bits: int) -> ConversionConfig:
-    """Return the temperature of a sum of a thermocouple's code and its junction's voltage."""
+    """Return the conversion of the sum of a thermocouple's code and its junction's voltage."""
     scale = by.scale / 2.0**fraction_bits
     return replace(by, scale=scale, junction=None, junction_degC=0.0)
 
@@ -147,7 +148,7 @@ def sum_formula(by: ConversionConfig, fraction_bits: int) -> ConversionConfig:
 def junction_formula(
     by: ConversionConfig, fraction_bits: int, lsb: float, offset: float
 ) -> ConversionConfig:
-    """Return the part of that sum that a code of the cold junction gives.
+    """Return the conversion of a cold junction's code to its part of that sum.
 
     Args:
         by: of the thermocouple, from V.
@@ -163,7 +164,7 @@ def bring_to_unit(by: ConversionConfig, unit: str, table: TomlTable) -> Conversi
     """Return a conversion whose result is in another unit than that of the log.
 
     Raises:
-        InputError: the two are not of one quantity.
+        InputError: the two units are not of one quantity.
     """
     if not by.unit or by.unit == unit or by.kind:
         return by
@@ -199,7 +200,7 @@ def _read_junction(table: TomlTable) -> str | None:
     """Return the input that measures the cold junction; None where it has one temperature.
 
     Raises:
-        InputError: nothing is said of it; a thermocouple measures a difference.
+        InputError: neither is stated, though a thermocouple measures a difference.
     """
     if "cold_junction" not in table.values:
         raise table.error(

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 
 class ZerodriftError(Exception):
-    """Base of every error that is told to the user as one message, without a traceback.
+    """Base of every error that the user sees as one message, without a traceback.
 
     Example:
         >>> issubclass(zd.InputError, zd.ZerodriftError), zd.CheckError.exit_code
@@ -22,7 +22,7 @@ class InputError(ZerodriftError):
 
 
 class NoRuleError(ZerodriftError):
-    """Nothing is proven of the errors of a model with this; the text says why."""
+    """No error bound can be proven for a model with this; the text says why."""
 
 
 class CheckError(ZerodriftError):

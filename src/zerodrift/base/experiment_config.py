@@ -21,7 +21,7 @@ class Reach:
     low: float
     high: float
     change_s: float = 5.0
-    """What a change takes, s."""
+    """Duration of a change, s."""
     hold_s: float = 60.0
     """Shortest time between two changes, s."""
 
@@ -43,7 +43,7 @@ class ExperimentConfig:
     log_min: float | None = None
     """Shortest log, minutes."""
     rest_min: float | None = None
-    """Between two logs, minutes, nothing recorded."""
+    """Minutes between two logs, in which nothing is recorded."""
     power: bool = False
     """Whether a log may begin with the power-on."""
     units: int = 1
@@ -55,10 +55,10 @@ class ExperimentConfig:
     inputs: Mapping[str, Reach] = field(default_factory=dict)
     """Input -> the values it can be set to."""
     lines: Mapping[str, str] = field(default_factory=dict)
-    """Key -> where it stands, for messages."""
+    """Key -> its place in the file, for messages."""
 
     def locate(self, key: str) -> str:
-        """Return where a key stands and how a user writes it."""
+        """Return the place of a key in the file and how a user writes it."""
         return f"{self.lines[key]}: [experiment] {key}" if key in self.lines else f"{key}"
 
 

@@ -12,7 +12,7 @@ class Extra:
 
     name: str
     package: str
-    """The module whose presence tells."""
+    """The module that is looked for."""
     title: str
 
 
@@ -35,14 +35,14 @@ def is_there(package: str) -> bool:
 
 
 def require(extra: Extra, what: str) -> None:
-    """Refuse to go on without an extra.
+    """Raise where an extra is not installed.
 
     Args:
         extra: what is needed.
-        what: needs it, as the user knows it.
+        what: what needs it, in the user's terms.
 
     Raises:
-        InputError: it is not installed; says how to.
+        InputError: it is not installed; says how to install it.
     """
     if not is_there(extra.package):
         raise InputError(

@@ -1,4 +1,4 @@
-"""One file that is there entirely or not at all, and one message where it cannot be written.
+"""Writes one file as a whole or not at all, with one message where it cannot be written.
 
 Files that belong together are changed together by `zerodrift.base.journal`.
 """
@@ -50,9 +50,9 @@ _KINDS = {
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write one file beside its place, then put it there.
+    """Write one file under another name beside it, then rename it.
 
-    A disk that is full, an error or the end of the process leaves the old file. For the files of a
+    After a full disk, an error or the end of the process the old file remains. For the files of a
     project see `zerodrift.base.journal.write_all`.
 
     Raises:
@@ -60,9 +60,7 @@ def write_whole(path: Path, content: bytes) -> None:
     """
     with telling_of_writes(path):
         place = Path(os.path.realpath(path))
-        for left in place.parent.glob(f".{_escape(place.name)}.*{REMAINDER}"):
-            left.unlink(missing_ok=True)
-        temporary = place.with_name(f".{place.name}.{secrets.token_hex(4)}{REMAINDER}")
+        temporary = name_beside(place)
         try:
             write_beside(temporary, content, like=place)
             temporary.replace(place)
@@ -73,13 +71,53 @@ def write_whole(path: Path, content: bytes) -> None:
                 temporary.unlink(missing_ok=True)
 
 
+def name_beside(path: Path) -> Path:
+    """Return a temporary name beside a file; remove leftovers of writers that were killed."""
+    for left in path.parent.glob(f".{_escape(path.name)}.*{REMAINDER}"):
+        left.unlink(missing_ok=True)
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}{REMAINDER}")
+
+
+def write_new(path: Path, content: bytes) -> None:
+    """Write a new file as a whole, unless it exists already.
+
+    Of two processes the first one's file stays. On a file system without links, the later of two
+    that start at the same time may replace the first.
+
+    Raises:
+        InputError: the directory is missing, may not be written to, or has no room.
+    """
+    with telling_of_writes(path):
+        temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}{REMAINDER}")
+        try:
+            if not path.exists():
+                write_beside(temporary, content, like=path)
+                _link(temporary, path)
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+        for left in path.parent.glob(f".{_escape(path.name)}.*{REMAINDER}"):
+            left.unlink(missing_ok=True)
+
+
+def _link(temporary: Path, path: Path) -> None:
+    """Give a new file its name, if nothing has it."""
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        pass
+    except OSError:  # a file system without links, or another process has cleaned up
+        if not path.exists():
+            temporary.replace(path)
+
+
 def write_beside(path: Path, content: bytes, *, like: Path, durable: bool = True) -> None:
     """Write a new file and wait until the disk has it.
 
     Args:
         path: of the new file, which must not be there.
         content: its bytes.
-        like: the file whose permissions it takes, where that one is there.
+        like: the file whose permissions it takes, where that exists.
         durable: False does not wait for the disk.
     """
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
@@ -93,7 +131,7 @@ def write_beside(path: Path, content: bytes, *, like: Path, durable: bool = True
 
 
 def sync_directory(directory: Path) -> None:
-    """Wait until the disk has the names in a directory; nothing where directories cannot be."""
+    """Wait until a directory's names are on the disk; does nothing where that is not supported."""
     if os.name == "nt":
         return
     handle = os.open(directory, os.O_RDONLY)
@@ -103,7 +141,7 @@ def sync_directory(directory: Path) -> None:
         if error.errno not in (
             errno.EINVAL,
             errno.ENOTSUP,
-        ):  # of file systems that need no such call
+        ):  # file systems that need no such call
             raise
     finally:
         os.close(handle)
@@ -111,7 +149,7 @@ def sync_directory(directory: Path) -> None:
 
 @contextmanager
 def telling_of_writes(path: Path) -> Iterator[None]:
-    """Turn what a disk answers while something is written to `path` into one message."""
+    """Turn an OSError while `path` is written into one message."""
     try:
         yield
     except OSError as error:
@@ -133,7 +171,7 @@ def explain_write(path: Path | str, error: OSError, state: str = AS_BEFORE) -> I
 
     Args:
         path: what was to be written.
-        error: what the disk answered.
+        error: the system's error.
         state: a sentence on how the files are now.
     """
     remedy = _REMEDIES.get(error.errno or 0, "Check the directory")
@@ -144,16 +182,16 @@ def explain_write(path: Path | str, error: OSError, state: str = AS_BEFORE) -> I
 
 
 def name_kind(path: Path) -> str:
-    """Return what lies at a path, with its article: `a directory`, `a named pipe`, ..."""
+    """Return the kind of what is at a path, with its article: `a directory`, `a named pipe`, ..."""
     kind = stat.S_IFMT(path.stat().st_mode)
     return _KINDS.get(kind, "no ordinary file")
 
 
 def explain_refusal(error: OSError) -> str | None:
-    """Return what to tell of a file that the system refused; None if it is no such answer.
+    """Return the text for an error of the system on a file; None if it is another error.
 
-    Reading and writing are refused in the same words (EIO, EMFILE, EACCES), so neither is claimed.
-    Polars gives the system's answer in its text alone: "Too many open files (os error 24): PATH".
+    Reading and writing have the same errors (EIO, EMFILE, EACCES), so the text claims neither.
+    Polars has the system's error in its text only: "Too many open files (os error 24): PATH".
     """
     place, answer = error.filename, error.strerror
     if found := re.fullmatch(r"(.+) \(os error \d+\): (.+)", str(error)):
@@ -169,10 +207,10 @@ def explain_refusal(error: OSError) -> str | None:
 
 
 def is_refused_write(error: OSError) -> bool:
-    """Tell whether an error is an answer that only a write gets."""
+    """Tell whether an error is one that only writing can raise."""
     return error.errno in _OF_WRITES
 
 
 def _escape(name: str) -> str:
-    """Return a name with what `glob` reads as a pattern taken literally."""
+    """Return a name with the special characters of `glob` escaped."""
     return "".join(f"[{c}]" if c in "*?[" else c for c in name)

@@ -1,4 +1,4 @@
-"""The `[fleet]` table of zerodrift.toml: where the sensors of one design lie, and their limits."""
+"""The `[fleet]` table of zerodrift.toml: the folders of the sensors of a design, and limits."""
 
 import re
 from collections.abc import Mapping

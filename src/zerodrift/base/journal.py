@@ -1,16 +1,16 @@
-"""Files that change together: all of them, or none, whenever the process ends or the disk refuses.
+"""Changes several files together: all or none, whenever the process ends or the disk fails.
 
-A change goes through these steps; its record lies in `build/.zerodrift/` and is renamed as it goes.
+A change goes through these steps; its record is in `build/.zerodrift/` and is renamed on the way.
 
-1. `ID.begin` names every file, where its new and its old contents will lie, and their SHA-256.
-2. The new contents are written beside their places, the old ones get a second name beside them.
+1. `ID.begin` names every file, the paths of its new and old contents, and their SHA-256.
+2. The new contents are written beside the files, the old ones get a second name beside them.
 3. `ID.begin` becomes `ID.forward`: from here on the change is decided.
-4. Every file is put in its place; what the change removes is removed.
+4. Every new file is renamed into place; files that the change removes are removed.
 5. The second names and the record are removed.
 
 Whatever ends the process, the next command finds the record: before step 3 it removes what was
-written, after it finishes the change. A disk that refuses in step 4 makes the record `ID.back`, and
-the old contents return. Between any two steps the disk is waited for.
+written, after it finishes the change. If the disk fails in step 4, the record becomes `ID.back`,
+and the old contents are restored. After each step the data is flushed to the disk.
 """
 
 import hashlib
@@ -59,7 +59,7 @@ class _FileStep:
 
     path: str
     new: str
-    """Where the new contents lie until they are put in place; "" where the file is removed."""
+    """Path of the new contents until they are put in place; "" where the file is removed."""
     old: str
     """A second name of the old contents; "" where there was no file."""
     new_sha256: str
@@ -68,11 +68,11 @@ class _FileStep:
 
 @dataclass(frozen=True)
 class _Record:
-    """A change, as it stands in its record."""
+    """A change, as its record has it."""
 
     steps: tuple[_FileStep, ...]
     made: tuple[str, ...]
-    """Directories that were not there before, outermost first."""
+    """Directories that did not exist before, outermost first."""
     durable: bool
 
     def to_bytes(self, project: Path) -> bytes:
@@ -89,7 +89,7 @@ class _Record:
         """Return what `to_bytes` wrote.
 
         Raises:
-            ValueError, KeyError, TypeError, AttributeError: it is not whole.
+            ValueError, KeyError, TypeError, AttributeError: it is incomplete.
         """
         body = read_sealed(content)
         if body.get("format") != FORMAT:
@@ -117,7 +117,7 @@ def write_text(path: Path, text: str, project: Path | None = None) -> None:
 
     Args:
         path: the file.
-        text: what it is to hold.
+        text: its new content.
         project: the folder of zerodrift.toml, where the file is the project's own.
 
     Raises:
@@ -142,11 +142,12 @@ def write_all(
 
     Args:
         project: the folder of zerodrift.toml, which the record of the change lies below.
-        contents: by the file; None removes it. Directories are made.
-        durable: False does not wait for the disk: a kill is survived, a power failure may not be.
-        under_lock: another process holds the project for this one.
+        contents: file -> its new content; None removes it. Directories are made.
+        durable: False does not wait for the disk: the change survives a kill, but perhaps not a
+            power failure.
+        under_lock: another process holds the lock for this one.
         at_once: do not wait for the end of `change_together`.
-        patient: wait for another command that holds the project.
+        patient: wait for another command that holds the lock.
 
     Raises:
         InputError: something cannot be written; the message says how the files are now.
@@ -163,7 +164,8 @@ def write_all(
 
 @contextmanager
 def change_together(project: Path) -> Iterator[None]:
-    """Gather what `write_all` is given meanwhile, and write all of it at the end, as one change.
+    """Collect the calls of `write_all` within this context, and write them at the end as one
+    change.
 
     Raises:
         InputError: as `write_all`.
@@ -183,14 +185,15 @@ def change_together(project: Path) -> Iterator[None]:
 
 @contextmanager
 def hold_project(project: Path, *, patient: bool = True) -> Iterator[None]:
-    """Hold a project against other writers; first end, or take back, what a kill left.
+    """Lock a project against other writers; first complete, or reverse, an interrupted change.
 
     Args:
         project: the folder of zerodrift.toml.
         patient: wait for another command that holds it.
 
     Raises:
-        InputError: as `lock_project`; or an unfinished change can neither be ended nor taken back.
+        InputError: as `lock_project`; or an unfinished change can be neither completed nor
+            reversed.
     """
     with lock_project(project, patient=patient):
         state = find_state(project)
@@ -200,9 +203,9 @@ def hold_project(project: Path, *, patient: bool = True) -> Iterator[None]:
 
 
 def settle_project(project: Path) -> None:
-    """See to it, before a command reads, that no change of the project is unfinished.
+    """Complete or reverse an unfinished change before a command reads the project.
 
-    Costs a look into one folder where there is none. A writer at work is waited for.
+    Without one, this only lists one folder. It waits for a writer at work.
 
     Raises:
         InputError: a change is unfinished and the folder cannot be written.
@@ -236,11 +239,11 @@ def settle_project(project: Path) -> None:
 
 
 def read_together(project: Path, folders: Sequence[Path], read: Callable[[], T]) -> T:
-    """Return what `read` returns, no command having changed the files it reads meanwhile.
+    """Return what `read` returns, sure that no command changed its files meanwhile.
 
     Args:
         project: the folder of zerodrift.toml.
-        folders: where the files lie that belong together.
+        folders: the folders of the files that belong together.
         read: reads them; called again where a change came between.
 
     Raises:
@@ -260,7 +263,7 @@ def read_together(project: Path, folders: Sequence[Path], read: Callable[[], T])
 
 
 def _mark_files(folders: Sequence[Path]) -> frozenset[tuple[str, int, int]]:
-    """Return names, places on the disk and times of the files in folders; a change makes others."""
+    """Return names, inodes and times of the files in folders; any change alters them."""
     marks = set()
     for folder in folders:
         with suppress(OSError), os.scandir(folder) as entries:
@@ -312,7 +315,7 @@ def _plan(name: str, contents: Mapping[Path, bytes | None], durable: bool) -> _R
     """Return what a change will do, before it does anything.
 
     Raises:
-        InputError: something that is no file stands in the place of one.
+        InputError: a path to be written is something other than a file.
     """
     steps = []
     made: dict[str, None] = {}
@@ -359,7 +362,7 @@ def _put(step: _FileStep) -> None:
 
 
 def _take_back(begin: Path, record: _Record, decided: bool) -> str:
-    """Return the old contents to their places after a failure; return how the files are now."""
+    """Restore the old contents after a failure; return a sentence on how the files are now."""
     try:
         if not decided:
             _clean(begin, record)
@@ -380,7 +383,7 @@ def _take_back(begin: Path, record: _Record, decided: bool) -> str:
 
 
 def _return_old(record: _Record) -> list[str]:
-    """Put the old contents back; return the files that somebody else has changed since."""
+    """Restore the old contents; return the files that somebody else has changed since."""
     foreign = []
     for step in reversed(record.steps):
         path = Path(step.path)
@@ -399,7 +402,7 @@ def _return_old(record: _Record) -> list[str]:
 def _clean(place: Path, record: _Record) -> None:
     """Remove second names and what was not put in place, then the record; the files stay.
 
-    The next command repeats what the disk refuses here.
+    The next command repeats what fails here.
     """
     with suppress(OSError):
         for step in record.steps:
@@ -411,7 +414,7 @@ def _clean(place: Path, record: _Record) -> None:
 
 
 def _remove_made(record: _Record) -> None:
-    """Remove the directories that a change which came to nothing has made."""
+    """Remove the directories that a reversed change has made."""
     with suppress(OSError):
         for directory in reversed(record.made):
             Path(directory).rmdir()
@@ -430,10 +433,10 @@ def _list_state(state: Path) -> list[Path]:
 
 
 def _recover(state: Path) -> None:
-    """End or take back every change that a kill left unfinished; the lock is held.
+    """Complete or reverse every unfinished change; the lock is held.
 
     Raises:
-        InputError: the disk refuses.
+        InputError: the disk fails.
     """
     for place in _list_state(state):
         if place.suffix in (BEGIN, FORWARD, BACK):
@@ -441,14 +444,14 @@ def _recover(state: Path) -> None:
                 try:
                     record = _Record.from_bytes(place.read_bytes(), _find_project(state))
                 except (ValueError, KeyError, TypeError, AttributeError):
-                    # Not written to its end, so that nothing else was begun either.
+                    # An incomplete record: nothing else was begun either.
                     place.unlink(missing_ok=True)
                     continue
                 _end(place, record)
 
 
 def _end(place: Path, record: _Record) -> None:
-    """End one change, or take it back, and say so."""
+    """Complete one change, or reverse it, and say so."""
     is_done = place.suffix == FORWARD and _finish(record)
     if is_done:
         tell(f"a command that was cut off was changing {record.count}; that is done now")
@@ -465,10 +468,10 @@ def _end(place: Path, record: _Record) -> None:
 
 
 def _finish(record: _Record) -> bool:
-    """Put in place what is not yet; return False where that cannot be done as it was meant.
+    """Put the remaining files in place; return False where that is not possible as planned.
 
-    A file that somebody has edited since is not replaced; nor are contents put in place that are
-    not those which were written.
+    A file that somebody has edited since is not replaced, nor are contents used that differ from
+    those that were written.
     """
     waiting = [step for step in record.steps if not _is_put(step)]
     for step in waiting:
@@ -483,7 +486,7 @@ def _finish(record: _Record) -> bool:
 
 
 def _is_put(step: _FileStep) -> bool:
-    """Return whether a file was put in its place; what became of it afterwards is its user's."""
+    """Return whether a file was put in place, whatever happened to it afterwards."""
     return not Path(step.new).exists() if step.new else not Path(step.path).exists()
 
 

@@ -1,4 +1,4 @@
-"""One writer at a time on a project; the next one waits, and is told for whom.
+"""One writer at a time on a project; the next one waits, and prints for whom.
 
 The lock is a file in `build/.zerodrift/`, held by the operating system for as long as the process
 lives, so that a kill frees it.
@@ -45,7 +45,7 @@ def lock_project(project: Path, *, patient: bool = True) -> Iterator[None]:
         patient: wait for another process that holds it.
 
     Raises:
-        InputError: another one held it all the while, or the folder cannot be written.
+        InputError: another process held it the whole time, or the folder cannot be written.
     """
     state = find_state(project)
     if _held.get(state):
@@ -65,7 +65,7 @@ def lock_project(project: Path, *, patient: bool = True) -> Iterator[None]:
                 state.mkdir(parents=True, exist_ok=True)
                 release = try_lock(state / LOCK)
             except (FileNotFoundError, FileExistsError, NotADirectoryError) as error:
-                # The last holder has removed the empty folder, or a file is in its way.
+                # The last holder has removed the empty folder, or a file has its name.
                 for folder in (state.parent, state):
                     if folder.exists() and not folder.is_dir():
                         raise InputError(
@@ -98,7 +98,7 @@ def lock_project(project: Path, *, patient: bool = True) -> Iterator[None]:
 
 
 def try_lock(path: Path) -> Callable[[], None] | None:
-    """Return what releases a lock, or None where another process holds it.
+    """Return the function that releases the lock, or None where another process holds it.
 
     Raises:
         OSError: the file cannot be made.
@@ -124,7 +124,7 @@ class _Holder:
 
 
 def describe_holder(state: Path) -> str:
-    """Return who holds the lock, as far as it says."""
+    """Return who holds the lock, as far as its file says."""
     try:
         told = from_json(_Holder, json.loads((state / HOLDER).read_text(encoding="utf-8")))
         return f"`{told.command}` (process {told.process} on {told.machine}, since {told.since})"
@@ -133,7 +133,7 @@ def describe_holder(state: Path) -> str:
 
 
 def _sign(state: Path) -> None:
-    """Say who holds the lock; a disk that does not take it is no reason to stop."""
+    """Write who holds the lock; a failure to write is ignored."""
     command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:LONGEST_COMMAND]
     since = time.strftime("%Y-%m-%d %H:%M:%S")
     told = to_dict(_Holder(os.getpid(), platform.node(), command, since))
@@ -142,9 +142,9 @@ def _sign(state: Path) -> None:
 
 
 def _leave(state: Path) -> None:
-    """Leave no folder behind that holds nothing; the lock is still held.
+    """Remove the folder if it is empty; the lock is still held.
 
-    One who has opened the lock already finds, holding it, that it is gone, and begins anew.
+    A process that has opened the lock already finds that it is gone, and starts again.
     """
     with suppress(OSError):
         (state / HOLDER).unlink(missing_ok=True)
@@ -167,5 +167,5 @@ def _read_wait() -> float:
 
 
 def tell(text: str) -> None:
-    """Say something on stderr at once, so that stdout stays the command's result."""
+    """Print to stderr without buffering; stdout has the command's result only."""
     print(f"note: {text}", file=sys.stderr, flush=True)

@@ -33,7 +33,7 @@ def refuse_foreign(contents: Iterable[Path], folder: Path) -> None:
         folder: the folder of its own that they belong to, with its manifest.
 
     Raises:
-        InputError: one of them is there and is somebody else's.
+        InputError: one of them exists and zerodrift did not write it.
     """
     listed = list_own(folder)
     for path in contents:
@@ -49,7 +49,7 @@ def list_own(folder: Path) -> frozenset[str]:
     """Return the names in a folder's manifest, itself included; none without one of ours.
 
     Raises:
-        OSError: it is there and the system does not hand it out.
+        OSError: it exists and cannot be read.
     """
     try:
         content = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
@@ -64,7 +64,7 @@ def carries_mark(path: Path) -> bool:
     """Return whether a file says in itself that zerodrift wrote it.
 
     Raises:
-        OSError: the system does not hand it out.
+        OSError: it cannot be read.
     """
     try:
         if path.suffix == ".json":
@@ -81,7 +81,7 @@ def render_manifest(files: Mapping[str, bytes], **told: object) -> bytes:
 
     Args:
         files: name -> content.
-        told: what else it says; `model` makes it known as one of ours.
+        told: further entries; `model` marks the manifest as one of ours.
     """
     hashes = {name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())}
     return (json.dumps({"format": 1, **told, LISTED: hashes}, indent=1) + "\n").encode()

@@ -26,9 +26,9 @@ def is_watched() -> bool:
 
 @contextmanager
 def open_text_progress() -> Iterator[Callable[[str], None] | None]:
-    """Give what shows progress as text, where that is wanted: `PROGRESS_LINES`, or a notebook.
+    """Yield a function that shows progress as text, for `PROGRESS_LINES` or a notebook.
 
-    None elsewhere: a terminal has better, and nobody looks at a pipe.
+    None elsewhere: a terminal has a progress bar, and a pipe needs none.
     """
     if os.environ.get(PROGRESS_LINES):
         yield print_progress
@@ -44,7 +44,7 @@ def open_text_progress() -> Iterator[Callable[[str], None] | None]:
 
 
 def _find_notebook() -> Callable[[str], None] | None:
-    """Return what writes into the notebook's cell that is running; "" takes it away."""
+    """Return a function that writes into the notebook's running cell; "" clears it."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     if shell is None or not hasattr(shell, "kernel"):

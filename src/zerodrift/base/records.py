@@ -1,8 +1,8 @@
-"""Frozen dataclasses to JSON values and back, strictly: what does not fit its type is refused.
+"""Frozen dataclasses to JSON values and back, strictly: values of the wrong type are refused.
 
 A field is a key of its own name. One of metadata `OPTIONAL` is left out where it has its default,
 one of metadata `UNWRITTEN` always; of one of metadata `MEASURED`, NaN and infinity, which JSON
-lacks, are null. Arrays are lists. A class may say two things of itself:
+lacks, are null. Arrays are lists. A class may have two attributes:
 
     SCHEMA: ClassVar[str] = "compare/1"      the key `schema`, written first
     ALIASES: ClassVar = ("rmse_heldout",)    properties that are written too: older names
@@ -94,7 +94,7 @@ def to_json(value: object) -> Json:
 def from_json(kind: type[T], value: object, where: str = "") -> T:
     """Return JSON values as a type: a dataclass, Mapping[str, ...], tuple, union or plain type.
 
-    Keys that the type does not know are passed over.
+    Keys that the type does not have are ignored.
 
     Args:
         kind: what is expected.

@@ -1,7 +1,7 @@
 """Folders for the work of one command, which the next command removes if a kill left them.
 
-They lie in the project, as libraries that are built there are loaded from there and the system's
-folder for temporary files may forbid that.
+They are in the project, since libraries that are built there are also loaded from there, which the
+system's folder for temporary files may forbid.
 """
 
 import os
@@ -38,10 +38,10 @@ EARLIER_FILES = {
 
 @contextmanager
 def make_scratch(project: Path) -> Iterator[Path]:
-    """Make a folder for the time being that every compiler can work in.
+    """Make a temporary folder that every compiler can work in.
 
-    It lies in the project where that can be written and compilers can work with its name, else in
-    the system's folder for temporary files.
+    It is in the project where that can be written and compilers accept its path, else in the
+    system's folder for temporary files.
 
     Args:
         project: the folder of zerodrift.toml.

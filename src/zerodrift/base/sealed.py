@@ -22,7 +22,7 @@ def render_sealed(body: Mapping[str, object]) -> bytes:
 
 @dataclass(frozen=True)
 class _Mark:
-    """What every file of a format says of itself."""
+    """The key `format` of a file."""
 
     format: int | str | None = None
 
@@ -40,7 +40,7 @@ def read_sealed(content: bytes) -> dict[str, Json]:
     """Return the object of a sealed file, without its hash.
 
     Raises:
-        ValueError: it is no JSON object, carries no hash, or another one than its own.
+        ValueError: it is no JSON object, has no hash, or the hash does not match.
     """
     try:
         body = json.loads(content)

@@ -1,4 +1,4 @@
-"""How a result looks in a notebook: a table, and a picture where whoever made it knows one."""
+"""How a result looks in a notebook: a table, and a figure where it has one."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
@@ -17,13 +17,13 @@ EPOCH = 1e8
 
 
 class Shown:
-    """A frozen record that shows itself in a notebook."""
+    """A frozen record that a notebook shows as tables."""
 
     def plot(self, *arguments: object, **options: object) -> "Figure":
-        """Return the result's picture, a Plotly figure.
+        """Return the result as a Plotly figure.
 
         Raises:
-            TypeError: the result was read from a file, without what there is to draw.
+            TypeError: the result was read from a file, without the data to draw.
 
         Example:
             >>> figure = project.compare().plot("Fz")
@@ -59,7 +59,7 @@ class Shown:
 
 
 def with_picture(result: T, draw: Callable[..., object]) -> T:
-    """Return a result that draws itself by `draw`."""
+    """Return a result whose `plot` calls `draw`."""
     object.__setattr__(result, "_draw", draw)
     return result
 

@@ -1,4 +1,4 @@
-"""How many threads the numerical libraries may start; asked before any of them is imported."""
+"""How many threads the numerical libraries may start; set before any of them is imported."""
 
 import os
 

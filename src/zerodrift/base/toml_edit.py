@@ -2,7 +2,7 @@
 
 The text is edited line by line: a library that rewrites the document moves the comment above the
 next table, and tables that stand apart, to other places. The result is read back and compared, so
-that an edit either does what was asked or is refused.
+that an edit either does exactly what was asked or is refused.
 """
 
 import json
@@ -144,7 +144,7 @@ def _end_block(rows: list[str], last_key: int, limit: int) -> int:
     """Return the row after a table that ends before row `limit`.
 
     A value may go on over several lines; a comment right below the last key belongs to the table,
-    unless it runs on into the next table's header, whose comment it then is.
+    unless it continues to the next table's header, whose comment it then is.
     """
     stop = limit
     while stop > last_key + 1 and (not rows[stop - 1].strip() or _is_comment(rows[stop - 1])):

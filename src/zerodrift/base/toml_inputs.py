@@ -16,7 +16,7 @@ _ROW = re.compile(
 
 
 def set_format(text: str, number: int) -> str:
-    """Return the text with `format` at its top, or changed where it stands."""
+    """Return the text with `format` added at its top, or changed where it is."""
     line = f"format = {number}"
     if re.search(r"^format\s*=\s*\d+", text, re.MULTILINE):
         return re.sub(r"^format\s*=\s*\d+", line, text, count=1, flags=re.MULTILINE)
@@ -34,7 +34,7 @@ def set_columns(
         text: a valid zerodrift.toml.
         columns: input -> key -> value.
         path: the file, for messages.
-        table: where they stand, `inputs` or `sensor`.
+        table: the table they are in, `inputs` or `sensor`.
 
     Raises:
         InputError: an input does not stand on a line of its own.

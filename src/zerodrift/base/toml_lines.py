@@ -1,4 +1,4 @@
-"""Where each key of a TOML text stands, so that an error about it can name its line."""
+"""The line of each key of a TOML text, for messages about it."""
 
 import re
 from collections.abc import Mapping

@@ -12,7 +12,7 @@ LARGEST = 1e300
 
 @dataclass(frozen=True)
 class TomlTable:
-    """A table of the file: its values, and where they stand."""
+    """A table of the file: its values, and their lines."""
 
     file: Path
     lines: dict[tuple[str | int, ...], int]

@@ -1,1 +1,1 @@
-"""One module per command; each turns options into calls of a stage and prints what came back."""
+"""One module per command; each turns options into calls of a stage and prints the result."""

@@ -25,7 +25,7 @@ def read_held(texts: tuple[str, ...]) -> dict[str, float]:
     """Return the parameters of `--hold NAME=NUMBER`.
 
     Raises:
-        InputError: one of them has another form, or stands there twice.
+        InputError: one of them has another form, or is given twice.
     """
     held: dict[str, float] = {}
     for name, value in _split(texts, "--hold", "tau_s=60").items():
@@ -118,7 +118,7 @@ def command(
 
 
 def _conclude(revision: "Revision", force: bool, path: Path) -> str:
-    """Return what became of the file, and why."""
+    """Return in a sentence what happened to the file, and why."""
     from zerodrift.diagnosis.changes import ADD, name_effect
 
     why = f"{revision.reason[0].upper()}{revision.reason[1:]}."

@@ -1,4 +1,4 @@
-"""What `firmware` and `diagnose` left in build/, where it still is of this project."""
+"""Results of `firmware` and `diagnose` in build/, where they still belong to this project."""
 
 import json
 import math
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zerodrift.base.config import Config
+from zerodrift.base.files import NOT_THERE
 from zerodrift.base.records import Json, from_json
 from zerodrift.base.sealed import read_sealed
 from zerodrift.verify.c_claims import CertificateClaims, read_claims
@@ -27,20 +28,24 @@ AGAIN = "`zerodrift firmware` builds it again."
 
 
 def read_kept(path: Path) -> dict[str, Json] | None:
-    """Return what a file of build/ holds that carries its hash; None where it does not match."""
+    """Return the content of a file of build/ that carries its hash; None where that does not match.
+
+    Raises:
+        OSError: it exists and cannot be read.
+    """
     try:
         return read_sealed(path.read_bytes())
-    except (OSError, ValueError):
+    except (*NOT_THERE, ValueError):
         return None
 
 
 def read_firmware(
     config: Config,
 ) -> tuple[FirmwareSummary | None, CertificateSummary | None, str]:
-    """Return the last `firmware --json`, the certificate's summary, and what is to be said of them.
+    """Return the last `firmware --json`, the certificate's summary, and a note on them.
 
-    Firmware that is not as its manifest says, files, logs and configuration alike, is not shown,
-    and no certificate but its own. Where a later one was refused, that is said.
+    Firmware whose files, logs or configuration differ from its manifest is not shown, nor is a
+    certificate of another model. A later firmware that was refused is mentioned in the note.
     """
     firmware, certificate, note = _read_written(config)
     refused = _tell_refusal(config, shown=firmware is not None)
@@ -48,7 +53,7 @@ def read_firmware(
 
 
 def _tell_refusal(config: Config, *, shown: bool) -> str:
-    """Return what the gate said against the last firmware; "" where that was written."""
+    """Return why the gate refused the last firmware; "" where it was written."""
     kept = read_kept(config.build_directory / REFUSED)
     if kept is None:
         return ""
@@ -64,7 +69,7 @@ def _tell_refusal(config: Config, *, shown: bool) -> str:
 def _read_written(
     config: Config,
 ) -> tuple[FirmwareSummary | None, CertificateSummary | None, str]:
-    """Return what `read_firmware` does, of firmware that was written."""
+    """Return what `read_firmware` returns, for firmware that was written."""
     kept = read_kept(config.build_directory / FIRMWARE)
     if kept is None:
         return None, None, "No firmware was built yet: `zerodrift firmware` builds and checks it."
@@ -91,7 +96,7 @@ def _read_written(
 def read_uncertainty(config: Config, model_hash: str) -> "tuple[Uncertainty | None, str]":
     """Return the uncertainty of a model, or None and why there is none.
 
-    It is the one that every command states.
+    Every command states this one.
 
     Args:
         config: the project.
@@ -163,7 +168,7 @@ def read_certificate(path: Path, model_hash: str) -> tuple[CertificateSummary | 
 
 
 def summarise_certificate(claims: CertificateClaims) -> CertificateSummary:
-    """Return how many bounds are claimed, and those that come closest to their limits."""
+    """Return how many bounds are claimed, and the bounds closest to their limits."""
     bounds = []
     for bound in claims.bounds:
         headroom = float(bound.bits - 1 - math.log2(max(-bound.low, bound.high + 1, 1)))

@@ -94,7 +94,7 @@ def read_full_scale(directory: Path) -> dict[str, float]:
 
 
 def render_as(fitted: CalibrationMatrix, path: Path, name: str, directory: Path) -> str:
-    """Return the text of a file by its suffix."""
+    """Return a calibration in the format that a file's suffix names."""
     from zerodrift.calibration.files import render_header, render_json, render_toml
 
     suffix = path.suffix.lower()
@@ -154,7 +154,7 @@ def render_applied(
 
 @dataclass(frozen=True)
 class CalibrateOptions:
-    """What is read, fitted and written, as the command line says."""
+    """The options of `calibrate`: what is read, fitted and written."""
 
     logs: tuple[str, ...]
     channels: tuple[str, ...]

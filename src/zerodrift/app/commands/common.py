@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 def directory_option(function: Command) -> Command:
     """Add `-C DIR`: the project directory, passed on as `directory: Path`.
 
-    A change of its files that a kill cut off is ended, or taken back, before the command begins.
+    An interrupted change of its files is completed, or reversed, before the command begins.
     """
     return click.option(
         "-C",
@@ -43,7 +43,7 @@ def _settle(context: click.Context, _: click.Parameter, directory: Path) -> Path
 
 
 def changes_project(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Hold the project against other writers for as long as the command runs."""
+    """Lock the project against other writers for as long as the command runs."""
 
     @functools.wraps(function)
     def hold(*arguments: object, directory: Path, **options: object) -> Result:
@@ -115,7 +115,7 @@ def print_result(result: object) -> None:
 def print_json(value: object) -> None:
     """Print one JSON object on stdout; NaN and infinity, which JSON lacks, are refused.
 
-    Where stdout's encoding lacks a character, all but ASCII is written as JSON's own escapes.
+    Where stdout's encoding lacks a character, everything but ASCII is written as JSON escapes.
     """
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
     try:

@@ -114,7 +114,7 @@ def command(
 
 
 def print_comparison(comparison: "Comparison", console: "Console") -> None:
-    """Print the tables, and then what they say in sentences."""
+    """Print the tables, and then their meaning in sentences."""
     _print_outputs(comparison, console)
     _print_runs(comparison, console)
     for sentence in explain_figures(comparison):
@@ -124,7 +124,7 @@ def print_comparison(comparison: "Comparison", console: "Console") -> None:
 
 
 def explain_figures(comparison: "Comparison") -> list[str]:
-    """Return what the tables' figures are worth, sentence by sentence."""
+    """Return sentences on how far the tables' figures can be trusted."""
     sentences = [_finish(comparison.method.explain()), _finish(comparison.floor.explain())]
     if comparison.tared:
         sentences.append(
@@ -267,7 +267,7 @@ def _write_error(patterns: Sequence["Pattern"]) -> str:
 
 
 def _write_agreement(patterns: Sequence["Pattern"]) -> str:
-    """Return how many runs agree, for the output on which they agree least."""
+    """Return as text how many runs agree, for the output on which they agree least."""
     least = min(patterns, key=lambda p: p.runs_agreeing / p.runs_checked)
     return f"{least.runs_agreeing} of {least.runs_checked} runs left out agree"
 

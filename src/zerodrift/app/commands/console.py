@@ -1,4 +1,4 @@
-"""Where the commands of the loop print: results on stdout, progress on stderr."""
+"""How the commands print: results on stdout, progress on stderr."""
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,7 +25,7 @@ def open_console() -> "Console":
     from rich.console import Console
 
     width = None if sys.stdout.isatty() else LEAST_WIDTH
-    # Square brackets and colons are a user's own: [logs], log.csv:100:.
+    # Square brackets and colons are plain text here: [logs], log.csv:100:.
     return Console(width=width, highlight=False, markup=False, emoji=False)
 
 
@@ -43,7 +43,7 @@ def open_table(title: str, left: Sequence[str], right: Sequence[str]) -> "Table"
 
 
 def print_advice(advice: "Advice | None", console: "Console") -> None:
-    """Print what the logs can and cannot teach, and what to record next."""
+    """Print what can and cannot be learnt from the logs, and what to record next."""
     if advice is None:
         return
     console.print("\nWhat these logs can teach:")
@@ -51,9 +51,25 @@ def print_advice(advice: "Advice | None", console: "Console") -> None:
         console.print(f"  {sentence}")
 
 
+def print_not_testable(reasons: Mapping[str, str], console: "Console") -> None:
+    """Print why effects cannot be judged, those of one reason together.
+
+    Args:
+        reasons: effect -> reason.
+        console: where to.
+    """
+    effects: dict[str, list[str]] = {}
+    for effect, why in reasons.items():
+        effects.setdefault(why, []).append(effect)
+    for why, names in effects.items():
+        console.print(f"Not testable: {', '.join(names)}: {why}.")
+    if effects:
+        console.print()
+
+
 @contextmanager
 def show_progress(first: str) -> Iterator[Callable[[str], None]]:
-    """Show on stderr what is being done; gives a function that says what comes next.
+    """Show on stderr what is being done; yields a function that takes the next description.
 
     Where `PROGRESS_LINES` is set in the environment, each step is a line that another program can
     read; in a notebook it is text in the cell.
@@ -91,7 +107,7 @@ def print_uncertainty(stated: "Mapping[str, StatedUncertainty] | None", console:
 
 
 def print_chip_error(firmware: "FirmwareSummary", console: "Console") -> None:
-    """Print what separates a firmware from its float model, as `firmware` found it."""
+    """Print the error between a firmware and its float model, as `firmware` measured it."""
     table = open_table(
         "The chip: integer minus float model by cause, RMS",
         ("output", "unit"),

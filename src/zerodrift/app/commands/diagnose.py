@@ -17,6 +17,7 @@ from zerodrift.app.commands.console import (
     open_console,
     open_table,
     print_advice,
+    print_not_testable,
     show_progress,
     write_values,
 )
@@ -161,13 +162,7 @@ def print_diagnosis(
     left_out = len(diagnosis.candidates) - MOST_LISTED
     if left_out > 0:
         console.print(f"{left_out} more that help less; --json lists all.\n")
-    reasons: dict[str, list[str]] = {}
-    for untested in diagnosis.not_testable:
-        reasons.setdefault(untested.why, []).append(untested.effect)
-    for why, names in reasons.items():
-        console.print(f"Not testable: {', '.join(names)}: {why}.")
-    if diagnosis.not_testable:
-        console.print()
+    print_not_testable({one.effect: one.why for one in diagnosis.not_testable}, console)
     _print_errors(diagnosis, console)
     for sentence in explain_verdict(diagnosis, command, catalogue):
         console.print(sentence.text)
@@ -192,10 +187,11 @@ def explain_verdict(
     """Return the verdict in sentences.
 
     Args:
-        diagnosis: what was found.
-        command: what adds the missing effect.
+        diagnosis: the result.
+        command: the command line that adds the missing effect.
         catalogue: the known effects.
     """
+    from zerodrift.diagnosis.diagnosis import LIKELY
     from zerodrift.diagnosis.explained import HEADLINE, STEP, Sentence
 
     floor = f"{diagnosis.floor_ratio_before:.2f} times the noise floor"
@@ -257,6 +253,10 @@ def explain_verdict(
         )
     if diagnosis.effect is not None:
         sentences.append(Sentence(f"To add it: {command}", STEP))
+        if diagnosis.something_else >= LIKELY:
+            sentences.append(
+                Sentence("Then, to look for a formula of what is left: zerodrift propose", STEP)
+            )
         if thin:
             sentences.append(
                 Sentence(
@@ -273,7 +273,7 @@ def _print_steps(
     catalogue: "Catalogue",
     console: "Console",
 ) -> None:
-    """Print what was added one after the other."""
+    """Print the effects that were added, in order."""
     table = open_table(
         "Added one after the other",
         ("effect", "fitted values", "command"),

@@ -8,8 +8,6 @@ from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError, ZerodriftError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from rich.console import Console
 
     from zerodrift.fleet.differing import Difference
@@ -23,12 +21,12 @@ MOST_LISTED = 8
 def diagnose_fleet(
     config: Config, skip_invalid: bool, say: Callable[[str], None]
 ) -> "tuple[FleetDiagnosis, Catalogue]":
-    """Return what the units of a design show together.
+    """Return the diagnosis of a design from all of its units together.
 
-    A unit whose logs cannot be read is told, and the others are examined.
+    A unit whose logs cannot be read is named, and the others are examined.
 
     Raises:
-        InputError: nothing says where the units are, or none of them can be examined.
+        InputError: zerodrift.toml does not say where the units are, or none can be examined.
     """
     from zerodrift.app.trust import remember
     from zerodrift.dataset.load import load_dataset
@@ -63,7 +61,7 @@ def print_fleet_diagnosis(
     found: "FleetDiagnosis", catalogue: "Catalogue", directory: Path, console: "Console"
 ) -> None:
     """Print candidates, verdict, units that differ, and units that could not be examined."""
-    from zerodrift.app.commands.console import open_table, write_values
+    from zerodrift.app.commands.console import open_table, print_not_testable, write_values
 
     table = open_table(
         "Effects that the design's model lacks, one at a time, over all units",
@@ -88,7 +86,7 @@ def print_fleet_diagnosis(
             "units. p: how often signs by chance rank some effect as high. Size: RMS in noise "
             "floors, in the median unit.\n"
         )
-    _print_reasons(found.not_testable, console)
+    print_not_testable(found.not_testable, console)
     _print_verdict(found, catalogue, console)
     for one in found.differ[:MOST_LISTED]:
         console.print(f"UNLIKE THE OTHERS: {tell_difference(one, directory)}")
@@ -96,16 +94,6 @@ def print_fleet_diagnosis(
         console.print(f"{len(found.differ) - MOST_LISTED} more differ; --json lists all.")
     for name, error in found.errors.items():
         console.print(f"not examined: {name}: {error}")
-
-
-def _print_reasons(not_testable: "Mapping[str, str]", console: "Console") -> None:
-    reasons: dict[str, list[str]] = {}
-    for effect, why in not_testable.items():
-        reasons.setdefault(why, []).append(effect)
-    for why, names in reasons.items():
-        console.print(f"Not testable: {', '.join(names)}: {why}.")
-    if reasons:
-        console.print()
 
 
 def _print_verdict(found: "FleetDiagnosis", catalogue: "Catalogue", console: "Console") -> None:
@@ -142,7 +130,7 @@ def _print_verdict(found: "FleetDiagnosis", catalogue: "Catalogue", console: "Co
 
 
 def tell_difference(one: "Difference", directory: Path) -> str:
-    """Return in what a unit differs, and what to do, in a sentence."""
+    """Return a sentence on how a unit differs, and what to do."""
     from zerodrift.diagnosis.changes import name_directory
     from zerodrift.fleet.differing import ERROR, GAIN, SIZE
 

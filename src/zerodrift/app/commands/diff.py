@@ -1,4 +1,4 @@
-"""`zerodrift diff`: what changed from one model to another, and what that does."""
+"""`zerodrift diff`: what changed from one model to another, and by how much the drift differs."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

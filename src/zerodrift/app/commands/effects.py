@@ -116,7 +116,7 @@ def _print_effect(effect: "Effect", picture: "Fingerprint | None", console: "Con
 
 
 def _tell_ranges(parameter: "Parameter") -> tuple[str, str, str]:
-    """Return typical range, allowed range, and what happens if the parameter is left out."""
+    """Return typical range, allowed range, and the default if the parameter is left out."""
     if parameter.choices:
         allowed = ", ".join(f"{choice:g}" for choice in parameter.choices)
         return "", allowed, f"{parameter.default:g}"
@@ -139,7 +139,7 @@ def _print_text(text: str, console: "Console") -> None:
 
 
 def _draw_page(effect: "Effect", picture: "Fingerprint") -> str:
-    """Return the picture as a self-contained page."""
+    """Return the plot as a self-contained page."""
     from zerodrift.report.figures import draw_fingerprint as draw_figure
     from zerodrift.report.figures import render_page
 

@@ -150,14 +150,14 @@ def make_firmware(
     force: bool = False,
     network: tuple[Path, ...] = (),
 ) -> "tuple[Firmware, FirmwareSummary]":
-    """Build a float model's firmware and write it where the gate lets it pass.
+    """Build a float model's firmware and write it if the gate accepts it.
 
     Args:
         config: the project.
         dataset: its runs.
         described: the float model.
-        left: what models say of training runs that they did not learn from.
-        force: write what the gate refuses.
+        left: predictions for training runs by models that did not learn from them.
+        force: write the firmware even if the gate refuses it.
         network: the ONNX file that the network comes from.
     """
     from zerodrift.verify.firmware import build_firmware
@@ -181,7 +181,7 @@ def make_firmware(
 
 
 def summarise(firmware: "Firmware", directory: Path) -> FirmwareSummary:
-    """Return what the command prints as JSON."""
+    """Return the record that the command prints as JSON."""
     size, chip, errors = firmware.footprint, firmware.chip, firmware.errors
     untuned = {e.name: e.integer_model for e in firmware.untuned} if firmware.untuned else None
     return FirmwareSummary(
@@ -226,7 +226,7 @@ def summarise(firmware: "Firmware", directory: Path) -> FirmwareSummary:
 
 
 def summarise_bound(bound: "ErrorBound", model: "IntegerModel") -> dict[str, ProvenError]:
-    """Return what is proven of every output."""
+    """Return the proven error bound of every output."""
     from zerodrift.export.error_bound import round_up
 
     if not bound.outputs:
@@ -243,7 +243,7 @@ def summarise_bound(bound: "ErrorBound", model: "IntegerModel") -> dict[str, Pro
 
 
 def _is_learnt(firmware: "Firmware") -> bool:
-    """Return whether something was learnt beside the physical model."""
+    """Return whether a network or lag bank was learnt besides the physical model."""
     return any(e.physics is not None for e in firmware.errors)
 
 
@@ -263,7 +263,7 @@ def explain_worse_than_physics(errors: "Sequence[OutputError]") -> str:
 
 
 def summarise_budget(firmware: "Firmware") -> BudgetSummary:
-    """Return where the error comes from."""
+    """Return the error by its causes."""
 
     def name(values: "NDArray[np.float64]") -> dict[str, float]:
         return {e.name: float(v) for e, v in zip(firmware.errors, values, strict=True)}
@@ -280,10 +280,10 @@ def summarise_budget(firmware: "Firmware") -> BudgetSummary:
 
 
 def keep(result: FirmwareSummary, config: Config) -> None:
-    """Write what is found to build/, for the report.
+    """Write the result to build/, for the report.
 
-    Of firmware that was written, the command's JSON goes to firmware.json. Of firmware that was
-    refused, what the gate said goes to refused.json, beside the JSON of what lies there still.
+    For firmware that was written, the command's JSON goes to firmware.json. For refused firmware
+    the gate's reasons go to refused.json; firmware.json keeps the JSON of the last one written.
     """
     build = config.build_directory
     if result.written:
@@ -365,7 +365,7 @@ def _print(firmware: "Firmware", told: FirmwareSummary, directory: Path) -> None
 
 
 def _print_bound(told: FirmwareSummary, firmware: "Firmware", console: "Console") -> None:
-    """Print how far the chip can ever be from the float model."""
+    """Print the proven bound on the error between chip and float model."""
     found = told.error_bound or {}
     proven = {name: bound for name, bound in found.items() if bound.value is not None}
     if not proven:
@@ -391,7 +391,7 @@ def _print_bound(told: FirmwareSummary, firmware: "Firmware", console: "Console"
 
 
 def _print_budget(firmware: "Firmware", console: "Console") -> None:
-    """Print what quantization costs, node by node, and over time."""
+    """Print the error that quantization adds, node by node and over time."""
     from zerodrift.operations.input import IntegerInput
 
     table = open_table(

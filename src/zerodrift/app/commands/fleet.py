@@ -31,7 +31,7 @@ DEVICES = ("auto", "cpu", "cuda")
 
 @dataclass(frozen=True)
 class FleetOptions:
-    """How a fleet is worked on, as the command line says."""
+    """The options of `fleet`."""
 
     jobs: int | None
     batch: int | None
@@ -216,7 +216,7 @@ def choose_device(device: str, needed: bool) -> str:
 
 
 class _RunState:
-    """How far the run is, for what is said when it ends early."""
+    """How far the run is, for the message when it ends early."""
 
     def __init__(self) -> None:
         self.progress: FleetProgress | None = None
@@ -312,7 +312,7 @@ def _print(report: "FleetReport", paths: list[str], directory: Path) -> None:
 
 
 def _tell_check(report: "FleetReport") -> str:
-    """Return how much was compared bit for bit."""
+    """Return in a sentence how much was compared bit for bit."""
     checked = [r.vectors for r in report.results if r.vectors]
     if not checked:
         return "no firmware was generated"

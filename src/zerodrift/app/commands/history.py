@@ -91,10 +91,10 @@ def command(
 
 
 def restore_step(config: Config, number: int) -> None:
-    """Write the effects of a step into zerodrift.toml and append that to the history.
+    """Write the effects of a step into zerodrift.toml and append an entry to the history.
 
     Raises:
-        InputError: there is no such step, it kept no settings, or the file is not to be edited.
+        InputError: there is no such step, it kept no settings, or the file cannot be edited.
     """
     from zerodrift.app.commands.revise import open_history, read_text
     from zerodrift.base.config import parse_config
@@ -123,7 +123,7 @@ def restore_step(config: Config, number: int) -> None:
             f"{', '.join(step.effects)}: write them into {config.path} by hand."
         )
     before = text = read_text(config.path)
-    # What the step has as well stays as it is written, its comments and all.
+    # Effects that the step has too stay as they are written, comments included.
     missing = list(step.settings)
     for place, settings in reversed(list(enumerate(list_settings(config.effects)))):
         if settings in missing:
@@ -157,7 +157,7 @@ def restore_step(config: Config, number: int) -> None:
 
 
 def print_steps(steps: Sequence[Step]) -> None:
-    """Print the table, the picture, and the reasons."""
+    """Print the table, the bars, and the reasons."""
     console = open_console()
     outputs = list(dict.fromkeys(name for step in steps for name in step.errors))
     units = {name: unit for step in steps for name, unit in step.units.items()}

@@ -115,7 +115,7 @@ def _upgrade(directory: Path, as_json: bool) -> None:
 
 
 def ask(guess: Guess) -> Guess:
-    """Return the guess with what the user chose wherever there is a choice."""
+    """Return the guess with the user's answers wherever there is a choice."""
     click.echo("\n".join(render_seen(guess.seen)))
     guess = _ask_time(guess)
     found = guess.alternatives.get("temperature", ())

@@ -1,4 +1,4 @@
-"""The text of a zerodrift.toml that `init` writes, and the table of what it saw."""
+"""The text of a zerodrift.toml that `init` writes, and the table of the columns it found."""
 
 import json
 import os
@@ -91,7 +91,7 @@ def _write_path(path: Path, directory: Path) -> str:
 
 
 def _write_check(alternatives: Mapping[str, tuple[str, ...]], key: str, before: str = "or ") -> str:
-    """Return the comment that names what else a key's value may be, or nothing."""
+    """Return the comment that names the alternatives to a key's value, or nothing."""
     found = alternatives.get(key)
     return f"  # check: {before}{' | '.join(found)}" if found else ""
 

@@ -27,7 +27,7 @@ COMMAND_MARK = "command:"
 
 @dataclass(frozen=True)
 class MonitorOptions:
-    """How a unit is watched, as the command line says."""
+    """The options of `monitor`."""
 
     sensor: str | None
     loads: tuple[str, ...]
@@ -168,7 +168,7 @@ def command(
 
 
 def _tell_live(told: "MonitorResult") -> None:
-    """Say on stderr how a live source stands."""
+    """Print the present state of a live source on stderr."""
     texts = "; ".join(f"{name}: {o.text}" for name, o in told.outputs.items())
     click.echo(f"{told.steps_in_all} steps; {texts}", err=True)
 

@@ -23,7 +23,7 @@ NAMES = (
 
 @dataclass(frozen=True)
 class NeighbourOptions:
-    """What is written, as the command line says."""
+    """The options of `neighbour`."""
 
     outputs: tuple[str, ...]
     device: int | None

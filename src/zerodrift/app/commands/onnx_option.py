@@ -19,7 +19,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class OnnxRequest:
-    """What the options of `--onnx` say."""
+    """The options that belong to `--onnx`."""
 
     path: Path | None
     calibrate: tuple[Path, ...] = ()
@@ -33,7 +33,7 @@ class OnnxRequest:
 
 
 def onnx_options(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Add `--onnx` and what belongs to it, passed on as `request: OnnxRequest`."""
+    """Add `--onnx` and its further options, passed on as `request: OnnxRequest`."""
     options = (
         click.argument("more_logs", nargs=-1, type=click.Path(path_type=Path), metavar="[LOG...]"),
         click.option(
@@ -107,7 +107,7 @@ def _read_memory(memory: str | None) -> str | int | None:
 def open_import(
     request: OnnxRequest, directory: Path, skip_invalid: bool, sensor: str | None = None
 ) -> tuple["Config", "Dataset", "FloatModel", list[str]]:
-    """Return the project, its logs, the network as their float model, and what is to be noted.
+    """Return the project, its logs, the network as a float model, and notes for the user.
 
     Without a zerodrift.toml the project is guessed from the logs, as `init` does.
 

@@ -29,7 +29,7 @@ MOST_LISTED = 40
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What the command line says; the options' help explains each."""
+    """The options of `plan`; the command's help explains each."""
 
     sensor: str | None
     hours: float | None
@@ -164,7 +164,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOpt
 
 
 def read_target(text: str | None) -> float | None:
-    """Return a share of full scale from `0.1%` or `0.1`, both in percent.
+    """Return a share of full scale (0.001) from `0.1%` or `0.1`, both in percent.
 
     Raises:
         InputError: it is no such number.
@@ -181,7 +181,7 @@ def read_target(text: str | None) -> float | None:
 
 
 def print_plan(plan: "PlanResult", directory: Path) -> None:
-    """Print the programme, what it tells, and then both in sentences."""
+    """Print the programme, what it is expected to decide, and both in sentences."""
     from zerodrift.discovery.summary import explain_plan
 
     console = open_console()

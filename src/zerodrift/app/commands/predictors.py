@@ -34,7 +34,7 @@ PHYSICS, NETWORK, INTEGER, C = KINDS = ("physics", "network", "integer", "c")
 
 @dataclass(frozen=True)
 class Predictor:
-    """One model, ready to be asked."""
+    """One model as a function of a run."""
 
     kind: str
     """physics | network | integer | c."""
@@ -44,7 +44,8 @@ class Predictor:
     tared: bool
     """Whether each run has an offset of its own, which is not the model's to predict."""
     held_out: HeldOut | None = None
-    """None: the test logs, where there are any."""
+    """Predictions for data left out; None: the test logs are the held-out data, where there are
+    any."""
     notes: tuple[str, ...] = ()
     find_usable: FindUsable | None = None
     """Run -> [n, K] which samples count; None: all."""
@@ -82,7 +83,7 @@ def open_predictor(
 def compare_predictor(
     predictor: Predictor, config: Config, dataset: Dataset, most: int = MOST_SEGMENTS
 ) -> Comparison:
-    """Return how a model stands against the measurements.
+    """Return the comparison of a model with the measurements.
 
     Args:
         predictor: the model.
@@ -104,14 +105,14 @@ def compare_predictor(
 
 @dataclass(frozen=True)
 class Compared:
-    """A model held against the measurements, and what is to be said beside that."""
+    """The comparison of a model with the measurements, and further findings."""
 
     predictor: Predictor
     comparison: Comparison
     notes: tuple[DataNote, ...]
-    """What the logs look like where they look wrong."""
+    """What looks wrong in the logs."""
     advice: "Advice | None"
-    """What the logs can teach; None where no output moves."""
+    """What can be learnt from the logs; None where no output moves."""
     firmware: "FirmwareSummary | None"
     """The last firmware, where it is current."""
     firmware_note: str
@@ -140,7 +141,7 @@ def compare_project(
     most: int = MOST_SEGMENTS,
     say: Callable[[str], None] = lambda _: None,
 ) -> Compared:
-    """Hold a project's model against its measurements.
+    """Compare a project's model with its measurements.
 
     Args:
         config: the project.
@@ -148,7 +149,7 @@ def compare_project(
         catalogue: the known effects.
         kind: as `open_predictor` takes it.
         most: how many of the worst segments to keep.
-        say: is told what is being done.
+        say: called with a description of each stage of the work.
 
     Raises:
         InputError: the model was not trained or exported yet.

@@ -31,7 +31,7 @@ def open_config(directory: Path, sensor: str | None = None) -> Config:
 
 
 def refuse_shared_program(directory: Path, sensor: str | None) -> None:
-    """Refuse to speak of one unit's own C where all units of a fleet share one program.
+    """Refuse a request for one unit's own C where all units of a fleet share one program.
 
     Raises:
         InputError: `[firmware] coefficients = "block"`, and a unit was named.
@@ -72,12 +72,12 @@ def open_project(
 
 
 def is_fleet(config: Config) -> bool:
-    """Return whether `[fleet]` or `[logs]` say where many sensors of one design lie."""
+    """Return whether `[fleet]` or `[logs]` name the folders of many sensors of one design."""
     return bool(config.fleet.folder) or any(PLACEHOLDER in log for log in config.train_logs)
 
 
 def tell_design(config: Config, sensor: str | None) -> tuple[str, ...]:
-    """Return the note that a change made for one unit is one of the design, which all share."""
+    """Return the note that a change made for one unit changes the design that all units share."""
     if sensor is None:
         return ()
     return (
@@ -118,7 +118,7 @@ def train_project(config: Config, dataset: Dataset, console: "Console") -> "Comp
 
 
 def print_choice(choice: "NetworkChoice", console: "Console") -> None:
-    """Print what `[network] kind = "auto"` tried, and what it took."""
+    """Print the networks that `[network] kind = "auto"` tried, and its choice."""
     from zerodrift.app.commands.console import open_table
     from zerodrift.verify.network_choice import tabulate
 

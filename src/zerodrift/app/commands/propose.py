@@ -1,5 +1,6 @@
 """`zerodrift propose`: a formula where the catalogue of effects ends."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +9,7 @@ import click
 from zerodrift.app.commands.common import (
     directory_option,
     json_option,
+    packed,
     print_notes,
     print_result,
     sensor_option,
@@ -20,6 +22,15 @@ if TYPE_CHECKING:
     from zerodrift.report.results import ProposeResult
 
 
+@dataclass(frozen=True)
+class ProposeOptions:
+    """The options of `propose`; the command's help explains each."""
+
+    sensor: str | None
+    file: Path | None
+    black_box: bool
+
+
 @click.command()
 @directory_option
 @sensor_option
@@ -30,11 +41,16 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Write the formula as a file of effects, which [plugins] files names and `add` takes.",
 )
+@click.option(
+    "--black-box/--no-black-box",
+    default=True,
+    show_default=True,
+    help="Say how much more a lag bank and a GRU learn, on runs left out.",
+)
 @json_option
 @skip_invalid_option
-def command(
-    directory: Path, sensor: str | None, file: Path | None, as_json: bool, skip_invalid: bool
-) -> None:
+@packed(ProposeOptions)
+def command(directory: Path, as_json: bool, skip_invalid: bool, options: ProposeOptions) -> None:
     """Propose a formula where no effect of the catalogue explains what is left.
 
     Formulas grow from the operations that the chip has, over temperature, loads, inputs and time,
@@ -42,33 +58,25 @@ def command(
     that was tried counts in what chance is allowed. That no formula holds is an answer too.
     """
     from zerodrift.app.commands.project import open_project
-    from zerodrift.app.formula_cost import measure_cost
-    from zerodrift.app.propose import summarise_search
+    from zerodrift.app.commands.survey import keep_proposal
+    from zerodrift.app.formula_search import search_formula
+    from zerodrift.app.propose import explain_proposal, summarise_search
     from zerodrift.base.files import write_whole
     from zerodrift.diagnosis.formula.effect_file import render_file
-    from zerodrift.diagnosis.formula.proposal import propose_formula
-    from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.report.results import ProposedCost
 
+    file = options.file
     if file is not None and file.suffix != ".py":
         raise InputError(f"--write {file}: expected a name that ends in .py, as [plugins] takes.")
     if file is not None and file.exists():
         raise InputError(f"--write {file}: is there already; name another file, or remove it.")
     with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid, sensor)
-        found = propose_formula(
-            config,
-            dataset,
-            load_catalogue(config.plugin_files),
-            lambda name: say(f"tried {name}"),
-        )
-        cost, cost_note = ProposedCost({}, {}, {}), ""
-        if found.formula is not None:
-            say("counting what it costs on the chip")
-            cost, cost_note = measure_cost(config, dataset, found.formula)
-    if file is not None and found.formula is not None:
-        write_whole(file, render_file(found.formula).encode())
-    result = summarise_search(found, dataset, cost, cost_note, file)
+        config, dataset = open_project(directory, skip_invalid, options.sensor)
+        found = search_formula(config, dataset, say, black_box=options.black_box)
+    formula = found.search.formula
+    if file is not None and formula is not None:
+        write_whole(file, render_file(formula).encode())
+    result = summarise_search(found, dataset, file)
+    keep_proposal(config, dataset, result, explain_proposal(result, directory))
     print_notes(dataset.notes)
     if as_json:
         print_result(result)
@@ -77,7 +85,7 @@ def command(
 
 
 def print_proposal(result: "ProposeResult", directory: Path) -> None:
-    """Print the errors, the numbers, and then what was found in sentences."""
+    """Print the errors, the parameters, and then the findings in sentences."""
     from zerodrift.app.propose import explain_proposal
 
     console = open_console()

@@ -1,4 +1,4 @@
-"""`zerodrift record`: a log from a live source, kept whole, and what it still lacks."""
+"""`zerodrift record`: a log from a live source, and what it still has to cover."""
 
 import signal
 import time
@@ -28,7 +28,7 @@ SHOWN_S = 0.5
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What the command line says; the options' help explains each."""
+    """The options of `record`; the command's help explains each."""
 
     out: Path | None
     recover_file: Path | None
@@ -117,11 +117,11 @@ def command(source: str | None, directory: Path, as_json: bool, options: RecordO
 def record(
     source: str, directory: Path, options: RecordOptions, out: Path, as_json: bool
 ) -> "RecordResult":
-    """Record until the end; return what was recorded.
+    """Record until the end; return a summary of the recording.
 
     Raises:
-        InputError: a source that cannot be opened, a file that cannot be written, bad options. What
-            was recorded before is kept.
+        InputError: the source cannot be opened, the file cannot be written, or the options are
+            wrong. Rows recorded before are kept.
     """
     from zerodrift.app.recording import explain_taught, find_wanted
     from zerodrift.base.config import load_config
@@ -184,7 +184,7 @@ def record(
 
 @contextmanager
 def ending_softly() -> Iterator[None]:
-    """Let a service manager's SIGTERM end a recording as Ctrl-C does."""
+    """Within this context, SIGTERM ends a recording as Ctrl-C does."""
 
     def end(*_: object) -> None:
         raise KeyboardInterrupt
@@ -198,7 +198,7 @@ def ending_softly() -> Iterator[None]:
 
 @contextmanager
 def open_picture(*, quiet: bool) -> Iterator["Show"]:
-    """Give what shows a recording: a table on a terminal, else a line of progress, or nothing."""
+    """Yield a function that shows a recording: a table on a terminal, else a line, or nothing."""
     shown_s = 0.0
 
     def at_times(draw: Callable[["Covered", str], None]) -> "Show":
@@ -236,7 +236,7 @@ def tell_covered(covered: "Covered", silent: str) -> str:
 
 
 def draw_covered(covered: "Covered", silent: str) -> "Table":
-    """Return a recording so far as a table, what is wanted beside what is covered."""
+    """Return a recording so far as a table of wanted and covered ranges."""
     title = f"{covered.rows} rows, {covered.seconds:.0f} s" + (f"; {silent}" if silent else "")
     if covered.enough:
         title += "; enough: Ctrl-C ends it"
@@ -259,7 +259,7 @@ def draw_covered(covered: "Covered", silent: str) -> "Table":
 
 
 def write_wanted(one: "CoveredRange | None") -> tuple[str, str]:
-    """Return what is wanted and how much of it is covered."""
+    """Return the wanted range and the share of it that is covered, as text."""
     if one is None:
         return "", ""
     span = f"{one.wanted_low:.6g} .. {one.wanted_high:.6g}"
@@ -272,7 +272,7 @@ def write_number(value: float | None) -> str:
 
 
 def print_record(result: "RecordResult") -> None:
-    """Print what was recorded, what is still missing, and what the logs teach now."""
+    """Print what was recorded, what is still missing, and what can now be learnt from the logs."""
     from zerodrift.recording.summary import explain_missing
 
     console = open_console()

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """What is written, and where."""
+    """The options of `report`."""
 
     kind: str
     """One of `FORMATS`."""
@@ -143,10 +143,10 @@ def command(
 
 
 def _check_target(target: Path, kind: str) -> None:
-    """Refuse a place that cannot be written, before anything is computed.
+    """Refuse a path that cannot be written, before anything is computed.
 
     Raises:
-        InputError: the folder is missing, or something of the wrong kind stands there.
+        InputError: the folder is missing, or the path is not an ordinary file.
     """
     if not target.parent.is_dir():
         raise InputError(
@@ -169,7 +169,7 @@ def _write(
     """Write the report, or its figures; return the files.
 
     Raises:
-        InputError: a file cannot be written; nothing of it is kept.
+        InputError: a file cannot be written; none is left behind.
     """
     from zerodrift.report.browser import print_page, write_pictures
     from zerodrift.report.report import list_pictures, render_report

@@ -1,4 +1,4 @@
-"""What `add` and `remove` share: how a change is written, and how it is printed."""
+"""What `add` and `remove` share: writing a change, and printing it."""
 
 import os
 from collections.abc import Callable
@@ -27,7 +27,7 @@ def read_text(path: Path) -> str:
     """Return the text of zerodrift.toml with its own line ends.
 
     Raises:
-        InputError: it may not be written, so that nothing should be computed in vain.
+        InputError: it may not be written; found out before anything is computed.
     """
     if not path.stat().st_mode & 0o222 or not os.access(path, os.W_OK):
         raise InputError(
@@ -38,7 +38,7 @@ def read_text(path: Path) -> str:
 
 
 def open_history(config: Config) -> tuple[Path, tuple[Entry, ...]]:
-    """Return where the project's history lies, and its entries.
+    """Return the path of the project's history, and its entries.
 
     Raises:
         InputError: the history is damaged.
@@ -54,13 +54,13 @@ def write_revision(config: Config, before: str, text: str, revision: Revision) -
         config: the project.
         before: the text of zerodrift.toml that the revision was computed from.
         text: its new text.
-        revision: what was computed.
+        revision: the change and its errors.
 
     Raises:
-        InputError: one of them cannot be written, or zerodrift.toml was edited meanwhile; both
-            are as they were.
+        InputError: one of them cannot be written, or zerodrift.toml was edited meanwhile; neither
+            is changed.
     """
-    # The edited text must say what was fitted, not only parse.
+    # The edited text must describe the fitted effects, not only parse.
     written = [
         (e.kind, dict(e.held), dict(e.options)) for e in parse_config(text, config.path).effects
     ]
@@ -89,15 +89,15 @@ def add_to_project(
     force: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> tuple[Revision, bool]:
-    """Add an effect to zerodrift.toml where that helps; return what it brought, and if it is kept.
+    """Add an effect to zerodrift.toml where that helps; return the change, and whether it is kept.
 
     Args:
         config: the project.
         dataset: its runs.
         catalogue: the known effects.
-        wanted: the effect, with what is held.
+        wanted: the effect, with its held parameters.
         force: keep it even if runs left out are not predicted better.
-        say: is told what is being done.
+        say: called with a description of each stage of the work.
 
     Raises:
         InputError: the effect is unknown, cannot be fitted, or is in the model already and no
@@ -136,7 +136,7 @@ def remove_from_project(
     signal: str = "",
     say: Callable[[str], None] = lambda _: None,
 ) -> Revision:
-    """Remove an effect from zerodrift.toml and return what that costs.
+    """Remove an effect from zerodrift.toml and return the change of the errors.
 
     Raises:
         InputError: the model has no such effect, or has it for several thermometers.
@@ -152,7 +152,7 @@ def remove_from_project(
 
 
 def print_revision(revision: Revision) -> None:
-    """Print the errors before and after, and what was fitted."""
+    """Print the errors before and after, and the fitted parameters."""
     console = open_console()
     model = revision.after.model
     table = open_table(

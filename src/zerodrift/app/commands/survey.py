@@ -1,4 +1,4 @@
-"""All that the commands say about a project, gathered once: what report and page show."""
+"""The results of all commands for a project, collected once for the report and the page."""
 
 import hashlib
 import json
@@ -41,13 +41,17 @@ from zerodrift.physics.model import PhysicalModel
 from zerodrift.physics.summary import summarise_model
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Findings, LoggedInput, Provenance, SourceFile, trace_runs
-from zerodrift.report.results import CompareResult, HistoryResult, ReportResult
+from zerodrift.report.proposal import ProposedFormula
+from zerodrift.report.results import CompareResult, HistoryResult, ProposeResult, ReportResult
 
 Say = Callable[[str], None]
 
 DIAGNOSIS = "diagnosis.json"
 """In build/: the last diagnosis, with the mark of what it was made from."""
 DIAGNOSIS_FORMAT = 5
+PROPOSAL = "proposal.json"
+"""In build/: what the last `propose` said, with the mark of what it was made from."""
+PROPOSAL_FORMAT = 1
 SIMULATED_FILES = ("truth.json", "twin.json")
 PACKAGES = ("numpy", "scipy", "polars", "torch", "onnx", "onnxruntime", "plotly")
 
@@ -61,7 +65,7 @@ def survey_project(
     wants_contribution: bool = False,
     say: Say = lambda _: None,
 ) -> Findings:
-    """Return what `compare`, `diagnose`, `history`, `firmware` and `export` say about a project.
+    """Return the results of `compare`, `diagnose`, `history`, `firmware` and `export`.
 
     The diagnosis is kept in build/ and taken from there while configuration and logs are the same.
 
@@ -71,7 +75,7 @@ def survey_project(
         skip_invalid: drop invalid rows of the logs.
         wants_diagnosis: whether to diagnose where no diagnosis of these logs is kept.
         wants_contribution: whether to compute what the named effect would explain.
-        say: is told what is being done.
+        say: called with a description of each stage of the work.
 
     Raises:
         InputError: as the commands do.
@@ -140,6 +144,7 @@ def survey_project(
         inputs=inputs,
         uncertainty=state_uncertainty(config, firmware),
         contribution=contribution,
+        proposal=read_proposal(config, provenance.mark),
     )
 
 
@@ -153,7 +158,7 @@ def list_inputs(config: Config, runs: Sequence[Run]) -> tuple[LoggedInput, ...]:
 
 
 def is_simulated(config: Config) -> bool:
-    """Return whether a project says of itself that its logs were simulated."""
+    """Return whether a project states that its logs were simulated."""
     head = config.path.read_text(encoding="utf-8-sig").split("[", 1)[0]
     return "SIMULATED" in head or any(
         (config.directory / name).exists() for name in SIMULATED_FILES
@@ -170,7 +175,7 @@ def _find_model(kind: str, config: Config, dataset: Dataset, catalogue: Catalogu
 
 
 def trace_provenance(config: Config, dataset: Dataset) -> Provenance:
-    """Return the files that went in with their hashes, the versions, and one mark of all files."""
+    """Return the input files with their hashes, the versions, and one hash over all files."""
     uses: dict[Path, str] = {config.path: "configuration"}
     uses |= dict.fromkeys(config.plugin_files, "own effects")
     for use, runs in (("train", dataset.train), ("test", dataset.test), ("dwell", dataset.dwell)):
@@ -202,7 +207,7 @@ def diagnose_once(
     wanted: bool,
     say: Say = lambda _: None,
 ) -> ExplainedDiagnosis | None:
-    """Return what `diagnose` says: what is kept in build/ if the mark is the same.
+    """Return the diagnosis: the one kept in build/ if the hash of all files is the same.
 
     A new diagnosis is kept, where build/ can be written to.
     """
@@ -222,10 +227,31 @@ def diagnose_once(
     others = explain_others(verdict.others, Path())
     found = ExplainedDiagnosis(verdict.diagnosis, command, verdict.others, (*sentences, *others))
     sealed = {"format": DIAGNOSIS_FORMAT, "mark": mark, "diagnosed": to_dict(found)}
-    # A project that can only be read, or is being changed, is diagnosed anew each time.
+    # In a read-only project, or one that is being changed, nothing is kept.
     with suppress(InputError):
         write_all(config.directory, {path: render_sealed(sealed)}, patient=False)
     return found
+
+
+def keep_proposal(
+    config: Config, dataset: Dataset, result: ProposeResult, sentences: Sequence[str]
+) -> None:
+    """Keep the result of `propose` for report and page, where build/ can be written to."""
+    units = {name: error.unit for name, error in result.rmse_left_out.items()}
+    told = ProposedFormula(result.formula, tuple(sentences), result.curves, units)
+    mark = trace_provenance(config, dataset).mark
+    sealed = {"format": PROPOSAL_FORMAT, "mark": mark, "proposal": to_dict(told)}
+    path = config.build_directory / PROPOSAL
+    with suppress(InputError):
+        write_all(config.directory, {path: render_sealed(sealed)}, patient=False)
+
+
+def read_proposal(config: Config, mark: str) -> ProposedFormula | None:
+    """Return the result of `propose` for the project as it is; None where it was not run."""
+    kept = read_kept(config.build_directory / PROPOSAL)
+    if kept is None or (kept.get("format"), kept.get("mark")) != (PROPOSAL_FORMAT, mark):
+        return None
+    return from_json(ProposedFormula, kept.get("proposal"))
 
 
 def list_contributions(
@@ -236,15 +262,15 @@ def list_contributions(
     most: int,
     say: Say = lambda _: None,
 ) -> Iterator[Contribution]:
-    """Yield what the likeliest candidates would explain of what is left, the named one first.
+    """Yield the part of the error that each of the likeliest candidates would explain, best first.
 
     Args:
         config: the project.
         dataset: its runs.
         catalogue: the known effects.
-        diagnosis: what was found.
+        diagnosis: the verdict and its candidates.
         most: how many candidates.
-        say: is told what is being done.
+        say: called with a description of each stage of the work.
     """
     kinds = [effect.kind for effect in config.effects]
     wanted = [c for c in diagnosis.candidates if c.effect not in kinds]
@@ -262,11 +288,11 @@ def list_contributions(
 def summarise_survey(
     findings: Findings, files: Sequence[Path], datasheet: Sequence[DatasheetRow] | None
 ) -> ReportResult:
-    """Return what `report --json` prints.
+    """Return the record that `report --json` prints.
 
     Args:
-        findings: what was found.
-        files: what was written.
+        findings: the results for the project.
+        files: the files that were written.
         datasheet: its figures, where they were asked for.
     """
     explained, advice = findings.diagnosed, findings.advice

@@ -1,4 +1,4 @@
-"""`zerodrift train`: fits the effects, then trains the network on what is left."""
+"""`zerodrift train`: fits the effects, then trains the network on the rest of the drift."""
 
 import math
 from pathlib import Path
@@ -77,6 +77,7 @@ def command(
                 **vars(told),
                 advice=advice.summarise() if advice is not None else None,
                 choice=chosen.choice,
+                contracting=trained.contracting,
             )
         )
     else:

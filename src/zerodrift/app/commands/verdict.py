@@ -1,4 +1,4 @@
-"""The one road to a verdict, for `diagnose`, the report and the page alike."""
+"""Finds the verdict, in the same way for `diagnose`, the report and the page."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -28,12 +28,12 @@ from zerodrift.report.results import (
 
 @dataclass(frozen=True)
 class Verdict:
-    """A diagnosis with what was looked at beside it."""
+    """A diagnosis with the further checks that were made."""
 
     diagnosis: Diagnosis
-    """The last one; its remarks tell of bad runs and of test logs far from the floor."""
+    """The last one; its remarks mention bad runs and test logs far from the floor."""
     others: tuple[OtherThermometer, ...]
-    """Further thermometers that the drift follows, where the catalogue has no name for it."""
+    """Further thermometers that the drift follows, where no effect of the catalogue explains it."""
     course: RepeatedDiagnosis | None
     """The steps that led here, where effects were added until nothing was missing."""
 
@@ -52,14 +52,14 @@ def find_verdict(
     auto: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> Verdict:
-    """Return what a model lacks, and what to know beside it.
+    """Return what a model lacks, with remarks.
 
     Args:
         config: the project.
         dataset: its runs.
         catalogue: the known effects.
-        auto: whether to add what is missing and look again until nothing is.
-        say: is told what is being done.
+        auto: whether to add what is missing and diagnose again until nothing is.
+        say: called with a description of each stage of the work.
     """
 
     def advance(kind: str) -> None:
@@ -100,9 +100,9 @@ def summarise_verdict(
     """Return the verdict as the command prints it.
 
     Args:
-        verdict: what was found.
-        commands: what adds the effect that each step names.
-        advice: what the logs can teach.
+        verdict: the verdict.
+        commands: for each step, the command that adds the effect it names.
+        advice: what can be learnt from the logs.
         directory: of the project, as the user gave it.
     """
     steps = tuple(

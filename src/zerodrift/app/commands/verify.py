@@ -1,4 +1,4 @@
-"""`zerodrift verify`: what lies in the firmware folder and in build/, against the model."""
+"""`zerodrift verify`: the files of the firmware folder and of build/, against the model."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -98,7 +98,8 @@ def _print(outcome: "Replay") -> None:
 
 
 def _prove(config: "Config", as_json: bool) -> None:
-    """Tell what is shown of the C, part by part; needs the model's file and the firmware folder."""
+    """Print what is proven of the C, part by part; needs the model's file and the firmware
+    folder."""
     from zerodrift.base.errors import InputError
     from zerodrift.blocks.design import FILE_NAME as DESIGN
 
@@ -148,7 +149,7 @@ def _name(what: str, build: str) -> str:
 
 
 def _check_certificate(folder: Path, as_json: bool) -> None:
-    """Tell which claims hold; needs nothing but the firmware folder."""
+    """Print which claims hold; needs nothing but the firmware folder."""
     from zerodrift.app.commands.console import show_progress
     from zerodrift.report.results import CertificateResult
     from zerodrift.verify.certificate import FILE_NAME

@@ -45,7 +45,8 @@ def command(directory: Path, port: int, no_browser: bool, trust: bool, skip_inva
 
 
 def _list_plugins(directory: Path) -> tuple[Path, ...]:
-    """Return the project's files of effects; none where the page has yet to say what is wrong."""
+    """Return the project's files of effects; none where zerodrift.toml is wrong, as the page
+    shows."""
     try:
         return load_config(directory).plugin_files if (directory / FILE_NAME).is_file() else ()
     except InputError:

@@ -1,8 +1,8 @@
-"""Networks that are trained again without some of the runs, to see what they say of those.
+"""Trains networks again without some of the runs, to predict those.
 
-A network is trained for each part of the runs, all of them in step, by the very recipe that the
-whole one was trained by: same first weights, same number of epochs, everything before it fitted
-again. Needs PyTorch, as training does.
+A network is trained for each part of the runs, all of them in parallel, with the settings of the
+original one: same first weights, same number of epochs, everything before it fitted again. Needs
+PyTorch, as training does.
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ class Original:
 
 
 @dataclass(frozen=True)
-class Understudy:
+class Refit:
     """A compensator that was trained without some runs."""
 
     groups: frozenset[str]
@@ -67,9 +67,9 @@ def split_parts(runs: Sequence[Run]) -> tuple[frozenset[str], ...]:
     return tuple(frozenset(groups[part::count]) for part in range(count))
 
 
-def train_understudies(
+def train_refits(
     originals: Sequence[Original], handling: Handling
-) -> list[tuple[Understudy, ...] | InputError]:
+) -> list[tuple[Refit, ...] | InputError]:
     """Return for each compensator those that were trained without a part of its runs.
 
     Args:
@@ -77,7 +77,7 @@ def train_understudies(
         handling: device, folder of the checkpoint, progress.
 
     Returns:
-        For each original its understudies, in the order of the parts; why there are none where a
+        For each original its refits, in the order of the parts; why there are none where a
         training diverged, there is one run only, or PyTorch is not installed.
     """
     answers: dict[int, InputError] = {}
@@ -90,12 +90,12 @@ def train_understudies(
             answers[number] = error
         except UNFORESEEN as error:  # others of a fleet go on
             answers[number] = InputError(f"{type(error).__name__}: {error}")
-    found: dict[int, list[Understudy]] = {number: [] for number in range(len(originals))}
+    found: dict[int, list[Refit]] = {number: [] for number in range(len(originals))}
     for part, trained in zip(parts, _train(parts, handling), strict=True):
         if isinstance(trained, InputError):
             answers.setdefault(part.original, trained)
         else:
-            found[part.original].append(Understudy(part.groups, trained))
+            found[part.original].append(Refit(part.groups, trained))
     return [
         answers[number] if number in answers else tuple(found[number])
         for number in range(len(originals))

@@ -1,0 +1,62 @@
+"""What logs can show: times between a sample and a run, and what is more than a signal's noise."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.copies import measure_white_noise
+from zerodrift.physics.campaign import Campaign
+from zerodrift.physics.terms import Term
+
+Array = NDArray[np.float64]
+
+ABOVE_NOISE = 3.0
+"""Half-widths of a play, in standard deviations of its signal's noise, that smooth nothing."""
+SMOOTHED = 1.5
+"""Of the reference's noise, squared: an effect with a memory of the load must take away more than
+that. What it remembers of the load lacks the noise that measured less reference has."""
+
+
+@dataclass(frozen=True)
+class LogSpan:
+    """What logs can show."""
+
+    shortest_s: float
+    """Their sample period."""
+    longest_s: float
+    """Length of the longest run."""
+    least_slack: Mapping[str, float] = field(default_factory=dict)
+    """Signal -> the half-width of a play that its noise leaves to be seen: load in percent of the
+    full scale, temperature in K."""
+    reference_noise: Array = field(default_factory=lambda: np.zeros(1))
+    """[K] RMS of each reference's noise, in the output's unit."""
+
+    def is_more_than_smoothing(self, term: Term, gained: Array) -> bool:
+        """Return whether an effect takes away more than the reference's noise.
+
+        Args:
+            term: the effect. One without a memory of the load cannot smooth the reference.
+            gained: [K] by how much the mean squared error falls, in the outputs' units squared.
+        """
+        remembers = any(p.unit == "s" or p.slack_in == "load" for p in term.free)
+        if "load" not in term.effect.needs or not remembers:
+            return True
+        return bool((gained > SMOOTHED * self.reference_noise**2).any())
+
+
+def measure_span(campaign: Campaign) -> LogSpan:
+    """Return the sample period, the length of the longest run, and the signals' noise."""
+    lengths = dict.fromkeys(campaign.groups, 0)
+    for run in campaign.runs:
+        lengths[run.group] += len(run)
+    period_s = campaign.runs[0].sample_period_s
+    temperature = [measure_white_noise(run.temperature_degC) for run in campaign.runs]
+    references = [[measure_white_noise(c) for c in run.reference.T] for run in campaign.runs]
+    noise = np.median(references, axis=0)
+    least = {
+        "temperature": ABOVE_NOISE * float(np.median(temperature)),
+        "load": ABOVE_NOISE * 100.0 * float(np.max(noise / np.array(campaign.plan.full_scale))),
+    }
+    return LogSpan(period_s, max(lengths.values()) * period_s, least, noise)

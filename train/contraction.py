@@ -1,0 +1,79 @@
+"""Recurrent weights of GRUs so small that an error of the state shrinks, whatever the features are.
+
+What is bounded here is, unit by unit, what the proof of the error bound adds up
+(`zerodrift.operations.gru.error`), for features of any value that the chip can hold: with the reset
+after the product
+
+    sum |Un| + (sum |Un| + |cn|) / 4 sum |Ur| + sum |Uu| <= GROWTH
+
+and, before it, sum |Un| (1 + max sum |Ur| / 4) + sum |Uu| <= GROWTH. The argument of the update
+gate stays at -SLOWEST or above, where the table of the sigmoid is fine.
+
+Source: Bonassi, Farina and Scattolini, "On the stability properties of gated recurrent units neural
+networks", 2021, arXiv 2011.06806: such a condition, there kept by a penalty.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from zerodrift.train.sequences import Sequence32
+
+Array = NDArray[np.float64]
+GROWTH = 0.5
+"""What a step adds at most to errors of the states that are all 1, for what it forgets of them."""
+SLOWEST = 7.0
+"""A unit moves by at least 1 / 1100 of its distance per step."""
+LEAST_ROOM = 1.0
+"""Of that, what is left to the features and states that the update gate reads."""
+HEADROOM = 2.0
+"""The chip holds features up to this multiple of their largest, rounded up to a power of two."""
+TINY = 1e-9
+GRID = 2.0**-10
+"""What the trained recurrent weights are rounded to. They are small beside the weights of the
+features, with which they share a format on the chip: finer ones would be rounded there, as an error
+of the chip. Like this it is the float network that has them."""
+
+
+def measure_reach(sequences: Sequence[Sequence32]) -> list[float]:
+    """Return the largest absolute value of each feature [I] that the chip can hold."""
+    largest = np.max([np.abs(s.features).max(axis=0) for s in sequences], axis=0)
+    return [float(2.0 ** np.ceil(np.log2(max(HEADROOM * x, TINY)))) for x in largest.tolist()]
+
+
+def round_weights(w_h: Array) -> Array:
+    """Return recurrent weights as they leave the training."""
+    return np.asarray(np.round(w_h / GRID) * GRID)
+
+
+def contract(w_x: Tensor, w_h: Tensor, bias: Tensor, reset: str, reach: Tensor) -> None:
+    """Shrink the weights of S GRUs where they are too large; in place.
+
+    Args:
+        w_x: [S, 3, H, I], gates in the order r, u, n.
+        w_h: [S, 3, H, H].
+        bias: [S, 4, H]: r, u, n outside the reset product, n inside it.
+        reset: "after" or "before".
+        reach: [S, I] largest absolute values of the features.
+    """
+    r, u, n = w_h.abs().sum(dim=3).unbind(dim=1)
+    if reset == "after":
+        growth = n + 0.25 * (n + bias[:, 3].abs()) * r + u
+        w_h *= _shrink(GROWTH, growth)[:, None, :, None]
+    else:
+        w_h[:, 0] *= _shrink(4.0 * GROWTH, r)[..., None]
+        largest = r.amax(dim=1, keepdim=True).clamp(max=4.0 * GROWTH)
+        growth = n * (1.0 + 0.25 * largest) + u
+        w_h[:, 1:] *= _shrink(GROWTH, growth)[:, None, :, None]
+    bias[:, 1].clamp_(min=LEAST_ROOM - SLOWEST)
+    lowered = (w_x[:, 1].abs() * reach[:, None]).sum(dim=2) + w_h[:, 1].abs().sum(dim=2)
+    factor = _shrink(SLOWEST + bias[:, 1], lowered)[..., None]
+    w_x[:, 1] *= factor
+    w_h[:, 1] *= factor
+
+
+def _shrink(most: float | Tensor, found: Tensor) -> Tensor:
+    """Return the factors that bring numbers down to what is allowed, 1 where they are below."""
+    return (most / found.clamp(min=TINY)).clamp(max=1.0)
