@@ -10,6 +10,15 @@ from zerodrift.physics.effect import Parameter
 WIDTH = 92
 
 
+MARK = ": a formula that the logs propose."
+"""End of the first line of each file that is written here."""
+
+
+def is_proposed(text: str) -> bool:
+    """Return whether a file's text came from `render_file`, as far as its first line tells."""
+    return text.partition("\n")[0].endswith(MARK)
+
+
 def render_file(formula: Formula) -> str:
     """Return the text of the file: the effect, named and commented."""
     effect, meaning = formula.effect, formula.meaning
@@ -31,7 +40,7 @@ def render_file(formula: Formula) -> str:
         f"What would show it: {meaning.experiment}."
     )
     lines = [
-        f'"""{effect.title[:1].upper()}{effect.title[1:]}: a formula that the logs propose.',
+        f'"""{effect.title[:1].upper()}{effect.title[1:]}{MARK}',
         "",
         *textwrap.wrap(told, WIDTH),
         "",

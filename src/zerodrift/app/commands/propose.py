@@ -61,27 +61,57 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: Propose
     from zerodrift.app.commands.survey import keep_proposal
     from zerodrift.app.formula_search import search_formula
     from zerodrift.app.propose import explain_proposal, summarise_search
-    from zerodrift.base.files import write_whole
     from zerodrift.diagnosis.formula.effect_file import render_file
 
     file = options.file
     if file is not None and file.suffix != ".py":
         raise InputError(f"--write {file}: expected a name that ends in .py, as [plugins] takes.")
-    if file is not None and file.exists():
-        raise InputError(f"--write {file}: is there already; name another file, or remove it.")
+    if file is not None:
+        check_place(file)
     with show_progress("reading logs") as say:
         config, dataset = open_project(directory, skip_invalid, options.sensor)
         found = search_formula(config, dataset, say, black_box=options.black_box)
     formula = found.search.formula
-    if file is not None and formula is not None:
-        write_whole(file, render_file(formula).encode())
-    result = summarise_search(found, dataset, file)
+    is_written = file is None or formula is None or write_once(file, render_file(formula))
+    result = summarise_search(found, dataset, file if is_written else None)
     keep_proposal(config, dataset, result, explain_proposal(result, directory))
     print_notes(dataset.notes)
     if as_json:
         print_result(result)
+    else:
+        print_proposal(result, directory)
+    if not is_written:
+        raise InputError(
+            f"--write {file}: holds another formula, and is as it was; name another file, or "
+            f"remove it."
+        )
+
+
+def check_place(file: Path) -> None:
+    """Refuse a file that is there and was not written by this command.
+
+    One that it wrote may be the same formula: a command that was cut off can be given again.
+    """
+    from zerodrift.diagnosis.formula.effect_file import is_proposed
+
+    try:
+        if is_proposed(file.read_text(encoding="utf-8")):
+            return
+    except FileNotFoundError:
         return
-    print_proposal(result, directory)
+    except UnicodeDecodeError:
+        pass
+    raise InputError(f"--write {file}: is there already; name another file, or remove it.")
+
+
+def write_once(file: Path, text: str) -> bool:
+    """Write a new file; return whether the place holds this text, written now or before."""
+    from zerodrift.base.files import write_new
+
+    if file.exists():
+        return file.read_bytes() == text.encode()
+    write_new(file, text.encode())
+    return True
 
 
 def print_proposal(result: "ProposeResult", directory: Path) -> None:
