@@ -62,7 +62,7 @@ def _check(value: Any, schema: dict[str, Any], where: str, root: dict[str, Any])
         assert is_right, f"{where}: {value!r:.60} is no {schema['type']}"
     if isinstance(value, dict):
         _check_object(value, schema, where, root)
-    if isinstance(value, list):
+    if isinstance(value, list) and "anyOf" not in schema:
         items = schema.get("prefixItems")
         assert items is None or len(items) == len(value), where
         for i, one in enumerate(value):

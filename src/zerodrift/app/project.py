@@ -505,7 +505,12 @@ class Project:
         return frame.assign(**{name: applied[name].to_numpy() for name in added})
 
     def report(
-        self, out: str | Path | None = None, *, diagnose: bool = True, datasheet: bool = False
+        self,
+        out: str | Path | None = None,
+        *,
+        diagnose: bool = True,
+        datasheet: bool = False,
+        dcc: str | Path | None = None,
     ) -> Path:
         """Write the report, one HTML file that opens offline; return its path.
 
@@ -513,6 +518,7 @@ class Project:
             out: where; by default report.html in the project's folder.
             diagnose: whether to diagnose for it.
             datasheet: whether it has TK0, TKC, creep, hysteresis and uncertainty.
+            dcc: where the digital calibration certificate goes; None: there is none.
 
         Example:
             >>> project.report(diagnose=False).name
@@ -524,6 +530,7 @@ class Project:
         words = ["report", "-C", str(self.directory), "-o", str(target)]
         words += [] if diagnose else ["--no-diagnose"]
         words += ["--datasheet"] if datasheet else []
+        words += ["--dcc", str(dcc)] if dcc is not None else []
         words += ["--skip-invalid"] if self._skip_invalid else []
         words += ["--sensor", self.sensor] if self.sensor is not None else []
         with contextlib.redirect_stdout(io.StringIO()):

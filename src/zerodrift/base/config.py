@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from zerodrift.base.block_config import BLOCK_KEYS, BlockConfig, read_block_config
+from zerodrift.base.calibration_config import CalibrationConfig, read_calibration
 from zerodrift.base.clock_config import (
     ROW_TIME,
     ClockConfig,
@@ -38,7 +39,10 @@ FORMATS = (1, 2)
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
 MOST = {"starts": 1000, "epochs": 1_000_000}
 """Trainings from different weights, and passes over the logs, that are still meant."""
-MODEL_TABLES = ("effect", "network", "quantization", "firmware", "plugins", "fleet", "experiment")
+MODEL_TABLES = (
+    *("effect", "network", "quantization", "firmware", "plugins", "fleet", "experiment"),
+    "calibration",
+)
 NETWORK_KINDS = ("lag_bank", "gru", "lstm", "mlp", "mlp_seq", "tcn", "none", AUTO)
 CHOSEN_BY_AUTO = (
     *("hidden", "memory", "spacing_s", "form", "learning_rate", "lags_s"),
@@ -147,6 +151,8 @@ class Config:
     """`[fleet]`: for `zerodrift fleet` alone."""
     experiment: ExperimentConfig = field(default_factory=ExperimentConfig)
     """`[experiment]`: for `zerodrift plan` alone."""
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    """`[calibration]`: for certificates alone."""
     time: TimeConfig = field(default_factory=TimeConfig)
     """How the times of `time_column` are written."""
     clocks: ClockConfig = field(default_factory=ClockConfig)
@@ -285,6 +291,7 @@ def parse_config(text: str, path: Path) -> Config:
             tuple(output.name for output in outputs),
             tuple(inputs.values),
         ),
+        calibration=read_calibration(root.table("calibration", None, optional=True)),
         temperature_codes=temperature_codes,
         input_codes={name: codes for name, (_, codes, _) in columns.items()},
         conversions={column: by for column, by in conversions if by is not None},

@@ -38,6 +38,8 @@ class ReportOptions:
     annex: Path | None
     """Folder for the tables as CSV."""
     no_diagnose: bool
+    dcc: Path | None = None
+    """Where the digital calibration certificate goes."""
 
 
 FORMATS = ("html", "pdf", "svg", "png")
@@ -76,6 +78,13 @@ FOLDERS = ("svg", "png")
     help="Write the report's tables as CSV files into this folder, too.",
 )
 @click.option(
+    "--dcc",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=None,
+    help="Write the datasheet's figures as a digital calibration certificate (DCC, XML), too. "
+    "Laboratory, persons, standards and item come from [calibration] in zerodrift.toml.",
+)
+@click.option(
     "--no-diagnose",
     is_flag=True,
     help="Do not diagnose; a diagnosis of these very logs that is kept in build/ is shown.",
@@ -99,11 +108,19 @@ def command(
     """
     from zerodrift.app.commands.survey import summarise_survey, survey_project
     from zerodrift.app.trust import require_trust
-    from zerodrift.base.config import load_config
+    from zerodrift.base.calibration_config import name_unit, require_complete
+    from zerodrift.base.config import load_config, locate_key
     from zerodrift.report.browser import find_browser
     from zerodrift.report.datasheet import measure_datasheet
+    from zerodrift.report.dcc import describe_sensor, render_certificate
 
-    require_trust(load_config(directory).plugin_files, trusted=trust)
+    config = load_config(directory)
+    require_trust(config.plugin_files, trusted=trust)
+    calibration = None
+    if options.dcc is not None:
+        calibration = name_unit(config.calibration, sensor)
+        require_complete(calibration, locate_key(config.path, "calibration"))
+        _check_target(options.dcc, "dcc", "--dcc")
     kind, annex = options.kind, options.annex
     target = options.out or directory / {"html": "report.html", "pdf": "report.pdf"}.get(
         kind, "report_figures"
@@ -120,14 +137,20 @@ def command(
             wants_contribution=True,
             say=say,
         )
-        rows = None
-        if options.datasheet:
+        rows, certificate = None, None
+        if options.datasheet or calibration is not None:
             say("measuring the datasheet's figures")
             rows = measure_datasheet(findings.traces, findings.comparison, findings.uncertainty)
+        if rows is not None and calibration is not None:
+            certificate = render_certificate(rows, describe_sensor(findings), calibration)
+        if not options.datasheet:
+            rows = None
         say("drawing")
         files = _write(findings, rows, target, kind, directory)
         if annex is not None:
             files += _write_annex(findings, rows, annex, directory)
+        if certificate is not None and options.dcc is not None:
+            files.append(_write_certificate(certificate, options.dcc, directory))
     print_notes(findings.notes)
     if as_json:
         print_result(summarise_survey(findings, files, rows))
@@ -140,9 +163,11 @@ def command(
         click.echo(f"Wrote {files[0]}")
     if annex is not None:
         click.echo(f"Wrote tables: {annex}")
+    if options.dcc is not None:
+        click.echo(f"Wrote {options.dcc}")
 
 
-def _check_target(target: Path, kind: str) -> None:
+def _check_target(target: Path, kind: str, option: str = "--out") -> None:
     """Refuse a path that cannot be written, before anything is computed.
 
     Raises:
@@ -151,12 +176,12 @@ def _check_target(target: Path, kind: str) -> None:
     if not target.parent.is_dir():
         raise InputError(
             f"{target.parent}: is no directory; expected one for the report. Make it, or name "
-            "another place by --out."
+            f"another place by {option}."
         )
     if kind in FOLDERS and target.exists() and not target.is_dir():
         raise InputError(f"{target}: is a file; expected a directory for the figures (--out).")
     if kind not in FOLDERS and target.is_dir():
-        raise InputError(f"{target}: is a directory; expected the name of a file (--out).")
+        raise InputError(f"{target}: is a directory; expected the name of a file ({option}).")
 
 
 def _write(
@@ -188,6 +213,22 @@ def _write(
             "or name another place by --out."
         ) from error
     return [target]
+
+
+def _write_certificate(text: str, target: Path, directory: Path) -> Path:
+    """Write the certificate as one change.
+
+    Raises:
+        InputError: it cannot be written; nothing of it is left behind.
+    """
+    try:
+        write_text(target, text, directory)
+    except OSError as error:
+        raise InputError(
+            f"{target}: cannot be written ({error.strerror}); nothing of it was kept. Make room, "
+            "or name another place by --dcc."
+        ) from error
+    return target
 
 
 def _write_annex(
