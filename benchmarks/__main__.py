@@ -21,7 +21,7 @@ NAMES = (
     *("bench_apply", "bench_uncertainty", "bench_install", "bench_bound"),
     "bench_contracting",
     "bench_proof",
-    "bench_steps",
+    *("bench_steps", "bench_wasm"),
 )
 """Modules of this folder, each with `main(quick: bool)`."""
 

@@ -8,10 +8,12 @@ state from which the next one began, the two runs are equal by induction over th
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
-from zerodrift.c_runtime.host import HostModel
+from zerodrift.c_runtime.host import HostModel, HostTrace
+from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import ModelState, Reference
 from zerodrift.operations.arithmetic import CodeArray, IntArray
 from zerodrift.verify.mismatch import Mismatch, find_mismatch, label_columns
@@ -34,8 +36,30 @@ Peer = Callable[[CodeArray, IntArray], tuple[IntArray, IntArray]]
 """Runs codes [B, T, C] from packed states [B, n]: all nodes, flags and drift [B, T, N], states."""
 
 
+class Runner(Protocol):
+    """The C of a model, wherever it runs: a host build, or WebAssembly in a browser."""
+
+    @property
+    def model(self) -> IntegerModel:
+        """The integer model."""
+        ...
+
+    @property
+    def observes(self) -> bool:
+        """Whether a step records every node's value."""
+        ...
+
+    def run(self, codes: CodeArray, *, settled: bool = True, restart: bool = True) -> HostTrace:
+        """Run over codes [T, C]; restart=False goes on from the last call."""
+        ...
+
+    def pack(self, length: int) -> IntArray:
+        """Return the state as `length` numbers."""
+        ...
+
+
 def check_host(
-    host: HostModel,
+    host: Runner,
     codes: CodeArray,
     *,
     settled: bool = True,
@@ -45,7 +69,7 @@ def check_host(
     """Compare drift, flags, every node and every state of a host build with the reference.
 
     Args:
-        host: the compiled model.
+        host: the compiled model, which goes on from call to call.
         codes: [T, C] one sequence of raw inputs.
         settled: start from `settle` rather than `init`.
         chunk: steps per chunk; 0 chooses so that a few batches of 256 chunks cover T.
@@ -131,7 +155,7 @@ def check_starts(
     return HostCheck(len(codes) * steps, expected.size, None)
 
 
-def _label(host: HostModel) -> list[str]:
+def _label(host: Runner) -> list[str]:
     """Return the names of what is compared at each step."""
     outputs = [f"drift[{k}]" for k in range(len(host.model.outputs))]
     nodes = label_columns(host.model) if host.observes else []

@@ -18,6 +18,7 @@ def make_app(workplace: Workplace) -> Dash:
         title=f"{workplace.directory.name}: zerodrift workbench",
         update_title="",
         serve_locally=True,
+        assets_ignore=r"_worker\.js$",  # no script of the page: it runs in a thread of its own
         suppress_callback_exceptions=True,
     )
     app.index_string = PAGE.replace("EARLY", EARLY).replace(
