@@ -1,4 +1,4 @@
-"""TK0, TKC, creep and hysteresis, before and after compensation, in a datasheet's terms.
+"""TK0, TKC, creep, hysteresis, repeatability: before and after compensation, as datasheets have it.
 
 Each output's drift, and then its residual after compensation, is described by the same few columns:
 an offset of each run, T - T0, the load, (T - T0) load, and the creeping load. For span and creep
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.report.findings import Trace, find_threshold
+from zerodrift.report.repeatability import STILL_K, TO_S, measure_repeatability
 from zerodrift.verify.summary import StatedUncertainty
 
 Array = NDArray[np.float64]
@@ -39,6 +40,10 @@ LAGS_S = (30.0, 120.0, 480.0)
 
 
 UNCERTAINTY = "expanded uncertainty (k = 2)"
+NOT_REPEATED = (
+    "not shown by these logs: no load is put on again, the same way and within "
+    f"{STILL_K:g} K of the same temperature, and held for {TO_S:g} s"
+)
 BEFORE, AFTER = "before", "after"
 """Compensation."""
 
@@ -88,7 +93,7 @@ def measure_datasheet(
         stated: output -> the uncertainty of its compensated value, by the last firmware.
 
     Returns:
-        Five rows of each output.
+        Six rows of each output.
     """
     block = -(-sum(t.time_s.size for t in traces) // MOST_ROWS)
     middle = float(np.mean([t.temperature_degC.mean() for t in traces]))
@@ -97,7 +102,10 @@ def measure_datasheet(
     held_out = [b for b, t in zip(blocks, traces, strict=True) if t.held_out] or blocks
     rows: list[DatasheetRow] = []
     for k, (name, told) in enumerate(compared.outputs.items()):
-        rows += _measure_output({BEFORE: blocks, AFTER: held_out}, k, name, float(told.full_scale))
+        full_scale = float(told.full_scale)
+        figures, slopes = _measure_output({BEFORE: blocks, AFTER: held_out}, k, name, full_scale)
+        rows += figures
+        rows.append(_tell_repeatability(traces, k, name, full_scale, slopes))
         rows.append(_state_uncertainty(name, told.unit, (stated or {}).get(name)))
     return rows
 
@@ -136,7 +144,7 @@ def _average(trace: Trace, block: int, reference_degC: float, moving: float) -> 
 
 def _measure_output(
     sides: Mapping[str, Sequence[_Block]], k: int, name: str, full_scale: float
-) -> list[DatasheetRow]:
+) -> tuple[list[DatasheetRow], Mapping[str, "_SlopeFit"]]:
     blocks = sides[BEFORE]
     loaded = max(float(np.ptp(b.load[k])) for b in blocks) >= LEAST_LOAD * full_scale
     moved = max(float(np.ptp(b.rise_K)) for b in blocks) >= LEAST_SPAN_K
@@ -199,7 +207,43 @@ def _measure_output(
         if before is None:
             why_not = "not told: no run passes one temperature both heating and cooling"
             row = replace(row, note=why_not)
-    return [*rows, row]
+    return [*rows, row], slopes
+
+
+def _tell_repeatability(
+    traces: Sequence[Trace],
+    k: int,
+    name: str,
+    full_scale: float,
+    slopes: Mapping[str, "_SlopeFit"],
+) -> DatasheetRow:
+    """Return the largest difference of readings that repeat a load; after it of held-out runs."""
+    held_out = [t for t in traces if t.held_out] or traces
+    percent = 100.0 / full_scale
+    before, after = (
+        measure_repeatability(
+            runs,
+            k,
+            full_scale,
+            compensated=which == AFTER,
+            slopes=(float(slopes[which].value[TK0]), float(slopes[which].value[TKC])),
+        )
+        for which, runs in ((BEFORE, traces), (AFTER, held_out))
+    )
+    row = DatasheetRow("repeatability", name, "%FS", NOT_REPEATED)
+    if before is None:
+        return row
+    note = (
+        f"largest difference; {before.readings} readings that repeat "
+        f"{before.groups} load{'s' if before.groups > 1 else ''} at one temperature, "
+        f"standard deviation {before.deviation * percent:.2g} %FS"
+    )
+    if after is None:
+        note += "; after: not shown by the held-out runs"
+        return replace(row, note=note, before=(before.largest * percent, None))
+    note += f" before, {after.deviation * percent:.2g} %FS after ({after.readings} readings)"
+    first, second = (one.largest * percent for one in (before, after))
+    return replace(row, note=note, before=(first, None), after=(second, None))
 
 
 def _pair(value: float, error: float) -> tuple[float, float | None]:

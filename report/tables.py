@@ -398,7 +398,8 @@ def tabulate_datasheet(rows: Sequence[DatasheetRow]) -> Table:
         "± is one standard uncertainty, from how runs differ. TK0 and TKC are mean slopes over the "
         "logs' temperatures; creep is the drift under a held load from the first moment to 30 min; "
         "hysteresis is the largest difference between heating and cooling at one temperature, at "
-        "the rates of these logs, so lag is part of it."
+        "the rates of these logs, so lag is part of it; repeatability is the largest difference of "
+        "readings of one load that is put on again at the same temperature."
     )
     return Table("Datasheet figures", headings, written, texts=4, note=note)
 

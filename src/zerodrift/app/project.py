@@ -517,7 +517,7 @@ class Project:
         Args:
             out: where; by default report.html in the project's folder.
             diagnose: whether to diagnose for it.
-            datasheet: whether it has TK0, TKC, creep, hysteresis and uncertainty.
+            datasheet: whether it has TK0, TKC, creep, hysteresis, repeatability and uncertainty.
             dcc: where the digital calibration certificate goes; None: there is none.
 
         Example:

@@ -69,7 +69,7 @@ FOLDERS = ("svg", "png")
 @click.option(
     "--datasheet",
     is_flag=True,
-    help="Add TK0, TKC, creep and hysteresis before and after compensation.",
+    help="Add TK0, TKC, creep, hysteresis and repeatability before and after compensation.",
 )
 @click.option(
     "--annex",
