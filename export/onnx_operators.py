@@ -47,6 +47,10 @@ _NORMALIZED = (
     "it divides by a deviation that it computes anew at every sample, for which the chip has no"
     " operation. Train with BatchNorm, which is folded into the weights, or without normalisation"
 )
+_MIN_GRU = (
+    "export one step of it with the state as an input and an output, and train it with a tanh or a"
+    " sigmoid over its candidate: one that is not bounded has no format that is proven"
+)
 REMEDIES = {
     **dict.fromkeys(
         (
@@ -70,8 +74,13 @@ REMEDIES = {
     "RNN": "train a GRU or an LSTM in its place",
     **dict.fromkeys(
         ("CumSum", "CumProd", "LogCumSumExp"),
-        "it sums over time, as cells trained by parallel scans (minGRU, minLSTM) do, which are not"
-        " read. Train a GRU or an LSTM in its place",
+        "it sums over time, as cells trained by parallel scans (minGRU, minLSTM) do. Where this is"
+        f" a minGRU, {_MIN_GRU}. Otherwise train a GRU or an LSTM in its place",
+    ),
+    **dict.fromkeys(
+        ("Where", "Less", "Greater", "LessOrEqual", "GreaterOrEqual"),
+        "it chooses between two values, for which the chip has no operation. Where this is a"
+        f" minGRU, {_MIN_GRU}",
     ),
 }
 """Operator that is refused -> why, and what to change."""
@@ -159,8 +168,9 @@ def elementwise(node: onnx.NodeProto, _: Attributes, values: list[Value]) -> lis
     if is_data(other):
         raise Unsupported(
             "it is a product of two signals; only recurrent layers and cells, sums and"
-            " concatenations may join branches. Put one of them into the network's inputs; where"
-            " this is a gated cell of another kind (minGRU, SRU), train a GRU or an LSTM"
+            " concatenations may join branches. Put one of them into the network's inputs. Where"
+            f" this is a minGRU, {_MIN_GRU}. Where it is a gated cell of another kind (SRU,"
+            " minLSTM), train a GRU or an LSTM"
         )
     array = pick_array(other, "second operand").astype(np.float64)
     if data is b and op == "Div":

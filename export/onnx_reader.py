@@ -338,10 +338,17 @@ def _choose_output(
 
 
 def _is_state(signal: OnnxSignal) -> bool:
-    """Tell whether a signal is the state of a recurrent layer itself."""
+    """Tell whether a signal is the state of a recurrent layer itself.
+
+    That of a minGRU whose candidate is a sigmoid is (1 + g) / 2 of the state g that is read.
+    """
     identity = np.eye(signal.source.width)
-    same = signal.matrix.shape == identity.shape and (signal.matrix == identity).all()
-    return bool(signal.source.recurrent and same and not signal.bias.any())
+    if not signal.source.recurrent or signal.matrix.shape != identity.shape:
+        return False
+    return any(
+        (signal.matrix == scale * identity).all() and (signal.bias == 1.0 - scale).all()
+        for scale in (1.0, 0.5)
+    )
 
 
 def _feeds_another(signal: OnnxSignal, found: Mapping[str, OnnxSignal]) -> bool:

@@ -52,7 +52,10 @@ def read_numbers(
         return [int(given)] if isinstance(given, int) else [int(v) for v in given]
     if index >= len(values) or values[index] is None:
         return None
-    array = pick_array(values[index], f"input '{node.input[index]}'")
+    known = values[index]
+    if isinstance(known, Dims) and all(isinstance(n, int) for n in known.entries):
+        return [n for n in known.entries if isinstance(n, int)]
+    array = pick_array(known, f"input '{node.input[index]}'")
     return [int(v) for v in np.ravel(array)]
 
 
