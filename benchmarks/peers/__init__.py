@@ -1,0 +1,1 @@
+"""Other inference libraries for microcontrollers beside zerodrift: the same GRU and LSTM."""
