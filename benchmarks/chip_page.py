@@ -19,13 +19,12 @@ from zerodrift.c_runtime.host import HostTrace
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.host_check import choose_chunk
+from zerodrift.workbench.security import POLICY, WORKER_POLICY
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 WORKER = Path(__file__).parents[1] / "workbench/assets/chip_worker.js"
-POLICY = "default-src 'none'; script-src 'self'; connect-src 'self'; worker-src 'self'"
-WORKER_POLICY = "default-src 'none'; script-src 'wasm-unsafe-eval'"
 MISSING = "Chromium and Playwright are not installed; `make setup-browser` does it"
 RUN = """async (told) => {
   const read = async (name) => (await fetch(name)).arrayBuffer();

@@ -15,7 +15,7 @@ from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
 
 FLAGS = ("-O3",)
-"""-msimd128 changes no kernel and hardly the speed; see `python -m benchmarks bench_wasm`."""
+"""-msimd128 gives the same bits and is not surely faster; see `python -m benchmarks bench_wasm`."""
 TARGET = ("-target", "wasm32-freestanding", "-nostdlib", "-s", "-Wl,--no-entry")
 STACK_BYTES = 65_536
 """zd_run's own frame is some hundred bytes; see the firmware's figures of its stack."""

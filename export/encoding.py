@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.raw_codes import RawRange, find_code
-from zerodrift.export.integer_model import Channel
-from zerodrift.operations.arithmetic import IntArray
+from zerodrift.export.integer_model import Channel, IntegerModel, order_conversions
+from zerodrift.operations.arithmetic import CodeArray, IntArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -56,6 +56,44 @@ def encode_channel(
     if by.none is not None and by.lacks is not None:
         outside |= codes == by.lacks
     return np.where(np.isnan(values), np.nan, codes), outside
+
+
+def encode_values(model: IntegerModel, values: Array) -> tuple[list[int], CodeArray]:
+    """Return per channel how many values lie beyond its codes, and the steps' inputs [n, ...].
+
+    Args:
+        model: has the channels.
+        values: [n, C]; NaN only for a channel that has a code for "no reading".
+    """
+    counts, columns = [0] * len(model.channels), dict[int, Array]()
+    converted = order_conversions(model.channels)
+    for index in [i for i in range(len(model.channels)) if i not in converted] + converted:
+        by, cold = model.channels[index].conversion, None
+        if by is not None and by.junction is not None:
+            of = model.channels[by.junction.channel]
+            cold = columns[by.junction.channel].astype(np.int64)
+            cold = cold if of.conversion is None else of.conversion.convert(cold)
+        codes, beyond = _encode_channel(model.channels[index], values[:, index], cold)
+        counts[index], columns[index] = beyond, codes
+    given = [columns[index] for index in range(len(columns))]
+    if model.variable_step:
+        given.append(np.full(len(values), float(model.period_us)))
+    return counts, np.stack(given, axis=1).astype(model.code_type)
+
+
+def _encode_channel(
+    channel: Channel, values: Array, junction: NDArray[np.int64] | None
+) -> tuple[Array, int]:
+    """Return codes [n], raw codes where the chip takes them, and how many values lie beyond."""
+    codes, beyond = encode_channel(channel, values, junction)
+    lacks = np.isnan(values)
+    if channel.conversion is None:  # one of them may be the code for no reading, which is flagged
+        beyond = codes != np.round((values - channel.offset) / channel.lsb)
+    if lacks.any():
+        if not channel.raw_lacks:
+            raise ValueError(f"{channel.name}: no code says that a reading is lacking")
+        codes = np.where(lacks, float(channel.raw_lacks[0]), codes)
+    return codes, int(np.sum(beyond & ~lacks))
 
 
 def round_channel(channel: Channel, values: Array) -> Array:

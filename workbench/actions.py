@@ -57,6 +57,7 @@ def press(place: Workplace, button: str, chosen: Mapping[str, object]) -> None:
         "undo": place.undo,
         "redo": place.redo,
         "look": place.look,
+        "chip": place.load_chip,
         "cancel": place.cancel,
         "dismiss": place.dismiss,
         "begin": lambda: begin(place),

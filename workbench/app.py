@@ -87,6 +87,9 @@ def _connect_findings(app: Dash, place: Workplace) -> None:
         Output("model", "children"),
         Output("outcome", "children"),
         Output("firmware-told", "children"),
+        Output("load-chip", "disabled"),
+        Output("chip-told", "children"),
+        Output("chip", "data-chip"),
         Input("below", "data"),
         Input("guess", "data"),
     )(lambda _, told: views.show_sections(place, told))

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-SURVEYED, DIAGNOSED, PREVIEWED = "surveyed", "diagnosed", "previewed"
+SURVEYED, DIAGNOSED, PREVIEWED, CHIP_READY = "surveyed", "diagnosed", "previewed", "chip-ready"
 DIAGNOSIS = "diagnosis.json"
 SKIP_INVALID = "--skip-invalid"
 

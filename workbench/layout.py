@@ -12,6 +12,7 @@ CONTENTS = (
     ("errors-section", "Errors"),
     ("model-section", "Effects"),
     ("firmware-section", "Firmware"),
+    ("chip-section", "The chip's own C"),
 )
 MOVES = (
     ("earlier", "← Earlier"),
@@ -229,7 +230,19 @@ def _lay_out_sections() -> list[Component]:
             html.Div(id="outcome", role="status"),
             html.Div(id="firmware-told"),
         ),
+        _section(
+            "chip-section",
+            "The chip's own C, in this page",
+            html.P(id="chip-told", className="note"),
+            html.Div([_load_chip()], className="actions"),
+            html.Div(id="chip"),
+        ),
     ]
+
+
+def _load_chip() -> Component:
+    words = "Bring the C into the page"
+    return html.Button(words, id="load-chip", **{"data-press": "chip"})
 
 
 def _section(name: str, title: str, *parts: Component) -> Component:

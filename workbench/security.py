@@ -8,8 +8,12 @@ from flask import Flask, Response, request
 POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
-    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
 )
+WORKER = "/assets/chip_worker.js"
+"""Runs the firmware's C. It compiles what the page hands it, and can reach nothing at all."""
+WORKER_POLICY = "default-src 'none'; script-src 'wasm-unsafe-eval'"
 REFUSED = (
     "<!doctype html><html lang='en'><meta charset='utf-8'><title>zerodrift workbench</title>"
     "<p>This page needs the token that <code>zerodrift workbench</code> printed. Open the address "
@@ -49,7 +53,8 @@ def guard(server: Flask, token: str, port: int) -> None:
         given = request.args.get("token")
         if given and hmac.compare_digest(given.encode(), token.encode()):
             response.set_cookie(cookie, token, httponly=True, samesite="Strict")
-        response.headers["Content-Security-Policy"] = POLICY
+        policy = WORKER_POLICY if request.path == WORKER else POLICY
+        response.headers["Content-Security-Policy"] = policy
         response.headers["X-Content-Type-Options"] = "nosniff"
         response.headers["Referrer-Policy"] = "no-referrer"
         return response

@@ -14,6 +14,7 @@ from zerodrift.workbench.actions import press
 from zerodrift.workbench.address import PageAddress, find_address, keep_address
 from zerodrift.workbench.app import make_app
 from zerodrift.workbench.chart import draw_wish
+from zerodrift.workbench.chip import LONGEST_TEXT, WASM, name_answers
 from zerodrift.workbench.packing import pack_files
 from zerodrift.workbench.security import guard
 from zerodrift.workbench.state import PictureWish
@@ -177,6 +178,31 @@ def add_routes(server: Flask, place: Workplace) -> None:
             io.BytesIO(text), mimetype="application/zip", as_attachment=True, download_name=name
         )
 
+    def wasm() -> Response:
+        if place.chip_folder is None:
+            return Response("No C is in the page yet.", 404, mimetype="text/plain")
+        return Response((place.chip_folder / WASM).read_bytes(), mimetype="application/wasm")
+
+    def replayed() -> Response:
+        number = request.args.get("number", "")
+        known = len(place.chip.runs) if place.chip is not None else 0
+        if place.chip_folder is None or number not in map(str, range(known)):
+            return Response("There is no such run.", 404, mimetype="text/plain")
+        content = (place.chip_folder / name_answers(int(number))).read_bytes()
+        return Response(content, mimetype="application/octet-stream")
+
+    def lines() -> tuple[Response, int]:
+        try:
+            if (request.content_length or 0) > LONGEST_TEXT:
+                raise InputError(
+                    f"more than {LONGEST_TEXT} bytes of lines; expected fewer at once."
+                )
+            text = request.get_data().decode("utf-8", errors="replace")
+            answers = place.answer_live(text, anew=bool(request.args.get("anew")))
+        except InputError as error:
+            return jsonify({"error": str(error)}), 400
+        return jsonify(to_dict(answers)), 200
+
     def report() -> Response:
         path = place.directory / "report.html"
         if not path.is_file():
@@ -189,4 +215,7 @@ def add_routes(server: Flask, place: Workplace) -> None:
     server.add_url_rule("/alive", view_func=lambda: ("", 204))
     server.add_url_rule("/picture", view_func=picture)
     server.add_url_rule("/firmware.zip", view_func=firmware)
+    server.add_url_rule("/chip/wasm", view_func=wasm)
+    server.add_url_rule("/chip/run", view_func=replayed)
+    server.add_url_rule("/chip/lines", view_func=lines, methods=["POST"])
     server.add_url_rule("/report.html", view_func=report)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dash import html, no_update
 from dash.development.base_component import Component
 
+from zerodrift.base.records import to_dict
 from zerodrift.diagnosis.timeline import find_timeline
 from zerodrift.report.cause import name_effect
 from zerodrift.workbench import outcomes, panels, verdicts, way
@@ -133,7 +134,7 @@ def show_sections(place: Workplace, told: bool | None) -> Shown:
     """Return the sections below the chart."""
     findings = place.findings
     if findings is None:
-        return tuple([no_update] * 9)
+        return tuple([no_update] * 12)
     candidates: Component | list[Component] = html.P("Guess first.", className="note")
     waits = hides(place, told)
     if not waits:
@@ -149,7 +150,22 @@ def show_sections(place: Workplace, told: bool | None) -> Shown:
         panels.show_model(findings),
         outcomes.show_outcome(outcome) if outcome is not None else [],
         outcomes.show_firmware(findings),
+        *show_chip(place),
     )
+
+
+def show_chip(place: Workplace) -> Shown:
+    """Return whether there is no firmware to run in the page, words on it, and what is run."""
+    firmware = place.findings.firmware if place.findings is not None else None
+    if firmware is None:
+        return True, "There is no current firmware; build it first.", ""
+    if place.chip is None or place.chip_folder is None:
+        words = "Compiles the folder's C to WebAssembly and replays the runs beside the reference."
+        return False, words, ""
+    words = " ".join(f"{note}." for note in place.chip.notes)
+    if place.chip.model_hash != firmware.model_hash:
+        words = f"This is the C of an earlier firmware. {words}"
+    return False, words, json.dumps({"at": place.chip_folder.name, **to_dict(place.chip)})
 
 
 def tell_effect(

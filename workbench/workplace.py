@@ -39,7 +39,9 @@ from zerodrift.report.results import (
     read_result,
 )
 from zerodrift.verify.summary import FirmwareSummary, VerifySummary
+from zerodrift.workbench.chip import LiveAnswers, LiveChip, PageReplay, read_replay
 from zerodrift.workbench.events import (
+    CHIP_READY,
     DIAGNOSED,
     DIAGNOSIS,
     PREVIEWED,
@@ -56,7 +58,7 @@ from zerodrift.workbench.state import JobState, PageState
 Array = NDArray[np.float64]
 
 CHILD = "zerodrift.app.page"
-LOOKS_AT = ("verify", "report", "apply", "propose", "plan")
+LOOKS_AT = ("verify", "report", "apply", "propose", "plan", "chip")
 """Commands after which the project is as it was."""
 CHANGES = ("add", "remove", "restore")
 """Commands that change the model, so that what was found of it is out of date."""
@@ -114,6 +116,10 @@ class Workplace:
         """Effect -> why `add` refused it, of this model on these logs."""
         self.done: set[str] = set()
         """What was done with the firmware as it is: verify | apply | report | propose | plan."""
+        self.chip: PageReplay | None = None
+        """What the page's own run of the C needs."""
+        self.chip_folder: Path | None = None
+        self._live: LiveChip | None = None
         self.version = 0
         """Counts up whenever there is something new to show."""
         self.shown = 0
@@ -267,6 +273,9 @@ class Workplace:
             self._is_anew = False
         elif event == DIAGNOSED and self._result == result:
             self._read_diagnosis(result)
+        elif event == CHIP_READY:
+            self._forget(self.chip_folder)
+            self.chip, self.chip_folder, self._live = read_replay(result), result, None
         elif event == PREVIEWED:
             names = {p.name.split(".")[1] for p in result.glob("preview.*.npy")}
             self.previews = tuple(bytes.fromhex(name).decode() for name in sorted(names))
@@ -369,7 +378,45 @@ class Workplace:
 
     def _read_result(self, job: Job) -> object | None:
         """Return what a command found; None where it printed no such record."""
-        return None if job.name == "look" else read_result("".join(job.children[0].out))
+        own = job.name in ("look", "chip")
+        return None if own else read_result("".join(job.children[0].out))
+
+    def load_chip(self) -> None:
+        """Compile the firmware's C for the page, and ask the reference about the runs."""
+        self._stop_looking()
+        with self._lock:
+            if self.busy:
+                self.message = Message("Something is being done already; wait, or cancel it.")
+                self._touch()
+                return
+            self.message = None
+            self._looks += 1
+            result = Path(self._scratch.name) / f"chip-{self._looks}"
+            result.mkdir()
+            self.job = Job(
+                "chip",
+                "Bringing the C into the page",
+                [[CHILD, "chip", str(self.directory), str(result), *self._skip_invalid]],
+                on_event=lambda event: self._take(event, result),
+                on_end=self._end,
+            )
+            self._touch()
+
+    def answer_live(self, text: str, *, anew: bool) -> LiveAnswers:
+        """Return the steps that a live sensor's lines make, with the reference's answers.
+
+        Args:
+            text: whole lines.
+            anew: begin at rest with the first of them.
+
+        Raises:
+            InputError: no C is in the page, or a line lacks what the model reads.
+        """
+        if self.chip_folder is None:
+            raise InputError("no C is in the page yet; expected it to run. Press the button first.")
+        if anew or self._live is None:
+            self._live = LiveChip(self.directory, self.chip_folder)
+        return self._live.take(text)
 
     def undo(self) -> None:
         """Go back to the step before the last change, by the history."""

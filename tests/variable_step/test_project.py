@@ -12,13 +12,14 @@ from tests.blocks.units import describe_unit
 from tests.projects import render_toml
 from tests.variable_step.models import make_model
 from tests.verify.conftest import write_firmware
-from zerodrift.app.apply import Chip, encode_values
+from zerodrift.app.apply import Chip
 from zerodrift.base.config import Config, load_config, parse_config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.blocks.block import BlockNotes
 from zerodrift.blocks.design import make_design
 from zerodrift.c_runtime.host import HostModel, render_sources
 from zerodrift.codegen.generate import generate_design, generate_unit
+from zerodrift.export.encoding import encode_values
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.export.quantize import quantize

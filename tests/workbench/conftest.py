@@ -93,3 +93,30 @@ def keep() -> Any:
         window.screenshot(path=str(SCREENSHOTS / f"{name}.png"), full_page=True)
 
     return take
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Project:
+    """Return a project with firmware; nothing changes it."""
+    from tests.workbench.test_workplace import run_command
+
+    directory = tmp_path_factory.mktemp("built") / "cell"
+    directory.mkdir()
+    project = write_project(directory, runs=3)
+    assert run_command(directory, "firmware", "--json")[0] == 0
+    return project
+
+
+@pytest.fixture(scope="module")
+def chip(built: Project, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """Return a page whose firmware's own C is ready; nothing changes it for good."""
+    from tests.workbench.test_workplace import settle
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        with serve(built.directory) as served:
+            settle(served.place)
+            served.place.load_chip()
+            settle(served.place)
+            assert served.place.chip is not None, served.place.message
+            yield served

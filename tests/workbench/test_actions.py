@@ -32,7 +32,7 @@ def place(tmp_path):
         findings=SimpleNamespace(diagnosed=DIAGNOSED),
         run=lambda name, title, arguments: ran.append((name, title, arguments)),
         tell=lambda text, **_: ran.append(text),
-        **dict.fromkeys(("undo", "redo", "look", "cancel", "dismiss")),
+        **dict.fromkeys(("undo", "redo", "look", "cancel", "dismiss", "load_chip")),
         ran=ran,
     )
 

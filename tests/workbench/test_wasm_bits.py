@@ -58,6 +58,7 @@ def draw(model, steps=2000):
     return np.concatenate(list(draw_sequences(model, steps).values()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_wasm_replays_golden_vectors(chip, name):
     golden = load(name)
@@ -72,6 +73,7 @@ def test_wasm_replays_golden_vectors(chip, name):
     assert check.steps == len(golden.codes)
 
 
+@pytest.mark.slow
 def test_variable_step_and_block_run_too(chip):
     slow = make_lowpass((0.4, 95.0))
     own = quantize(*describe_unit(3))
@@ -84,6 +86,7 @@ def test_variable_step_and_block_run_too(chip):
         assert check_host(PlayedHost(played), codes).mismatch is None
 
 
+@pytest.mark.slow
 def test_vectors_of_128_bits_give_the_same_bits(chip):
     model = load("eight_inputs").model
     codes = draw(model)
@@ -91,6 +94,7 @@ def test_vectors_of_128_bits_give_the_same_bits(chip):
     assert check_host(PlayedHost(played), codes).mismatch is None
 
 
+@pytest.mark.slow
 def test_another_number_in_the_c_is_noticed(chip):
     model = load("ordinary").model
     code = generate(model)

@@ -31,8 +31,8 @@ from zerodrift.dataset.log_steps import (
 )
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed
-from zerodrift.export.encoding import encode_channel
-from zerodrift.export.integer_model import Channel, IntegerModel, order_conversions
+from zerodrift.export.encoding import encode_values
+from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import ModelState, Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.report.results import AppliedLog
@@ -239,44 +239,6 @@ def hold_last(values: Array) -> Array:
     if not known.size or not lacks.any():
         return values
     return values[np.maximum.accumulate(np.where(lacks, known[0], np.arange(values.size)))]
-
-
-def encode_values(model: IntegerModel, values: Array) -> tuple[list[int], CodeArray]:
-    """Return per channel how many values lie beyond its codes, and the steps' inputs [n, ...].
-
-    Args:
-        model: has the channels.
-        values: [n, C]; NaN only for a channel that has a code for "no reading".
-    """
-    counts, columns = [0] * len(model.channels), dict[int, Array]()
-    converted = order_conversions(model.channels)
-    for index in [i for i in range(len(model.channels)) if i not in converted] + converted:
-        by, cold = model.channels[index].conversion, None
-        if by is not None and by.junction is not None:
-            of = model.channels[by.junction.channel]
-            cold = columns[by.junction.channel].astype(np.int64)
-            cold = cold if of.conversion is None else of.conversion.convert(cold)
-        codes, beyond = _encode_channel(model.channels[index], values[:, index], cold)
-        counts[index], columns[index] = beyond, codes
-    given = [columns[index] for index in range(len(columns))]
-    if model.variable_step:
-        given.append(np.full(len(values), float(model.period_us)))
-    return counts, np.stack(given, axis=1).astype(model.code_type)
-
-
-def _encode_channel(
-    channel: Channel, values: Array, junction: NDArray[np.int64] | None
-) -> tuple[Array, int]:
-    """Return codes [n], raw codes where the chip takes them, and how many values lie beyond."""
-    codes, beyond = encode_channel(channel, values, junction)
-    lacks = np.isnan(values)
-    if channel.conversion is None:  # one of them may be the code for no reading, which is flagged
-        beyond = codes != np.round((values - channel.offset) / channel.lsb)
-    if lacks.any():
-        if not channel.raw_lacks:
-            raise ValueError(f"{channel.name}: no code says that a reading is lacking")
-        codes = np.where(lacks, float(channel.raw_lacks[0]), codes)
-    return codes, int(np.sum(beyond & ~lacks))
 
 
 def _count_elapsed(config: Config, model: IntegerModel, one: StepStretch) -> int:

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.app.apply import Chip, answer, encode_values
+from zerodrift.app.apply import Chip, answer
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json
 from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.log_steps import LogSteps, name_columns, read_log_steps
+from zerodrift.export.encoding import encode_values
 from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.physics.catalogue import load_catalogue

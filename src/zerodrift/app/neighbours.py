@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.app.apply import Chip, answer, encode_values
+from zerodrift.app.apply import Chip, answer
 from zerodrift.app.diff import MOST_STEPS, key_of, plan_sweep
 from zerodrift.base.config import USES, Config
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.log_steps import find_column, name_columns, read_log_steps
 from zerodrift.dataset.selectors import expand_selectors
+from zerodrift.export.encoding import encode_values
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.field.neighbours import (
     KINDS,

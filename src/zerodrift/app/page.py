@@ -1,8 +1,8 @@
-"""What the page runs in separate processes: the survey of a project, and its diagnosis.
+"""What the page runs in separate processes: survey, diagnosis, and the firmware's C for the page.
 
-python -m zerodrift.app.page survey|diagnose PROJECT RESULT [--skip-invalid]
+python -m zerodrift.app.page survey|diagnose|chip PROJECT RESULT [--skip-invalid]
 
-Both write into the directory RESULT and report by an event when a file there is complete.
+All write into the directory RESULT and report by an event when a file there is complete.
 """
 
 import json
@@ -18,6 +18,7 @@ from zerodrift.base.progress import print_progress
 from zerodrift.base.records import to_json
 from zerodrift.report.findings import save_findings
 from zerodrift.workbench.events import (
+    CHIP_READY,
     DIAGNOSED,
     DIAGNOSIS,
     PREVIEWED,
@@ -65,6 +66,14 @@ def diagnose(directory: Path, result: Path, skip_invalid: bool) -> None:
         _tell(PREVIEWED)
 
 
+def chip(directory: Path, result: Path, skip_invalid: bool) -> None:
+    """Write the firmware's C as WebAssembly, the runs, and the reference's answers."""
+    from zerodrift.app.chip import prepare_chip
+
+    prepare_chip(directory, result, skip_invalid)
+    _tell(CHIP_READY)
+
+
 def _tell(event: str) -> None:
     print(f"{EVENT_MARK}{event}", flush=True)
 
@@ -74,7 +83,8 @@ def main() -> None:
     what, directory, result = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
     skip_invalid = SKIP_INVALID in sys.argv[4:]
     try:
-        {"survey": survey, "diagnose": diagnose}[what](directory, result, skip_invalid)
+        do = {"survey": survey, "diagnose": diagnose, "chip": chip}[what]
+        do(directory, result, skip_invalid)
     except ZerodriftError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
