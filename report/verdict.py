@@ -42,12 +42,14 @@ def write_headline(diagnosis: Diagnosis | None, titles: Mapping[str, str]) -> He
     if diagnosis is None:
         return Headline("none", "Not diagnosed: what is missing was not asked.")
     effect = diagnosis.effect
-    at_floor = f"the held-out error is {diagnosis.floor_ratio_before:.2f} times the noise floor"
+    at_floor = (
+        f"the error in runs left out is {diagnosis.floor_ratio_before:.2f} times the noise floor"
+    )
     if diagnosis.noise_floor_source != "dwell":
         at_floor += ", which is estimated"
     if diagnosis.verdict == "missing" and effect is not None:
         gain = (
-            f"the held-out error falls from {diagnosis.floor_ratio_before:.2f} to "
+            f"the error in runs left out falls from {diagnosis.floor_ratio_before:.2f} to "
             f"{diagnosis.floor_ratio_after:.2f} times the noise floor"
         )
         if diagnosis.lookalikes:

@@ -49,7 +49,11 @@ def told(verdict, effect=None, **changes):
             "lookalikes",
             "creep or ageing: these logs cannot tell which",
         ),
-        (told("complete"), "complete", "Nothing is missing; the held-out error is 5.00 times"),
+        (
+            told("complete"),
+            "complete",
+            "Nothing is missing; the error in runs left out is 5.00 times",
+        ),
         (
             told("complete", not_testable=(Untested("a", "b"),) * 2),
             "complete",

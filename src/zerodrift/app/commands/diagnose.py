@@ -208,7 +208,8 @@ def explain_verdict(
             sentences.append(Sentence(f"Fitted: {values}."))
         sentences.append(
             Sentence(
-                f"Held-out error: {floor} now, {diagnosis.floor_ratio_after:.2f} times with it.",
+                f"Error in runs left out: {floor} now, {diagnosis.floor_ratio_after:.2f} times with "
+                "it.",
                 HEADLINE,
             )
         )
@@ -222,7 +223,7 @@ def explain_verdict(
         sentences.append(
             Sentence(f"COMPLETE{thin}: no effect that these logs can test helps.", HEADLINE)
         )
-        sentences.append(Sentence(f"Held-out error: {floor}.", HEADLINE))
+        sentences.append(Sentence(f"Error in runs left out: {floor}.", HEADLINE))
     else:
         sentences.append(
             Sentence(
@@ -230,7 +231,7 @@ def explain_verdict(
                 HEADLINE,
             )
         )
-        sentences.append(Sentence(f"Held-out error: {floor}.", HEADLINE))
+        sentences.append(Sentence(f"Error in runs left out: {floor}.", HEADLINE))
         if diagnosis.nearest is not None:
             sentences.append(
                 Sentence(f"Nearest, and not all of it: {diagnosis.nearest}.", HEADLINE)

@@ -12,6 +12,7 @@ from zerodrift.diagnosis.course import RepeatedDiagnosis, diagnose_until_done
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.explained import Sentence
+from zerodrift.diagnosis.plain_errors import tell_plain_errors
 from zerodrift.diagnosis.referee import review_logs
 from zerodrift.diagnosis.revision import list_needless
 from zerodrift.diagnosis.summary import AdviceSummary
@@ -68,7 +69,11 @@ def find_verdict(
     course = diagnose_until_done(config.effects, dataset, catalogue, advance) if auto else None
     if course is None:
         effects, diagnosis = config.effects, diagnose(config.effects, dataset, catalogue, advance)
+        say("leaving runs out")
+        diagnosis = tell_plain_errors(diagnosis, effects, dataset, catalogue)
     else:
+        say("leaving runs out")
+        course = _tell_steps(course, config.effects, dataset, catalogue)
         effects, diagnosis = course.effects, course.steps[-1]
     aside: str | None = None
     others: list[OtherThermometer] = []
@@ -89,6 +94,21 @@ def find_verdict(
     remarks = (*(note.write() for note in found), *diagnosis.remarks)
     diagnosis = replace(diagnosis, remarks=remarks, notes=found)
     return Verdict(diagnosis, tuple(others), course)
+
+
+def _tell_steps(
+    course: RepeatedDiagnosis,
+    effects: Sequence[EffectConfig],
+    dataset: Dataset,
+    catalogue: Catalogue,
+) -> RepeatedDiagnosis:
+    """Return the course, each step with the errors of the models that it speaks of."""
+    steps = []
+    for step in course.steps:
+        steps.append(tell_plain_errors(step, effects, dataset, catalogue))
+        if step.effect is not None:
+            effects = extend_model(effects, catalogue, step.effect, step.parameters)
+    return replace(course, steps=tuple(steps))
 
 
 def summarise_verdict(

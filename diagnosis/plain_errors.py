@@ -1,0 +1,87 @@
+"""A diagnosis' errors as `compare` and `add` tell them: of the models that are fitted and shipped.
+
+The diagnosis judges by fits that weigh each octave of time by its noise. What it tells in an
+output's unit is the error of the model that zerodrift.toml means, fitted by plain least squares,
+so that one model has one left-out error, whichever command tells it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.base.config import EffectConfig
+from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.changes import extend_model
+from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.held_out import hold_out
+from zerodrift.diagnosis.run_errors import collect_errors, pool_rmse, pool_steady_rmse
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.fit import fit
+
+Array = NDArray[np.float64]
+
+
+def tell_plain_errors(
+    diagnosis: Diagnosis,
+    effects: Sequence[EffectConfig],
+    dataset: Dataset,
+    catalogue: Catalogue,
+) -> Diagnosis:
+    """Return the diagnosis with the left-out errors of the plain fits, as it is and as named.
+
+    Args:
+        diagnosis: what was found of the effects.
+        effects: the `[[effect]]` tables that were diagnosed.
+        dataset: its runs.
+        catalogue: the known effects.
+
+    Returns:
+        `outputs` in their units, of all samples; `floor_ratio_before` and `floor_ratio_after`
+        pooled over the outputs, outliers by their weights. Candidates and probabilities stay.
+    """
+    before, steady_before = _leave_out(effects, dataset, catalogue)
+    after, steady_after = None, steady_before
+    if diagnosis.effect is not None:
+        extended = extend_model(effects, catalogue, diagnosis.effect, diagnosis.parameters)
+        after, steady_after = _leave_out(extended, dataset, catalogue)
+    places = {name: dataset.outputs.index(name) for name in diagnosis.outputs}
+    outputs = {
+        name: replace(
+            told,
+            rmse_left_out=float(before[places[name]]),
+            rmse_left_out_after=None if after is None else float(after[places[name]]),
+        )
+        for name, told in diagnosis.outputs.items()
+    }
+    floor = np.array([told.noise_floor for told in outputs.values()])
+    columns = list(places.values())
+    return replace(
+        diagnosis,
+        outputs=outputs,
+        floor_ratio_before=_pool(steady_before[columns], floor),
+        floor_ratio_after=_pool(steady_after[columns], floor),
+    )
+
+
+def _leave_out(
+    effects: Sequence[EffectConfig], dataset: Dataset, catalogue: Catalogue
+) -> tuple[Array, Array]:
+    """Return the RMSE [K] on runs left out: over all samples, and with outliers by weights."""
+    model = fit(
+        effects,
+        dataset.train,
+        outputs=dataset.outputs,
+        units=dataset.units,
+        full_scale=dataset.full_scale,
+        catalogue=catalogue,
+    )
+    held_out = hold_out(model, replace(dataset, test=()))
+    told = collect_errors(dataset.train, held_out.predictions, model.tared, model.find_usable)
+    errors = list(told.values())
+    return pool_rmse(errors), pool_steady_rmse(errors)
+
+
+def _pool(rmse: Array, floor: Array) -> float:
+    return float(np.sqrt(np.mean((rmse / floor) ** 2)))
