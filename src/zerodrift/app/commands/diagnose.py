@@ -208,8 +208,8 @@ def explain_verdict(
             sentences.append(Sentence(f"Fitted: {values}."))
         sentences.append(
             Sentence(
-                f"Error in runs left out: {floor} now, {diagnosis.floor_ratio_after:.2f} times with "
-                "it.",
+                f"Error in runs left out: {floor} now, "
+                f"{diagnosis.floor_ratio_after:.2f} times with it.",
                 HEADLINE,
             )
         )
