@@ -7,7 +7,7 @@ parts are kept. All that follows is small algebra on sums of products.
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,14 @@ from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.graph import Node
-from zerodrift.physics.effect import Feature
+from zerodrift.physics.effect import Arrivals, Feature
 from zerodrift.physics.octaves import MEANS
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.rates import Rates
 from zerodrift.physics.reduction import Column, plan_reduction, select_means
 from zerodrift.physics.signals import SignalPlan, graph_inputs, name_signals, read_signals
 from zerodrift.physics.terms import Term, build_features, name_feature
-from zerodrift.physics.tracks import build_stretches, lay_tracks
+from zerodrift.physics.tracks import SPIKE_K, build_stretches, lay_tracks
 
 Array = NDArray[np.float64]
 
@@ -103,8 +103,9 @@ class Campaign:
         self.run_of_piece = np.repeat(np.arange(count), self.pieces_per_run)
         """[G] the run that each piece belongs to."""
         self.ops = GraphOperations(plan.sample_period_s)
-        self._signals = name_signals(self.ops, plan)
+        self._signals = replace(name_signals(self.ops, plan), arrivals=self._arrive)
         tracks = lay_tracks(runs, plan, block)
+        self._firsts = [self.runs[track.places[0][0]] for track in tracks]
         self.rates = Rates(
             [graph_inputs(track.signals) for track in tracks],
             [track.places for track in tracks],
@@ -167,6 +168,16 @@ class Campaign:
                     f"{type(feature.signal).__name__}; expected what an operation of `ops` returns."
                 )
         return tuple(features[1:])
+
+    def _arrive(self, arrivals: Arrivals) -> Node:
+        """Return the input that says from where each run came to its first temperature."""
+        name = f"arrival:{arrivals}"
+        sides = dict(arrivals)
+        self.rates.put_spikes(
+            name,
+            [SPIKE_K * sides.get(run.group, 0) if run.part == 0 else 0.0 for run in self._firsts],
+        )
+        return self.ops.input(name)
 
     def column(self, node: Node, label: str = "") -> Column:
         """Return the coefficients of a node's values over all runs, computed once.

@@ -13,6 +13,9 @@ from zerodrift.operations.backend import Operations
 
 S = TypeVar("S")
 
+Arrivals = tuple[tuple[str, int], ...]
+"""(run, +1 where it came to its first temperature from above, -1 from below); others: at rest."""
+
 Values = Mapping[str, float]
 """Parameter name -> value, in the parameter's unit."""
 
@@ -93,6 +96,11 @@ class Signals(Generic[S]):
     """Output name -> full scale in its unit."""
     reference_temperature_degC: float
     """T0, where zero shift is counted from."""
+    arrivals: Callable[["Arrivals"], S] | None = None
+    """In a fit: from where each run came to its first temperature -> `arrival_K`."""
+    arrival_K: S | None = None
+    """A spike at each run's first sample, up where the temperature came from above; zero after it.
+    None: every run begins at rest, as the chip does."""
 
 
 class Build(Protocol):
@@ -177,6 +185,11 @@ class Effect:
             f"effect '{self.kind}' has no parameter '{name}'{nearest(name, known) or '.'} "
             f"It has: {', '.join(known) or 'none'}."
         )
+
+    @property
+    def remembers_temperature(self) -> bool:
+        """Whether what a run begins with depends on temperatures before it, for ever."""
+        return any(parameter.slack_in == "temperature" for parameter in self.parameters)
 
     @property
     def is_thermal(self) -> bool:

@@ -164,12 +164,19 @@ register(
 )
 
 
+def _play(ops: Operations[S], signals: Signals[S], half_width_K: float) -> S:
+    """Return the play of the temperature, from the side that each run came from."""
+    if signals.arrival_K is None:
+        return ops.play(signals.temperature_degC, half_width_K)
+    arriving = ops.total(signals.temperature_degC, signals.arrival_K)
+    return ops.difference(ops.play(arriving, half_width_K), signals.arrival_K)
+
+
 def rewrite_thermal_hysteresis(ops: Operations[S], signals: Signals[S], p: Values) -> Signals[S]:
     """Let every temperature term see the temperature through a play, unless it acts on its own."""
     if p["own_terms"]:
         return signals
-    played = ops.play(signals.temperature_degC, p["half_width_K"])
-    return replace(signals, temperature_degC=played)
+    return replace(signals, temperature_degC=_play(ops, signals, p["half_width_K"]))
 
 
 def build_thermal_hysteresis(
@@ -181,7 +188,7 @@ def build_thermal_hysteresis(
     return tuple(
         Feature(
             f"slack {share:.3g} r",
-            ops.difference(ops.play(temperature, share * p["half_width_K"]), temperature),
+            ops.difference(_play(ops, signals, share * p["half_width_K"]), temperature),
             "K",
         )
         for share in widths

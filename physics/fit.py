@@ -11,6 +11,7 @@ from scipy.stats import t as student
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.physics.arrivals import note_arrivals
 from zerodrift.physics.campaign import Campaign, Sums
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.live import find_live
@@ -209,16 +210,23 @@ def _finish(campaign: Campaign, found: Found, units: Sequence[str]) -> PhysicalM
     return PhysicalModel(
         plan=plan,
         units=tuple(units),
-        terms=fitted,
+        terms=tuple(_begin_at_rest(one) for one in fitted),
         feature_names=(OFFSET, *names),
         feature_units=("1", *feature_units),
         coefficients=np.concatenate([constant[None], coefficients]),
         std_errors=np.concatenate([scatter[None], coefficient_errors]),
         offsets=offsets,
         tared=tared,
-        notes=_note_bounds(fitted) + _note_collinearity(sums, weights, names),
+        notes=note_arrivals(terms, campaign.groups)
+        + _note_bounds(fitted)
+        + _note_collinearity(sums, weights, names),
         order=campaign.order,
     )
+
+
+def _begin_at_rest(fitted: FittedTerm) -> FittedTerm:
+    """Return the term as it predicts: the chip does not know what was before its first sample."""
+    return replace(fitted, term=replace(fitted.term, arrivals=()))
 
 
 def estimate_errors(

@@ -54,6 +54,19 @@ class Rates:
         self.roughly = False
         """Whether values are only searched for, so that block means may stand for more."""
 
+    def put_spikes(self, name: str, heights: Sequence[float]) -> None:
+        """Add a signal that is zero but at each track's first sample, or first block."""
+        if name in self._slow:
+            return
+        self._slow[name] = np.zeros_like(next(iter(self._slow.values())))
+        self._slow[name][:, 0] = heights
+        spikes = []
+        for inputs, height in zip(self._inputs, heights, strict=True):
+            spikes.append(np.zeros(next(iter(inputs.values())).size))
+            spikes[-1][0] = height
+        self._inputs = [{**x, name: spike} for x, spike in zip(self._inputs, spikes, strict=True)]
+        self._curvature[name] = np.zeros(len(spikes))
+
     @contextmanager
     def search_roughly(self) -> Iterator[None]:
         """Within this context, block means replace all signals that are nearly straight within

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.operations.graph import Node
+from zerodrift.physics.arrivals import find_arrivals
 from zerodrift.physics.campaign import Campaign, Sums
 from zerodrift.physics.effect import Feature
 from zerodrift.physics.projection import (
@@ -39,6 +40,8 @@ FILLS = 5
 """How often samples at a converter's rail are filled anew."""
 SMALL_GAIN = 1e-7
 """Relative gain of squared error at which a search ends."""
+MOST_ARRIVALS = 3
+"""How often the runs' beginnings and the values are sought in turn."""
 ROUGHLY = 0.003
 """A rough search ends at this share of what the whole change gains."""
 
@@ -83,10 +86,32 @@ def search(
     ]
     starts.sort(key=lambda found: found.cost)
     if not coordinates:
-        return starts[0]
+        return let_arrive(campaign, starts[0], weights, without)
     followed = starts[: refined_starts if on_grid else 1]
     refined = [refine(campaign, found, weights, coordinates, without) for found in followed]
-    return min(refined, key=lambda found: found.cost)
+    best = min(refined, key=lambda found: found.cost)
+    return let_arrive(campaign, best, weights, without)
+
+
+def let_arrive(
+    campaign: Campaign,
+    found: Found,
+    weights: Array,
+    without: float | None,
+) -> Found:
+    """Return the optimum with the beginnings of the runs sought, too, where an effect remembers.
+
+    Beginnings and values are sought in turn.
+    """
+    coordinates = list_coordinates(found.terms)
+    for _ in range(MOST_ARRIVALS):
+        terms = find_arrivals(campaign, found.terms, weights)
+        if terms == found.terms:
+            break
+        found = assess(campaign, terms, weights)
+        if coordinates:
+            found = refine(campaign, found, weights, coordinates, without)
+    return found
 
 
 def search_beyond_rails(

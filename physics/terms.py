@@ -11,7 +11,7 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.operations.backend import NumpyOperations, Operations
 from zerodrift.physics.catalogue import Catalogue, line_in
-from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals
+from zerodrift.physics.effect import Arrivals, Effect, Feature, Parameter, S, Signals
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -34,6 +34,8 @@ class Term:
     """Parameters the user wrote: not fitted."""
     signal: str = CHIP
     """Another thermometer than the chip's."""
+    arrivals: Arrivals = ()
+    """Of an effect that remembers: what the training runs began with."""
 
     @property
     def name(self) -> str:
@@ -153,7 +155,10 @@ def build_features(
     thermometers = {CHIP: signals.temperature_degC, **signals.channels}
 
     def view(term: Term) -> Signals[S]:
-        return replace(signals, temperature_degC=thermometers[term.signal])
+        seen = replace(signals, temperature_degC=thermometers[term.signal])
+        if not term.arrivals or signals.arrivals is None:
+            return seen
+        return replace(seen, arrival_K=signals.arrivals(term.arrivals))
 
     for term in sorted(terms, key=lambda term: list(catalogue_order).index(term.effect.kind)):
         rewrite = term.effect.rewrite
@@ -165,7 +170,7 @@ def build_features(
                     "Signals, as dataclasses.replace(signals, temperature_degC=...) gives."
                 )
             thermometers[term.signal] = changed.temperature_degC
-            signals = replace(changed, temperature_degC=thermometers[CHIP])
+            signals = replace(changed, temperature_degC=thermometers[CHIP], arrival_K=None)
     features = [Feature(OFFSET, ops.constant(1.0))]
     for term in terms:
         built = _call(term.effect, "build", term.effect.build, ops, view(term), term.values)

@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.bridges import find_chains, lay
 from zerodrift.dataset.runs import Run
-from zerodrift.physics.effect import Feature, Signals
+from zerodrift.physics.effect import Arrivals, Feature, Signals
 from zerodrift.physics.signals import SignalPlan, read_signals
 from zerodrift.physics.terms import Term, build_columns
 
 Array = NDArray[np.float64]
+
+SPIKE_K = 1e5
+"""Height of the spike by which a run's temperature comes from above: beyond every play's width."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +59,23 @@ def build_stretches(
     """
     built: list[list[Feature[Array]]] = [[] for _ in runs]
     for track in lay_tracks(runs, plan):
-        columns = build_columns(track.signals, terms, order, plan.sample_period_s)
+        signals = _let_arrive(track.signals, runs[track.places[0][0]])
+        columns = build_columns(signals, terms, order, plan.sample_period_s)
         for i, start in track.places:
             rows = slice(start, start + len(runs[i]))
             built[i] = [replace(column, signal=column.signal[rows]) for column in columns]
     return built
+
+
+def _let_arrive(signals: Signals[Array], first: Run) -> Signals[Array]:
+    """Return the signals of a track that can tell from where its temperature came."""
+
+    def arrive(arrivals: Arrivals) -> Array:
+        spike = np.zeros_like(signals.temperature_degC)
+        spike[0] = SPIKE_K * dict(arrivals).get(first.group, 0) if first.part == 0 else 0.0
+        return spike
+
+    return replace(signals, arrivals=arrive)
 
 
 def _join(parts: Sequence[Signals[Array]], bridges: Sequence[int]) -> Signals[Array]:

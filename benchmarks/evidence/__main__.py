@@ -2,6 +2,7 @@
 
     python -m benchmarks.evidence conditions [--simulator 1|2|3] [--condition NAME ...]
                                              [--purpose one|complete|outside ...] [--count N]
+                                             [--effect NAME]
     python -m benchmarks.evidence drawn      [--simulator 1|2|3] [--count N]
     python -m benchmarks.evidence loop       [--simulator 1|3] [--count N]
     python -m benchmarks.evidence table      [--simulator 1|2|3] [--version KEY]
@@ -47,7 +48,7 @@ def list_wanted(options: argparse.Namespace) -> Iterator[Ask]:
         yield from islice(list_walks(options.simulator, options.seed), 2 * options.count)
     else:
         sources = [
-            list_asks(options.simulator, name, purpose, options.seed)
+            list_asks(options.simulator, name, purpose, options.seed, options.effect)
             for name in options.condition or CONDITIONS
             for purpose in options.purpose or ("one", "complete")
         ]
@@ -105,6 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--simulator", type=int, choices=(1, 2, 3), default=3)
     parser.add_argument("--condition", choices=tuple(CONDITIONS), action="append")
     parser.add_argument("--purpose", choices=PURPOSES, action="append")
+    parser.add_argument("--effect", default="", metavar="NAME", help="hide this one alone")
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=600.0, help="stop after so long")

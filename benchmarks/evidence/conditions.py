@@ -80,13 +80,19 @@ def list_hidden(simulator: int, purpose: str) -> tuple[str, ...]:
     return {1: own.LISTED, 2: foreign.CATALOGUE, 3: tuple(EFFECTS)}[simulator]
 
 
-def list_asks(simulator: int, name: str, purpose: str, seed: int) -> Iterator[Ask]:
-    """Give cases of a condition without end, every effect once before any comes twice."""
+def list_asks(
+    simulator: int, name: str, purpose: str, seed: int, only: str = ""
+) -> Iterator[Ask]:
+    """Give cases of a condition without end, every effect once before any comes twice.
+
+    With `only`, that effect is hidden in each of them.
+    """
     condition = CONDITIONS[name]
     rng = np.random.default_rng([seed, simulator, zlib.crc32(name.encode()), len(purpose)])
     few = condition.most_runs <= 5
     while True:
-        names = [""] if purpose == "complete" else rng.permutation(list_hidden(simulator, purpose))
+        hidden_here = [only] if only else list_hidden(simulator, purpose)
+        names = [""] if purpose == "complete" else rng.permutation(hidden_here)
         for hidden in names:
             yield Ask(
                 simulator=simulator,
