@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from benchmarks.bench_conditions import bound
 from benchmarks.formula_cases import DISTURBANCES, FORMS, Simulated, simulate
+from zerodrift.app.formula_search import search_formula
 from zerodrift.base.config import EffectConfig
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
@@ -310,6 +311,9 @@ def time_large() -> None:
         f"8 runs x 20,000 rows x 6 outputs x 5 channels: {cpu_s:.0f} CPU s, {found.forms} formulas,"
         f" {found.tried} columns; {found.reason}"
     )
+    start = time.process_time()
+    search_formula(case.config, large, lambda text: None)
+    print(f"the same with the black boxes: {time.process_time() - start:.0f} CPU s")
 
 
 def parse(arguments: Sequence[str] | None = None) -> None:

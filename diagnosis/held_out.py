@@ -28,7 +28,7 @@ from zerodrift.physics.projection import (
     step_values,
     weigh,
 )
-from zerodrift.physics.terms import Term
+from zerodrift.physics.terms import Term, begin_at_rest
 from zerodrift.physics.tracks import build_stretches
 
 Array = NDArray[np.float64]
@@ -131,7 +131,7 @@ def predict_left_out(model: PhysicalModel, folds: Sequence[_Fold]) -> dict[str, 
                 break
             design, now = there, moved
         coefficients, constant = design.solve(fold, shift)
-        _, features = _build(model, now, left_out.runs)
+        _, features = _build(model, begin_at_rest(now), left_out.runs)
         prediction = features[left_out.rows] @ coefficients + constant
         predictions.setdefault(left_out.runs[0].group, []).append(prediction)
     result: dict[str, Array] = {}

@@ -210,7 +210,7 @@ def _finish(campaign: Campaign, found: Found, units: Sequence[str]) -> PhysicalM
     return PhysicalModel(
         plan=plan,
         units=tuple(units),
-        terms=tuple(_begin_at_rest(one) for one in fitted),
+        terms=fitted,
         feature_names=(OFFSET, *names),
         feature_units=("1", *feature_units),
         coefficients=np.concatenate([constant[None], coefficients]),
@@ -222,11 +222,6 @@ def _finish(campaign: Campaign, found: Found, units: Sequence[str]) -> PhysicalM
         + _note_collinearity(sums, weights, names),
         order=campaign.order,
     )
-
-
-def _begin_at_rest(fitted: FittedTerm) -> FittedTerm:
-    """Return the term as it predicts: the chip does not know what was before its first sample."""
-    return replace(fitted, term=replace(fitted.term, arrivals=()))
 
 
 def estimate_errors(

@@ -13,7 +13,7 @@ from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.model_record import ModelRecord, TermRecord
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.signals import SignalPlan, name_signals, read_signals
-from zerodrift.physics.terms import Term, build_features, list_defaults
+from zerodrift.physics.terms import Term, begin_at_rest, build_features, list_defaults
 from zerodrift.physics.tracks import build_stretches
 
 Array = NDArray[np.float64]
@@ -88,7 +88,7 @@ class PhysicalModel:
 
         Effects with memory continue from the stretches before it; see `Run.at_rest`.
         """
-        terms = [fitted.term for fitted in self.terms]
+        terms = begin_at_rest([fitted.term for fitted in self.terms])
         (columns,) = build_stretches([run], self.plan, terms, self.order)
         return np.stack([column.signal for column in columns], axis=1)
 
@@ -98,7 +98,7 @@ class PhysicalModel:
 
     def predict_all(self, runs: Sequence[Run]) -> list[Array]:
         """Return `predict` [n, K] of every run; each chain of stretches is computed once."""
-        terms = [fitted.term for fitted in self.terms]
+        terms = begin_at_rest([fitted.term for fitted in self.terms])
         return [
             np.stack([column.signal for column in columns], axis=1) @ self.coefficients
             for columns in build_stretches(runs, self.plan, terms, self.order)
@@ -167,6 +167,7 @@ class PhysicalModel:
                     std_errors=fitted.std_errors,
                     intervals=fitted.intervals,
                     at_bound=fitted.at_bound,
+                    arrivals=dict(fitted.term.arrivals),
                 )
                 for fitted in self.terms
             ),
@@ -213,6 +214,7 @@ class PhysicalModel:
                         {**list_defaults(catalogue[term.kind]), **term.values},
                         term.held,
                         term.signal,
+                        tuple(term.arrivals.items()),
                     ),
                     term.std_errors,
                     term.intervals,

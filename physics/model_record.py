@@ -1,10 +1,12 @@
 """The physical model as compensator.json holds it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from zerodrift.base.records import OPTIONAL
 
 Array = NDArray[np.float64]
 
@@ -20,6 +22,7 @@ class TermRecord:
     std_errors: Mapping[str, float]
     intervals: Mapping[str, tuple[float, float]]
     at_bound: tuple[str, ...]
+    arrivals: Mapping[str, int] = field(default_factory=dict, metadata=OPTIONAL)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -58,6 +58,11 @@ class Term:
         return replace(self, values={**self.values, **values})
 
 
+def begin_at_rest(terms: Sequence[Term]) -> list[Term]:
+    """Return the terms as they predict: a chip does not know what was before its first sample."""
+    return [replace(term, arrivals=()) for term in terms]
+
+
 def tidy_terms(terms: Sequence[Term]) -> list[Term]:
     """Return the terms with their values as people write them, where nothing was held."""
     tidied = []

@@ -80,9 +80,7 @@ def list_hidden(simulator: int, purpose: str) -> tuple[str, ...]:
     return {1: own.LISTED, 2: foreign.CATALOGUE, 3: tuple(EFFECTS)}[simulator]
 
 
-def list_asks(
-    simulator: int, name: str, purpose: str, seed: int, only: str = ""
-) -> Iterator[Ask]:
+def list_asks(simulator: int, name: str, purpose: str, seed: int, only: str = "") -> Iterator[Ask]:
     """Give cases of a condition without end, every effect once before any comes twice.
 
     With `only`, that effect is hidden in each of them.

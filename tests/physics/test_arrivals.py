@@ -1,5 +1,6 @@
 """What a run begins with: a hysteresis remembers temperatures before the log."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +8,13 @@ import pytest
 from tests.physics.conftest import FULL_SCALE, OUTPUTS, SLOPE, linear, make_dataset
 
 from zerodrift.base.config import EffectConfig
+from zerodrift.base.records import from_json, to_dict
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit_terms, flat_weights
+from zerodrift.physics.model import PhysicalModel
+from zerodrift.physics.model_record import ModelRecord
 from zerodrift.physics.search import search
 from zerodrift.physics.signals import plan_signals
 from zerodrift.physics.terms import start_term
@@ -98,7 +102,10 @@ def test_the_model_predicts_from_rest_and_says_which_runs_were_not():
     assert "7 of 8 training runs" in note
     assert "from warmer: run_0, run_3, run_4 and 1 more" in note
     assert "from colder: run_1, run_5, run_6)" in note
-    assert all(fitted.term.arrivals == () for fitted in model.terms)
+    again = PhysicalModel.from_record(
+        from_json(ModelRecord, json.loads(json.dumps(to_dict(model.to_record()))))
+    )
+    assert [one.term for one in again.terms] == [one.term for one in model.terms]
     slack = model.coefficients[-1]
     assert (np.abs(slack / WEIGHT - 1.0) < 0.03).all()
     run = data.train[0]
