@@ -4,7 +4,7 @@ import os
 import shutil
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import import_module
@@ -22,7 +22,7 @@ from zerodrift.verify.host_check import choose_chunk
 from zerodrift.workbench.security import POLICY, WORKER_POLICY
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Browser, Page
 
 WORKER = Path(__file__).parents[1] / "workbench/assets/chip_worker.js"
 MISSING = "Chromium and Playwright are not installed; `make setup-browser` does it"
@@ -132,12 +132,26 @@ class ChipPage:
 
 
 @contextmanager
-def open_chip_page() -> Iterator[ChipPage]:
-    """Open Chromium on a small server of this machine.
+def open_chip_page(chromium: "Browser | None" = None) -> Iterator[ChipPage]:
+    """Open a page on a small server of this machine.
+
+    Args:
+        chromium: a browser that is open; one of its own where None.
 
     Raises:
         InputError: there is no Chromium or no Playwright.
     """
+    files: dict[str, bytes] = {"/": b"<!doctype html>", "/worker.js": WORKER.read_bytes()}
+    with ExitStack() as stack:
+        own = chromium if chromium is not None else stack.enter_context(_open_chromium())
+        port = stack.enter_context(_serve(files))
+        page = own.new_page()
+        stack.callback(page.close)
+        yield ChipPage(page, port, files)
+
+
+@contextmanager
+def _open_chromium() -> Iterator["Browser"]:
     path = shutil.which("chromium") or shutil.which("google-chrome")
     try:
         driver = import_module("playwright.sync_api").sync_playwright()
@@ -146,11 +160,10 @@ def open_chip_page() -> Iterator[ChipPage]:
     if path is None:
         raise InputError(MISSING)
     options = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-    files: dict[str, bytes] = {"/": b"<!doctype html>", "/worker.js": WORKER.read_bytes()}
-    with driver as playwright, _serve(files) as port:
+    with driver as playwright:
         chromium = playwright.chromium.launch(executable_path=path, args=options)
         try:
-            yield ChipPage(chromium.new_page(), port, files)
+            yield chromium
         finally:
             chromium.close()
 

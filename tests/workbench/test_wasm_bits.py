@@ -26,16 +26,10 @@ IMPORTS, EXPORTS = 2, 7
 
 
 @pytest.fixture(scope="module")
-def chip():
+def chip(browser):
     """Return the page's worker in Chromium."""
-    pytest.importorskip(
-        "playwright.sync_api", reason="Playwright is not installed; `make setup-browser` does it"
-    )
-    try:
-        with open_chip_page() as page:
-            yield page
-    except InputError as error:
-        pytest.skip(str(error))
+    with open_chip_page(browser) as page:
+        yield page
 
 
 def list_sections(wasm: bytes) -> dict[int, bytes]:

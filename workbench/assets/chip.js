@@ -63,8 +63,10 @@
       const opened = await ask("open", { wasm, columns: told.columns, outputs: told.outputs.length, code_bytes: told.code_bytes });
       told.ready = "The C of " + told.prefix + " runs here: " + told.wasm_bytes + " B of WebAssembly, state " + opened.state_bytes +
         " B; self-test " + (opened.fault ? "FAILED (" + opened.fault + ")" : "passed") + ".";
+      busy = true; // nothing can be pressed before the run is here
+      await load().finally(() => { busy = false; });
+      show();
       say(told.ready, opened.fault);
-      await load();
     } catch (error) { say(String(error.message || error), true); }
   }
   function close() {
