@@ -129,7 +129,7 @@ def plan_precisely(
         hours, found = find_cheapest(judge, limits, sought, question.budget_s, say)
         turns = -(-question.units // limits.units)
         whole = turns * hours
-        told = "values that units share are taken from the logs" if known else "nothing is known"
+        told = "values that units share are taken from the logs" if known else "no logs tell values"
         notes.append(
             f"{question.units} units, {limits.units} at once: {turns} times {hours:g} h, "
             f"{whole:g} h in all; {told}"

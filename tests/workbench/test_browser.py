@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 import pytest
 from tests.loop.conftest import write_project
 from tests.workbench.conftest import serve
+from tests.workbench.pages import DRAWN, open_page, tells, wait_for_job
 from tests.workbench.test_workplace import run_command, settle, use_effect
 
 from zerodrift.workbench import views
@@ -19,15 +20,6 @@ expect = pytest.importorskip(
     "playwright.sync_api", reason="Playwright is not installed; `make setup-browser` does it"
 ).expect
 expect.set_options(timeout=120_000)
-
-DRAWN = "#main svg .line"
-"""The chart, drawn and listening."""
-
-
-def open_page(page, bench):
-    page.goto(bench.url)
-    page.wait_for_selector(DRAWN)
-    page.wait_for_selector("#verdict-sentence")
 
 
 def choose(page, name, value):
@@ -55,21 +47,6 @@ def drop(page, name, text, size=None):
         }""",
         [name, text, size],
     )
-
-
-def wait_for_job(page, bench):
-    """Wait until nothing runs, and the page has heard of it."""
-    settle(bench.place)
-    with page.expect_response(
-        lambda answer: '"tick.n_intervals"' in (answer.request.post_data or "")
-    ):
-        pass
-    expect(page.locator("#job")).to_have_text("")
-
-
-def tells(page, words, where="#verdict-sentence"):
-    """Wait until the page says so."""
-    expect(page.locator(where)).to_contain_text(words)
 
 
 def wait_until(is_so):

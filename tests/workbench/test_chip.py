@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from tests.workbench.conftest import serve
-from tests.workbench.test_browser import open_page, tells, wait_for_job
+from tests.workbench.pages import open_page, tells, wait_for_job
 
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.host import HostModel
@@ -16,6 +16,7 @@ playwright = pytest.importorskip(
     "playwright.sync_api", reason="Playwright is not installed; `make setup-browser` does it"
 )
 expect = playwright.expect
+expect.set_options(timeout=120_000)
 
 HEADER = "time_s,temperature_degC,Fz_N,Mx_Nm"
 SERIAL = """
