@@ -20,8 +20,10 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.plain_errors import tell_plain_errors
 from zerodrift.lab.twin.recipe import EffectChoice, Recipe
 from zerodrift.lab.twin.simulate import simulate
+from zerodrift.physics.catalogue import load_catalogue
 
 RUNS = 11
 ROWS = 35_000
@@ -47,8 +49,15 @@ def measure(
     """Return the verdict and the CPU seconds that it took."""
     effects = [EffectConfig(choice.name) for choice in recipe.told]
     begin = time.process_time()
-    found = profiler.runcall(diagnose, effects, dataset) if profiler else diagnose(effects, dataset)
+    found = profiler.runcall(judge, effects, dataset) if profiler else judge(effects, dataset)
     return found, time.process_time() - begin
+
+
+def judge(effects: Sequence[EffectConfig], dataset: Dataset) -> Diagnosis:
+    """Return the verdict with the errors that the command tells."""
+    catalogue = load_catalogue()
+    found = diagnose(effects, dataset, catalogue)
+    return tell_plain_errors(found, effects, dataset, catalogue)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
