@@ -1,6 +1,5 @@
 """Golden vectors: raw inputs with the reference's answers, in one .npz file."""
 
-import io
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import pack_arrays
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import write_whole
 from zerodrift.export.integer_model import IntegerModel
@@ -31,16 +31,14 @@ class GoldenVectors:
 
     def to_bytes(self) -> bytes:
         """Return the file's content; the same vectors give the same bytes."""
-        buffer = io.BytesIO()
-        np.savez_compressed(
-            buffer,
-            codes=self.codes,
-            drift=self.drift,
-            flags=self.flags,
-            hidden=self.hidden,
-            hash=np.frombuffer(self.model_hash.encode(), dtype=np.uint8),
-        )
-        return buffer.getvalue()
+        arrays = {
+            "codes": self.codes,
+            "drift": self.drift,
+            "flags": self.flags,
+            "hidden": self.hidden,
+            "hash": np.frombuffer(self.model_hash.encode(), dtype=np.uint8),
+        }
+        return pack_arrays(arrays, compressed=True)
 
     def save(self, path: Path) -> None:
         """Write the vectors, whole or not at all."""

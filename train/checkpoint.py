@@ -1,7 +1,6 @@
 """Files that survive an interruption: written whole or not at all, and never pickled."""
 
 import hashlib
-import io
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base import files
+from zerodrift.base.arrays import pack_arrays
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import Json
 from zerodrift.base.sealed import read_sealed, render_sealed
@@ -44,11 +44,8 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     values: dict[str, Json] = {"format": FORMAT, "arrays": _hash(checkpoint.arrays)}
     values |= checkpoint.values
     text = render_sealed(values)
-    buffer = io.BytesIO()
-    np.savez(
-        buffer, allow_pickle=False, **{VALUES: np.frombuffer(text, np.uint8)}, **checkpoint.arrays
-    )
-    write_whole(path, buffer.getvalue())
+    arrays = {VALUES: np.frombuffer(text, np.uint8), **checkpoint.arrays}
+    write_whole(path, pack_arrays(arrays, compressed=False))
 
 
 def load_checkpoint(path: Path) -> Checkpoint | None:
