@@ -8,7 +8,7 @@ nodes that read it. Rows of matrices keep their own shifts, which are stored in 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar, cast
+from typing import Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,13 +212,25 @@ def _no_coarser(nodes: Sequence[IntegerNode], coarser: list[list[int]]) -> list[
 def _align_input(
     nodes: list[IntegerInput], coarser: list[list[int]], design: IntegerInput | None
 ) -> _Aligned:
-    shift = min(n.shift for n in nodes) if design is None else design.shift
-    _require_shift(nodes[0], [n.shift for n in nodes], shift)
+    shift = _choose_least_shift(nodes, design)
     out: list[IntegerNode] = [replace(n, shift=shift) for n in nodes]
     return _Aligned(out, [n.shift - shift for n in nodes])
 
 
-def _require_shift(node: IntegerNode, shifts: Sequence[int], wanted: int) -> None:
+class _Shifted(Protocol):
+    @property
+    def name(self) -> str: ...
+    @property
+    def shift(self) -> int: ...
+
+
+def _choose_least_shift(nodes: Sequence[_Shifted], design: _Shifted | None) -> int:
+    shift = min(n.shift for n in nodes) if design is None else design.shift
+    _require_shift(nodes[0], [n.shift for n in nodes], shift)
+    return shift
+
+
+def _require_shift(node: _Shifted, shifts: Sequence[int], wanted: int) -> None:
     if any(shift < wanted for shift in shifts):
         raise CheckError(
             f"operation '{node.name}': the unit needs a coarser format than its design has"
@@ -275,8 +287,7 @@ def _align_product(
 def _align_lowpass(
     nodes: list[IntegerLowpass], coarser: list[list[int]], design: IntegerLowpass | None
 ) -> _Aligned:
-    shift = min(n.shift for n in nodes) if design is None else design.shift
-    _require_shift(nodes[0], [n.shift for n in nodes], shift)
+    shift = _choose_least_shift(nodes, design)
     out: list[IntegerNode] = [
         replace(n, shift=shift, m_q31=rescale(n.m_q31, shift - n.shift)) for n in nodes
     ]
@@ -286,8 +297,7 @@ def _align_lowpass(
 def _align_lowpass_after(
     nodes: list[IntegerLowpassAfter], coarser: list[list[int]], design: IntegerLowpassAfter | None
 ) -> _Aligned:
-    shift = min(n.shift for n in nodes) if design is None else design.shift
-    _require_shift(nodes[0], [n.shift for n in nodes], shift)
+    shift = _choose_least_shift(nodes, design)
     out: list[IntegerNode] = [
         replace(n, shift=shift, rate_q31=rescale(n.rate_q31, shift - n.shift)) for n in nodes
     ]

@@ -1,17 +1,15 @@
 """One run that is unlike the others: where most of what no effect explains lies in it."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.floor import measure_floor
-from zerodrift.diagnosis.held_out import LEAVE_ONE_RUN_OUT, hold_out
-from zerodrift.diagnosis.run_errors import collect_errors
+from zerodrift.diagnosis.held_out import LEAVE_ONE_RUN_OUT
+from zerodrift.diagnosis.left_out import leave_out
 from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.fit import fit
 
 MOST = 0.6
 """Share of the squared error beyond the floor that makes a run stand out, ..."""
@@ -33,18 +31,9 @@ def describe_bad_run(
     Returns:
         A sentence, or None where no single run stands out.
     """
-    model = fit(
-        effects,
-        dataset.train,
-        outputs=dataset.outputs,
-        units=dataset.units,
-        full_scale=dataset.full_scale,
-        catalogue=catalogue,
-    )
-    held_out = hold_out(model, replace(dataset, test=()))
-    if held_out.method != LEAVE_ONE_RUN_OUT:
+    method, errors = leave_out(effects, dataset, catalogue)
+    if method != LEAVE_ONE_RUN_OUT:
         return None
-    errors = collect_errors(dataset.train, held_out.predictions, model.tared, model.find_usable)
     if len(errors) < FEWEST_RUNS:
         return None
     floor = measure_floor(dataset).rms

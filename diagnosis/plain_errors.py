@@ -15,10 +15,9 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.changes import extend_model
 from zerodrift.diagnosis.diagnosis import Diagnosis
-from zerodrift.diagnosis.held_out import hold_out
-from zerodrift.diagnosis.run_errors import collect_errors, pool_rmse, pool_steady_rmse
+from zerodrift.diagnosis.left_out import leave_out
+from zerodrift.diagnosis.run_errors import pool_rmse, pool_steady_rmse
 from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.fit import fit
 
 Array = NDArray[np.float64]
 
@@ -69,17 +68,7 @@ def _leave_out(
     effects: Sequence[EffectConfig], dataset: Dataset, catalogue: Catalogue
 ) -> tuple[Array, Array]:
     """Return the RMSE [K] on runs left out: over all samples, and with outliers by weights."""
-    model = fit(
-        effects,
-        dataset.train,
-        outputs=dataset.outputs,
-        units=dataset.units,
-        full_scale=dataset.full_scale,
-        catalogue=catalogue,
-    )
-    held_out = hold_out(model, replace(dataset, test=()))
-    told = collect_errors(dataset.train, held_out.predictions, model.tared, model.find_usable)
-    errors = list(told.values())
+    errors = list(leave_out(effects, dataset, catalogue)[1].values())
     return pool_rmse(errors), pool_steady_rmse(errors)
 
 

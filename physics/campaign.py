@@ -23,7 +23,7 @@ from zerodrift.physics.rates import Rates
 from zerodrift.physics.reduction import Column, plan_reduction, select_means
 from zerodrift.physics.signals import SignalPlan, graph_inputs, name_signals, read_signals
 from zerodrift.physics.terms import Term, build_features, name_feature
-from zerodrift.physics.tracks import SPIKE_K, build_stretches, lay_tracks
+from zerodrift.physics.tracks import build_stretches, lay_tracks, tell_arrival
 
 Array = NDArray[np.float64]
 
@@ -172,11 +172,7 @@ class Campaign:
     def _arrive(self, arrivals: Arrivals) -> Node:
         """Return the input that says from where each run came to its first temperature."""
         name = f"arrival:{arrivals}"
-        sides = dict(arrivals)
-        self.rates.put_spikes(
-            name,
-            [SPIKE_K * sides.get(run.group, 0) if run.part == 0 else 0.0 for run in self._firsts],
-        )
+        self.rates.put_spikes(name, [tell_arrival(arrivals, run) for run in self._firsts])
         return self.ops.input(name)
 
     def column(self, node: Node, label: str = "") -> Column:

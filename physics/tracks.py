@@ -19,8 +19,8 @@ from zerodrift.physics.terms import Term, build_columns
 
 Array = NDArray[np.float64]
 
-SPIKE_K = 1e5
-"""Height of the spike by which a run's temperature comes from above: beyond every play's width."""
+FAR_K = 1e5
+"""From so far away a run's temperature comes: beyond every play's width."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,16 @@ def lay_tracks(runs: Sequence[Run], plan: SignalPlan, block: int = 1) -> list[Tr
     ]
 
 
+def tell_arrival(arrivals: Arrivals, first: Run) -> float:
+    """Return the height, in K, of the spike at the first sample of a track.
+
+    Args:
+        arrivals: from where runs came to their first temperature.
+        first: the track's first stretch; a later part of a run does not begin there.
+    """
+    return FAR_K * dict(arrivals).get(first.group, 0) if first.part == 0 else 0.0
+
+
 def build_stretches(
     runs: Sequence[Run], plan: SignalPlan, terms: Sequence[Term], order: Sequence[str]
 ) -> list[list[Feature[Array]]]:
@@ -72,7 +82,7 @@ def _let_arrive(signals: Signals[Array], first: Run) -> Signals[Array]:
 
     def arrive(arrivals: Arrivals) -> Array:
         spike = np.zeros_like(signals.temperature_degC)
-        spike[0] = SPIKE_K * dict(arrivals).get(first.group, 0) if first.part == 0 else 0.0
+        spike[0] = tell_arrival(arrivals, first)
         return spike
 
     return replace(signals, arrivals=arrive)
