@@ -122,7 +122,7 @@ def _expand_selector(directory: Path, text: str, where: str) -> list[Selection]:
         return [Selection(files[0], tuple(files), run_pattern, cut, where)]
     paths = _glob(directory, pattern)
     if not paths:
-        raise InputError(_explain_no_match(directory, pattern, where))
+        raise NoLogsError(_explain_no_match(directory, pattern, where))
     selections = []
     for path in paths:
         files = list_files(path)
@@ -150,7 +150,7 @@ def list_files(path: Path) -> list[Path]:
 def _find_part(directory: Path, name: str, where: str) -> Path:
     if (directory / name).is_file():
         return directory / name
-    raise InputError(_explain_no_match(directory, name, where))
+    raise NoLogsError(_explain_no_match(directory, name, where))
 
 
 def _glob(directory: Path, pattern: str) -> list[Path]:
@@ -191,6 +191,10 @@ def _explain_cut(text: str, where: str) -> InputError:
         f"{where}: '{text}' has no readable cut after the '@'; expected @FROM:TO in seconds since "
         "the run's first row, as @0:3600, or in percent of its duration, as @0%:60%."
     )
+
+
+class NoLogsError(InputError):
+    """A selector that no file matches."""
 
 
 def _explain_no_match(directory: Path, pattern: str, where: str) -> str:

@@ -419,7 +419,16 @@ def _explain_no_rows(source: Source) -> str:
     )
 
 
+def _explain_unread(label: str, error: OSError) -> str:
+    return (
+        f"{label}: cannot be read to its end ({error.strerror}); expected a whole file. Run the "
+        "command again; if it stays so, look at the disk."
+    )
+
+
 def _explain_damaged(label: str, error: BaseException, is_arrow: bool = False) -> str:
+    if isinstance(error, OSError) and error.errno is not None:
+        return _explain_unread(label, error)
     reason = str(error).splitlines()[0].removeprefix("parquet: ") if str(error) else "damaged"
     kind = "Arrow (Feather)" if is_arrow else "Parquet"
     return (
@@ -435,8 +444,10 @@ def mend_source(source: Source, error: BaseException) -> Source:
     rows that end in delimiters after which nothing follows.
 
     Raises:
-        InputError: anything else; the message names the line.
+        InputError: anything else; the message names the line, or what the system refused.
     """
+    if isinstance(error, OSError) and error.errno is not None:
+        raise InputError(_explain_unread(source.label, error)) from error
     if source.text is None:
         is_arrow = source.path.suffix.lower() in ARROW_SUFFIXES
         raise InputError(_explain_damaged(source.label, error, is_arrow)) from error

@@ -8,7 +8,12 @@ import pytest
 from click.testing import CliRunner, Result
 from tests.field.conftest import BEGIN_S, DAY, write_log
 
+from zerodrift.app import monitor
 from zerodrift.app.cli import cli
+from zerodrift.base.errors import InputError
+from zerodrift.dataset.log_steps import read_log_steps
+from zerodrift.dataset.sources import open_sources
+from zerodrift.dataset.tables import mend_source
 from zerodrift.field.summary import MonitorResult
 from zerodrift.report.results import read_result
 
@@ -160,3 +165,28 @@ def test_a_state_that_was_edited_or_begun_otherwise_is_refused(unit, tmp_path) -
     state = tmp_path / "s.json"
     state.write_text(state.read_text().replace('"steps": 1440', '"steps": 1441'))
     assert "its hash is not its own" in str(watch(unit, tmp_path, log).exception)
+
+
+def test_a_log_that_the_system_refuses_is_no_log_without_a_true_value(
+    unit, tmp_path, monkeypatch
+) -> None:
+    log = write_log(tmp_path / "a.csv", 12, 1)
+    asked = []
+
+    def refuse(config, log, columns, skip_invalid):
+        asked.append(columns)
+        if "true_N" in columns:
+            raise mend_refusal(log)
+        return read_log_steps(config, log, columns, skip_invalid)
+
+    def mend_refusal(log):
+        source = next(iter(open_sources(log, "a.csv", {})))
+        with pytest.raises(InputError) as told:
+            mend_source(source, OSError(24, "Too many open files"))
+        return told.value
+
+    monkeypatch.setattr(monitor, "read_log_steps", refuse)
+    result = watch(unit, tmp_path, log)
+    assert len(asked) == 1
+    assert "a.csv: cannot be read to its end (Too many open files)" in str(result.exception)
+    assert not (tmp_path / "s.json").exists()

@@ -178,7 +178,7 @@ class Monitor:
             asked = {**columns, **dict.fromkeys(known, "[outputs] reference")}
             steps = read_log_steps(config, log, asked, skip_invalid)
         except InputError as error:
-            if not known:
+            if not known or isinstance(error.__cause__, OSError):
                 raise
             steps = read_log_steps(config, log, columns, skip_invalid)
             notes.append(f"{log}: no true value is read ({str(error).split(';')[0]})")

@@ -14,7 +14,7 @@ from zerodrift.base.records import from_json, to_dict
 from zerodrift.base.toml_lines import index_lines
 from zerodrift.base.toml_table import TomlTable
 from zerodrift.dataset.runs import Dataset
-from zerodrift.dataset.selectors import expand_selectors
+from zerodrift.dataset.selectors import NoLogsError, expand_selectors
 from zerodrift.discovery.plan import Planned, Question, plan_experiment
 from zerodrift.discovery.precise import PlannedPrecisely, plan_precisely
 from zerodrift.discovery.summary import PastPlan, summarise_plan, summarise_precise
@@ -39,9 +39,8 @@ def has_logs(config: Config) -> bool:
         try:
             if expand_selectors(replace(config, train_logs=(pattern,)), "train"):
                 return True
-        except InputError as error:
-            if "no file matches" not in str(error):
-                raise
+        except NoLogsError:
+            continue
     return False
 
 

@@ -9,7 +9,7 @@ from zerodrift.app.plan import KEPT, KeptPlan
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.records import from_json
-from zerodrift.dataset.selectors import expand_selectors
+from zerodrift.dataset.selectors import NoLogsError, expand_selectors
 from zerodrift.recording.coverage import Wanted
 from zerodrift.report.results import PlanResult
 
@@ -133,7 +133,7 @@ def _include(config: Config, file: Path) -> Config:
             one = replace(config, train_logs=(pattern,))
             try:
                 there |= {each.path.resolve() for each in expand_selectors(one, "train")}
-            except InputError:  # the first log of its kind is still to come
+            except NoLogsError:  # the first log of its kind is still to come
                 continue
             if use == "train":
                 kept.append(pattern)
