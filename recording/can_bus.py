@@ -30,6 +30,7 @@ class CanSource:
     """
 
     is_rows = False
+    has_times = False
 
     def __init__(self, wanted: SourceText, dbc: Path | None) -> None:
         self._name = f"can:{wanted.detail}:{wanted.place}"
@@ -86,6 +87,10 @@ class CanSource:
             for name, value in decoded.items()
             if isinstance(value, int | float)
         }
+
+    def explain_wait(self) -> str:
+        """Return nothing: what will come is not known."""
+        return ""
 
     def list_strays(self) -> list[str]:
         """Return which frames could not be decoded, and how often they came."""

@@ -26,6 +26,7 @@ class MqttSource:
     """
 
     is_rows = False
+    has_times = False
 
     def __init__(self, wanted: SourceText, columns: tuple[str, ...]) -> None:
         self._name = f"mqtt:{wanted.place}:{wanted.number}/{wanted.detail}"
@@ -93,6 +94,10 @@ class MqttSource:
                 found.append(self._came.get_nowait())
         except queue.Empty:
             return found
+
+    def explain_wait(self) -> str:
+        """Return nothing: what will come is not known."""
+        return ""
 
     def list_strays(self) -> list[str]:
         """Return which messages held no numbers, and how often they came."""

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.extras import RECORD_MCAP, require
 from zerodrift.recording.can_bus import CanSource
 from zerodrift.recording.lines import LineReader
 from zerodrift.recording.mqtt import MqttSource
@@ -12,13 +13,16 @@ from zerodrift.recording.streams import LineSource, open_command, open_input, op
 BAUD = 115_200
 
 
-def open_source(text: str, columns: tuple[str, ...], dbc: Path | None) -> LiveSource:
+def open_source(
+    text: str, columns: tuple[str, ...], dbc: Path | None, wanted_columns: tuple[str, ...] = ()
+) -> LiveSource:
     """Open a source.
 
     Args:
         text: as it is written on the command line.
         columns: names of the columns, where its lines have numbers alone.
         dbc: the DBC file that describes the frames of a CAN bus.
+        wanted_columns: what the project reads, by its own names.
 
     Raises:
         InputError: it cannot be opened; says why and what helps.
@@ -28,6 +32,17 @@ def open_source(text: str, columns: tuple[str, ...], dbc: Path | None) -> LiveSo
         raise InputError(f"--dbc {dbc}: is for a source can:...; found '{text}'. Leave --dbc out.")
     if wanted.kind == "can":
         return CanSource(wanted, dbc)
+    if wanted.kind == "mcap":
+        if columns:
+            raise InputError(
+                f"--columns: is for lines of numbers alone; found '{text}', whose fields have "
+                "names. Leave --columns out."
+            )
+        for extra in RECORD_MCAP:
+            require(extra, text)
+        from zerodrift.recording.mcap_file import McapSource
+
+        return McapSource(wanted, wanted_columns)
     if wanted.kind == "mqtt":
         return MqttSource(wanted, columns)
     if wanted.kind == "serial":

@@ -61,25 +61,29 @@ class Recording:
         self._source, self._keeper, self._coverage, self._rules = source, keeper, coverage, rules
         self._now_s = clock
         self._start_s: float | None = None
-        self._clock_s = time.time() - clock()
+        self._clock_s = 0.0 if source.has_times else time.time() - clock()
         self._parts: dict[str, tuple[float, float]] = {}
         self._next_s = math.inf
         self._last_time: float | None = None
         self.backwards = 0
-        """Rows left out because the source's own time ran backwards."""
+        """Rows and readings left out because the source's own time ran backwards."""
 
-    def run(self, show: Show) -> bool:
-        """Record until the source ends, enough is covered, or Ctrl-C is pressed.
+    def run(self, show: Show, is_asked: Callable[[], bool] = lambda: False) -> bool:
+        """Record until the source ends, enough is covered, or it is asked to end.
+
+        Args:
+            show: is given the recording so far, about ten times a second.
+            is_asked: whether to end now; asked between rows, so that none is kept by half.
 
         Returns:
-            Whether it was ended by Ctrl-C or by the system.
+            Whether it was asked to end, by Ctrl-C or by the system.
 
         Raises:
             InputError: the source or the disk failed; the rows before are kept.
         """
         heard_s = began_s = self._now_s()
         try:
-            while True:
+            while not is_asked():
                 readings = self._source.read(POLL_S)
                 if readings is None:
                     self._tick(math.inf)
@@ -88,17 +92,25 @@ class Recording:
                     heard_s = self._now_s()
                 for reading in readings:
                     self._take(reading)
-                self._tick(self._now_s())
+                if not self._source.has_times:
+                    self._tick(self._now_s())
                 self._keeper.settle()
                 covered = self._coverage.describe()
-                silent_s = self._now_s() - heard_s
-                show(covered, f"nothing for {silent_s:.0f} s" if silent_s >= SILENT_S else "")
+                show(covered, self._explain_silence(self._now_s() - heard_s, began_s))
                 if self._rules.most_s is not None and self._now_s() - began_s >= self._rules.most_s:
                     return False
                 if self._rules.until_enough and covered.enough:
                     return False
-        except KeyboardInterrupt:
-            return True
+        except KeyboardInterrupt:  # asked twice: something does not return
+            pass
+        return True
+
+    def _explain_silence(self, silent_s: float, began_s: float) -> str:
+        """Return that nothing comes, and what is waited for; nothing within the first seconds."""
+        parts = [f"nothing for {silent_s:.0f} s"] if silent_s >= SILENT_S else []
+        if self._now_s() - began_s >= SILENT_S:
+            parts.append(self._source.explain_wait())
+        return "; ".join(part for part in parts if part)
 
     def _take(self, reading: Reading) -> None:
         if self._source.is_rows:
@@ -106,6 +118,9 @@ class Recording:
             return
         if self._next_s == math.inf:
             self._next_s = reading.at_s + self._rules.period_s
+        if reading.at_s < self._next_s - self._rules.period_s - self._rules.hold_s:
+            self.backwards += 1
+            return
         self._tick(reading.at_s)
         self._parts |= {name: (reading.at_s, v) for name, v in reading.values.items()}
 
@@ -120,7 +135,10 @@ class Recording:
             fresh = {n: value for n, (at, value) in self._parts.items() if at >= oldest}
             if fresh:
                 self._keep(self._next_s, {n: fresh.get(n, math.nan) for n in self._parts})
-            self._next_s += self._rules.period_s
+                self._next_s += self._rules.period_s
+            else:  # nothing counts until the next part comes: no step for each period till then
+                steps = math.ceil((now - self._next_s) / self._rules.period_s)
+                self._next_s += max(steps, 1) * self._rules.period_s
 
     def _keep(self, at_s: float, values: Values) -> None:
         if self._start_s is None:

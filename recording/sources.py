@@ -1,4 +1,4 @@
-"""Where readings come from: a serial port, a CAN bus, an MQTT broker, a command's output."""
+"""Where readings come from: a serial port, a CAN bus, an MQTT broker, an MCAP file, a command."""
 
 import time
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ FORMS = {
     "serial": "serial:PORT[@BAUD], such as serial:/dev/ttyUSB0@115200",
     "can": "can:INTERFACE:CHANNEL[@BITRATE], such as can:socketcan:can0, with --dbc FILE",
     "mqtt": "mqtt:HOST[:PORT]/TOPIC, such as mqtt:localhost/chamber/#",
+    "mcap": "mcap:FILE[#TOPIC,TOPIC], such as mcap:bag/bag_0.mcap#/ft/wrench",
     "command": "command:COMMAND LINE, such as 'command:candump can0'",
     "-": "-, lines on standard input",
 }
@@ -23,7 +24,7 @@ class Reading:
     """Values that arrived at one moment."""
 
     at_s: float
-    """When it arrived, in s of the monotonic clock."""
+    """When it arrived, in s of the monotonic clock; or the source's own time, if it has one."""
     values: Values
 
 
@@ -32,11 +33,11 @@ class SourceText:
     """A source as it is written on the command line."""
 
     kind: str
-    """serial | can | mqtt | command | -."""
+    """serial | can | mqtt | mcap | command | -."""
     place: str
-    """Port, channel, host or command line."""
+    """Port, channel, host, file or command line."""
     detail: str = ""
-    """Interface of a CAN bus, topic of a broker."""
+    """Interface of a CAN bus, topic of a broker, topics of a file with commas between."""
     number: int = 0
     """Baud, bits per second, or port; 0: none was given."""
 
@@ -46,6 +47,8 @@ class LiveSource(Protocol):
 
     is_rows: bool
     """Whether each reading is a row; else they are parts, put together at a period."""
+    has_times: bool
+    """Whether readings carry the source's own Unix times in s; rows are then made at those."""
 
     def read(self, timeout_s: float) -> list[Reading] | None:
         """Return the readings that have arrived; None: the source has ended.
@@ -55,6 +58,10 @@ class LiveSource(Protocol):
         Raises:
             InputError: the source has failed.
         """
+        ...
+
+    def explain_wait(self) -> str:
+        """Return what is still waited for, for people; nothing where that is not known."""
         ...
 
     def list_strays(self) -> list[str]:
@@ -78,7 +85,7 @@ def parse_source(text: str) -> SourceText:
     if kind not in FORMS or kind == "-":
         known = "; ".join(FORMS.values())
         raise InputError(f"source '{text}': expected one of {known}{nearest(kind, FORMS)}")
-    if kind == "command":
+    if kind in ("command", "mcap"):
         place, number = rest, ""
     else:
         place, _, number = rest.partition("@")
@@ -95,6 +102,9 @@ def parse_source(text: str) -> SourceText:
         return SourceText(kind, channel, interface, _read_count(number or "0", text))
     if not (colon and place.strip()):
         raise InputError(f"source '{text}': expected {FORMS[kind]}")
+    if kind == "mcap":
+        file, mark, topics = place.rpartition("#")
+        return SourceText(kind, file, topics) if mark else SourceText(kind, place)
     return SourceText(kind, place, number=_read_count(number or "0", text))
 
 

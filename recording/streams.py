@@ -39,6 +39,7 @@ class LineSource:
     """
 
     is_rows = True
+    has_times = False
 
     def __init__(self, name: str, stream: Stream, reader: LineReader) -> None:
         self._name, self._stream, self._reader = name, stream, reader
@@ -95,6 +96,10 @@ class LineSource:
             return
         if values:
             found.append(Reading(at_s, values))
+
+    def explain_wait(self) -> str:
+        """Return nothing: what will come is not known."""
+        return ""
 
     def list_strays(self) -> list[str]:
         """Return how many lines were no rows, and the first of them."""

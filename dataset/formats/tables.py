@@ -43,9 +43,7 @@ class Recorder:
 
     def add(self, time_s: float, message: object) -> None:
         """Add one message with its numbers, at this time."""
-        row = {TIME: time_s}
-        _flatten("", message, row, 0)
-        self._rows.append(row)
+        self._rows.append({TIME: time_s} | read_numbers(message))
 
     def finish(self, name: str) -> FormatTable:
         """Return the messages as a table, in the order of their times."""
@@ -58,8 +56,15 @@ class Recorder:
         return FormatTable(name, frame.sort(TIME, maintain_order=True) if TIME in names else frame)
 
 
+def read_numbers(message: object) -> dict[str, float]:
+    """Return the numbers of a message by names such as `wrench.force.x`."""
+    found: dict[str, float] = {}
+    _flatten("", message, found, 0)
+    return found
+
+
 def _flatten(prefix: str, value: object, row: dict[str, float], depth: int) -> None:
-    """Write the numbers of a message into a row, by names such as `wrench.force.x`."""
+    """Write the numbers of a value, and of those within it, into a row."""
     if isinstance(value, bool | int | float | np.number | np.bool_):
         row[prefix or "value"] = float(value)
         return

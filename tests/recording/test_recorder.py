@@ -47,6 +47,8 @@ out = "firmware"
 class Given:
     """A source of readings that are known beforehand."""
 
+    has_times = False
+
     def __init__(self, readings: Iterable[tuple[float, dict[str, float]]], *, rows: bool) -> None:
         self.is_rows = rows
         self._left = [Reading(at, values) for at, values in readings]
@@ -60,6 +62,9 @@ class Given:
             return None
         self._now_s = self._left[0].at_s
         return [self._left.pop(0)]
+
+    def explain_wait(self) -> str:
+        return ""
 
     def list_strays(self) -> list[str]:
         return []
@@ -241,3 +246,23 @@ def test_ended_by_hand_or_by_the_system(tmp_path: Path, by: signal.Signals) -> N
     assert json.loads(told)["interrupted"] is True
     assert pl.read_parquet(out).height == json.loads(told)["rows"] > 0
     assert not journal.exists()
+
+
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_splits_no_row(
+    tmp_path: Path, by: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = Keeper.add
+
+    def add(keeper: Keeper, values: dict[str, float]) -> None:
+        if keeper.rows == 3:
+            signal.raise_signal(by)  # before the row is kept, counted and followed
+        own(keeper, values)
+
+    monkeypatch.setattr(Keeper, "add", add)
+    out = tmp_path / "log.parquet"
+    done = run_command(write_device(tmp_path, 1000, 0.01), "--out", str(out), "--json")
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert told["interrupted"] is True
+    assert told["rows"] == pl.read_parquet(out).height >= 4

@@ -43,6 +43,13 @@ def find_wanted(config: Config | None, log: int | None) -> Wanted:
     return _want_log(config, plan, number)
 
 
+def list_read(config: Config | None) -> tuple[str, ...]:
+    """Return the columns that a project reads of its logs; none without a project."""
+    from zerodrift.dataset.open_log import list_columns
+
+    return () if config is None else tuple(list_columns(config))
+
+
 def read_plan(config: Config) -> PlanResult | None:
     """Return the project's last plan; None where none is kept, or one of another version."""
     path = config.build_directory / KEPT

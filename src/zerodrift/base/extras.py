@@ -23,6 +23,10 @@ FLEET = Extra("fleet", "ray", "Ray")
 RECORD_SERIAL = Extra("record", "serial", "pySerial")
 RECORD_CAN = Extra("record", "can", "python-can")
 RECORD_DBC = Extra("record", "cantools", "cantools")
+RECORD_MCAP = (
+    Extra("formats", "mcap", "the MCAP library"),
+    Extra("formats", "mcap_ros2", "the MCAP library's ROS 2 support"),
+)
 RECORD_MQTT = Extra("record", "paho.mqtt", "Eclipse Paho")
 
 

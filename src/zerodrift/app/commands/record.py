@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 SHOWN_S = 0.5
 """Between two pictures on the terminal."""
+LINES = "columns below a header (or --columns), JSON objects, or NAME=VALUE pairs"
+MESSAGES = "messages of ROS 2 or JSON with numbers in them"
 
 
 @dataclass(frozen=True)
@@ -64,12 +66,12 @@ class RecordOptions:
 @click.option(
     "--period",
     type=click.FloatRange(0.001, 86_400.0),
-    help="Seconds between rows of CAN and MQTT (default: the project's period, or 1).",
+    help="Seconds between rows of CAN, MQTT and MCAP (default: the project's period, or 1).",
 )
 @click.option(
     "--hold",
     type=click.FloatRange(0.001, 864_000.0),
-    help="How long a CAN or MQTT value counts without a newer one (default: 5 periods).",
+    help="How long a CAN, MQTT or MCAP value counts without a newer one (default: 5 periods).",
 )
 @click.option("--seconds", type=click.FloatRange(0.1), help="End after so long.")
 @click.option(
@@ -92,6 +94,7 @@ def command(source: str | None, directory: Path, as_json: bool, options: RecordO
     SOURCE  serial:/dev/ttyUSB0@115200       lines of a serial port
             can:socketcan:can0 --dbc FILE    signals of a CAN bus
             mqtt:localhost/chamber/#         topics of an MQTT broker
+            mcap:bag/bag_0.mcap#/ft/wrench   topics of an MCAP file that is being written
             'command:PROGRAM ARGUMENTS'      lines that a program prints
             -                                lines of standard input
 
@@ -123,7 +126,7 @@ def record(
         InputError: the source cannot be opened, the file cannot be written, or the options are
             wrong. Rows recorded before are kept.
     """
-    from zerodrift.app.recording import explain_taught, find_wanted
+    from zerodrift.app.recording import explain_taught, find_wanted, list_read
     from zerodrift.base.config import load_config
     from zerodrift.recording.coverage import Coverage
     from zerodrift.recording.keep import Keeper
@@ -150,25 +153,26 @@ def record(
     check_rules(rules)
     coverage = Coverage(config.temperature_column if config else "temperature_degC", wanted)
     began_s = time.monotonic()
-    with ending_softly(), Keeper(out) as keeper:
-        opened = open_source(source, names, options.dbc)
+    with ending_softly() as ending, Keeper(out) as keeper:
+        opened = open_source(source, names, options.dbc, list_read(config))
         try:
             recorder = Recording(opened, keeper, coverage, rules)
             with open_picture(quiet=as_json) as show:
-                interrupted = recorder.run(show)
+                interrupted = recorder.run(show, ending.wait_for_it)
         finally:
             opened.close()
     notes = opened.list_strays()
     if recorder.backwards:
         notes.append(
-            f"{recorder.backwards} rows were left out: the source's own time ran backwards there"
+            f"{recorder.backwards} readings were left out: the source's own time ran backwards "
+            "there"
         )
     covered = coverage.describe()
     if not covered.rows:
         told = f" {'; '.join(notes)}." if notes else ""
+        expected = MESSAGES if opened.has_times else LINES
         raise InputError(
-            f"{source}: no row came in {time.monotonic() - began_s:.0f} s; expected columns below "
-            "a header (or --columns), JSON objects, or NAME=VALUE pairs."
+            f"{source}: no row came in {time.monotonic() - began_s:.0f} s; expected {expected}."
             f"{told} No file was written."
         )
     return RecordResult(
@@ -182,18 +186,35 @@ def record(
     )
 
 
+class Ending:
+    """Whether Ctrl-C was pressed, or the system asked to end."""
+
+    def __init__(self) -> None:
+        self._waits = self._asked = False
+
+    def wait_for_it(self) -> bool:
+        """Return whether it was asked for; from the first call on, a signal is no exception."""
+        self._waits = True
+        return self._asked
+
+    def take_signal(self, *_: object) -> None:
+        """Remember that it was asked for; asked again, or before anybody waits, end at once."""
+        if self._asked or not self._waits:
+            raise KeyboardInterrupt
+        self._asked = True
+
+
 @contextmanager
-def ending_softly() -> Iterator[None]:
-    """Within this context, SIGTERM ends a recording as Ctrl-C does."""
-
-    def end(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, end)
+def ending_softly() -> Iterator[Ending]:
+    """Within this context, Ctrl-C and SIGTERM end a recording between two rows."""
+    ending = Ending()
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(kind, ending.take_signal) for kind in kinds]
     try:
-        yield
+        yield ending
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for kind, handler in zip(kinds, before, strict=True):
+            signal.signal(kind, handler)
 
 
 @contextmanager
