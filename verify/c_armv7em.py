@@ -132,11 +132,46 @@ def _move(frame: int) -> Iterator[str]:
 def write_lstm(layer: LayerShape, bits: int) -> Iterator[str]:
     """16-bit weights; `bits` are the cell state's fractional ones."""
     frame, at_h = layer.frame(6), 24 + 4 * layer.x_pairs
+    yield from _enter_lstm(layer, frame)
+    yield "1:"
+    yield from _queue(4, [*_list_pairs(24, layer.x_pairs), *_list_pairs(at_h, layer.h_pairs)])
+    yield from _leave_lstm(layer, bits, frame)
+
+
+def write_lstm_of_bytes(layer: LayerShape, bits: int, scales: Sequence[int]) -> Iterator[str]:
+    """8-bit recurrent weights; `scales` are the multipliers' shifts."""
+    at_h, fours = 24 + 4 * layer.x_pairs, -(-layer.hidden // 4)
+    frame = layer.frame(6, 2 * fours - layer.h_pairs)
+    yield from _enter_lstm(layer, frame)
+    if layer.h_pairs % 2:
+        yield from ("mov r4, #0", f"str r4, [sp, #{at_h + 4 * layer.h_pairs}]")
+    yield "1:"
+    for four in range(fours):
+        yield from (f"ldrd r8, r9, [sp, #{at_h + 8 * four}]", "ldm r0!, {r5-r7, r10}")
+        for total, word in (("r1", "r5"), ("r2", "r6"), ("r3", "r7"), ("r4", "r10")):
+            yield from (f"sxtb16 r11, {word}", f"sxtb16 {word}, {word}, ror #8")
+            yield f"smlad {total}, r8, r11, {total}" if four else f"smuad {total}, r8, r11"
+            yield f"smlad {total}, r9, {word}, {total}"
+    yield "ldm r0!, {r5-r11, lr}"
+    for k, (high, scale) in enumerate(zip(("r9", "r10", "r11", "lr"), scales, strict=True), 1):
+        yield f"smull r{k}, {high}, r{k}, {high}"
+        if scale:
+            yield from (f"lsrs r{k}, r{k}, #{scale}", f"adcs r{k}, r{k}, r{4 + k}")
+            yield f"add r{k}, r{k}, {high}, lsl #{32 - scale}"
+        else:
+            yield f"add r{k}, r{k}, r{4 + k}"
+    yield from _queue(4, _list_pairs(24, layer.x_pairs), first="")
+    yield from _leave_lstm(layer, bits, frame)
+
+
+def _enter_lstm(layer: LayerShape, frame: int) -> Iterator[str]:
     yield from _enter(layer, frame)
     yield from ("sub r8, r3, r1", f"ldr r9, [sp, #{frame + PUSHED}]", "stm sp, {r4-r9}")
     yield from _pack(layer, 24)
-    yield "1:"
-    yield from _queue(4, [*_list_pairs(24, layer.x_pairs), *_list_pairs(at_h, layer.h_pairs)])
+
+
+def _leave_lstm(layer: LayerShape, bits: int, frame: int) -> Iterator[str]:
+    """From the sums to cell state and output, in time and towards rest."""
     yield "ldm sp, {r7-r11}"
     for gate, shift in enumerate(layer.shifts):
         yield from _activation(gate + 1, shift, layer.small, half=gate != 2)
@@ -195,11 +230,13 @@ def _list_pairs(first: int, pairs: int) -> list[tuple[int, int]]:
     return [(first + 4 * i, min(2, pairs - i)) for i in range(0, pairs, 2)]
 
 
-def _queue(rows: int, blocks: list[tuple[int, int]]) -> Iterator[str]:
-    """Sums r1 ... of so many rows, their first values and then the weights six at a time."""
+def _queue(rows: int, blocks: list[tuple[int, int]], first: str | None = None) -> Iterator[str]:
+    """Sums r1 ... of so many rows, their `first` values and then the weights six at a time."""
     registers = ("r7", "r8", "r9", "r10", "r11", "lr")
     left = rows * sum(width for _, width in blocks)
-    taken, first = 0, f"r1-r{rows}, " if rows > 1 else "r1, "
+    taken = 0
+    if first is None:
+        first = f"r1-r{rows}, " if rows > 1 else "r1, "
     for at, width in blocks:
         yield f"ldrd r5, r6, [sp, #{at}]" if width == 2 else f"ldr r5, [sp, #{at}]"
         for row in range(1, rows + 1):

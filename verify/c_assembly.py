@@ -105,7 +105,10 @@ def _step_lstm(
 KINDS: dict[
     str,
     Callable[[IntervalMachine, Struct, tuple[Pointer, Pointer], Sequence[Found]], None],
-] = {**dict.fromkeys(PACKINGS, _step_gru), "zd_lstm_pairs_t": _step_lstm}
+] = {
+    **dict.fromkeys(PACKINGS, _step_gru),
+    **dict.fromkeys(("zd_lstm_pairs_t", "zd_lstm_bytes_t"), _step_lstm),
+}
 """Struct of a layer's constants -> its step."""
 
 
@@ -138,6 +141,10 @@ def _require_known(
     elif (layer.type, core) == ("zd_lstm_pairs_t", 7):
         bits = layer.fields["cell_bits"].value(0).low
         found = c_armv7em.write_lstm(known_shape, bits)
+    elif (layer.type, core) == ("zd_lstm_bytes_t", 7):
+        bits = layer.fields["cell_bits"].value(0).low
+        scales = [layer.fields["multiplier_shift"].value(g).low for g in range(4)]
+        found = c_armv7em.write_lstm_of_bytes(known_shape, bits, scales)
     else:
         raise NotUnderstoodError(f"{name}: no assembly of {core} is known for {layer.type}")
     lines = list(found)

@@ -137,7 +137,7 @@ def unpack_pairs(
                 for gate in halves:
                     gate.extend(_halves([next(words) for _ in range(width)]))
             for gate in halves:
-                target.extend(_trim(gate, count))
+                target.extend(trim(gate, count))
     return rows
 
 
@@ -157,7 +157,7 @@ def unpack_columns(stream: list[int], inputs: int, hidden: int) -> Rows:
                     for unit_gates in gates:
                         unit_gates[gate].extend(_halves([next(words)]))
             for unit, unit_gates in zip(some, gates, strict=True):
-                unit[part].extend(w for gate in unit_gates for w in _trim(gate, count))
+                unit[part].extend(w for gate in unit_gates for w in trim(gate, count))
     if any(any(numbers) for unit in units[hidden:] for numbers in unit):
         raise ValueError("units beyond the last are not zero")
     return tuple([n for unit in units[:hidden] for n in unit[part]] for part in range(3))  # type: ignore[return-value]
@@ -169,8 +169,8 @@ def unpack_rows(numbers: list[int], biases: list[int], inputs: int, hidden: int)
     rows: Rows = ([], [], [])
     for row in range(3 * hidden):
         both = numbers[row * (wide_x + wide_h) : (row + 1) * (wide_x + wide_h)]
-        rows[0].extend(_trim(both[:wide_x], inputs))
-        rows[1].extend(_trim(both[wide_x:], hidden))
+        rows[0].extend(trim(both[:wide_x], inputs))
+        rows[1].extend(trim(both[wide_x:], hidden))
     for unit in range(hidden):
         rows[2].extend(biases[unit // 4 * 16 + 4 * k + unit % 4] for k in range(4))
     return rows
@@ -209,13 +209,17 @@ def unpack_bytes(
         rows: list[list[int]] = [[], [], []]
         for _ in range(fours):
             for row in rows:
-                word = next(words)
-                row.extend(((word >> s & 0xFF) ^ 0x80) - 0x80 for s in (0, 16, 8, 24))
+                row.extend(unpack_four(next(words)))
         for row in rows:
-            found[1].extend(_trim(row, hidden))
+            found[1].extend(trim(row, hidden))
         found[2].extend((*biases, next(words)))
         found[3].extend(next(words) for _ in range(3))
     return found
+
+
+def unpack_four(word: int) -> list[int]:
+    """Four weights of 8 bits, the inner bytes exchanged."""
+    return [((word >> s & 0xFF) ^ 0x80) - 0x80 for s in (0, 16, 8, 24)]
 
 
 @dataclass(frozen=True)
@@ -237,7 +241,7 @@ BEFORE = Packing(unpack_before, lambda m, i, h: [0], after=False)
 BYTES = Packing(unpack_bytes, lambda m, i, h: [0])
 
 
-def _trim(row: list[int], count: int) -> list[int]:
+def trim(row: list[int], count: int) -> list[int]:
     """Return a row without what fills it up, which must be zeros."""
     if len(row) < count or any(row[count:]):
         raise ValueError(f"a row of {count} weights is short, or filled up with more than zeros")

@@ -419,6 +419,12 @@ STRUCTS: dict[str, tuple[tuple[str, str, int], ...]] = {
         ("shift", "uint8_t", 4),
         ("cell_bits", "uint8_t", 0),
     ),
+    "zd_lstm_bytes_t": (
+        ("stream", "const int32_t *", 0),
+        ("shift", "uint8_t", 4),
+        ("multiplier_shift", "uint8_t", 4),
+        ("cell_bits", "uint8_t", 0),
+    ),
     "zd_gru_before_t": (("stream", "const int32_t *", 0), ("shift", "uint8_t", 3)),
     "zd_gru_bytes_t": (
         ("stream", "const int32_t *", 0),

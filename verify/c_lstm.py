@@ -7,7 +7,7 @@ needs the standard library only.
 import re
 from dataclasses import dataclass
 
-from zerodrift.verify.c_gru import MOST, Rows, shift_right, unpack_pairs
+from zerodrift.verify.c_gru import MOST, Rows, shift_right, trim, unpack_four, unpack_pairs
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_values import FaultError, Pointer, Struct, Value
 
@@ -72,16 +72,43 @@ class LstmStep:
 
 
 def step_lstm(machine: IntervalMachine, layer: Struct, step: LstmStep) -> None:
-    """Step a layer whose 16-bit weights lie in pairs, all of its arrays."""
+    """Step a layer whose weights lie as the assembly reads them, all of its arrays."""
     inputs, hidden = step.features.sizes[0], step.h.sizes[0]
     stream = machine.table_of(layer, "stream")
+    multiplier: list[int] = []
     try:
-        rows = unpack_pairs(stream, inputs, hidden, gates=4, biases=4)
+        if layer.type == "zd_lstm_bytes_t":
+            *found, multiplier = unpack_lstm_bytes(stream, inputs, hidden)
+            rows: Rows = (found[0], found[1], found[2])
+        else:
+            rows = unpack_pairs(stream, inputs, hidden, gates=4, biases=4)
     except (StopIteration, IndexError, ValueError) as error:
         raise FaultError(f"{layer.name}: its table is short or not filled up: {error}") from None
-    if len(stream) != hidden * (4 + 4 * (-(-inputs // 2) - (-hidden // 2))):
+    words = -(-inputs // 2) + (-(-hidden // 4) + 1 if multiplier else -(-hidden // 2))
+    if len(stream) != hidden * (4 + 4 * words):
         raise FaultError(f"{layer.name}: its table is longer than its layer")
-    _step(machine, layer, LstmNumbers(rows, []), step, (inputs, hidden))
+    _step(machine, layer, LstmNumbers(rows, multiplier), step, (inputs, hidden))
+
+
+def unpack_lstm_bytes(
+    stream: list[int], inputs: int, hidden: int
+) -> tuple[list[int], list[int], list[int], list[int]]:
+    """[H]: i f g o per four of the output, the inner bytes exchanged; four biases, then the
+    multipliers; blocks of inputs as `unpack_pairs`. The multipliers come last."""
+    words, fours, pairs = iter(stream), -(-hidden // 4), -(-inputs // 2)
+    found: tuple[list[int], list[int], list[int], list[int]] = ([], [], [], [])
+    for _ in range(hidden):
+        rows: list[list[int]] = [[], [], [], []]
+        for _ in range(fours):
+            for row in rows:
+                row.extend(unpack_four(next(words)))
+        for row in rows:
+            found[1].extend(trim(row, hidden))
+        found[2].extend([next(words) for _ in range(4)])
+        found[3].extend([next(words) for _ in range(4)])
+        after = [next(words) for _ in range(4 * pairs)]
+        found[0].extend(unpack_pairs([*[0] * 4, *after], inputs, 1, 4, 4, of_state=False)[0])
+    return found
 
 
 def _step(

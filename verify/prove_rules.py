@@ -18,6 +18,7 @@ from zerodrift.verify.c_gru import (
     unpack_pairs,
     unpack_rows,
 )
+from zerodrift.verify.c_lstm import unpack_lstm_bytes
 from zerodrift.verify.prove_kernels import TANH, Layers, Numbered, Power, find_exp2, find_power
 from zerodrift.verify.prove_machine import Rule, TermMachine
 from zerodrift.verify.prove_memory import AddressOf, Found, Instance, Number, Spot
@@ -287,6 +288,7 @@ def make_assembly(layers: Callable[[], Layers], layer: Numbered, constants: Inst
         "zd_gru_before_t": unpack_before,
         "zd_gru_bytes_t": unpack_bytes,
         "zd_lstm_pairs_t": partial(unpack_pairs, gates=4),
+        "zd_lstm_bytes_t": unpack_lstm_bytes,
     }
     unpack = ways.get(constants.type, unpack_pairs)
 

@@ -33,6 +33,7 @@ MODELS = (
     "stack",
     "guarded",
     "lstm",
+    "lstm_int8",
     "raw",
     "asleep",
 )

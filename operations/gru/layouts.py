@@ -54,6 +54,22 @@ def pack_pairs(rows: NDArray[np.int16] | NDArray[np.int8]) -> Words:
     return np.where(words >= 2**31, words - 2**32, words)
 
 
+def pack_fours(rows: NDArray[np.int16] | NDArray[np.int8]) -> Words:
+    """Return weights of 8 bits [..., n] as signed 32-bit words of four [..., (n + 3) // 4].
+
+    A word's bytes, the lowest first, are the first, third, second and fourth weight.
+
+    Example:
+        >>> [hex(word) for word in pack_fours(np.array([1, 2, 3, 4, 5], dtype=np.int8))]
+        ['0x4020301', '0x5']
+    """
+    fill = -rows.shape[-1] % 4
+    filled = np.pad(rows.astype(np.int64), [(0, 0)] * (rows.ndim - 1) + [(0, fill)])
+    fours = filled.reshape(*rows.shape[:-1], -1, 4)[..., [0, 2, 1, 3]] & 0xFF
+    words: Words = (fours << np.array([0, 8, 16, 24])).sum(axis=-1)
+    return np.where(words >= 2**31, words - 2**32, words)
+
+
 def lay_out_pairs(gru: IntegerGru) -> list[int]:
     """Return the stream of the pairs kernel, [H][4 + 3 (X + R)] with X = ceil(I/2), R = ceil(H/2).
 
@@ -97,14 +113,7 @@ def lay_out_bytes(gru: IntegerGru) -> list[int]:
     if gru.multiplier is None:
         raise ValueError("weights of 16 bits")
     words: list[int] = []
-    w_x = pack_pairs(gru.w_x)
-    fill = -gru.hidden % 4
-    fours = np.pad(gru.w_h.astype(np.int64), [(0, 0), (0, 0), (0, fill)]).reshape(
-        3, gru.hidden, -1, 4
-    )
-    swapped = fours[..., [0, 2, 1, 3]] & 0xFF
-    packed = (swapped << np.array([0, 8, 16, 24])).sum(axis=-1)  # [3, H, F]
-    packed = np.where(packed >= 2**31, packed - 2**32, packed)
+    w_x, packed = pack_pairs(gru.w_x), pack_fours(gru.w_h)  # [3, H, X], [3, H, F]
     for unit in range(gru.hidden):
         words += [int(b) for b in gru.bias[:3, unit]]
         for first in range(0, w_x.shape[2], 2):

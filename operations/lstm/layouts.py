@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from zerodrift.operations.gru.layouts import pack_pairs
+from zerodrift.operations.gru.layouts import pack_fours, pack_pairs
 from zerodrift.operations.lstm.cell import IntegerLstm
 
 MOST_INPUTS, MOST_UNITS = 32, 128
@@ -12,8 +12,9 @@ MOST_INPUTS, MOST_UNITS = 32, 128
 
 
 def has_fast_kernel(lstm: IntegerLstm) -> bool:
-    """Tell whether there is assembly for a layer: 16-bit weights, and not too many of them."""
-    return lstm.multiplier is None and lstm.inputs <= MOST_INPUTS and lstm.hidden <= MOST_UNITS
+    """Tell whether there is assembly for a layer: not too many weights, short multipliers."""
+    short = lstm.multiplier is None or max(lstm.multiplier_shift) < 32
+    return short and lstm.inputs <= MOST_INPUTS and lstm.hidden <= MOST_UNITS
 
 
 def lay_out_pairs(lstm: IntegerLstm) -> list[int]:
@@ -32,6 +33,25 @@ def lay_out_pairs(lstm: IntegerLstm) -> list[int]:
     return words
 
 
+def lay_out_bytes(lstm: IntegerLstm) -> list[int]:
+    """Return the stream with recurrent weights of 8 bits, [H][8 + 4 (F + X)], F = ceil(H/4).
+
+    Unit by unit: for each four of the output a word of i, f, g, o, whose bytes are the first,
+    third, second and fourth weight; biases i, f, g, o and their multipliers; blocks of features as
+    `lay_out_pairs`.
+    """
+    if lstm.multiplier is None:
+        raise ValueError("weights of 16 bits")
+    words: list[int] = []
+    fours, w_x = pack_fours(lstm.w_h), pack_pairs(lstm.w_x)  # [4, H, F], [4, H, X]
+    for unit in range(lstm.hidden):
+        words += [int(w) for w in fours[:, unit].T.ravel()]
+        words += [int(n) for part in (lstm.bias, lstm.multiplier) for n in part[:, unit]]
+        for first in range(0, w_x.shape[2], 2):
+            words += [int(w) for w in w_x[:, unit, first : first + 2].ravel()]
+    return words
+
+
 def arrange_by_unit(lstm: IntegerLstm, field: str) -> list[int]:
     """Return an array in the order of the C: unit by unit, within a unit gate by gate.
 
@@ -45,5 +65,6 @@ FILTERS: dict[str, Callable[..., object]] = {
     "lstm_by_unit": arrange_by_unit,
     "lstm_has_fast_kernel": has_fast_kernel,
     "lay_out_lstm_pairs": lay_out_pairs,
+    "lay_out_lstm_bytes": lay_out_bytes,
 }
 """What the templates of an LSTM call."""

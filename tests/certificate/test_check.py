@@ -426,7 +426,8 @@ def test_a_fault_in_the_lstm_s_assembly_is_noticed(fault: str) -> None:
 
 BEFORE = Shape(inputs=3, hidden=4, reset="before", code_limit=12000)
 BYTES = Shape(inputs=3, hidden=5, weights="int8", code_limit=12000)
-GRU_FAULTS: dict[str, tuple[Shape, str, str]] = {
+LSTM_BYTES = Shape(inputs=3, layered=(("lstm", 5, (0,)),), weights="int8", code_limit=12000)
+FURTHER_FAULTS: dict[str, tuple[Shape, str, str]] = {
     "r h rounded elsewhere": (BEFORE, r"add r5, r5, #8192", "add r5, r5, #4096"),
     "u not masked": (BEFORE, r"and r2, r2, r3", "mov r2, r2"),
     "r h cut off on the smallest": (BEFORE, r"lsls r2, r2, #13", "lsls r2, r2, #12"),
@@ -440,18 +441,45 @@ GRU_FAULTS: dict[str, tuple[Shape, str, str]] = {
     "a multiplier's other shift": (BYTES, r"lsrs r5, r5, #(\d)", r"lsrs r5, r5, #1\1"),
     "half of the four not cleared": (BYTES, r"mov r4, #0", "mov r4, #1"),
     "shifts of another layer": (BYTES, r"(zd_gru_bytes_t gru = .*, )\d+\}\};", r"\g<1>3}};"),
+    "bytes of an lstm in their own order": (
+        LSTM_BYTES,
+        r"sxtb16 r10, r10, ror #8",
+        "sxtb16 r10, r10, ror #16",
+    ),
+    "an lstm's multiplier with another shift": (
+        LSTM_BYTES,
+        r"lsrs r3, r3, #(\d)",
+        r"lsrs r3, r3, #1\1",
+    ),
+    "an lstm's bias of another gate": (LSTM_BYTES, r"adcs r2, r2, r6", "adcs r2, r2, r5"),
+    "half of an lstm's four not cleared": (LSTM_BYTES, r"mov r4, #0", "mov r4, #1"),
+    "an lstm's multipliers as if of 16 bits": (
+        LSTM_BYTES,
+        r"zd_lstm_bytes_t (lstm = .*\}), \{[^}]*\}, (\d+\};)",
+        r"zd_lstm_pairs_t \1, \2",
+    ),
+    "an lstm's multipliers shifted by another number": (
+        LSTM_BYTES,
+        r"(zd_lstm_bytes_t lstm = \{lstm_stream, \{[^}]*\}, )\{\d+",
+        r"\g<1>{3",
+    ),
+    "an lstm's stream too long": (
+        LSTM_BYTES,
+        r"(lstm_stream\[)(\d+)\] = \{([^}]*)\n\}",
+        r"\g<1>\2 + 1] = {\3,\n    0\n}",
+    ),
     "an accumulator's other shift": (
         BYTES,
         r"(zd_gru_bytes_t gru = \{gru_stream, )\{\d+",
         r"\g<1>{31",
     ),
 }
-"""What is wrong with a GRU's further assembly -> (shape, pattern, what it becomes)."""
+"""What is wrong with further assembly -> (shape, pattern, what it becomes)."""
 
 
-@pytest.mark.parametrize("fault", GRU_FAULTS)
-def test_a_fault_in_a_gru_s_further_assembly_is_noticed(fault: str) -> None:
-    shape, pattern, becomes = GRU_FAULTS[fault]
+@pytest.mark.parametrize("fault", FURTHER_FAULTS)
+def test_a_fault_in_further_assembly_is_noticed(fault: str) -> None:
+    shape, pattern, becomes = FURTHER_FAULTS[fault]
     assert check_edited(shape, C, pattern, becomes), f"not noticed: {fault}"
 
 

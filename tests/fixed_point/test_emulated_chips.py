@@ -5,13 +5,14 @@ instructions, and another compiler back end makes the code.
 """
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.golden.model_factory import Draw, Shape, draw_model
 
-from zerodrift.c_runtime.cores import CORES
+from zerodrift.c_runtime.cores import CORES, find_cross_compilers
 from zerodrift.c_runtime.footprint import measure_footprint
 from zerodrift.codegen.generate import generate
 from zerodrift.export.reference import Reference
@@ -42,6 +43,12 @@ SHAPES = {
     "lstm on gru": Shape(
         inputs=3, layered=(("gru", 5, (0,)), ("lstm", 3, (0, 1))), outputs=1, forget_bias=8.0
     ),
+    "lstm, int8": Shape(
+        weights="int8", inputs=5, layered=(("lstm", 9, (0,)),), outputs=2, gain=3.0, forget_bias=4.0
+    ),
+    "lstm, int8, stack": Shape(
+        weights="int8", inputs=1, layered=(("lstm", 4, (0,)), ("lstm", 7, (1,))), gain=12.0
+    ),
     "window": Shape(window=4, hidden=6, inputs=1, outputs=1),
 }  # fmt: skip
 QUICK = {
@@ -55,6 +62,8 @@ QUICK = {
     ("cortex-m4", "int8, stack"),
     ("cortex-m4", "lstm"),
     ("cortex-m4", "stack of lstms"),
+    ("cortex-m4", "lstm, int8"),
+    ("cortex-m4", "lstm, int8, stack"),
 }
 """What `make test` runs; the rest of cores and shapes are slow tests."""
 STEPS = 600
@@ -116,7 +125,45 @@ def test_layers_that_are_assembly_alone_are_the_same_in_every_build(
         np.testing.assert_array_equal(flagged, expected.flags[0])
 
 
+@pytest.mark.parametrize(
+    ("hidden", "inputs"),
+    [
+        (1, 1),
+        (2, 3),
+        (3, 2),
+        (17, 8),
+        *(
+            pytest.param(h, i, marks=pytest.mark.slow)
+            for h, i in ((4, 1), (8, 4), (16, 32), (31, 2), (32, 6), (64, 5), (127, 3), (128, 32))
+        ),
+    ],
+)
+@pytest.mark.parametrize("flags", [("-O2",), ("-Os",)])
+def test_an_lstm_of_8_bits_is_the_same_at_any_size_by_any_compiler(
+    hidden: int, inputs: int, flags: tuple[str, ...], tmp_path: Path
+) -> None:
+    layers = (("lstm", hidden, (0,)),)
+    model = draw_model(
+        Shape(weights="int8", inputs=inputs, layered=layers, gain=4.0, forget_bias=4.0), 31
+    )
+    codes = draw_codes(len(model.channels))[::6].astype(model.code_type)
+    expected = {s: Reference(model).run(codes[None], settled=s) for s in (True, False)}
+    code = generate(model)
+    assert "zd_lstm_bytes_t" in code.source
+    for compiler in find_cross_compilers("cortex-m4"):
+        folder = tmp_path / compiler.name
+        folder.mkdir()
+        chip = EmulatedModel(model, code, "cortex-m4", folder, flags, compiler)
+        for settled, answer in expected.items():
+            drift, flagged = chip.run(codes, settled=settled)
+            np.testing.assert_array_equal(drift, answer.drift[0])
+            np.testing.assert_array_equal(flagged, answer.flags[0])
+
+
 COUNTED = {
+    "lstm, int8": Shape(
+        weights="int8", inputs=2, layered=(("lstm", 6, (0,)),), outputs=1, gain=8.0
+    ),
     "lstm": Shape(inputs=2, layered=(("lstm", 6, (0,)),), outputs=1, gain=8.0),
     "before": Shape(reset="before", hidden=6, inputs=2, outputs=1, gain=8.0),
     "int8": Shape(weights="int8", hidden=6, inputs=2, outputs=1, gain=8.0),
@@ -181,6 +228,7 @@ def test_instruction_count_does_not_depend_on_the_data(
 
 
 LARGE = {
+    "lstm, int8": Shape(weights="int8", inputs=4, layered=(("lstm", 16, (0,)),), outputs=1),
     "lstm": Shape(inputs=4, layered=(("lstm", 16, (0,)),), outputs=1),
     "before": Shape(reset="before", hidden=16, inputs=4, outputs=1),
     "int8": Shape(weights="int8", hidden=16, inputs=4, outputs=1),
@@ -194,6 +242,7 @@ LARGE = {
         ("cortex-m4", "before", 1400),
         ("cortex-m0plus", "before", 7200),
         ("cortex-m4", "int8", 1900),
+        ("cortex-m4", "lstm, int8", 2400),
     ],
 )
 def test_a_step_of_16_units_takes_no_more_instructions_than_its_mark(
@@ -211,6 +260,16 @@ def test_weights_of_8_bits_save_an_eighth_of_the_layer_s_flash() -> None:
         for weights in ("int16", "int8")
     ]
     assert flash[1] <= 0.88 * flash[0]
+
+
+def test_an_lstm_of_8_bits_takes_less_flash_than_one_of_16() -> None:
+    flash = {
+        weights: measure_footprint(
+            generate(draw_model(replace(LARGE["lstm, int8"], weights=weights), 36))
+        ).layer_flash_bytes
+        for weights in ("int16", "int8")
+    }
+    assert flash["int8"] <= 0.9 * flash["int16"]
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@
 
 #include "zd_network.h"
 
-#if ZD_RUNTIME_ID != 0x3c8e4938
+#if ZD_RUNTIME_ID != 0x7b08a77e
 #error "zd_lstm.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
@@ -34,6 +34,14 @@ typedef struct {
     uint8_t shift[4];      /* accumulator of i, f, g, o -> t_q16 */
     uint8_t cell_bits;     /* fractional bits of the cell state, 24 .. 27 */
 } zd_lstm_pairs_t;
+
+/* The same with 8-bit recurrent weights. */
+typedef struct {
+    const int32_t *stream;       /* [H][8 + 4 (F + X)]; F fours of the output, X pairs of x */
+    uint8_t shift[4];            /* accumulator of i, f, g, o -> t_q16 */
+    uint8_t multiplier_shift[4]; /* product of i, f, g, o -> accumulator */
+    uint8_t cell_bits;           /* fractional bits of the cell state, 24 .. 27 */
+} zd_lstm_bytes_t;
 
 /* The table's argument of one gate of one unit. */
 static inline int32_t zd_lstm_gate(const zd_lstm_t *layer, uint32_t inputs, uint32_t hidden,

@@ -9,7 +9,7 @@
 
 #include "zd_runtime.h"
 
-#if ZD_RUNTIME_ID != 0x3c8e4938
+#if ZD_RUNTIME_ID != 0x7b08a77e
 #error "zd_network.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 

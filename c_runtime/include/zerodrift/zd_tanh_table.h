@@ -9,19 +9,19 @@
 
 #include "zd_runtime.h"
 
-#if ZD_RUNTIME_ID != 0x3c8e4938
+#if ZD_RUNTIME_ID != 0x7b08a77e
 #error "zd_tanh_table.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
 /* Names as the linker knows them, for assembly. */
-#define ZD_TANH_HALF_OFFSET_NAME "zd_tanh_half_offset_q30_3c8e4938"
-#define ZD_TANH_HALF_SLOPE_NAME "zd_tanh_half_slope_q19_3c8e4938"
-#define ZD_TANH_OFFSET_NAME "zd_tanh_offset_q30_3c8e4938"
-#define ZD_TANH_SLOPE_NAME "zd_tanh_slope_q19_3c8e4938"
-#define zd_tanh_half_offset_q30 zd_tanh_half_offset_q30_3c8e4938
-#define zd_tanh_half_slope_q19 zd_tanh_half_slope_q19_3c8e4938
-#define zd_tanh_offset_q30 zd_tanh_offset_q30_3c8e4938
-#define zd_tanh_slope_q19 zd_tanh_slope_q19_3c8e4938
+#define ZD_TANH_HALF_OFFSET_NAME "zd_tanh_half_offset_q30_7b08a77e"
+#define ZD_TANH_HALF_SLOPE_NAME "zd_tanh_half_slope_q19_7b08a77e"
+#define ZD_TANH_OFFSET_NAME "zd_tanh_offset_q30_7b08a77e"
+#define ZD_TANH_SLOPE_NAME "zd_tanh_slope_q19_7b08a77e"
+#define zd_tanh_half_offset_q30 zd_tanh_half_offset_q30_7b08a77e
+#define zd_tanh_half_slope_q19 zd_tanh_half_slope_q19_7b08a77e
+#define zd_tanh_offset_q30 zd_tanh_offset_q30_7b08a77e
+#define zd_tanh_slope_q19 zd_tanh_slope_q19_7b08a77e
 
 /* clang-format off */
 #if defined(ZD_SMALL)
