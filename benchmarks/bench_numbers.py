@@ -164,13 +164,15 @@ def _check_added(
     for name, told in compared.outputs.items():
         now = again.outputs[name]
         pairs = [("floor", told.noise_floor, added.noise_floor[name])]
-        if added.before.rmse_left_out is not None and added.after.rmse_left_out is not None:
-            promised = diagnosed.outputs[name].rmse_left_out_after
-            pairs += [
-                ("left out before", told.rmse_left_out, added.before.rmse_left_out[name]),
-                ("left out, promised", promised, added.after.rmse_left_out[name]),
-                ("left out after", now.rmse_left_out, added.after.rmse_left_out[name]),
-            ]
+        output = diagnosed.outputs[name]
+        assert added.before.rmse_left_out is not None and added.after.rmse_left_out is not None
+        now_left_out = added.after.rmse_left_out[name]
+        pairs += [
+            ("left out before", output.rmse_left_out, added.before.rmse_left_out[name]),
+            ("left out, promised", output.rmse_left_out_after, now_left_out),
+        ]
+        if now.rmse_left_out is not None:
+            pairs.append(("left out after", now.rmse_left_out, now_left_out))
         if added.before.rmse_test is not None and added.after.rmse_test is not None:
             pairs += [
                 ("test before", told.rmse_test, added.before.rmse_test[name]),

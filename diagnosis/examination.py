@@ -341,7 +341,7 @@ def _judge(
     }
     units_gained = {id(c): float(gains[id(c)].sum()) for c in candidates}
     measure, enough = (units_gained, LIKE_BEST_UNITS) if has_dwell else (nats, LIKE_BEST_NATS)
-    span = measure_span(campaign)
+    span = measure_span(campaign.runs, campaign.plan.full_scale)
     before = base_out.mean_squares(unjudged)
     sound = {
         id(c)

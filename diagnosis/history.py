@@ -139,8 +139,8 @@ def record(revision: Revision, before: Sequence[EffectConfig]) -> Entry:
         effect=name_effect(revision.change.effect),
         effects_before=tuple(fitted.term.name for fitted in revision.before.model.terms),
         effects=tuple(fitted.term.name for fitted in revision.after.model.terms),
-        before=Stored(told.before.rmse_heldout),
-        after=Stored(told.after.rmse_heldout),
+        before=Stored((told.judged_before or told.before).rmse_heldout),
+        after=Stored((told.judged_after or told.after).rmse_heldout),
         noise_floor=told.noise_floor,
         noise_floor_source=told.noise_floor_source,
         units=told.units,
@@ -246,8 +246,13 @@ def list_steps(entries: Sequence[Entry]) -> tuple[Step, ...]:
                 reason = "the logs or settings changed"
                 if set(entry.effects_before) != set(steps[-1].effects):
                     reason = "zerodrift.toml was edited"
-                elif entry.tared and not tared:
-                    reason = "from here on each run's own offset is taken off"
+                elif entry.held_out != steps[-1].held_out:
+                    reason = f"from here on errors are told otherwise: {entry.held_out}"
+                    label = "same model"
+                elif entry.tared != tared:
+                    reason = "from here on each run's own offset " + (
+                        "is taken off" if entry.tared else "counts"
+                    )
                     label = "same model"
             steps.append(
                 Step(

@@ -1,13 +1,13 @@
 """What logs can show: times between a sample and a run, and what is more than a signal's noise."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.copies import measure_white_noise
-from zerodrift.physics.campaign import Campaign
+from zerodrift.dataset.runs import Run
 from zerodrift.physics.terms import Term
 
 Array = NDArray[np.float64]
@@ -46,17 +46,22 @@ class LogSpan:
         return bool((gained > SMOOTHED * self.reference_noise**2).any())
 
 
-def measure_span(campaign: Campaign) -> LogSpan:
-    """Return the sample period, the length of the longest run, and the signals' noise."""
-    lengths = dict.fromkeys(campaign.groups, 0)
-    for run in campaign.runs:
-        lengths[run.group] += len(run)
-    period_s = campaign.runs[0].sample_period_s
-    temperature = [measure_white_noise(run.temperature_degC) for run in campaign.runs]
-    references = [[measure_white_noise(c) for c in run.reference.T] for run in campaign.runs]
+def measure_span(runs: Sequence[Run], full_scale: Sequence[float]) -> LogSpan:
+    """Return the sample period, the length of the longest run, and the signals' noise.
+
+    Args:
+        runs: stretches of runs.
+        full_scale: [K] of the outputs, in their units.
+    """
+    lengths: dict[str, int] = {}
+    for run in runs:
+        lengths[run.group] = lengths.get(run.group, 0) + len(run)
+    period_s = runs[0].sample_period_s
+    temperature = [measure_white_noise(run.temperature_degC) for run in runs]
+    references = [[measure_white_noise(c) for c in run.reference.T] for run in runs]
     noise = np.median(references, axis=0)
     least = {
         "temperature": ABOVE_NOISE * float(np.median(temperature)),
-        "load": ABOVE_NOISE * 100.0 * float(np.max(noise / np.array(campaign.plan.full_scale))),
+        "load": ABOVE_NOISE * 100.0 * float(np.max(noise / np.array(full_scale))),
     }
     return LogSpan(period_s, max(lengths.values()) * period_s, least, noise)

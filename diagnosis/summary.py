@@ -16,6 +16,10 @@ ByOutput = Mapping[str, float]
 """Output -> a value, in its unit where nothing else is said."""
 
 
+WORSE_ON_TEST = 1.05
+"""An error on the test logs over what it was, from which on that is said."""
+
+
 @dataclass(frozen=True)
 class HeldOutErrors:
     """RMSE per output, in its unit, on data that the model did not learn from."""
@@ -25,7 +29,7 @@ class HeldOutErrors:
     rmse_left_out: ByOutput | None
     """Of training runs left out in turn; null where the errors are those of the test logs."""
     rmse_test: ByOutput | None
-    """Of the test logs; null where the errors are those of runs left out."""
+    """Of the test logs; null where there are none, or where they were not kept."""
     rmse_without_outliers: ByOutput | None = field(default=None, metadata=OPTIONAL)
     """The same, outliers by their weights; not written where there are none."""
 
@@ -66,7 +70,7 @@ class RevisionSummary:
     held_out: str
     """test logs | leave one run out | blocks of one run."""
     tared: bool
-    """Whether each run's own offset is taken off the errors."""
+    """Whether each run's own offset is taken off the errors that are judged."""
     helps: bool
     """Whether the error is better by more than runs differ; for a removal, as good."""
     reason: str
@@ -76,6 +80,37 @@ class RevisionSummary:
     coefficients: tuple[FittedCoefficient, ...]
     """Of the effect that was added."""
     notes: tuple[str, ...]
+    judged_before: HeldOutErrors | None = field(default=None, metadata=OPTIONAL)
+    """As it is judged, with the offsets of the runs read as after the change; written where the
+    models before and after read them differently."""
+    judged_after: HeldOutErrors | None = field(default=None, metadata=OPTIONAL)
+    """The same after the change."""
+
+    def explain_test(self) -> str | None:
+        """Return the errors on the test logs, which decide nothing; None where there are none."""
+        if self.before.rmse_test is None or self.after.rmse_test is None:
+            return None
+        old, new = self.before.rmse_test, self.after.rmse_test
+        told = ", ".join(f"{n} {old[n]:.4g} to {new[n]:.4g} {self.units[n]}" for n in new)
+        worse = [n for n in new if new[n] > WORSE_ON_TEST * old[n]]
+        if not worse:
+            return f"on the test logs, which decide nothing here: {told}"
+        return (
+            f"on the test logs, which decide nothing here, the error of {', '.join(worse)} rises:"
+            f" {told}. `firmware` will judge by them; look at why before you keep the change"
+        )
+
+    def explain_offsets(self) -> str | None:
+        """Return what the runs' offsets were before and after, where the models differ in it."""
+        if self.judged_before is None or self.judged_after is None:
+            return None
+        ways = ("count as drift", "are taken off")
+        old, new = self.judged_before.rmse_heldout, self.judged_after.rmse_heldout
+        told = ", ".join(f"{n} {old[n]:.4g} to {new[n]:.4g} {self.units[n]}" for n in new)
+        return (
+            f"one of the models takes the runs' offsets for a tare and the other does not; for the"
+            f" judgement they {ways[self.tared]} in both: {told}"
+        )
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.units import read_unit
 from zerodrift.diagnosis.changes import AddCommand, name_effect, propose_forms
-from zerodrift.diagnosis.revision import measure_overall, revise_best
+from zerodrift.diagnosis.judgement import measure_overall
+from zerodrift.diagnosis.revision import revise_best
 from zerodrift.physics.catalogue import Catalogue
 
 KIND = "zero_tempco"

@@ -7,11 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.schemas import validate
 from zerodrift.base.threads import use_one_thread
 
 use_one_thread()
+# a machine that is busy with other things is no failure
+settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("busy")
 
 LONG = frozenset((Path(__file__).parent / "long.txt").read_text(encoding="utf-8").splitlines())
 """Names of the tests that take longest; `python -m pytest --durations=0` tells."""

@@ -138,6 +138,8 @@ def show_revision(revision: AddResult | RemoveResult) -> list[Component]:
     parts = [html.H2(title), html.P(f"{reason[0].upper()}{reason[1:]}.")]
     if values:
         parts.append(html.P(f"Fitted: {values}.", className="note"))
+    beside = [said for said in (revision.explain_test(), revision.explain_offsets()) if said]
+    parts += [html.P(f"{said[0].upper()}{said[1:]}.", className="note") for said in beside]
     if any(level > 0.0 for level in floor.values()):
         parts.append(show_picture(draw_change(before, after, floor)))
     table = Table(f"Held-out RMSE ({revision.held_out})", headings, rows, texts=2)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.formula.proposal import Formula
-from zerodrift.diagnosis.revision import Fitted
+from zerodrift.diagnosis.judgement import Fitted
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from tests.physics.conftest import linear, make_dataset
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.diagnosis import diagnose as diagnosing
-from zerodrift.diagnosis import revision
+from zerodrift.diagnosis import judgement, revision
 from zerodrift.diagnosis.case import open_case
 from zerodrift.diagnosis.diagnose import foresee_refusal, weigh_again
 from zerodrift.physics.catalogue import load_catalogue
@@ -37,7 +37,7 @@ def test_an_output_that_never_moves_waters_nothing_down():
     def leave(of_first: float) -> SimpleNamespace:
         return SimpleNamespace(squares=np.array([[of_first, 0.0, 0.0]] * 4))
 
-    change = revision._measure_change(leave(1.0), leave(0.96))
+    change = judgement._measure_change(leave(1.0), leave(0.96))
     assert change.overall == pytest.approx(np.sqrt(0.96))
     assert change.ratio.tolist() == pytest.approx([np.sqrt(0.96), 1.0, 1.0])
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.base.extras import TRAIN, is_there
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.held_out import LEAVE_ONE_RUN_OUT, HeldOut, hold_out
-from zerodrift.diagnosis.revision import Fitted, judge
+from zerodrift.diagnosis.judgement import Fitted, judge
 from zerodrift.diagnosis.run_errors import collect_errors
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.black_box.bank import learn_bank
@@ -133,4 +133,4 @@ def _collect(
     model: PhysicalModel, dataset: Dataset, predictions: Mapping[str, Array], tared: bool
 ) -> Fitted:
     errors = collect_errors(dataset.train, predictions, tared, model.find_usable)
-    return Fitted(model, HeldOut(LEAVE_ONE_RUN_OUT, predictions), errors)
+    return Fitted(model, HeldOut(LEAVE_ONE_RUN_OUT, predictions), errors, errors)

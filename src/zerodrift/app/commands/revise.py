@@ -18,7 +18,7 @@ from zerodrift.diagnosis.changes import (
     propose_removal,
 )
 from zerodrift.diagnosis.history import FILE_NAME, Entry, load_history, record, render_history
-from zerodrift.diagnosis.revision import Revision, revise, revise_best
+from zerodrift.diagnosis.revision import Revision, revise, revise_best, summarise_revision
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.summary import describe_coefficients, describe_parameters
 
@@ -184,7 +184,13 @@ def print_revision(revision: Revision) -> None:
         )
         told = ", ".join(f"{n} {one:.4g} to {two:.4g} {unit}" for n, unit, one, two in pairs)
         notes.append(f"the table's errors are those of all rows; without outliers: {told}")
-    if revision.tared:
+    summary = summarise_revision(revision)
+    if (tested := summary.explain_test()) is not None:
+        notes.append(tested)
+    anew = summary.explain_offsets()
+    if anew is not None:
+        notes.append(anew)
+    elif revision.tared:
         notes.append("each run's own offset is taken off, as the logs are zeroed one by one")
     for note in notes:
         console.print(f"{note[0].upper()}{note[1:]}.")
