@@ -4,7 +4,7 @@ import fnmatch
 import glob
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +99,25 @@ def expand_selectors(config: Config, use: str) -> tuple[Selection, ...]:
         for selection in _expand_selector(config.directory, text, f"{where}: [logs] {use}")
     ]
     return tuple(sorted(found, key=lambda each: order_path(each.path, config.directory)))
+
+
+def matches_logs(config: Config, log: Path) -> bool:
+    """Return whether [logs] train or test selects a file, by itself or within a folder.
+
+    Raises:
+        InputError: a selector is malformed, or matches a file that is no log.
+    """
+    place = log.resolve()
+    single = [("train", replace(config, train_logs=(one,))) for one in config.train_logs]
+    single += [("test", replace(config, test_logs=(one,))) for one in config.test_logs]
+    for use, part in single:
+        try:
+            found = expand_selectors(part, use)
+        except NoLogsError:  # the first log of its kind is still to come
+            continue
+        if any(place == file.resolve() for one in found for file in one.files):
+            return True
+    return False
 
 
 def order_path(path: Path, directory: Path) -> tuple[str, ...]:

@@ -57,6 +57,7 @@ class Keeper:
         self._rows = _KeptRows()
         with telling_of_writes(name_journal(path)):
             self._journal: TextIO = name_journal(path).open("x", encoding="utf-8")
+        hold_file(self._journal)
         self._synced_s = self._whole_s = time.monotonic()
         self._pause_s = WHOLE_S
 
@@ -114,6 +115,21 @@ class Keeper:
             self._journal.truncate()
 
 
+def hold_file(file: TextIO) -> bool:
+    """Hold a journal as long as it is open; return whether nobody else does."""
+    try:
+        import fcntl
+    except ImportError:  # not on Windows
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        pass
+    return True
+
+
 class _KeptRows:
     """Columns in memory, eight bytes a value; a column that comes later is empty before."""
 
@@ -141,28 +157,39 @@ def recover(path: Path) -> int:
     """End a recording that was cut off; return how many rows the log has now.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is none of that name, or it is still being recorded.
     """
     journal = name_journal(path)
     if not journal.exists():
         what = "is whole" if path.exists() else "there is no recording of that name"
         raise InputError(f"--recover {path}: {what}; expected one that was cut off.")
+    with telling_of_writes(journal), journal.open(encoding="utf-8", errors="replace") as lines:
+        if not hold_file(lines):
+            raise InputError(
+                f"--recover {path}: is still being recorded; expected a recording that was cut "
+                "off. End it with Ctrl-C where it was started."
+            )
+        rows = _read_rows(path, lines)
+        if rows.count:
+            write_whole(path, rows.render())
+    journal.unlink()
+    return rows.count
+
+
+def _read_rows(path: Path, lines: TextIO) -> _KeptRows:
+    """Return the rows of a log, and those that its journal has beyond them."""
     rows = _KeptRows()
     if path.exists():
         frame = pl.read_parquet(path)
         for row in frame.iter_rows(named=True):
             rows.add({name: math.nan if value is None else value for name, value in row.items()})
-    with telling_of_writes(journal), journal.open(encoding="utf-8", errors="replace") as lines:
-        for line in lines:
-            if not line.endswith("\n"):
-                break  # the one that was being written
-            number, values = json.loads(line)
-            if number >= rows.count:
-                rows.add({n: math.nan if v is None else v for n, v in values.items()})
-    if rows.count:
-        write_whole(path, rows.render())
-    journal.unlink()
-    return rows.count
+    for line in lines:
+        if not line.endswith("\n"):
+            break  # the one that was being written
+        number, values = json.loads(line)
+        if number >= rows.count:
+            rows.add({n: math.nan if v is None else v for n, v in values.items()})
+    return rows
 
 
 def _write_line(number: int, values: Values) -> str:

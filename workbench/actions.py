@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from zerodrift.base.errors import InputError
+from zerodrift.workbench.recordings import COMPARE, DISMISS, RECOVER, USE
 from zerodrift.workbench.uploads import list_logs
 from zerodrift.workbench.workplace import Workplace
 
@@ -21,6 +22,14 @@ TITLES = {
     "verify": "Verifying",
     "report": "Writing the report",
 }
+
+RECORDED = {
+    COMPARE: ("", ""),
+    DISMISS: ("", ""),
+    USE: ("--use", "Adding the recorded log"),
+    RECOVER: ("--recover", "Finishing the recorded log"),
+}
+"""Button of a recording -> option of `record`, and what is then being done."""
 
 
 def find_form(place: Workplace, kind: str) -> list[str]:
@@ -45,8 +54,8 @@ def press(place: Workplace, button: str, chosen: Mapping[str, object]) -> None:
         place: the project.
         button: which one.
         chosen: of the page at that moment: `effect` on the button or in the list of those that can
-            be added, `present` in the list of those in the model, and `force` where an effect is to
-            be kept whether it helps or not.
+            be added (on a recording's button its log), `present` in the list of those in the model,
+            and `force` where an effect is to be kept whether it helps or not.
 
     Raises:
         InputError: there is no such button.
@@ -80,14 +89,32 @@ def press(place: Workplace, button: str, chosen: Mapping[str, object]) -> None:
         place.restore(int(step) if step.isdigit() and len(step) < MOST_DIGITS else -1)
     elif button == "apply":
         apply(place)
+    elif button in RECORDED:
+        follow_recording(place, button, str(effect or ""))
     elif button in TITLES:
         place.run(button, TITLES[button], [button, "--json", *list_options(place, button)])
     elif button in simple:
         simple[button]()
     else:
-        known = ("add", "add-chosen", "remove", "restore", "apply", *TITLES, *simple)
+        known = ("add", "add-chosen", "remove", "restore", "apply", *RECORDED, *TITLES, *simple)
         expected = ", ".join(known)
         raise InputError(f"{button!r}: is no button of the page; expected one of {expected}.")
+
+
+def follow_recording(place: Workplace, button: str, file: str) -> None:
+    """Do what a button of a recording says.
+
+    Raises:
+        InputError: the page shows no recording of that log.
+    """
+    place.recordings.check(file)
+    if button == COMPARE:
+        place.look()
+    elif button == DISMISS:
+        place.forget_recording(file)
+    else:
+        option, title = RECORDED[button]
+        place.run(button, title, ["record", option, file])
 
 
 def list_options(place: Workplace, button: str) -> list[str]:

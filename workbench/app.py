@@ -41,10 +41,14 @@ def _connect_frame(app: Dash, place: Workplace) -> None:
         Output("version", "data"),
         Output("job", "children"),
         Output("job-box", "hidden"),
+        Output("recordings", "children"),
+        Output("recordings", "hidden"),
+        Output("recordings", "data-told"),
         Input("tick", "n_intervals"),
         State("version", "data"),
+        State("recordings", "data-told"),
         prevent_initial_call=True,
-    )(lambda _, version: views.poll(place, version))
+    )(lambda _, version, told: views.poll(place, version, told))
     app.callback(
         *_list(FRAME),
         Input("version", "data"),

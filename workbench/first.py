@@ -25,6 +25,11 @@ FRAME: Places = (
     ("message-box", "hidden"),
     ("message-box", "className"),
 )
+RECORDINGS: Places = (
+    ("recordings", "children"),
+    ("recordings", "hidden"),
+    ("recordings", "data-told"),
+)
 TOP: Places = (
     ("kicker", "children"),
     ("sensor", "children"),
@@ -53,6 +58,7 @@ def lay_out_first(place: Workplace) -> Component:
     page = lay_out()
     shown: Sequence[tuple[Places, Callable[[], Shown]]] = (
         (FRAME, lambda: views.show_frame(place)),
+        (RECORDINGS, lambda: views.show_recordings(place, None)),
         (TOP, lambda: views.show_top(place, None, None)),
         (CHOICES, lambda: views.list_choices(place, None)),
         (CHART, lambda: views.show_chart(place, None)),

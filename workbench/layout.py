@@ -73,6 +73,7 @@ def lay_out() -> Component:
                 id="message-box",
                 hidden=True,
             ),
+            html.Div(id="recordings", hidden=True, **{"data-told": ""}),
             html.Div(id="start", hidden=True, className="layout single"),
             html.Div(
                 [_lay_out_contents(), html.Main([*_lay_out_top(), *_lay_out_sections()], id="top")],

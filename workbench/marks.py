@@ -14,10 +14,13 @@ Marks = dict[str, tuple[int, int]]
 """File, relative to the project -> its size in bytes and the time of its last change in ns."""
 
 
-def mark_files(directory: Path, findings: Findings | None) -> Marks:
+def mark_files(
+    directory: Path, findings: Findings | None, recorded: frozenset[Path] = frozenset()
+) -> Marks:
     """Return size and time of zerodrift.toml, the logs, the user's effects, and what was built.
 
-    Whatever went into the findings counts, and new files where logs usually lie.
+    Whatever went into the findings counts, and new files where logs usually lie, except hidden ones
+    and those in `recorded`: a log that grows would never let the page rest.
     """
     places = {directory / FILE_NAME, *directory.glob("*.py"), *directory.glob("*.csv")}
     places |= set(directory.glob(f"{LOGS}/*"))
@@ -26,6 +29,8 @@ def mark_files(directory: Path, findings: Findings | None) -> Marks:
         places |= {directory / source.file for source in findings.provenance.files}
     marks = {}
     for path in sorted(places):
+        if path in recorded or path.name.startswith("."):
+            continue
         try:
             told = path.stat()
         except OSError:

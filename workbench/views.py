@@ -1,5 +1,6 @@
 """What the page shows at a moment: one function for each group of its parts."""
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 
@@ -9,7 +10,7 @@ from dash.development.base_component import Component
 from zerodrift.base.records import to_dict
 from zerodrift.diagnosis.timeline import find_timeline
 from zerodrift.report.cause import name_effect
-from zerodrift.workbench import outcomes, panels, verdicts, way
+from zerodrift.workbench import outcomes, panels, recordings, verdicts, way
 from zerodrift.workbench.chart import choose_first
 from zerodrift.workbench.uploads import list_logs
 from zerodrift.workbench.workplace import Workplace
@@ -24,13 +25,29 @@ Shown = tuple[object, ...]
 """Values of the page's parts, in the order in which the callback lists them."""
 
 
-def poll(place: Workplace, version: int) -> Shown:
-    """Return the version if there is something new to show, and how the job stands."""
+def poll(place: Workplace, version: int, told: str | None) -> Shown:
+    """Return the version if there is something new to show, how the job stands, the recordings.
+
+    Args:
+        place: the project.
+        version: that is shown.
+        told: mark of the recordings that are shown.
+    """
     place.poll()
     now = place.describe()
     job = now.job
     words = "" if job is None else f"{job.title}: {job.progress or 'starting'} ({job.seconds} s)"
-    return (now.version if now.version != version else no_update), words, job is None
+    version_now = now.version if now.version != version else no_update
+    return version_now, words, job is None, *show_recordings(place, told)
+
+
+def show_recordings(place: Workplace, told: str | None) -> Shown:
+    """Return the cards of the recordings, whether there are none, and their mark."""
+    watched = place.recordings.look()
+    mark = hashlib.sha256(repr(watched).encode()).hexdigest() if watched else ""
+    if mark == (told or ""):
+        return no_update, no_update, no_update
+    return recordings.show_recordings(watched), not watched, mark
 
 
 def show_frame(place: Workplace) -> Shown:

@@ -54,6 +54,7 @@ from zerodrift.workbench.jobs import Job
 from zerodrift.workbench.marks import Marks, mark_files
 from zerodrift.workbench.messages import Message, explain_guess
 from zerodrift.workbench.state import JobState, PageState
+from zerodrift.workbench.watch import RecordingWatch
 
 Array = NDArray[np.float64]
 
@@ -103,6 +104,7 @@ class Workplace:
         self._is_anew = False
         self._result: Path | None = None
         self._marks: Marks = {}
+        self.recordings = RecordingWatch(self.directory)
         self._read: dict[tuple[int, str, DriftDriver], Array] = {}
         self.findings: Findings | None = None
         self.previews: tuple[str, ...] = ()
@@ -202,7 +204,8 @@ class Workplace:
                 )
                 self._touch()
                 return
-            self._marks = mark_files(self.directory, self.findings)
+            self.recordings.begin_look()
+            self._marks = self._mark_files()
             arguments = [str(self.directory), str(result), *self._skip_invalid]
             self.job = Job(
                 "look",
@@ -221,7 +224,7 @@ class Workplace:
             if not self.has_project:
                 self._tell_loss()
                 return
-            marks = mark_files(self.directory, self.findings)
+            marks = self._mark_files()
             if marks != self._marks:
                 changed = sorted(
                     name
@@ -236,6 +239,19 @@ class Workplace:
                         is_error=False,
                     )
                 self.look()
+
+    def _mark_files(self) -> Marks:
+        return mark_files(self.directory, self.findings, self.recordings.list_logs())
+
+    def forget_recording(self, file: str) -> None:
+        """Show a recording no longer, and follow its log as any other.
+
+        Raises:
+            InputError: there is no recording of that log.
+        """
+        with self._lock:
+            self.recordings.forget(file)
+            self._touch()
 
     def _tell_loss(self) -> None:
         """Say once that zerodrift.toml is gone; what was found is still shown."""
@@ -262,7 +278,9 @@ class Workplace:
             kept = self.findings.diagnosed if self._result == result and self.findings else None
             self.findings = load_findings(result)
             # The findings name logs elsewhere in the project; what was known stays as it was.
-            self._marks = {**mark_files(self.directory, self.findings), **self._marks}
+            self._marks = {**self._mark_files(), **self._marks}
+            known = self.findings.provenance.files
+            self.recordings.end_look(frozenset(self.directory / source.file for source in known))
             if kept is not None:
                 self.findings = replace(self.findings, diagnosed=kept)
             if self._result != result:

@@ -95,6 +95,7 @@ def test_a_kill_between_the_file_and_the_journal_doubles_nothing(
         keeper._write()
     monkeypatch.undo()
     assert path.exists() and name_journal(path).stat().st_size > 0
+    keeper._journal.close()  # as the end of its process does
     assert recover(path) == 5
     assert [row["n"] for row in read(path)] == [0.0, 1.0, 2.0, 3.0, 4.0]
 

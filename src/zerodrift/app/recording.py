@@ -6,10 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from zerodrift.app.plan import KEPT, KeptPlan
-from zerodrift.base.config import Config
+from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import InputError, ZerodriftError
+from zerodrift.base.journal import write_text
 from zerodrift.base.records import from_json
-from zerodrift.dataset.selectors import NoLogsError, expand_selectors
+from zerodrift.base.toml_logs import add_log
+from zerodrift.dataset.selectors import NoLogsError, expand_selectors, matches_logs
 from zerodrift.recording.coverage import Wanted
 from zerodrift.report.results import PlanResult
 
@@ -48,6 +50,25 @@ def list_read(config: Config | None) -> tuple[str, ...]:
     from zerodrift.dataset.open_log import list_columns
 
     return () if config is None else tuple(list_columns(config))
+
+
+def use_log(directory: Path, log: Path) -> str:
+    """Name a log under `[logs] train`; return its name there.
+
+    Raises:
+        InputError: there is no such log, the project's selectors match it already, or `train`
+            cannot be edited.
+    """
+    config = load_config(directory)
+    if not log.is_file():
+        raise InputError(f"--use {log}: there is no such log; expected one that was recorded.")
+    if matches_logs(config, log):
+        raise InputError(f"--use {log}: [logs] matches it already; expected another log.")
+    place, home = log.resolve(), config.directory.resolve()
+    name = place.relative_to(home).as_posix() if place.is_relative_to(home) else place.as_posix()
+    text = config.path.read_bytes().decode("utf-8")
+    write_text(config.path, add_log(text, name, path=config.path))
+    return name
 
 
 def read_plan(config: Config) -> PlanResult | None:

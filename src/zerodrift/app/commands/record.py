@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 SHOWN_S = 0.5
 """Between two pictures on the terminal."""
+BUILD = "build"
 LINES = "columns below a header (or --columns), JSON objects, or NAME=VALUE pairs"
 MESSAGES = "messages of ROS 2 or JSON with numbers in them"
 
@@ -34,6 +35,7 @@ class RecordOptions:
 
     out: Path | None
     recover_file: Path | None
+    used_file: Path | None
     columns: str | None
     dbc: Path | None
     period: float | None
@@ -85,6 +87,13 @@ class RecordOptions:
     metavar="FILE",
     help="Finish the file of a recording that was cut off.",
 )
+@click.option(
+    "--use",
+    "used_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Name a recorded log under [logs] train of the project.",
+)
 @json_option
 @packed(RecordOptions)
 def command(source: str | None, directory: Path, as_json: bool, options: RecordOptions) -> None:
@@ -102,19 +111,36 @@ def command(source: str | None, directory: Path, as_json: bool, options: RecordO
     stand time_s, since the first row, and clock_s, Unix time, unless the source sends a time. What
     should be covered comes from the last `zerodrift plan`, or from [experiment]. Ctrl-C ends it.
     """
-    from zerodrift.recording.keep import recover
-
     if options.recover_file is not None:
-        rows = recover(options.recover_file)
-        click.echo(f"{options.recover_file}: {rows} rows, whole again")
+        finish(directory, options.recover_file)
+        return
+    if options.used_file is not None:
+        from zerodrift.app.recording import use_log
+
+        name = use_log(directory, options.used_file)
+        click.echo(f"zerodrift.toml: [logs] train names {name} now")
         return
     if source is None or options.out is None:
-        raise click.UsageError("expected SOURCE --out FILE, or --recover FILE")
+        raise click.UsageError("expected SOURCE --out FILE, --recover FILE, or --use FILE")
     result = record(source, directory, options, options.out, as_json)
     if as_json:
         print_result(result)
     else:
         print_record(result)
+
+
+def finish(directory: Path, log: Path) -> None:
+    """Finish the file of a recording that was cut off, and say so.
+
+    Raises:
+        InputError: there is none, or it is still being recorded.
+    """
+    from zerodrift.recording.keep import recover
+    from zerodrift.recording.status import end_status
+
+    rows = recover(log)
+    end_status(directory / BUILD, log)
+    click.echo(f"{log}: {rows} rows, whole again")
 
 
 def record(
@@ -132,6 +158,7 @@ def record(
     from zerodrift.recording.keep import Keeper
     from zerodrift.recording.open_source import open_source
     from zerodrift.recording.recorder import Recording, RowRules, check_rules
+    from zerodrift.recording.status import telling_status
     from zerodrift.report.results import RecordResult
 
     config = load_config(directory) if (directory / "zerodrift.toml").is_file() else None
@@ -153,12 +180,17 @@ def record(
     check_rules(rules)
     coverage = Coverage(config.temperature_column if config else "temperature_degC", wanted)
     began_s = time.monotonic()
-    with ending_softly() as ending, Keeper(out) as keeper:
+    build = config.build_directory if config else None
+    with (
+        ending_softly() as ending,
+        telling_status(build, out, source, coverage, wanted.why) as telling,
+        Keeper(out) as keeper,
+    ):
         opened = open_source(source, names, options.dbc, list_read(config))
         try:
             recorder = Recording(opened, keeper, coverage, rules)
             with open_picture(quiet=as_json) as show:
-                interrupted = recorder.run(show, ending.wait_for_it)
+                interrupted = recorder.run(telling(show), ending.wait_for_it)
         finally:
             opened.close()
     notes = opened.list_strays()
