@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -129,6 +128,8 @@ def weigh_samples(
 
 def take_medians(x: Array) -> Array:
     """Return the median [n] of each sample and its neighbours: one of the measured values."""
+    from scipy.ndimage import median_filter
+
     return np.asarray(median_filter(x, NEIGHBOURS, mode="mirror"))
 
 
@@ -139,6 +140,8 @@ def _measure_distance(x: Array, step: float) -> tuple[Array, Array]:
 
     A bend, a peak and the end of a trend are no outliers: one side's straight line leads there.
     """
+    from scipy.ndimage import median_filter
+
     middle = take_medians(x)
     distance = np.abs(x - middle)
     spread = _measure_spread(x, distance)

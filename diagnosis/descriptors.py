@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S
@@ -325,6 +324,8 @@ def _trail_mean(blocks: Blocks, load: Array, span_s: float) -> Array:
 
 def _measure_change(blocks: Blocks, load: Array, span_s: float) -> Array:
     """Return the range [M] of a load over the last `span_s`."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
     half = max(1, round(0.5 * span_s / blocks.seconds))
     change = np.empty_like(load)
     for stretch in range(len(blocks.stretches)):

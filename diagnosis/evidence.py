@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from zerodrift.physics.campaign import Sums
 from zerodrift.physics.octaves import MEANS
@@ -181,4 +181,4 @@ def compare_runs(better: Array, worse: Array) -> float:
     spread = float(np.std(difference, ddof=1)) if runs > 1 else 0.0
     if runs < 2 or spread == 0.0:
         return 0.5
-    return float(student.sf(difference.mean() / (spread / np.sqrt(runs)), runs - 1))
+    return float(stdtr(runs - 1, -difference.mean() / (spread / np.sqrt(runs))))

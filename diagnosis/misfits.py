@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.data_notes import DataNote
@@ -90,6 +89,8 @@ def _average(x: Array, blocks: int) -> Array:
 
 def _build(course: _Course, scales: Array) -> tuple[Array, Array, Array]:
     """Return basis [b, J], measured [b, K] and reference [b, K] of a run, its means taken off."""
+    from scipy.signal import lfilter
+
     run = course.run
     step_s = run.sample_period_s
     warm = (course.temperature - 25.0) / 30.0

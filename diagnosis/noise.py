@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear, nnls
 
 from zerodrift.physics.octaves import MEANS, WITHIN_BLOCKS, cut_octaves
 
@@ -137,6 +136,8 @@ def describe_noise(
 
 def _fit_positive(matrix: Array, right: Array) -> Array:
     """Return the least-squares answer that has no negative part."""
+    from scipy.optimize import lsq_linear, nnls
+
     try:
         return np.asarray(nnls(matrix, right)[0])
     except RuntimeError:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
+from scipy.special import betainc
 
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.candidates import Proposal, propose
@@ -115,7 +115,7 @@ def _scatter(
         rest = centred - design @ np.linalg.lstsq(design, centred, rcond=None)[0]
         share = float(rest @ rest) / max(float(centred @ centred), 1e-300)
         # Without any cause, the share that is left of normal offsets is beta distributed.
-        chance = beta.cdf(share, 0.5 * (runs - 1 - len(seen)), 0.5 * len(seen))
+        chance = betainc(0.5 * (runs - 1 - len(seen)), 0.5 * len(seen), np.clip(share, 0.0, 1.0))
         if thin and chance > BY_CHANCE:
             return 1.0
         shares.append(share)

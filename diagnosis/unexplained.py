@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.projection import invert_scaled
@@ -113,6 +112,8 @@ def _find_scale(parts: Sequence[Array]) -> tuple[float, float]:
 
 def _lag(x: Array, tau: float) -> Array:
     """Return a signal [n] behind a first-order lag of `tau` samples, at rest at the start."""
+    from scipy.signal import lfilter
+
     a = float(np.exp(-1.0 / tau))
     return np.asarray(x[0] + lfilter([1.0 - a], [1.0, -a], x - x[0]), dtype=np.float64)
 

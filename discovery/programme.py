@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from zerodrift.discovery.limits import Limits
 
@@ -89,6 +88,8 @@ def follow(log: Log, limits: Limits, step_s: float, start_degC: float) -> Planne
         step_s: seconds between samples.
         start_degC: where the log begins, at rest.
     """
+    from scipy.signal import lfilter
+
     count = max(2, int(np.floor(log.lasts_s / step_s + 1e-9)))
     time_s: Array = (np.arange(count, dtype=np.float64) + 0.5) * step_s
     times, levels = list_set_points(log, start_degC)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import differential_evolution
 
 from zerodrift.discovery.patterns import PATTERNS, PER_SEGMENT, SEGMENTS, Space
 
@@ -114,6 +113,8 @@ def find_programme(
     Returns:
         The best so far, also where Ctrl-C ends it early.
     """
+    from scipy.optimize import differential_evolution
+
     begin = time.process_time()
     best: Best | None = None
     tried = 0

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
@@ -272,6 +271,8 @@ def pool(units: Sequence[ExaminedUnit]) -> list[Pooled]:
 
 def rank_gains(gains: Array) -> Array:
     """Return signed ranks [M, U]: each effect's gains ranked by size over the units, sign kept."""
+    from scipy.stats import rankdata
+
     return np.asarray(rankdata(np.abs(gains), axis=1) * np.sign(gains), dtype=np.float64)
 
 

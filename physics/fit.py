@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import InputError
@@ -296,7 +296,7 @@ def _attach_errors(
     A scatter from few runs is itself uncertain, so Student's t is used, with one degree of freedom
     less than there are runs.
     """
-    quantile = float(student.ppf(0.975, runs - 1)) if runs >= CLUSTERS else 1.96
+    quantile = float(stdtrit(runs - 1, 0.975)) if runs >= CLUSTERS else 1.96
     u = get_coordinates(terms, coordinates)
     fitted = []
     for i, term in enumerate(terms):

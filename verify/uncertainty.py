@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from zerodrift.dataset.chip_codes import RANGE_MARGIN
 from zerodrift.dataset.runs import Dataset, Run
@@ -64,7 +64,7 @@ class OutputUncertainty:
     @property
     def widening(self) -> float:
         """How much wider Student's interval is than the normal one, for these few runs."""
-        quantile = student.ppf((1.0 + COVERAGE) / 2.0, self.degrees_of_freedom)
+        quantile = stdtrit(self.degrees_of_freedom, (1.0 + COVERAGE) / 2.0)
         return float(quantile / COVERAGE_FACTOR)
 
     def expand(self, beyond: Array) -> Array:

@@ -7,12 +7,12 @@ which may be shared. Another user's file, or one that others may read, is ignore
 import hashlib
 import json
 import os
+import secrets
 import stat
 from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.base.records import from_json, to_dict
-from zerodrift.workbench.security import make_token
 
 FOLDER = Path("zerodrift") / "workbench"
 FEWEST_LETTERS = 24
@@ -26,6 +26,11 @@ class PageAddress:
     port: int
     """0: any that is free."""
     token: str
+
+
+def make_token() -> str:
+    """Return a random token that cannot be guessed."""
+    return secrets.token_urlsafe(24)
 
 
 def find_address(directory: Path) -> PageAddress:

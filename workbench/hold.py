@@ -26,3 +26,9 @@ def hold_directory(directory: Path) -> int | None:
             "Use its page, or end it with Ctrl-C where it was started."
         ) from error
     return handle
+
+
+def release_directory(handle: int | None) -> None:
+    """Let others hold a directory again."""
+    if handle is not None:
+        os.close(handle)

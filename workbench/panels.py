@@ -217,11 +217,12 @@ def show_model(findings: Findings) -> list[Component]:
     ]
 
 
-def show_waiting(name: str, *, is_busy: bool) -> list[Component]:
+def show_waiting(name: str, facts: Sequence[str], *, is_busy: bool) -> list[Component]:
     """Return the page of a project of which nothing is known yet.
 
     Args:
         name: of its directory.
+        facts: what is known without reading a log.
         is_busy: whether it is being looked at.
     """
     words = (
@@ -230,7 +231,11 @@ def show_waiting(name: str, *, is_busy: bool) -> list[Component]:
         else "Nothing could be found out yet; the message above says why. The page looks again as "
         "soon as zerodrift.toml or a log changes."
     )
-    return [html.H2(name, className="first"), html.P(words)]
+    return [
+        html.H2(name, className="first"),
+        html.P(words),
+        html.Ul([html.Li(fact) for fact in facts]),
+    ]
 
 
 def show_start(logs: Sequence[str], directory: str) -> list[Component]:

@@ -1,7 +1,6 @@
 """Who may ask: the owner of the token, from this machine, for nothing but the page."""
 
 import hmac
-import secrets
 
 from flask import Flask, Response, request
 
@@ -19,11 +18,6 @@ REFUSED = (
     "<p>This page needs the token that <code>zerodrift workbench</code> printed. Open the address "
     "that stands in the terminal, with everything after the question mark."
 )
-
-
-def make_token() -> str:
-    """Return a random token that cannot be guessed."""
-    return secrets.token_urlsafe(24)
 
 
 def guard(server: Flask, token: str, port: int) -> None:

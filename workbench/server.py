@@ -2,7 +2,6 @@
 
 import io
 import json
-import socket
 from pathlib import Path
 
 from flask import Flask, Response, jsonify, request, send_file
@@ -11,18 +10,16 @@ from werkzeug.serving import WSGIRequestHandler, make_server
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json, to_dict
 from zerodrift.workbench.actions import press
-from zerodrift.workbench.address import PageAddress, find_address, keep_address
 from zerodrift.workbench.app import make_app
 from zerodrift.workbench.chart import draw_wish
 from zerodrift.workbench.chip import LONGEST_TEXT, WASM, name_answers
+from zerodrift.workbench.early import HOST, EarlyPage
 from zerodrift.workbench.packing import pack_files
 from zerodrift.workbench.security import guard
 from zerodrift.workbench.state import PictureWish
 from zerodrift.workbench.uploads import place_upload, receive
 from zerodrift.workbench.views import hides
 from zerodrift.workbench.workplace import Workplace
-
-HOST = "127.0.0.1"
 
 
 class _Quiet(WSGIRequestHandler):  # type: ignore[misc,unused-ignore]
@@ -32,67 +29,45 @@ class _Quiet(WSGIRequestHandler):  # type: ignore[misc,unused-ignore]
         """Say nothing."""
 
 
-def _listen(port: int, *, is_wish: bool) -> socket.socket:
-    """Return a listening socket.
-
-    Args:
-        port: to listen on; 0 for any that is free.
-        is_wish: whether another port will do where this one is taken.
-
-    Raises:
-        OSError: the port is taken.
-    """
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((HOST, port))
-    except OSError:
-        if not is_wish or port == 0:
-            listener.close()
-            raise
-        listener.bind((HOST, 0))
-    listener.listen()
-    return listener
-
-
 class Workbench:
     """A page being served."""
 
-    def __init__(self, directory: Path, port: int = 0, *, skip_invalid: bool = False) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        port: int = 0,
+        *,
+        skip_invalid: bool = False,
+        early: EarlyPage | None = None,
+    ) -> None:
         """Open a directory and a port, and look at the project.
 
         Args:
             directory: of the project.
             port: to listen on; 0 for any that is free.
             skip_invalid: drop invalid rows of the logs.
+            early: has the port already, and may answer on it until `serve`.
 
         Raises:
             InputError: another workbench is open there, or the port is taken.
         """
         self.place = Workplace(directory, skip_invalid=skip_invalid)
-        known = find_address(self.place.directory)
         try:
-            listener = _listen(port or known.port, is_wish=not port)
-        except OSError as error:
+            self._early = early or EarlyPage(self.place.directory, port)
+        except InputError:
             self.place.close()
-            raise InputError(
-                f"port {port} of {HOST} cannot be had ({error.strerror}); expected a free one. "
-                "Name another by --port, or leave it out."
-            ) from error
-        self.port = int(listener.getsockname()[1])
-        self.token = known.token
-        keep_address(self.place.directory, PageAddress(self.port, self.token))
+            raise
+        self.port, self.token = self._early.port, self._early.token
         app = make_app(self.place)
         guard(app.server, self.token, self.port)
         add_routes(app.server, self.place)
-        self._listener = listener
         self._server = make_server(
             HOST,
             self.port,
             app.server,
             threaded=True,
             request_handler=_Quiet,
-            fd=listener.fileno(),
+            fd=self._early.listener.fileno(),
         )
         self.place.look()
         # Dash collects its scripts and styles on the first request: here, while the logs are read.
@@ -102,10 +77,11 @@ class Workbench:
     @property
     def url(self) -> str:
         """Where the page is, with its token."""
-        return f"http://{HOST}:{self.port}/?token={self.token}"
+        return self._early.url
 
     def serve(self) -> None:
         """Answer until `stop`, or until the user interrupts."""
+        self._early.end()
         self._server.serve_forever(poll_interval=0.2)
 
     def stop(self) -> None:
@@ -116,7 +92,7 @@ class Workbench:
     def close(self) -> None:
         """Release the port and the directory."""
         self._server.server_close()
-        self._listener.close()
+        self._early.close()
         self.place.close()
 
 

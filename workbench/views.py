@@ -12,6 +12,7 @@ from zerodrift.diagnosis.timeline import find_timeline
 from zerodrift.report.cause import name_effect
 from zerodrift.workbench import outcomes, panels, recordings, verdicts, way
 from zerodrift.workbench.chart import choose_first
+from zerodrift.workbench.early import tell_project
 from zerodrift.workbench.uploads import list_logs
 from zerodrift.workbench.workplace import Workplace
 
@@ -58,7 +59,8 @@ def show_frame(place: Workplace) -> Shown:
         logs = list_logs(place.directory)
         start = [html.Main(panels.show_start(logs, str(place.directory)))]
     elif place.findings is None:
-        start = [html.Main(panels.show_waiting(place.directory.name, is_busy=place.busy))]
+        facts = tell_project(place.directory)
+        start = [html.Main(panels.show_waiting(place.directory.name, facts, is_busy=place.busy))]
     message = place.message
     text = message.text if message is not None else ""
     kind = "message error" if message is not None and message.is_error else "message"

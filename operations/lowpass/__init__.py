@@ -7,7 +7,6 @@ from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import lfilter
 
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import INT32_MAX, Array, IntArray, round_shift
@@ -49,6 +48,8 @@ def lowpass(x: Array, sample_period_s: float, tau_s: float) -> Array:
         sample_period_s: seconds between samples.
         tau_s: time constant, seconds; 0 or less returns x.
     """
+    from scipy.signal import lfilter
+
     if tau_s <= 0.0 or x.size == 0:
         return x.copy()
     a, b0, b1 = lowpass_coefficients(sample_period_s, tau_s)

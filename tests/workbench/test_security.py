@@ -49,7 +49,7 @@ def test_token_opens_the_page_and_its_cookie_what_belongs_to_it(bench):
 
 
 def test_server_listens_on_this_machine_alone(bench):
-    assert bench._listener.getsockname()[0] == "127.0.0.1"
+    assert bench._early.listener.getsockname()[0] == "127.0.0.1"
 
 
 def test_another_host_name_is_refused_even_with_the_token(bench):

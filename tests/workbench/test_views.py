@@ -66,10 +66,16 @@ def test_project_of_which_nothing_is_known_yet_is_no_empty_page(tmp_path, busy, 
 
 def test_progress_is_told_while_something_runs():
     job = JobState("Adding creep", "fitting", 3)
-    place = SimpleNamespace(poll=lambda: None, describe=lambda: PageState(7, job))
-    assert poll(place, 7) == (no_update, "Adding creep: fitting (3 s)", False)
+    place = SimpleNamespace(
+        poll=lambda: None,
+        describe=lambda: PageState(7, job),
+        recordings=SimpleNamespace(look=lambda: ()),
+    )
+    nothing = (no_update, no_update, no_update)
+    assert poll(place, 7, "") == (no_update, "Adding creep: fitting (3 s)", False, *nothing)
     place.describe = lambda: PageState(8, None)
-    assert poll(place, 7) == (8, "", True)
+    assert poll(place, 7, "") == (8, "", True, *nothing)
+    assert poll(place, 7, "gone since") == (8, "", True, [], True, "")
 
 
 def test_worst_segments_tell_no_pattern_before_the_guess(place):

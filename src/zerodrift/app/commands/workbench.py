@@ -30,17 +30,26 @@ def command(directory: Path, port: int, no_browser: bool, trust: bool, skip_inva
     """
     require(PAGE, "zerodrift workbench")
     require(WORKBENCH, "zerodrift workbench")
-    from zerodrift.workbench.server import Workbench
+    from zerodrift.workbench.early import EarlyPage
+    from zerodrift.workbench.hold import hold_directory, release_directory
 
     require_trust(_list_plugins(directory), trusted=trust)
-    bench = Workbench(directory, port, skip_invalid=skip_invalid)
-    click.echo(f"Workbench on {bench.place.directory}: {bench.url}")
+    # Refused before a page is promised; the page itself holds the directory from then on.
+    release_directory(hold_directory(directory.resolve()))
+    early = EarlyPage(directory, port)
+    early.begin()
+    click.echo(f"Workbench on {directory.resolve()}: {early.url}")
     click.echo("Ctrl-C ends it.")
     if not no_browser:
-        webbrowser.open(bench.url)
+        webbrowser.open(early.url)
     with contextlib.suppress(KeyboardInterrupt):
-        bench.serve()
-    bench.close()
+        from zerodrift.workbench.server import Workbench  # takes seconds; the first page is there
+
+        bench = Workbench(directory, skip_invalid=skip_invalid, early=early)
+        with contextlib.suppress(KeyboardInterrupt):
+            bench.serve()
+        bench.close()
+    early.close()
     click.echo("ended")
 
 

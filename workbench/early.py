@@ -1,0 +1,195 @@
+"""The first page, at once: what zerodrift.toml says, while all else is still being loaded.
+
+Only the standard library is needed, so that a page is there a fraction of a second after the
+command. It comes again each second; the page itself then takes over its port.
+"""
+
+import glob
+import hmac
+import html
+import socket
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+from zerodrift.base.config import FILE_NAME, Config, load_config
+from zerodrift.base.errors import InputError
+from zerodrift.workbench.address import PageAddress, find_address, keep_address
+
+HOST = "127.0.0.1"
+AGAIN_S = 1
+"""After which the first page asks for the page again."""
+PATIENCE_S = 5.0
+"""For a request that has begun."""
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; frame-ancestors 'none'"
+STARTING = "Starting. The logs are read next; the page fills as soon as the errors are known."
+PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="refresh" content="{again}">
+<title>{name}: zerodrift workbench</title>
+<style>
+body {{ font: 1rem/1.55 system-ui, sans-serif; max-width: 46rem; margin: 0 auto;
+  padding: 2rem 1.2rem; color: #1b222a; background: #fbfbf9; overflow-wrap: anywhere; }}
+@media (prefers-color-scheme: dark) {{ body {{ color: #e8eaee; background: #14171c; }} }}
+</style>
+</head>
+<body>
+<main id="early">
+<h1>{name}</h1>
+<p role="status">{starting}</p>
+<ul>{facts}</ul>
+</main>
+</body>
+</html>
+"""
+
+
+def tell_project(directory: Path) -> tuple[str, ...]:
+    """Return what zerodrift.toml and the names of its logs say; nothing where it is wrong."""
+    if not (directory / FILE_NAME).is_file():
+        return ()
+    try:
+        config = load_config(directory)
+    except InputError:
+        return ()
+    outputs = ", ".join(f"{one.name} in {one.unit}" for one in config.outputs)
+    effects = ", ".join(effect.kind for effect in config.effects) or "a constant only"
+    logs = [
+        _tell_logs(config, use, patterns)
+        for use, patterns in (("to learn from", config.train_logs), ("to test", config.test_logs))
+        if patterns
+    ]
+    return (f"Sensor {config.sensor_name}: {outputs}", f"Effects in the model: {effects}", *logs)
+
+
+def _tell_logs(config: Config, use: str, patterns: tuple[str, ...]) -> str:
+    sizes = {}
+    for pattern in patterns:
+        for name in glob.glob(pattern, root_dir=config.directory, recursive=True):  # noqa: PTH207
+            path = config.directory / name
+            if path.is_file():
+                sizes[path] = path.stat().st_size
+    told = f"Logs {use}: {', '.join(patterns)}"
+    if not sizes:
+        return told
+    files = "1 file" if len(sizes) == 1 else f"{len(sizes)} files"
+    return f"{told} ({files}, {sum(sizes.values()) / 1e6:.1f} MB)"
+
+
+class EarlyPage:
+    """A port, and who answers on it until the page does."""
+
+    def __init__(self, directory: Path, port: int = 0) -> None:
+        """Open a port; nobody answers yet.
+
+        Args:
+            directory: of the project.
+            port: to listen on; 0 for the one that the project had last, or any that is free.
+
+        Raises:
+            InputError: the port is taken.
+        """
+        self._directory = directory.resolve()
+        known = find_address(self._directory)
+        try:
+            self.listener = _listen(port or known.port, is_wish=not port)
+        except OSError as error:
+            raise InputError(
+                f"port {port} of {HOST} cannot be had ({error.strerror}); expected a free one. "
+                "Name another by --port, or leave it out."
+            ) from error
+        self.port = int(self.listener.getsockname()[1])
+        self.token = known.token
+        keep_address(self._directory, PageAddress(self.port, self.token))
+        self._server: ThreadingHTTPServer | None = None
+        self._thread: threading.Thread | None = None
+
+    @property
+    def url(self) -> str:
+        """Where the page is, with its token."""
+        return f"http://{HOST}:{self.port}/?token={self.token}"
+
+    def begin(self) -> None:
+        """Answer with the first page from now on, in a thread."""
+        page = PAGE.format(
+            again=AGAIN_S,
+            name=html.escape(self._directory.name),
+            starting=STARTING,
+            facts="".join(f"<li>{html.escape(f)}</li>" for f in tell_project(self._directory)),
+        ).encode()
+        handler = _make_handler(page, self.token, self.port)
+        server = ThreadingHTTPServer((HOST, self.port), handler, bind_and_activate=False)
+        server.socket.close()
+        server.socket = self.listener
+        server.daemon_threads, server.block_on_close = True, False
+        self._server = server
+        self._thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Answer no longer; who asks meanwhile waits for the page."""
+        if self._server is not None and self._thread is not None:
+            self._server.shutdown()
+            self._thread.join()
+            self._server = self._thread = None
+
+    def close(self) -> None:
+        """Release the port."""
+        self.end()
+        self.listener.close()
+
+
+def _make_handler(page: bytes, token: str, port: int) -> type[BaseHTTPRequestHandler]:
+    hosts = {f"{HOST}:{port}", f"localhost:{port}"}
+
+    class Handler(BaseHTTPRequestHandler):
+        timeout = PATIENCE_S
+
+        def do_GET(self) -> None:
+            """Answer the owner of the token, and nobody else."""
+            asked = urlsplit(self.path)
+            given = parse_qs(asked.query).get("token", [""])[0]
+            is_owner = hmac.compare_digest(given.encode(), token.encode())
+            is_known = self.headers.get("Host") in hosts and self.headers.get("Origin") is None
+            content = page if is_owner and is_known and asked.path == "/" else b""
+            self.send_response(200 if content else 403)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.send_header("Content-Length", str(len(content)))
+            self.send_header("Content-Security-Policy", POLICY)
+            self.send_header("Cache-Control", "no-store")
+            self.send_header("Referrer-Policy", "no-referrer")
+            self.send_header("X-Content-Type-Options", "nosniff")
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - the base's name
+            """Say nothing."""
+
+    return Handler
+
+
+def _listen(port: int, *, is_wish: bool) -> socket.socket:
+    """Return a listening socket.
+
+    Args:
+        port: to listen on; 0 for any that is free.
+        is_wish: whether another port will do where this one is taken.
+
+    Raises:
+        OSError: the port is taken.
+    """
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((HOST, port))
+    except OSError:
+        if not is_wish or port == 0:
+            listener.close()
+            raise
+        listener.bind((HOST, 0))
+    listener.listen(64)
+    return listener
