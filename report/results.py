@@ -347,16 +347,17 @@ class CertificateResult:
 
 @dataclass(frozen=True)
 class ProvenPart:
-    """One thing that the C does, held against the specification for every input."""
+    """One thing that the C or a kernel's object code does, held against the specification for every
+    input."""
 
     what: str
     """A function, a node, a table or a kernel."""
     build: str
-    """Of which way to compile it; "" for all of them."""
+    """Of which way to compile it, or which program; "" for all of them."""
     verdict: str
     """proven | tested, not proven | not proven."""
     why: str
-    """Why it is not proven; else ""."""
+    """Why it is not proven; of what is tested, what a proof lacked here, if anything; else ""."""
 
 
 @dataclass(frozen=True)

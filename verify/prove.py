@@ -4,14 +4,17 @@ What is shown of a firmware folder's C, for a model's file: the state that `init
 leave, what `step` gives and leaves of any state and input, that `state_is_sound` lets through what
 the specification says and nothing else, what `save` and `restore` do, the names in the header, and
 the self-test's answer. Sums are exact integers: every operation of the C is shown to fit its type
-on the way. Kernels in plain C are shown apart (`prove_lemmas`); those of intrinsics and assembly
-are taken at the specification, once their tables are shown to be the model's, and told as such.
+on the way. Kernels in plain C are shown apart (`prove_lemmas`), those in assembly from their object
+code (`object_proof`), where a compiler for their cores is at hand. Those of intrinsics are taken at
+the specification, once their tables are shown to be the model's, and told as such.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
+from zerodrift.base.errors import CheckError, InputError
 from zerodrift.codegen.names import name_prefix
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.verify.c_kernels import STRUCTS
@@ -21,6 +24,14 @@ from zerodrift.verify.c_reader import PreprocessorWay, Tokens, parse_integer, re
 from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError
 from zerodrift.verify.header import list_expected
 from zerodrift.verify.known_runtime import is_known
+from zerodrift.verify.object_proof import (
+    ProvenKernels,
+    ShownKernel,
+    check_program,
+    find_assembly,
+    show_builds,
+    show_program,
+)
 from zerodrift.verify.prove_checksum import prove_checksum
 from zerodrift.verify.prove_elapsed import TESTED_ALONE, make_elapsed_rules, say_span
 from zerodrift.verify.prove_kernels import Layers, Numbered
@@ -58,6 +69,8 @@ BUILDS: tuple[tuple[str, Mapping[str, str]], ...] = (
 )
 """What is defined when the C is read; the second and third where there is a network."""
 UNCHECKED = (UndecidedError, NotUnderstoodError, FaultError, RecursionError, KeyError, ValueError)
+INTRINSICS = ("zd_gru_pairs_t", "zd_gru_rows_t", "zd_gru_columns_t")
+"""Constants of kernels that have intrinsics, where they are not in assembly."""
 PROVEN, TESTED, OPEN = "proven", "tested, not proven", "not proven"
 
 
@@ -89,10 +102,28 @@ def prove(
 
 
 def list_shown(
-    model: IntegerModel, texts: Mapping[str, str], progress: Callable[[str], None] = lambda _: None
+    model: IntegerModel,
+    texts: Mapping[str, str],
+    progress: Callable[[str], None] = lambda _: None,
+    *,
+    objects: bool = False,
+    program: Path | None = None,
 ) -> Iterator[ShownPart]:
-    """Yield what `prove` returns, part by part."""
+    """Yield what `prove` returns, part by part.
+
+    Args:
+        model: as its file has it.
+        texts: file name -> content, of the model's header and source and of the runtime.
+        progress: is told what is being done.
+        objects: build the C for cores that have assembly, and prove that from its object code.
+        program: a user's own program, whose kernels in assembly are proven too.
+
+    Raises:
+        InputError: `program` cannot be read, or holds no kernel of the model.
+    """
     prefix = name_prefix(model)
+    if program is not None:
+        check_program(program, texts[f"{prefix}.c"])
     yield _show_runtime(texts)
     builds = BUILDS if model.recurrents or _has_network(texts, prefix) else BUILDS[:1]
     try:
@@ -103,11 +134,42 @@ def list_shown(
             same = first is not None and proof.is_own_text(first)
             yield from proof.run(whole=not same)
             first = first or proof
-        if model.recurrents:
+        if model.recurrents and first is not None:
+            proven = ProvenKernels()
+            layers = first.meaning.layers
+            if objects:
+                yield from show_objects(model, texts, layers, proven, progress)
+            if program is not None:
+                progress(f"proving {program}")
+                names = find_assembly(texts, prefix, layers)
+                yield from map(_judge_kernel, show_program(program, layers, names))
             progress("other kernels' tables")
-            yield from show_kernels(model, texts, prefix)
+            yield from show_kernels(model, texts, prefix, proven)
     except UNCHECKED as error:
         yield ShownPart("the C", "", OPEN, _tell(error))
+
+
+def show_objects(
+    model: IntegerModel,
+    texts: Mapping[str, str],
+    layers: Layers,
+    proven: ProvenKernels,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Iterator[ShownPart]:
+    """Yield what is shown of the assembly's object code; `proven` is told of what holds."""
+    try:
+        prefix, outputs = name_prefix(model), len(model.outputs)
+        for build, shown in show_builds(texts, prefix, outputs, layers, progress):
+            proven.add(build, shown)
+            yield from map(_judge_kernel, shown)
+    except InputError as error:
+        yield ShownPart("kernels in assembly", "object code", TESTED, str(error))
+    except CheckError as error:
+        yield ShownPart("kernels in assembly", "object code", OPEN, str(error))
+
+
+def _judge_kernel(kernel: ShownKernel) -> ShownPart:
+    return ShownPart(kernel.what, kernel.build, OPEN if kernel.why else PROVEN, kernel.why)
 
 
 def is_proven(shown: Sequence[ShownPart]) -> bool:
@@ -671,12 +733,14 @@ def read_macro(words: Sequence[str]) -> int | str | None:
 # --- the kernels of other cores
 
 
-def show_kernels(model: IntegerModel, texts: Mapping[str, str], prefix: str) -> Iterator[ShownPart]:
+def show_kernels(
+    model: IntegerModel, texts: Mapping[str, str], prefix: str, proven: ProvenKernels
+) -> Iterator[ShownPart]:
     """Yield what is shown of each other way to compile the model.
 
     Nothing but the layers' tables and the calls of their kernels may differ from the plain C, and
-    each kernel's table must hold the model's weights in its order. Intrinsics and assembly
-    themselves are tested (docs/reference/kernels.md), not proven.
+    each kernel's table must hold the model's weights in its order. Intrinsics themselves are tested
+    (docs/reference/kernels.md), not proven; assembly is where `proven` holds its object code.
     """
     runtime = Runtime(texts)
     ways = read_ways(texts, prefix, runtime.numbers)
@@ -689,7 +753,15 @@ def show_kernels(model: IntegerModel, texts: Mapping[str, str], prefix: str) -> 
             why = _hold_way(model, program, plain, prefix)
         except UNCHECKED as error:
             why = _tell(error)
-        yield ShownPart("kernels of recurrent layers", way.name, OPEN if why else TESTED, why)
+        verdict = PROVEN if _is_covered(way, program, proven) else TESTED
+        yield ShownPart("kernels of recurrent layers", way.name, OPEN if why else verdict, why)
+
+
+def _is_covered(way: PreprocessorWay, program: Program, proven: ProvenKernels) -> bool:
+    """Return whether every kernel of a way is plain C, or assembly that is proven."""
+    ends = {name.removesuffix("_assembly") for name in program.assembly}
+    intrinsics = {v.name for v in program.constants if v.type.name in INTRINSICS} - ends
+    return bool(ends) and not intrinsics and proven.hold(way.defined, ends)
 
 
 def _is_plain(way: PreprocessorWay) -> bool:

@@ -36,7 +36,15 @@ if TYPE_CHECKING:
     "--prove",
     "proves",
     is_flag=True,
-    help="Instead, show for every input that the C is the specification, part by part.",
+    help="Instead, show for every input that the C is the specification, part by part, and kernels"
+    " in assembly from their object code.",
+)
+@click.option(
+    "--elf",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    help="With --prove: prove the kernels in assembly of this program too, your own build as the"
+    " linker wrote it, not stripped.",
 )
 def command(
     directory: Path,
@@ -45,6 +53,7 @@ def command(
     required: tuple[str, ...],
     certificate: bool,
     proves: bool,
+    elf: Path | None,
 ) -> None:
     """Build and run what lies in the firmware folder, and hold it against the model.
 
@@ -62,10 +71,12 @@ def command(
     from zerodrift.base.journal import read_together
     from zerodrift.verify.replay import replay
 
+    if elf is not None and not proves:
+        raise InputError("--elf goes with --prove: `zerodrift verify --prove --elf FILE`")
     refuse_shared_program(directory, sensor)
     config = open_config(directory, sensor)
     if proves:
-        _prove(config, as_json)
+        _prove(config, as_json, elf)
         return
     if certificate:
         _check_certificate(config.firmware_out, as_json)
@@ -97,9 +108,9 @@ def _print(outcome: "Replay") -> None:
         click.echo(f"NOT CHECKED: {missing.what}: {missing.why}")
 
 
-def _prove(config: "Config", as_json: bool) -> None:
-    """Print what is proven of the C, part by part; needs the model's file and the firmware
-    folder."""
+def _prove(config: "Config", as_json: bool, elf: Path | None) -> None:
+    """Print what is proven of the C, part by part, and of a program; needs the model's file and
+    the firmware folder."""
     from zerodrift.base.errors import InputError
     from zerodrift.blocks.design import FILE_NAME as DESIGN
 
@@ -112,14 +123,14 @@ def _prove(config: "Config", as_json: bool) -> None:
     from zerodrift.app.commands.console import show_progress
     from zerodrift.export.model_files import load_model
     from zerodrift.report.results import ProofResult, ProvenPart
-    from zerodrift.verify.prove import OPEN, TESTED, is_proven, prove
+    from zerodrift.verify.prove import OPEN, TESTED, is_proven, list_shown
     from zerodrift.verify.replay import read_code
 
     model = load_model(config.build_directory / "model.json")
     code = read_code(model, config.firmware_out)
     texts = {code.header_name: code.header, code.source_name: code.source, **(code.runtime or {})}
     with show_progress("proving") as say:
-        shown = prove(model, texts, say)
+        shown = tuple(list_shown(model, texts, say, objects=True, program=elf))
     proven = is_proven(shown)
     if as_json:
         parts = tuple(ProvenPart(one.what, one.build, one.verdict, one.why) for one in shown)
@@ -127,7 +138,7 @@ def _prove(config: "Config", as_json: bool) -> None:
     else:
         for one in shown:
             if one.verdict == TESTED:
-                click.echo(f"TESTED, NOT PROVEN: {_name(one.what, one.build)}")
+                click.echo(f"TESTED, NOT PROVEN: {_name(one.what, one.build)}{_because(one.why)}")
     if not proven:
         left = [one for one in shown if one.verdict == OPEN]
         lines = "\n  ".join(f"{_name(one.what, one.build)}: {one.why}" for one in left)
@@ -139,9 +150,13 @@ def _prove(config: "Config", as_json: bool) -> None:
     if not as_json:
         count = sum(one.verdict != TESTED for one in shown)
         click.echo(
-            f"proven: {count} parts of the C compute what the specification says of model"
-            f" {model.hash[:12]}, for every input and state"
+            f"proven: {count} parts of C and object code compute what the specification says of"
+            f" model {model.hash[:12]}, for every input and state"
         )
+
+
+def _because(why: str) -> str:
+    return f": {why}" if why else ""
 
 
 def _name(what: str, build: str) -> str:
