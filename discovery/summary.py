@@ -116,6 +116,8 @@ class PlanSummary:
     """By precision or error: output -> RMS error of the model in the use profile, its unit."""
     aimed: Mapping[str, float] | None = field(default=None, metadata=OPTIONAL)
     """With a target: output -> the error that is aimed at, its unit."""
+    further_units: int | None = field(default=None, metadata=OPTIONAL)
+    """With `--units`: for how many; the hours are then the fewest of those that were tried."""
 
 
 def summarise_plan(
@@ -185,6 +187,7 @@ def summarise_precise(planned: PlannedPrecisely, units: Mapping[str, str]) -> Pl
         widths=planned.widths,
         errors=planned.errors,
         aimed=planned.aimed,
+        further_units=question.units or None,
     )
 
 
@@ -211,16 +214,17 @@ def _lay_out(
     return tuple(settings), tuple(logs)
 
 
-def _tell_target(
-    errors: Mapping[str, float], aimed: Mapping[str, float], units: Mapping[str, str]
-) -> list[str]:
+def _tell_target(plan: PlanSummary) -> list[str]:
     """Return whether the error that is aimed at is reached; nothing without one."""
+    errors, aimed, units = plan.errors or {}, plan.aimed or {}, plan.units
     if not aimed:
         return []
     short = {name: errors[name] / aimed[name] for name in aimed if errors[name] > aimed[name]}
     if not short:
         told = ", ".join(f"{name} {size:.3g} {units[name]}" for name, size in aimed.items())
-        return [f"Reached: {told}. The fewest hours that do: --units 1."]
+        if plan.further_units is not None:
+            return [f"Reached: {told}. No fewer hours of those that were tried do."]
+        return [f"Reached: {told}. `zerodrift plan --units 1` looks for the fewest hours that do."]
     told = ", ".join(f"{name} by {ratio:.2g} times" for name, ratio in short.items())
     return [f"NOT reached: {told}. More hours, wider limits or a larger --target are needed."]
 
@@ -250,7 +254,7 @@ def explain_plan(plan: PlanSummary, directory: Path) -> list[str]:
     if plan.errors:
         told = ", ".join(f"{n} {e:.3g} {plan.units[n]}" for n, e in plan.errors.items())
         sentences.append(f"Error of the model in the use profile that is expected then: {told}.")
-        sentences += _tell_target(plan.errors, plan.aimed or {}, plan.units)
+        sentences += _tell_target(plan)
     hard = [pair for pair in plan.separates if pair.probability < 0.8 * MOST]
     if hard:
         told = "; ".join(f"{' and '.join(p.effects)} ({p.probability:.2f})" for p in hard[:3])

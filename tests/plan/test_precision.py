@@ -126,7 +126,10 @@ def test_before_any_log_several_models_are_planned_for_and_the_target_is_judged(
     assert any("3 times drawn from it" in note for note in found.notes)
     units = {"Fz": "N"}
     easy = explain_plan(summarise_precise(found, units), Path())
-    assert any(line.startswith("Reached: Fz 2 N") for line in easy)
+    assert "Reached: Fz 2 N. `zerodrift plan --units 1` looks for the fewest hours that do." in easy
+    further = replace(found, question=replace(question, units=3))
+    told = explain_plan(summarise_precise(further, units), Path())
+    assert "Reached: Fz 2 N. No fewer hours of those that were tried do." in told
     hard = replace(found, aimed={"Fz": found.errors["Fz"] / 3.0})
     assert any(
         line.startswith("NOT reached: Fz by 3 times")
