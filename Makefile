@@ -32,7 +32,7 @@ $(READY): requirements.lock pyproject.toml setup.py $(wildcard */__init__.py)
 
 setup-qemu: ## QEMU and the GNU cross-compilers, by apt (root): the second opinion on every core
 	.ci/apt-install qemu-system-arm qemu-system-misc gcc-arm-none-eabi libnewlib-arm-none-eabi \
-	  gcc-riscv64-unknown-elf gcc-avr avr-libc
+	  gcc-riscv64-unknown-elf gcc-avr avr-libc arduino-core-avr simavr
 
 setup-fuzz: $(READY) ## what fuzzing needs: clang with libFuzzer by apt (root), and atheris
 	$(RUN) -m tests.fuzz --have-clang || .ci/apt-install clang libclang-rt-dev? libc6-dev

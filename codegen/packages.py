@@ -1,4 +1,4 @@
-"""One model as a package of a build system: CMake, Zephyr, Arduino, PlatformIO. Texts by path."""
+"""One model as a package of a build system, of Python or of ROS 2. Texts by path."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -7,6 +7,8 @@ from zerodrift import __version__
 from zerodrift.codegen.application import render_dbc
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.codegen.names import name_channels
+from zerodrift.codegen.package_python import render_python
+from zerodrift.codegen.package_ros2 import render_ros2
 from zerodrift.export.integer_model import IntegerModel
 
 Files = dict[str, str]
@@ -53,7 +55,8 @@ def render_cmake(model: IntegerModel, code: GeneratedCode, runtime: Mapping[str,
 project({name} VERSION {__version__} LANGUAGES C)
 include(GNUInstallDirs)
 
-add_library({name} STATIC {sources})
+# static, or shared with -DBUILD_SHARED_LIBS=ON
+add_library({name} {sources})
 add_library({name}::{name} ALIAS {name})
 target_compile_features({name} PUBLIC c_std_99)
 target_include_directories(
@@ -172,9 +175,46 @@ def render_platformio(
     }
 
 
+def render_esp_idf(model: IntegerModel, code: GeneratedCode, runtime: Mapping[str, str]) -> Files:
+    """Return a component of ESP-IDF."""
+    name = code.prefix
+    sources = " ".join(f'"src/{n}"' for n in _split(code, runtime)[1])
+    return _source_tree(code, runtime) | {
+        f"{name}.dbc": render_dbc(model),
+        "CMakeLists.txt": f"""idf_component_register(SRCS {sources}
+                       INCLUDE_DIRS "include")
+""",
+        "idf_component.yml": f"""version: "{__version__}"
+description: {_SENTENCE}
+dependencies:
+  idf: ">=4.4"
+""",
+    }
+
+
+def render_pico(model: IntegerModel, code: GeneratedCode, runtime: Mapping[str, str]) -> Files:
+    """Return an INTERFACE library as the Pico SDK's own are: sources join the program's."""
+    name = code.prefix
+    sources = "\n    ".join(
+        f"${{CMAKE_CURRENT_LIST_DIR}}/src/{n}" for n in _split(code, runtime)[1]
+    )
+    return _source_tree(code, runtime) | {
+        f"{name}.dbc": render_dbc(model),
+        "CMakeLists.txt": f"""add_library({name} INTERFACE)
+target_sources({name} INTERFACE
+    {sources})
+target_include_directories({name} INTERFACE ${{CMAKE_CURRENT_LIST_DIR}}/include)
+""",
+    }
+
+
 PACKAGES: dict[str, Callable[[IntegerModel, GeneratedCode, Mapping[str, str]], Files]] = {
     "cmake": render_cmake,
     "zephyr": render_zephyr,
     "arduino": render_arduino,
     "platformio": render_platformio,
+    "esp-idf": render_esp_idf,
+    "pico": render_pico,
+    "python": render_python,
+    "ros2": render_ros2,
 }

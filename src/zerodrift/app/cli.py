@@ -36,7 +36,7 @@ COMMANDS: dict[str, str] = {
     "apply": "The finished model over any log: drift, compensated value, uncertainty, flags.",
     "monitor": "The deployed model against new logs: ageing, steps, another unit; alarms.",
     "diff": "What changed between two models, and by how much their drifts differ.",
-    "package": "Write the model as a CMake, Zephyr, Arduino or PlatformIO package.",
+    "package": "Write the model as a package: CMake, Zephyr, Arduino, Python, ROS 2 and others.",
     "neighbour": "The model as PX4, ArduPilot or chrony take it, and what that loses.",
     "report": "One self-contained file: verdict, errors, effects, firmware, provenance.",
     "workbench": "The same loop in a browser, on 127.0.0.1.",

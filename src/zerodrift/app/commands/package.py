@@ -16,9 +16,11 @@ from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
 from zerodrift.base.ownership import MANIFEST, list_own, refuse_foreign, render_manifest
 
+KINDS = ("cmake", "zephyr", "arduino", "platformio", "esp-idf", "pico", "python", "ros2")
+
 
 @click.command()
-@click.argument("kind", type=click.Choice(["cmake", "zephyr", "arduino", "platformio"]))
+@click.argument("kind", type=click.Choice(KINDS))
 @directory_option
 @sensor_option
 @json_option
