@@ -6,24 +6,28 @@ run with its inputs and the reference's answers, which the page's worker is comp
 
 import json
 import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.clock_config import TIME_UNITS
 from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json, to_dict
 from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.log_steps import find_column
+from zerodrift.dataset.time_units import read_time_unit
 from zerodrift.export.encoding import encode_values
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import ModelState, Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.recording.lines import LineError, LineReader, Values
+from zerodrift.workbench.live_steps import LiveSteps
 
 CHIP, WASM, MODEL = "chip.json", "chip.wasm", "model.json"
 LONGEST_TEXT = 1_000_000
@@ -92,6 +96,10 @@ class LiveAnswers:
     strays: int
     """Lines so far that were no rows."""
     first_stray: str
+    sampling: str
+    """How rows become steps; empty where each is one."""
+    warns: bool
+    """Whether that is worth a warning."""
 
 
 def write_replay(
@@ -135,7 +143,10 @@ def list_read(config: Config, model: IntegerModel) -> tuple[str, ...]:
 
 
 class LiveChip:
-    """Turns a live sensor's lines into the chip's inputs, a step for each row, and answers them."""
+    """Turns a live sensor's lines into the chip's inputs at its sample period, and answers them.
+
+    Where a step is variable, each row is a step.
+    """
 
     def __init__(self, directory: Path, folder: Path) -> None:
         """Begin before the first line.
@@ -152,28 +163,80 @@ class LiveChip:
         self._reference = Reference(self._model)
         self._state: ModelState | None = None
         self._reader = LineReader()
+        self._steps: LiveSteps | None = None
+        self._has_times = False
+        """Whether rows have times of their own."""
+        self._came_s = -np.inf
+        """When the last lines arrived."""
         self._last: NDArray[np.float64] | None = None
         self._strays, self._first_stray = 0, ""
         self._lock = threading.Lock()
 
-    def take(self, text: str) -> LiveAnswers:
+    def take(self, text: str, now_s: float | None = None) -> LiveAnswers:
         """Return the steps of some whole lines, which go on from the last call's.
+
+        Args:
+            text: the lines.
+            now_s: when they arrived, by any clock in s; None: now.
 
         Raises:
             InputError: a row lacks a column that the model reads.
         """
         with self._lock:
             rows = [row for row in map(self._read, text.splitlines()) if row]
-            codes = [self._encode(row) for row in rows]
+            steps = self._resample(rows, time.monotonic() if now_s is None else now_s)
+            inputs = len(self._model.channels)
+            codes = [self._encode(step[:inputs]) for step in steps]
             drift, flags = list[tuple[int, ...]](), list[int]()
             for given in codes:
                 d, f = self._step(given)
                 drift.append(d)
                 flags.append(f)
             told = tuple(tuple(int(x) for x in given[0]) for given in codes)
-            measured = tuple(self._measure(row) for row in rows)
-            strays, first = self._strays, self._first_stray
-            return LiveAnswers(told, tuple(drift), tuple(flags), measured, strays, first)
+            measured = tuple(
+                tuple(float(x) if np.isfinite(x) else None for x in step[inputs:]) for step in steps
+            )
+            sampling, warns = self._steps.explain() if self._steps is not None else ("", False)
+            return LiveAnswers(
+                codes=told,
+                drift=tuple(drift),
+                flags=tuple(flags),
+                measured=measured,
+                strays=self._strays,
+                first_stray=self._first_stray,
+                sampling=sampling,
+                warns=warns,
+            )
+
+    def _resample(self, rows: list[Values], now_s: float) -> list[NDArray[np.float64]]:
+        """Return steps [C + K], inputs and measured outputs, that rows finish.
+
+        Rows without times of their own are taken as evenly spread since the last lines arrived.
+        """
+        values = [np.concatenate([self._read_inputs(row), self._measure(row)]) for row in rows]
+        if self._config.variable_step or not rows:
+            return values
+        column, period_s = self._config.time_column, self._model.sample_period_s
+        if self._steps is None:
+            self._has_times = column in rows[0]
+            self._steps = LiveSteps(period_s)
+        if self._has_times:
+            unit = self._config.time.unit or read_time_unit(column) or "s"
+            times_s = [TIME_UNITS[unit] * row.get(column, np.nan) for row in rows]
+        else:
+            if not np.isfinite(self._came_s):  # when those before the last were made, nobody knows
+                values, self._came_s = values[-1:], now_s - period_s
+            each_s = (now_s - self._came_s) / len(values)
+            times_s = [self._came_s + each_s * (number + 1) for number in range(len(values))]
+            self._came_s = now_s
+        found = []
+        for at_s, row in zip(times_s, values, strict=True):
+            if np.isfinite(at_s):
+                found += self._steps.add(at_s, row)
+            else:
+                self._strays += 1
+                self._first_stray = self._first_stray or f"a row has no time in '{column}'"
+        return found
 
     def _read(self, line: str) -> Values | None:
         try:
@@ -194,23 +257,29 @@ class LiveChip:
             cold = np.array([self._find(row, find_column(self._config, by.junction))])
         return float(convert(value, by, cold)[0])
 
-    def _encode(self, row: Values) -> CodeArray:
-        """Return the codes [1, C] of a row; what has no reading and no code for it holds."""
+    def _read_inputs(self, row: Values) -> NDArray[np.float64]:
+        """Return the model's inputs [C] of a row, in their physical units."""
         lacking = [c for c in list_read(self._config, self._model) if c not in row]
         if lacking:
             raise InputError(
                 f"the sensor's lines have {', '.join(row)}; the model reads {', '.join(lacking)},"
                 " too. Expected the columns of the logs."
             )
-        channels = self._model.channels
-        columns = [find_column(self._config, c.source or c.name) for c in channels]
-        values = np.array([self._find(row, column) for column in columns])
+        return np.array([self._find(row, column) for column in self._list_columns()])
+
+    def _list_columns(self) -> list[str]:
+        """Return the column of each of the model's channels."""
+        return [find_column(self._config, c.source or c.name) for c in self._model.channels]
+
+    def _encode(self, inputs: NDArray[np.float64]) -> CodeArray:
+        """Return the codes [1, C] of a step; what has no reading and no code for it holds."""
+        channels, values = self._model.channels, inputs.copy()
         holds = np.isnan(values) & np.array([c.no_reading is None for c in channels])
         if holds.any():
             if self._last is None or np.isnan(self._last[holds]).any():
+                lacking = self._list_columns()[int(holds.argmax())]
                 raise InputError(
-                    f"'{columns[int(holds.argmax())]}' has no reading in the first line; expected"
-                    " a number. Begin again."
+                    f"'{lacking}' has no reading in the first line; expected a number. Begin again."
                 )
             values[holds] = self._last[holds]
         self._last = values
@@ -223,9 +292,6 @@ class LiveChip:
         self._state, _, drift, flags = self._reference.step(self._state, wide)
         return tuple(int(x) for x in drift[0]), int(flags[0])
 
-    def _measure(self, row: Values) -> tuple[float | None, ...]:
-        found = []
-        for output in self._model.outputs:
-            value = self._find(row, find_column(self._config, f"{MEASURED}{output.name}"))
-            found.append(value if np.isfinite(value) else None)
-        return tuple(found)
+    def _measure(self, row: Values) -> NDArray[np.float64]:
+        names = (f"{MEASURED}{output.name}" for output in self._model.outputs)
+        return np.array([self._find(row, find_column(self._config, name)) for name in names])

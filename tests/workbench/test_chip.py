@@ -149,6 +149,9 @@ def test_live_lines_run_through_the_c(page, chip, keep):
     tells(page, "in 120 of 120 steps", "#chip-differ-words")
     tells(page, "measured 4.19", "#chip-compensated-words")
     page.locator("#chip-section").screenshot(path=keep_beside(keep, page, "13_chip_live"))
+    rows = [f"{120 + 0.1 * k:.1f},31,{4.2},{-0.1}" for k in range(1)]
+    page.evaluate("(text) => window.send(text)", "\n".join(rows) + "\n")
+    wait_to_the_end(page, 121)
     page.evaluate("window.send('119,x,3,4\\n')")
     tells(page, "1 lines were no rows", "#chip-says")
     page.evaluate("window.send('{\"humidity\": 3}\\n')")

@@ -177,7 +177,8 @@
       while (run.done < run.steps) { await step(most); }
     }
     const strays = came.strays ? " " + came.strays + " lines were no rows; the first: " + came.first_stray + "." : "";
-    say("Live: " + run.steps + " steps." + strays, came.strays > 0);
+    const sampling = came.sampling ? " " + came.sampling[0].toUpperCase() + came.sampling.slice(1) + "." : "";
+    say("Live: " + run.steps + " steps." + sampling + strays, came.strays > 0 || came.warns);
     show();
   }
   async function startLive() {
