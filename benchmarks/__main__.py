@@ -10,6 +10,7 @@ NAMES = (
         "bench_kernels",
         "bench_cores",
         "bench_recurrent",
+        "bench_layer_norm",
         "bench_effects",
         "bench_logs",
     ),

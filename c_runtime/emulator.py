@@ -25,6 +25,7 @@ from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.operations.layer_norm import IntegerLayerNorm
 from zerodrift.operations.lstm import IntegerLstmLayer
 
 Number = TypeVar("Number", np.int32, np.uint32, np.int64)
@@ -73,7 +74,9 @@ void chip_save(void) {{ {prefix}_save(&chip_state, chip_saved); }}
 uint32_t chip_restore(void) {{ return {prefix}_restore(&chip_state{block}, chip_saved); }}
 void chip_tare(void) {{ {tare} }}
 {layer}
+{norm}
 void _start(void) {{
+    chip_norm();
     chip_tare();
     chip_start(0);
     chip_layer();
@@ -97,6 +100,10 @@ _LSTM = """int16_t chip_features[{inputs}];
 int32_t chip_h_q30[{units}];
 int32_t chip_cell[{units}];
 void chip_layer(void) {{ {name}_step(chip_features, chip_h_q30, chip_cell, 0u); }}
+"""
+_NORM = """int16_t chip_copies[{width}];
+int32_t chip_normalised[{width}];
+void chip_norm(void) {{ zd_layer_norm(&{name}_p, chip_copies, chip_normalised, {width}u); }}
 """
 
 
@@ -256,6 +263,15 @@ class EmulatedModel:
         self._write_layer(features, h_q30)
         return self._count("chip_layer")
 
+    def count_norm(self, copies: NDArray[np.int16]) -> int:
+        """Return the number of instructions of the first layer normalisation, call included.
+
+        Args:
+            copies: [M] int16 copies that it reads.
+        """
+        self._chip.mem_write(self._symbols["chip_copies"], copies.astype("<i2").tobytes())
+        return self._count("chip_norm")
+
     def step_layer(
         self, features: NDArray[np.int16], h_q30: NDArray[np.int32]
     ) -> NDArray[np.int32]:
@@ -366,6 +382,7 @@ def _build(
         code_type=f"{np.dtype(model.code_type).name}_t",
         tare=f"{code.prefix}_tare(&chip_state);" if model.tare else "",
         layer=_render_layer(model),
+        norm=_render_norm(model),
         block=", zd_block" if code.design is not None else "",
     )
     main.write_text(text, encoding="utf-8")
@@ -378,6 +395,14 @@ def _build(
         free += ["-nostdlib", "-Wl,-Ttext=0x10000,-Tdata=0x100000,--no-relax", "-lgcc"]
     compiler.run([*free, "-o", str(program)])
     return program
+
+
+def _render_norm(model: IntegerModel) -> str:
+    """Return the C that calls the first layer normalisation alone."""
+    for node in model.nodes:
+        if isinstance(node, IntegerLayerNorm):
+            return _NORM.format(name=node.name, width=node.width)
+    return "void chip_norm(void) {}\n"
 
 
 def _render_layer(model: IntegerModel) -> str:

@@ -8,12 +8,15 @@ from numpy.typing import NDArray
 
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.layer_norm import FloatLayerNorm
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.train.onnx_network import OnnxNetwork
 
 Array = NDArray[np.float64]
-Cell = FloatGru | FloatLstm | FloatDense
 Recurrent = FloatGru | FloatLstm
+Still = FloatDense | FloatLayerNorm
+"""A layer that carries nothing."""
+Cell = Recurrent | Still
 
 STEPS_AT_ONCE = 10_000
 WINDOWS_AT_ONCE = 2_000
@@ -21,7 +24,9 @@ WINDOWS_AT_ONCE = 2_000
 
 def width_of(cell: Cell) -> int:
     """Return how many numbers a layer gives."""
-    return int(cell.weight.shape[0] if isinstance(cell, FloatDense) else cell.w_h.shape[1])
+    if isinstance(cell, Still):
+        return int(cell.bias.size)
+    return int(cell.w_h.shape[1])
 
 
 def carried_by(cell: Recurrent) -> int:
@@ -41,7 +46,7 @@ class FloatLayer:
     @property
     def recurrent(self) -> bool:
         """Whether it carries a state."""
-        return not isinstance(self.cell, FloatDense)
+        return not isinstance(self.cell, Still)
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,7 @@ class FloatLayeredNetwork:
     def start(self, batch: int) -> list[Array | None]:
         """Return states of zero."""
         return [
-            None if isinstance(n.cell, FloatDense) else np.zeros((batch, carried_by(n.cell)))
+            None if isinstance(n.cell, Still) else np.zeros((batch, carried_by(n.cell)))
             for n in self.layers
         ]
 
@@ -94,7 +99,7 @@ class FloatLayeredNetwork:
         found, states = [x], list[Array | None]()
         for layer in self.layers:
             given = gather(found, layer.reads)
-            if isinstance(layer.cell, FloatDense):
+            if isinstance(layer.cell, Still):
                 states.append(None)
                 found.append(layer.cell.step(given))
             else:
@@ -135,7 +140,7 @@ class FloatLayeredNetwork:
             elif window:
                 found[k] = self._run_windows(k, found, window)
             else:
-                assert not isinstance(layer.cell, FloatDense)
+                assert not isinstance(layer.cell, Still)
                 given = gather([found[i] for i in layer.reads])
                 y, _ = run_layer(layer.cell, given[None], layer.cell.settle(given[:1]))
                 found[k] = y[0]
@@ -160,7 +165,7 @@ class FloatLayeredNetwork:
         if not k or not self.layers[k - 1].recurrent:
             return found[k][samples]
         layer = self.layers[k - 1]
-        assert not isinstance(layer.cell, FloatDense)
+        assert not isinstance(layer.cell, Still)
         given = gather([self._walk(i, found, samples) for i in layer.reads])
         return run_layer(layer.cell, given, np.zeros((len(samples), carried_by(layer.cell))))[0]
 
@@ -183,6 +188,8 @@ class FloatLayeredNetwork:
             cell = layer.cell
             if isinstance(cell, FloatDense):
                 named.append((f"layer {k}", np.column_stack([cell.weight, cell.bias])))
+            elif isinstance(cell, FloatLayerNorm):
+                named.append((f"layer {k}", np.column_stack([cell.gain, cell.bias])))
             else:
                 kind = "GRU" if isinstance(cell, FloatGru) else "LSTM"
                 named += [(f"{kind} {k} {n}", getattr(cell, n)) for n in ("w_x", "w_h", "bias")]
@@ -197,7 +204,7 @@ def gather(found: Sequence[Array], reads: Sequence[int] | None = None) -> Array:
 
 def run_layer(cell: Cell, x: Array, state: Array | None) -> tuple[Array, Array | None]:
     """Return what a layer gives [B, T, M] for x [B, T, N], and its last state."""
-    if isinstance(cell, FloatDense):
+    if isinstance(cell, Still):
         return cell.step(x), None
     assert state is not None
     if isinstance(cell, FloatGru):
@@ -209,6 +216,8 @@ def run_layer(cell: Cell, x: Array, state: Array | None) -> tuple[Array, Array |
 def _rescale(cell: Cell, center: Array, scale: Array) -> Cell:
     """Return a layer whose first numbers are (x - center) / scale in place of x."""
     count = center.size
+    if isinstance(cell, FloatLayerNorm):
+        raise TypeError("a layer normalisation reads a layer, not the features")
     if isinstance(cell, FloatDense):
         weight = cell.weight.copy()
         bias = cell.bias + weight[:, :count] @ center

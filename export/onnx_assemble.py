@@ -9,6 +9,7 @@ from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.export.onnx_values import OnnxSignal, OnnxSource
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.layer_norm import FloatLayerNorm
 
 
 def build_network(signal: OnnxSignal) -> FloatNetwork | FloatLayeredNetwork:
@@ -50,7 +51,9 @@ def _build_layered(signal: OnnxSignal, chain: list[OnnxSource]) -> FloatLayeredN
         assert source.layer is not None and source.below is not None
         reads, columns = order(source.below)
         layer = source.layer
-        if isinstance(layer, FloatDense):
+        if isinstance(layer, FloatLayerNorm):
+            found.append(FloatLayer(layer, reads))
+        elif isinstance(layer, FloatDense):
             found.append(
                 FloatLayer(
                     FloatDense(

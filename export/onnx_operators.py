@@ -11,6 +11,7 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
+from zerodrift.export.onnx_layer_norm import layer_norm, reduce_mean
 from zerodrift.export.onnx_recurrent import gru, lstm
 from zerodrift.export.onnx_shapes import (
     RESHAPED,
@@ -40,12 +41,14 @@ Array = NDArray[np.float64]
 SUPPORTED = (
     "supported are forward GRUs and LSTMs with sigmoid and tanh; changes of shape; Add, Sub, Mul,"
     " Div, MatMul and Gemm with constants; sums and Concat of branches; the last sample of the"
-    " states; Relu, LeakyRelu, PRelu, Clip, Tanh, Sigmoid and HardSigmoid"
+    " states; Relu, LeakyRelu, PRelu, Clip, Tanh, Sigmoid and HardSigmoid; layer normalisation over"
+    " the features"
 )
 
 _NORMALIZED = (
-    "it divides by a deviation that it computes anew at every sample, for which the chip has no"
-    " operation. Train with BatchNorm, which is folded into the weights, or without normalisation"
+    "it divides by what it computes anew at every sample, for which the chip has no operation but"
+    " LayerNormalization over the features. Train with LayerNorm, or with BatchNorm, which is"
+    " folded into the weights"
 )
 _MIN_GRU = (
     "export one step of it with the state as an input and an output, and train it with a tanh or a"
@@ -54,7 +57,6 @@ _MIN_GRU = (
 REMEDIES = {
     **dict.fromkeys(
         (
-            "LayerNormalization",
             "SkipLayerNormalization",
             "SimplifiedLayerNormalization",
             "RMSNormalization",
@@ -64,8 +66,6 @@ REMEDIES = {
         ),
         _NORMALIZED,
     ),
-    "ReduceMean": "it takes a mean over values of one sample, as a layer normalisation does; then"
-    f" {_NORMALIZED}",
     **dict.fromkeys(
         ("Loop", "Scan", "If"),
         "it is control flow. Export the operators GRU and LSTM, or one step of the network with its"
@@ -360,6 +360,8 @@ OPERATORS: dict[str, Operator] = RESHAPED | {
     "GRU": gru,
     "LSTM": lstm,
     "Concat": concat,
+    "LayerNormalization": layer_norm,
+    "ReduceMean": reduce_mean,
     **dict.fromkeys(
         (
             "Relu",

@@ -22,12 +22,14 @@ from zerodrift.export.onnx_assemble import build_network
 from zerodrift.export.onnx_cells import restore_cells
 from zerodrift.export.onnx_files import LARGEST_FILE, complete_shapes, load_external_data
 from zerodrift.export.onnx_fold import fold_constants
+from zerodrift.export.onnx_layer_norm import OUTSIDE, combine
 from zerodrift.export.onnx_operators import OPERATORS, REMEDIES, SUPPORTED
 from zerodrift.export.onnx_shapes import RESHAPING
 from zerodrift.export.onnx_values import (
     Axis,
     Constant,
     Fill,
+    Moment,
     OnnxSignal,
     RawInput,
     Refused,
@@ -279,6 +281,8 @@ def _evaluate(
             folded = fold_constants(node, arrays)
             if folded is not None:
                 return list(map(Constant, folded))
+        if node.op_type != "ReduceMean" and any(isinstance(v, Moment) for v in inputs):
+            return combine(node, inputs)
         if node.op_type in RESHAPING and isinstance(inputs[0], Fill):
             return [inputs[0]] * outputs
         if node.op_type not in OPERATORS:
@@ -322,7 +326,9 @@ def _choose_output(
             )
         names = [wanted]
     found = {n: v for n in names if isinstance(v := values.get(n), OnnxSignal)}
+    parts = [n for n in names if isinstance(values.get(n), Moment)]
     refused = [v for n in names if isinstance(v := values.get(n), Refused)]
+    refused += [Refused(f"output '{n}': {OUTSIDE}") for n in parts]
     answers = {n: s for n, s in found.items() if not _is_state(s)}
     if not answers and refused:
         raise InputError(f"{where}: {refused[0].message}. {SUPPORTED[0].upper()}{SUPPORTED[1:]}.")

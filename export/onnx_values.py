@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.layer_norm import FloatLayerNorm
 from zerodrift.operations.lstm.cell import FloatLstm
 
 Array = NDArray[np.float64]
@@ -60,7 +61,7 @@ class OnnxSource:
     """0 for an input of which it is not known yet."""
     below: "OnnxSource | None" = None
     """What the layer reads."""
-    layer: FloatGru | FloatLstm | FloatDense | None = None
+    layer: FloatGru | FloatLstm | FloatDense | FloatLayerNorm | None = None
     """None for the graph's input, and for several side by side."""
     name: str = ""
     """The input's or the node's name."""
@@ -221,7 +222,17 @@ def join_signals(signals: Sequence[OnnxSignal]) -> list[OnnxSignal]:
     return found
 
 
-Value = Constant | Fill | Dims | Refused | Pack | RawInput | OnnxSignal | None
+@dataclass(frozen=True)
+class Moment:
+    """A part of the normalisation of a signal, which means something as such a part only."""
+
+    of: OnnxSignal
+    stage: str
+    """mean | centered | square | variance | deviation | inverse"""
+    epsilon: float = 0.0
+
+
+Value = Constant | Fill | Dims | Refused | Pack | RawInput | OnnxSignal | Moment | None
 """None is an optional input that is left out."""
 
 

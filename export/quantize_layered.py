@@ -11,6 +11,7 @@ from zerodrift.export.layered_network import FloatLayeredNetwork, width_of
 from zerodrift.export.lowering import Lowering
 from zerodrift.export.quantize_dense import quantize_dense
 from zerodrift.export.quantize_gru import quantize_gru, quantize_head
+from zerodrift.export.quantize_layer_norm import quantize_layer_norm
 from zerodrift.export.quantize_lstm import quantize_lstm
 from zerodrift.operations.dense import COPY_BITS, FloatDense
 from zerodrift.operations.gru import IntegerGruLayer
@@ -18,6 +19,7 @@ from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.gru_stack import IntegerGruStack
 from zerodrift.operations.head import IntegerHead, IntegerJoinHead
 from zerodrift.operations.join import IntegerJoin
+from zerodrift.operations.layer_norm import FloatLayerNorm
 from zerodrift.operations.lstm import IntegerLstmLayer
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.operations.node import IntegerNode
@@ -141,6 +143,8 @@ def _make_node(
         copies = [x.round_shift(COPY_BITS) for x in reach] if copied else reach
         name = _name(lowering, "dense")
         return quantize_dense(cells[0], name, source, given, copies, not copied)
+    if isinstance(cells[0], FloatLayerNorm):
+        return quantize_layer_norm(cells[0], _name(lowering, "layer_norm"), source, given)
     if copied:  # a recurrent layer reads 16 bits
         source = lowering.append(
             IntegerJoin(_name(lowering, "join"), (source,), (COPY_BITS,), (given.size,))

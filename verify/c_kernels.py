@@ -19,6 +19,7 @@ from zerodrift.verify.c_gru import (
     shift_right,
 )
 from zerodrift.verify.c_intervals import IntervalMachine, Rule
+from zerodrift.verify.c_layer_norm import normalise
 from zerodrift.verify.c_lstm import run_lstm
 from zerodrift.verify.c_values import (
     TYPES,
@@ -377,6 +378,7 @@ RULES: dict[str, Rule] = {
         f"&zd_lstm_t, {GRU}, int32_t *, int16_t *, uint32_t",
         run_lstm,
     ),
+    "zd_layer_norm": typed("&zd_layer_norm_t, const int16_t *, int32_t *, uint32_t", normalise),
     "zd_crc32_i16": typed("uint32_t, const int16_t *, uint32_t", _crc, "uint32_t"),
     "zd_crc32_i32": typed("uint32_t, const int32_t *, uint32_t", _crc, "uint32_t"),
     "zd_crc32_word": typed("uint32_t, uint32_t", _crc_word, "uint32_t"),
@@ -436,6 +438,16 @@ STRUCTS: dict[str, tuple[tuple[str, str, int], ...]] = {
         ("weights", "const int16_t *", 0),
         ("bias", "const int32_t *", 0),
         ("shift", "uint8_t", 3),
+    ),
+    "zd_layer_norm_t": (
+        ("align", "const uint8_t *", 0),
+        ("gain", "const int32_t *", 0),
+        ("shift", "const uint8_t *", 0),
+        ("bias", "const int32_t *", 0),
+        ("epsilon", "int64_t", 0),
+        ("reciprocal", "int32_t", 0),
+        ("root", "int32_t", 0),
+        ("mean_shift", "uint8_t", 0),
     ),
     "zd_power_t": (
         ("octave", "const int32_t *", 0),

@@ -35,6 +35,7 @@ from zerodrift.verify.object_proof import (
 from zerodrift.verify.prove_checksum import prove_checksum
 from zerodrift.verify.prove_elapsed import TESTED_ALONE, make_elapsed_rules, say_span
 from zerodrift.verify.prove_kernels import Layers, Numbered
+from zerodrift.verify.prove_layer_norm import NORM_TESTED, run_norm
 from zerodrift.verify.prove_lemmas import prove_exp2, prove_layer, prove_power, prove_tanh
 from zerodrift.verify.prove_machine import Rule, TermMachine
 from zerodrift.verify.prove_memory import (
@@ -217,6 +218,7 @@ class Proof:
         self.sound: Callable[[TermMachine], Whole] | None = None
         rules = make_rules(prefix, lambda: self.meaning.layers, self.used)
         rules |= make_elapsed_rules()
+        rules["zd_layer_norm"] = run_norm(self.used.norms.add)
         self.machine = TermMachine(self.program, rules)
         self.meaning = Specification(self.machine.terms, model)
         self.terms = self.machine.terms
@@ -311,6 +313,8 @@ class Proof:
             yield self._show(f"2^t, top {top}", partial(prove_exp2, machine, top, *exponents))
         for name, ends in used.powers.items():
             yield self._show(f"x^p of {name}", partial(prove_power, machine, name, *ends))
+        for name in sorted(used.norms):
+            yield ShownPart(f"layer normalisation {name}", self.build, TESTED, NORM_TESTED)
         for name, relaxing in layers.given:
             what = f"{name}, {'towards rest' if relaxing else 'a step'}"
             yield self._show(what, partial(prove_layer, machine, layers, name, relaxing))

@@ -36,6 +36,8 @@ class Used:
     """Top -> the widest range of the exponent."""
     powers: dict[str, tuple[int, int]] = field(default_factory=dict)
     """Constant -> the widest range of x."""
+    norms: set[str] = field(default_factory=set)
+    """Layer normalisations."""
     saved: list[tuple[str, bool]] = field(default_factory=list)
     restored: int = 0
 

@@ -35,6 +35,7 @@ from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Bound
 from zerodrift.operations.join import IntegerJoin
+from zerodrift.operations.layer_norm import IntegerLayerNorm
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.operations.lowpass_after import IntegerLowpassAfter
@@ -60,6 +61,7 @@ from zerodrift.verify.prove_kernels import (
     find_exp2,
     find_power,
 )
+from zerodrift.verify.prove_layer_norm import Normalisation, say_norm
 from zerodrift.verify.prove_terms import Terms, UndecidedError, Whole
 
 State = dict[str, list[Whole]]
@@ -484,6 +486,9 @@ class Specification(TermArithmetic):
                 return self._recurrent(node, state, given[0])
             case IntegerDense():
                 return {}, self._dense(node, given[0])
+            case IntegerLayerNorm():
+                copies = [self.round_shift(one, 15) for one in given[0]]
+                return {}, say_norm(terms, read_norm(node), copies)
             case IntegerHead():
                 copies = given[0]
                 if node.kind == "head":
@@ -707,6 +712,13 @@ def sum_up(terms: Terms, row: Sequence[Whole]) -> Whole:
 def read_power(node: IntegerPower) -> Power:
     """Return the numbers of a power."""
     return Power(tuple(node.octave), tuple(node.gains), node.low, node.high, node.shift)
+
+
+def read_norm(node: IntegerLayerNorm) -> Normalisation:
+    """Return the numbers of a layer normalisation."""
+    rows = (node.align, node.gain.tolist(), node.shift, node.bias.tolist())
+    align, gain, shift, bias = (tuple(int(n) for n in row) for row in rows)
+    return Normalisation(align, gain, shift, bias, node.epsilon)
 
 
 def list_layers(node: IntegerNode) -> list[Numbered]:

@@ -34,6 +34,7 @@ MODELS = (
     "guarded",
     "lstm",
     "lstm_int8",
+    "layer_norm",
     "raw",
     "asleep",
 )

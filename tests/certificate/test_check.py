@@ -427,6 +427,7 @@ def test_a_fault_in_the_lstm_s_assembly_is_noticed(fault: str) -> None:
 BEFORE = Shape(inputs=3, hidden=4, reset="before", code_limit=12000)
 BYTES = Shape(inputs=3, hidden=5, weights="int8", code_limit=12000)
 LSTM_BYTES = Shape(inputs=3, layered=(("lstm", 5, (0,)),), weights="int8", code_limit=12000)
+NORM = Shape(inputs=3, layered=(("gru", 5, (0,)), ("norm", 5, (1,))), code_limit=12000)
 FURTHER_FAULTS: dict[str, tuple[Shape, str, str]] = {
     "r h rounded elsewhere": (BEFORE, r"add r5, r5, #8192", "add r5, r5, #4096"),
     "u not masked": (BEFORE, r"and r2, r2, r3", "mov r2, r2"),
@@ -467,6 +468,25 @@ FURTHER_FAULTS: dict[str, tuple[Shape, str, str]] = {
         LSTM_BYTES,
         r"(lstm_stream\[)(\d+)\] = \{([^}]*)\n\}",
         r"\g<1>\2 + 1] = {\3,\n    0\n}",
+    ),
+    "a gain of a normalisation": (NORM, r"(_gain\[5\] = \{\s*)-?\d+", r"\g<1>2147483647"),
+    "a bias of a normalisation": (
+        NORM,
+        r"(_bias\[5\] = \{\s*)-?\d+(?=[^;]*\};\n.*zd_layer)",
+        r"\g<1>1",
+    ),
+    "no epsilon": (NORM, r"INT64_C\(\d+\), \d+, \d+, \d+\n", "INT64_C(0), 1, 1, 1\n"),
+    "another epsilon": (NORM, r"(_bias, INT64_C\()\d+", r"\g<1>1152921504606846977"),
+    "another root": (NORM, r"(INT64_C\(\d+\), \d+, )\d+", r"\g<1>999"),
+    "more numbers than there are": (
+        NORM,
+        r"(_q15, result, )5u\);\n        zd_gru",
+        r"\g<1>6u);\n        zd_gru",
+    ),
+    "a normalisation of its own result": (
+        NORM,
+        r"zd_layer_norm\(&layer_norm_p, gru_q15",
+        "zd_layer_norm(&layer_norm_p, layer_norm_q15",
     ),
     "an accumulator's other shift": (
         BYTES,

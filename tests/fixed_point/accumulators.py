@@ -10,7 +10,7 @@ import numpy as np
 
 from zerodrift.export.integer_model import FLAG_NO_READING, IntegerModel
 from zerodrift.export.reference import ModelState, Reference
-from zerodrift.operations.arithmetic import CodeArray, saturate
+from zerodrift.operations.arithmetic import CodeArray, round_shift, saturate
 from zerodrift.operations.clip import IntegerClip
 from zerodrift.operations.counter import IntegerCounter
 from zerodrift.operations.delay import IntegerDelay
@@ -24,6 +24,7 @@ from zerodrift.operations.gru_stack import IntegerGruStack
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Interval
+from zerodrift.operations.layer_norm import IntegerLayerNorm, invert_root, list_constants
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.operations.play import IntegerPlay
@@ -212,6 +213,8 @@ def recompute(model: IntegerModel, seen: Record) -> Found:
                     yield f"{node.name}[{i}]", sums[:, i]
                     if node.activation == "clip":
                         yield f"{node.name}[{i}].limit", seen.values[node.name][:, i] >> 15
+            case IntegerLayerNorm():
+                yield from _recompute_norm(node, inputs[0])
             case IntegerHead():
                 for k in range(node.width):
                     yield f"{node.name}[{k}]", seen.values[node.name][:, k]
@@ -225,6 +228,32 @@ def recompute(model: IntegerModel, seen: Record) -> Found:
                     yield f"{node.name}[{k}]", sums[:, k]
             case _:
                 pass
+
+
+def _recompute_norm(node: IntegerLayerNorm, given: Array) -> Found:
+    reciprocal, mean_shift, root = list_constants(node.width)
+    align, shift, name = np.array(node.align), np.array(node.shift), node.name
+    raised = round_shift(given, 15) << 12
+    v = (raised + (np.left_shift(1, align) >> 1)) >> align
+    yield f"{name}.sum", np.cumsum(v, axis=1)
+    scaled = v.sum(axis=1, keepdims=True) * reciprocal + (1 << mean_shift >> 1)
+    yield f"{name}.mean", scaled
+    d = v - (scaled >> mean_shift)
+    yield f"{name}.difference", d
+    squares = node.epsilon + (d * d).sum(axis=1, keepdims=True)
+    yield f"{name}.squares", squares
+    doublings = np.array([[(62 - int(w).bit_length()) // 2 * 2] for w in squares[:, 0]])
+    scale = invert_root((squares << doublings) >> 32) * root >> 29
+    yield f"{name}.scale", scale
+    half = np.left_shift(1, 31 - doublings // 2) >> 1
+    yield f"{name}.part", d * scale + half
+    part = (d * scale + half) >> (31 - doublings // 2)
+    product = part * node.gain.astype(np.int64) + (np.left_shift(1, shift) >> 1)
+    y = (product >> shift) + node.bias
+    for i in range(node.width):
+        yield f"{name}[{i}].product", product[:, i]
+        yield f"{name}[{i}]", y[:, i]
+        yield f"{name}[{i}].copy", (y[:, i] + 2**14) >> 15
 
 
 def _recompute_power(node: IntegerPower, given: Array) -> Found:

@@ -49,6 +49,12 @@ SHAPES = {
     "lstm, int8, stack": Shape(
         weights="int8", inputs=1, layered=(("lstm", 4, (0,)), ("lstm", 7, (1,))), gain=12.0
     ),
+    "layer norm": Shape(
+        inputs=3,
+        layered=(("relu", 5, (0,)), ("norm", 5, (1,)), ("gru", 17, (0, 2)), ("norm", 17, (3,))),
+        outputs=2,
+        gain=4.0,
+    ),
     "window": Shape(window=4, hidden=6, inputs=1, outputs=1),
 }  # fmt: skip
 QUICK = {
@@ -62,6 +68,9 @@ QUICK = {
     ("cortex-m4", "int8, stack"),
     ("cortex-m4", "lstm"),
     ("cortex-m4", "stack of lstms"),
+    ("cortex-m4", "layer norm"),
+    ("cortex-m0plus", "layer norm"),
+    ("rv32imc", "layer norm"),
     ("cortex-m4", "lstm, int8"),
     ("cortex-m4", "lstm, int8, stack"),
 }
@@ -224,6 +233,22 @@ def test_instruction_count_does_not_depend_on_the_data(
     states = [np.full(6, x) for x in (-limit, 0, 1, limit)]
     states += [np.floor(draw.uniform(-limit, limit, 6)).astype(np.int64) for _ in range(4)]
     counts = {chip.count_layer(x, h.astype(np.int32)) for x in features for h in states}
+    assert len(counts) == 1, sorted(counts)
+
+
+@pytest.mark.parametrize("flags", [("-O2",), ("-Os",)])
+@pytest.mark.parametrize("core", ["cortex-m4", "cortex-m0plus", "rv32imc"])
+def test_instruction_count_of_a_normalisation_does_not_depend_on_the_data(
+    core: str, flags: tuple[str, ...], tmp_path: Path
+) -> None:
+    """One number for rails, equal numbers, nearly equal ones and noise, whatever the doublings."""
+    shape = Shape(inputs=2, layered=(("gru", 6, (0,)), ("norm", 6, (1,))), outputs=1, gain=8.0)
+    model, draw = draw_model(shape, 33), Draw(7)
+    chip = EmulatedModel(model, generate(model), core, tmp_path, flags)
+    rows = [np.full(6, x) for x in (-32768, 0, 1, 32767)]
+    rows += [np.array([-32768, 32767] * 3), np.array([0, 0, 0, 0, 0, 1])]
+    rows += [draw.codes(-(2**k), 2**k - 1, 6) for k in range(1, 16)]
+    counts = {chip.count_norm(row.astype(np.int16)) for row in rows}
     assert len(counts) == 1, sorted(counts)
 
 

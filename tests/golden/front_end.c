@@ -5,13 +5,13 @@
 #include "zd_runtime.h"
 #include "zd_network.h"
 
-#if FRONT_END_CODE_ID != 383419457
+#if FRONT_END_CODE_ID != 4273101130
 #error "front_end.h is not of the same generation as front_end.c: copy all files again"
 #endif
 #if ZD_RUNTIME_FORMAT != 3
 #error "front_end was generated for zerodrift runtime format 3: generate it again"
 #endif
-#if ZD_RUNTIME_ID != 0x7b08a77e
+#if ZD_RUNTIME_ID != 0x84d000b6
 #error "zd_runtime.h is not the one that front_end.c was generated with: copy all files again"
 #endif
 

@@ -15,6 +15,7 @@ from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.graph import Node
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.layer_norm import FloatLayerNorm
 from zerodrift.operations.lstm.cell import FloatLstm
 
 LINEAR = ("lowpass", "delay", "difference", "product", "power")
@@ -60,8 +61,8 @@ class Shape:
     dense: tuple[tuple[int, str], ...] = ()
     """Rows and activation ("tanh", "relu", "relu6") of dense layers before the head."""
     layered: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
-    """Kind ("gru", "lstm", "tanh", "relu"), width and what it reads (0: the features, k: the k-th
-    layer) of each layer; the head reads the last layer and the features."""
+    """Kind ("gru", "lstm", "tanh", "relu", "norm"), width, what it reads (0: the features, k: the
+    k-th layer) of each layer; the head reads the last layer and the features."""
     forget_bias: float = 0.0
     """Of an LSTM: 6 is a unit that forgets 1/400 of its cell state per step."""
 
@@ -255,11 +256,15 @@ def _draw_layered(shape: Shape, draw: Draw) -> FloatLayeredNetwork:
     for kind, width, reads in shape.layered:
         below = sum(widths[k] for k in reads)
         gates = {"gru": 3, "lstm": 4}.get(kind, 0)
-        if not gates:
+        if kind == "norm":
+            cell: Cell = FloatLayerNorm(
+                draw.uniform(-gain, gain, width), draw.uniform(-0.5, 0.5, width), 1e-5
+            )
+        elif not gates:
             weight, bias = (draw.uniform(-gain, gain, width, n) for n in (below, 1))
             low = 0.0 if kind == "relu" else -np.inf
             activation = "tanh" if kind == "tanh" else "clip"
-            cell: Cell = FloatDense(weight, bias[:, 0], activation, low)
+            cell = FloatDense(weight, bias[:, 0], activation, low)
         else:
             w_x = draw.uniform(-gain, gain, gates, width, below)
             w_h = draw.uniform(-gain, gain, gates, width, width) * np.sqrt(3.0 / width)

@@ -137,6 +137,22 @@ CASES: dict[str, Case] = {
         ),
         walk,
     ),
+    "layer_norm": Case(
+        Shape(
+            inputs=3,
+            layered=(
+                ("relu", 5, (0,)),
+                ("norm", 5, (1,)),
+                ("gru", 6, (0, 2)),
+                ("norm", 6, (3,)),
+                ("norm", 6, (4,)),
+                ("lstm", 5, (5,)),
+                ("norm", 5, (6,)),
+            ),
+            outputs=2,
+        ),
+        walk,
+    ),
     "front_end": Case(
         Shape(
             name="front_end",

@@ -8,6 +8,7 @@ import onnxruntime
 import pytest
 from tests.golden.model_factory import SAMPLE_PERIOD_S
 from tests.onnx.kinds import DEVIATION, GRU_KINDS, LSTM_KINDS, LSTM_REFUSED, MEAN, Kind
+from tests.onnx.layer_norms import NORM_KINDS, NORM_REFUSED
 from tests.onnx.min_grus import MIN_GRU_KINDS
 from tests.onnx.test_reader import run_onnxruntime
 from tests.onnx.write_exported import PLAIN
@@ -35,14 +36,17 @@ ALL = {f"GRU: {k}": v for k, v in GRU_KINDS.items()} | {
     f"LSTM: {k}": v for k, v in LSTM_KINDS.items()
 }
 ALL |= {f"minGRU: {k}": v for k, v in MIN_GRU_KINDS.items()}
+ALL |= {f"LayerNorm: {k}": v for k, v in NORM_KINDS.items()}
 TAKEN = {name: kind for name, kind in ALL.items() if not kind.refused}
 REFUSED = {name: kind for name, kind in ALL.items() if kind.refused}
 REFUSED |= {f"LSTM: {k}": v for k, v in LSTM_REFUSED.items()}
+REFUSED |= {f"LayerNorm: {k}": v for k, v in NORM_REFUSED.items()}
 ON_CORES = (
     "GRU: Tanh between two GRUs",
     "LSTM: PyTorch, two layers, window",
     "LSTM: GRU on an LSTM",
     "minGRU: a tanh over the candidate",
+    "LayerNorm: between two LSTMs, opset 14",
 )
 
 

@@ -299,15 +299,20 @@ def test_other_recurrence_is_refused() -> None:
         (lambda g, y: g.op("Add", y, g.constant(np.ones((5, 1, 1, 1)))), "along the time axis"),
         (lambda g, y: g.op("Gather", y, g.constant(2, np.int64), axis=0), "not the last"),
         (lambda g, y: g.op("ReduceMean", y, axes=[0]), "ReduceMean"),
-        (lambda g, y: g.op("ReduceMean", y, axes=[2]), "layer normalisation"),
         (
-            lambda g, y: g.op("LayerNormalization", y, g.constant(np.ones(4))),
-            "LayerNormalization 'LayerNormalization_1': not supported: it divides by a deviation",
+            lambda g, y: g.op("ReduceMean", y, axes=[3]),
+            "mean or a deviation over the features of a sample outside a layer normalisation",
         ),
         (
-            lambda g, y: g.op("LayerNormalization", y, g.constant(np.ones(4))),
-            "Train with BatchNorm",
+            lambda g, y: g.op("LayerNormalization", y, g.constant(np.ones(4)), axis=2),
+            "LayerNormalization 'LayerNormalization_1': it normalises over the axes [2, 3]",
         ),
+        (
+            lambda g, y: g.op("MeanVarianceNormalization", y, axes=[3]),
+            "MeanVarianceNormalization 'MeanVarianceNormalization_1': not supported: it divides by"
+            " what it computes anew at every sample",
+        ),
+        (lambda g, y: g.op("MeanVarianceNormalization", y, axes=[3]), "Train with LayerNorm"),
         (lambda g, y: g.op("CumSum", y, g.constant(0, np.int64)), "minGRU"),
         (lambda g, y: g.op("Mul", y, g.op("Sigmoid", "x")), "train a GRU or an LSTM"),
         (lambda g, y: g.op("Reshape", y, g.constant([2, -1], np.int64)), "Reshape"),

@@ -1,6 +1,7 @@
 """Section 4 of docs/reference/integer-arithmetic.md, and docs/reference/integer-layers.md."""
 
 from collections.abc import Sequence
+from math import isqrt
 
 from tests.oracle.model_file import Node, check_width, read_gates, read_rows, read_vector
 from tests.oracle.primitives import (
@@ -247,6 +248,46 @@ class Dense:
             else:
                 assert self.activation == "clip"
                 y.append(fit(saturate(a, fit(self.low[i], 16), fit(self.high[i], 16)) << 15, 32))
+        return y
+
+
+class LayerNorm:
+    """`layer_norm`."""
+
+    def __init__(self, node: Node) -> None:
+        """Read the rows of the model file."""
+        self.align, self.shift, self.epsilon = node["align"], node["shift"], node["epsilon"]
+        self.gain, self.bias = read_vector(node["gain"]), read_vector(node["bias"])
+        assert 1 <= len(self.align) <= 128 and 1 <= self.epsilon <= 2**60
+        check_width(self.gain, 32)
+        check_width(self.bias, 32)
+
+    def step(self, inputs: Sequence[int]) -> list[int]:
+        """Return the int32 results y."""
+        count, p = len(inputs), 27
+        while 2 ** (p - 26) <= count:
+            p += 1
+        assert len(self.align) == count
+        v = [round_shift(copy(y) * 4096, by) for y, by in zip(inputs, self.align, strict=True)]
+        total = fit(sum(v), 64)
+        reciprocal = (2 ** (p + 1) + count) // (2 * count)
+        mean = round_shift(fit(total * reciprocal, 64), p)
+        d = [fit(one - mean, 32) for one in v]
+        w, doublings = self.epsilon + sum(one * one for one in d), 0
+        assert w < 2**62
+        for by in (32, 16, 8, 4, 2):
+            if w < 2 ** (62 - by):
+                w, doublings = w * 2**by, doublings + by
+        a = w // 2**32
+        assert 2**28 <= a < 2**30
+        r = 1143535043 - 652298158 * a // 2**30
+        for _ in range(4):
+            r = r * (3 * 2**29 - r * r // 2**29 * a // 2**30) // 2**30
+        scale = fit(r * isqrt(count * 2**52) // 2**29, 32)
+        y = []
+        for one, gain, shift, bias in zip(d, self.gain, self.shift, self.bias, strict=True):
+            n = fit(round_shift(fit(one * scale, 64), 31 - doublings // 2), 32)
+            y.append(fit(round_shift(fit(n * gain, 64), shift) + bias, 32))
         return y
 
 

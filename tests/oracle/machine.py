@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.oracle.conversion import convert
-from tests.oracle.layers import Dense, Drift, Head, Join, Recurrent, RecurrentLstm
+from tests.oracle.layers import Dense, Drift, Head, Join, LayerNorm, Recurrent, RecurrentLstm
 from tests.oracle.primitives import fit
 from tests.oracle.signals import SIGNALS, Features, Signal
 
@@ -130,7 +130,7 @@ class Oracle:
                 assert isinstance(features, list)
                 unit.begin(features, settled=settled)
                 values[name] = unit.h_q30[-1]
-            elif isinstance(unit, Dense | Join):
+            elif isinstance(unit, Dense | Join | LayerNorm):
                 values[name] = unit.step(self._read(node, values, codes))
 
     def _compute(self, codes: Sequence[int]) -> tuple[dict[str, Value], list[int], bool]:
@@ -168,6 +168,7 @@ def _make(node: dict[str, Any]) -> Any:
         "gru": Recurrent,
         "gru_stack": Recurrent,
         "dense": Dense,
+        "layer_norm": LayerNorm,
         "feature_dense": Dense,
         "head": Head,
         "join_head": Head,

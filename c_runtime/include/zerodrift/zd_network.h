@@ -9,7 +9,7 @@
 
 #include "zd_runtime.h"
 
-#if ZD_RUNTIME_ID != 0x7b08a77e
+#if ZD_RUNTIME_ID != 0x84d000b6
 #error "zd_network.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
