@@ -133,7 +133,7 @@ def _read(path: Path, elf: ELFFile) -> Image:
     except CheckError as error:
         raise InputError(
             f"{path}: has no symbols; it was stripped. Give the program as the linker wrote it,"
-            " before strip or objcopy."
+            " before strip or objcopy, and not linked with -s (zig cc -Os does so without -g)."
         ) from error
     architecture = find_attribute(elf, "TAG_CPU_ARCH")
     if architecture not in (None, *ARMV6_M, *ARMV7E_M):

@@ -8,8 +8,10 @@ from click.testing import CliRunner
 
 from tests.golden.vectors import load
 from zerodrift.app.cli import cli
+from zerodrift.base.errors import InputError
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate
+from zerodrift.verify.object_proof import BUILDS, build_program
 
 CONFIG = """\
 [sensor]
@@ -48,6 +50,7 @@ def test_words_json_and_exit_codes(project: Path) -> None:
     assert found.exit_code == 0, found.output
     assert "TESTED, NOT PROVEN: kernels of recurrent layers" in found.output
     assert "proven: " in found.output
+    assert "ASSEMBLY" not in found.output
     model = load("effects").model
     source = project / "firmware" / generate(model).source_name
     text = source.read_text()
@@ -58,3 +61,27 @@ def test_words_json_and_exit_codes(project: Path) -> None:
     told = json.loads(found.stdout)
     assert not told["proven"]
     assert {"step"} <= {p["what"] for p in told["parts"] if p["verdict"] == "not proven"}
+
+
+def test_a_program_is_proven_too(project: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """`--elf`: each kernel in it is told with the program's name; what is none is bad input."""
+    model = load("effects").model
+    code = generate(model)
+    texts = {path.name: path.read_text() for path in RUNTIME_FILES}
+    texts |= {code.header_name: code.header, code.source_name: code.source}
+    folder = tmp_path_factory.mktemp("build")
+    elf = build_program(texts, code.prefix, len(model.outputs), BUILDS[0], folder)
+    prove = ["verify", "-C", str(project), "--prove", "--elf", str(elf)]
+    found = CliRunner().invoke(cli, [*prove, "--json"])
+    assert found.exit_code == 0, found.output
+    parts = {(p["what"], p["build"]): p["verdict"] for p in json.loads(found.stdout)["parts"]}
+    for what in ("a step", "towards rest"):
+        for build in ("proof.elf", "object code for cortex-m4", "object code for cortex-m0plus"):
+            assert parts[f"gru in assembly, {what}", build] == "proven"
+    (text := folder / "text.elf").write_text("no program")
+    found = CliRunner().invoke(cli, [*prove[:-1], str(text)])
+    assert isinstance(found.exception, InputError)
+    assert "is no ELF file" in str(found.exception)
+    found = CliRunner().invoke(cli, ["verify", "-C", str(project), "--elf", str(elf)])
+    assert isinstance(found.exception, InputError)
+    assert "--elf goes with --prove" in str(found.exception)

@@ -1,6 +1,7 @@
 """Kernels in assembly are proven from object code; machine code that does anything else is not."""
 
 import random
+import shutil
 from functools import cache
 from pathlib import Path
 
@@ -13,7 +14,13 @@ from tests.prove.test_proof import write
 from zerodrift.base.errors import InputError
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.verify.object_image import Image, read_image
-from zerodrift.verify.object_proof import BUILDS, build_program, check_program, show_program
+from zerodrift.verify.object_proof import (
+    BUILDS,
+    PROGRAM,
+    build_program,
+    check_program,
+    show_program,
+)
 from zerodrift.verify.prove import PROVEN, TESTED, list_shown
 from zerodrift.verify.prove_kernels import Layers
 from zerodrift.verify.prove_specification import Specification
@@ -126,6 +133,20 @@ def test_a_users_program_is_proven(program: Path) -> None:
     check_program(program, source)
     shown = list(show_program(program, make_layers("odd_hidden"), ["gru"]))
     assert [(one.build, one.why) for one in shown] == [("proof.elf", "")] * 2
+
+
+@pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="needs arm-none-eabi-gcc")
+@pytest.mark.parametrize("core", ["cortex-m0plus", "cortex-m33"])
+def test_a_program_of_gcc_is_proven(core: str, tmp_path: Path) -> None:
+    (tmp_path / "zd_proof.c").write_text(PROGRAM.format(prefix="golden", count=8))
+    for file, text in write(load("odd_hidden").model).items():
+        (tmp_path / file).write_text(text)
+    (gcc,) = (c for c in find_cross_compilers(core) if c.name == "gcc")
+    free = ["-std=c99", "-Os", "-ffreestanding", "-nostdlib", f"-I{tmp_path}"]
+    path = tmp_path / "app.elf"
+    gcc.run([*free, str(tmp_path / "zd_proof.c"), "-lgcc", "-o", str(path)])
+    shown = list(show_program(path, make_layers("odd_hidden"), ["gru"]))
+    assert [(one.build, one.why) for one in shown] == [("app.elf", "")] * 2
 
 
 def test_a_program_of_another_model_is_told(program: Path) -> None:
