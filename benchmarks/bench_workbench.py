@@ -1,4 +1,4 @@
-"""The page's marks: ready, zoom, diagnosis against the command; and the report's time and size.
+"""The page's marks: first page, ready, interactions, cause, axe; the report's time and size.
 
 python -m benchmarks.bench_workbench [--quick]
 
@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import polars
 
+from benchmarks.page_marks import CASES, count_faults, list_marks, measure_first, see_cause
 from zerodrift.base.records import to_dict
 from zerodrift.workbench.chart import draw_wish
 from zerodrift.workbench.events import DIAGNOSED
@@ -50,6 +51,8 @@ train = ["logs/*.parquet"]
 kind = "zero_tempco"
 """
 ZOOMS = 12
+TRUTH = "truth.json"
+"""What the twin hid; without it a project is no practice case."""
 TWELVE = ("twin", "--runs", "12", "--told", "zero_tempco", "--hidden", "thermal_lag", "--seed", "3")
 BEFORE = {
     "html_bytes": 6_876_457,
@@ -188,8 +191,11 @@ def measure_page(bench: Workbench, browser: Any) -> dict[str, float]:
         form = ("value", "rate", "lag")[number % 3]
         wish = {"run": runs[number % len(runs)], "against": f"{form}:{60 + number}:temperature"}
         took["driver"].append(page.evaluate(ASK, wish))
-    box = page.locator("#main svg").bounding_box()
     for number in range(ZOOMS):
+        # The chart may lie below the window, and moves with the length of the verdict above it.
+        page.locator("#main svg").evaluate("chart => chart.scrollIntoView()")
+        box = page.locator("#main svg").bounding_box()
+        page.wait_for_selector("#main .over .mark", state="detached")
         x = box["x"] + 90.0 + 20.0 * number
         page.mouse.move(x, box["y"] + 60.0)
         page.mouse.down()
@@ -244,8 +250,9 @@ def measure_report(directory: Path) -> dict[str, object]:
     return told
 
 
-def measure(directory: Path, browser: Any, *, diagnoses: bool = True) -> dict[str, float]:
+def measure(directory: Path, browser: Any, *, diagnoses: bool = True) -> dict[str, Any]:
     """Return the marks of one project; with `diagnoses`, the time to the verdict too."""
+    first = measure_first(directory, browser)
     bench = Workbench(directory)
     thread = threading.Thread(target=bench.serve, daemon=True)
     thread.start()
@@ -253,7 +260,26 @@ def measure(directory: Path, browser: Any, *, diagnoses: bool = True) -> dict[st
         found = look(bench, diagnoses=diagnoses)
         if not diagnoses:
             bench.place.cancel()
-        return {**found, **measure_page(bench, browser), "zoom_cpu_ms": measure_zoom(bench)}
+        marks: dict[str, Any] = {**first, **found, **measure_page(bench, browser)}
+        marks["zoom_cpu_ms"] = measure_zoom(bench)
+        if diagnoses:
+            marks["axe"] = count_faults(bench, browser)
+        return marks
+    finally:
+        bench.stop()
+        thread.join(10.0)
+
+
+def measure_cause(directory: Path, browser: Any, hidden: str) -> dict[str, object]:
+    """Return clicks and seconds from the verdict to its cause, on logs with an effect hidden."""
+    run_command(*TWIN[:5], "--hidden", hidden, "--seed", "3", "-C", str(directory))
+    (directory / TRUTH).unlink()  # else the page asks for a guess before it tells the verdict
+    bench = Workbench(directory)
+    thread = threading.Thread(target=bench.serve, daemon=True)
+    thread.start()
+    try:
+        look(bench, diagnoses=True)
+        return see_cause(bench, browser, hidden)
     finally:
         bench.stop()
         thread.join(10.0)
@@ -272,8 +298,11 @@ def main(quick: bool) -> None:
     options = ["--no-sandbox"] if os.geteuid() == 0 else []
     with tempfile.TemporaryDirectory() as name, sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=path, args=options)
+        for case, hidden in CASES.items():
+            told[case] = measure_cause(Path(name) / case, browser, hidden)
         eleven = Path(name) / "eleven"
         run_command(*TWIN, "-C", str(eleven))
+        (eleven / TRUTH).unlink()
         told["report"] = measure_report(Path(name) / "twelve")
         told["diagnose"] = compare_diagnoses(eleven, 2 if quick else 5)
         told["eleven runs"] = measure(eleven, browser)
@@ -285,6 +314,12 @@ def main(quick: bool) -> None:
             print(f"{rows} rows: done", file=sys.stderr, flush=True)
             shutil.rmtree(directory)
         browser.close()
+    marks = list_marks(told)
+    for mark in marks:
+        sign = "met" if mark.met else "MISSED"
+        words = f"{mark.name:15} {mark.value:8.3g}  of {mark.limit:g}  {sign:6}  {mark.of}"
+        print(words, file=sys.stderr, flush=True)
+    told["marks"] = [{**vars(mark), "met": mark.met} for mark in marks]
     print(json.dumps(told, indent=1))
 
 

@@ -82,9 +82,6 @@ def _connect_findings(app: Dash, place: Workplace) -> None:
         prevent_initial_call=True,
     )(lambda _, told: views.list_choices(place, told))
     app.callback(
-        Output("revision", "children"),
-        Output("revision", "hidden"),
-        Output("tiles", "children"),
         Output("candidates", "children"),
         Output("staircase", "children"),
         Output("errors", "children"),

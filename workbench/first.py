@@ -44,6 +44,9 @@ TOP: Places = (
     ("undo", "disabled"),
     ("redo", "disabled"),
     ("bench", "data-stale"),
+    ("tiles", "children"),
+    ("revision", "children"),
+    ("revision", "hidden"),
 )
 CHOICES: Places = tuple(
     (name, "data-choices") for name in ("output", "run", "ghost", "effect", "present")

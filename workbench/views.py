@@ -73,10 +73,14 @@ def hides(place: Workplace, told: bool | None) -> bool:
 
 
 def show_top(place: Workplace, told: bool | None, picks: Mapping[str, str] | None) -> Shown:
-    """Return the head of the page: the verdict, and what can be done about it."""
+    """Return the head of the page: the verdict, and what can be done about it.
+
+    All that stands above the chart is here: what came later would move the chart under the pointer.
+    """
     findings, guess = place.findings, (picks or {}).get("guess-choice")
+    revision = place.revision
     if findings is None:
-        return tuple([no_update] * 13)
+        return tuple([no_update] * 16)
     waits = hides(place, told)
     kind, parts = verdicts.show_verdict(findings, diagnosing=place.diagnosing, hides=waits)
     addable = list(findings.diagnosed.named) if findings.diagnosed is not None else []
@@ -104,6 +108,9 @@ def show_top(place: Workplace, told: bool | None, picks: Mapping[str, str] | Non
         timeline.undo is None,
         timeline.redo is None,
         "1" if place.outdated else "",
+        panels.show_tiles(findings),
+        panels.show_revision(revision) if revision is not None else [],
+        revision is None,
     )
 
 
@@ -153,16 +160,13 @@ def show_sections(place: Workplace, told: bool | None) -> Shown:
     """Return the sections below the chart."""
     findings = place.findings
     if findings is None:
-        return tuple([no_update] * 12)
+        return tuple([no_update] * 9)
     candidates: Component | list[Component] = html.P("Guess first.", className="note")
     waits = hides(place, told)
     if not waits:
         candidates = verdicts.show_candidates(findings, place.previews)
-    revision, outcome = place.revision, place.outcome
+    outcome = place.outcome
     return (
-        panels.show_revision(revision) if revision is not None else [],
-        revision is None,
-        panels.show_tiles(findings),
         candidates,
         panels.show_staircase(findings),
         panels.show_errors(findings, hides=waits),
