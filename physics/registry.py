@@ -63,7 +63,7 @@ def register(effect: Effect) -> Effect:
         Traceback (most recent call last):
         zerodrift.base.errors.InputError: ...
     """
-    where, known = _declaring[-1] if _declaring else ("", registered)
+    where, known = _declaring[-1] if _declaring else (_find_origin(effect), registered)
     effect = replace(effect, file=where)
     _check_declaration(effect)
     other = known.get(effect.kind)
@@ -74,6 +74,12 @@ def register(effect: Effect) -> Effect:
         )
     known[effect.kind] = effect
     return effect
+
+
+def _find_origin(effect: Effect) -> str:
+    """Return where an effect outside of a user's file stands: a module; empty for a built-in."""
+    module = (effect.rewrite or effect.build).__module__
+    return "" if module.partition(".")[0] == "zerodrift" else f"module {module}"
 
 
 @contextmanager

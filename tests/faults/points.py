@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import traceback
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -143,6 +144,16 @@ def _hash(path: Path) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
+def hash_whole(folder: Path) -> str:
+    """Return one hash of every path, kind, mode and content in a project, locks and strays too."""
+    whole = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        content = path.read_bytes() if path.is_file() else b""
+        told = (str(path.relative_to(folder)), path.lstat().st_mode, len(content))
+        whole.update(repr(told).encode() + content)
+    return whole.hexdigest()
+
+
 def is_hidden(path: str) -> bool:
     """Say whether a path is not shown to a user: journals, locks, what is on its way."""
     return any(part.startswith(".") for part in Path(path).parts)
@@ -160,6 +171,8 @@ class Trial:
     varies: set[str] = field(default_factory=set)
     """Files that differ from run to run without any fault."""
     calls: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    followed: dict[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
+    """Hash of all that a fault left -> what was wrong when the command was run on it."""
 
     @property
     def project(self) -> Path:
@@ -231,16 +244,22 @@ class Trial:
             run_command(self.project, self.scenario.next_command)  # any command may put it right
             mixed = self.list_mixed(read_tree(self.project))
         wrong += [("mixed", name) for name in mixed]
+        state = hash_whole(self.project)
+        if state not in self.followed:
+            self.followed[state] = tuple(self._follow())
+        return Told(point, call, (*wrong, *self.followed[state]))
+
+    def _follow(self) -> Iterator[tuple[str, str]]:
+        """Run the command on what a fault left; yield what is wrong then."""
         again = run_command(self.project, self.scenario.arguments)
         if again.code not in self.scenario.codes or "Traceback" in again.said:
-            wrong.append(("next command", f"exit code {again.code}: {again.said[-200:]}"))
-        else:
-            after = read_tree(self.project)
-            wrong += [("mixed", f"{name}, after the next run") for name in self.list_mixed(after)]
-            hidden = {n for n in after if is_hidden(n)} - {*self.new, *self.old}
-            extra = {n for n in after if not is_hidden(n)} - {*self.new, *self.old}
-            wrong += [("stray", name) for name in sorted(hidden | extra)]
-        return Told(point, call, tuple(wrong))
+            yield "next command", f"exit code {again.code}: {again.said[-200:]}"
+            return
+        after = read_tree(self.project)
+        for name in self.list_mixed(after):
+            yield "mixed", f"{name}, after the next run"
+        for name in sorted(set(after) - {*self.new, *self.old}):
+            yield "stray", name
 
     def _tells_of_units(self) -> bool:
         """Say whether the report names each failed unit with a cause that somebody foresaw."""

@@ -14,7 +14,7 @@ from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.catalogue import load_catalogue, register
 from zerodrift.physics.effect import Effect, Feature, Parameter, Signals
 from zerodrift.physics.fit import fit
-from zerodrift.physics.registry import READING_ORDER
+from zerodrift.physics.registry import READING_ORDER, registered
 from zerodrift.physics.terms import build_features, start_term
 
 LAG = "thermal_lag"
@@ -383,3 +383,20 @@ def test_a_zero_drawn_at_power_on_is_named_where_it_was_logged(decays):
     blind = diagnose([EffectConfig("zero_tempco")], unlogged)
     assert blind.effect is None
     assert "turn_on_bias" in {one.effect for one in blind.not_testable}
+
+
+def test_a_session_replaces_no_built_in_and_may_declare_its_own_again():
+    """As in a notebook, whose cells are run again."""
+
+    def build(ops, signals, p):
+        return ()
+
+    with pytest.raises(InputError, match=r"'creep' is already declared in the built-in catalogue"):
+        register(Effect(kind="creep", title="mine", build=build))
+    assert load_catalogue()["creep"].title != "mine"
+    try:
+        for title in ("first", "second"):
+            register(Effect(kind="of_this_session", title=title, build=build))
+            assert load_catalogue()["of_this_session"].title == title
+    finally:
+        registered.pop("of_this_session", None)
