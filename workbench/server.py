@@ -2,6 +2,7 @@
 
 import io
 import json
+import threading
 from pathlib import Path
 
 from flask import Flask, Response, jsonify, request, send_file
@@ -79,9 +80,20 @@ class Workbench:
         """Where the page is, with its token."""
         return self._early.url
 
-    def serve(self) -> None:
-        """Answer until `stop`, or until the user interrupts."""
+    def serve(self, interrupted: threading.Event | None = None) -> None:
+        """Answer until `stop`, or until the user interrupts.
+
+        Args:
+            interrupted: set once the user has, also where a library that was just being loaded
+                swallowed the interrupt itself.
+        """
+
+        def look() -> None:
+            if interrupted is not None and interrupted.is_set():
+                raise KeyboardInterrupt
+
         self._early.end()
+        self._server.service_actions = look  # called each round
         self._server.serve_forever(poll_interval=0.2)
 
     def stop(self) -> None:

@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -13,6 +14,7 @@ from tests.workbench.pages import DRAWN, expect
 from zerodrift.base.errors import InputError
 from zerodrift.workbench.early import STARTING, EarlyPage, tell_project
 from zerodrift.workbench.hold import hold_directory, release_directory
+from zerodrift.workbench.server import Workbench
 
 LATER = ("scipy.stats", "scipy.signal", "scipy.ndimage", "scipy.optimize", "torch")
 """What takes long to load, and no page needs to begin."""
@@ -131,3 +133,12 @@ def test_the_first_page_becomes_the_page(page, project):
     finally:
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
+
+
+def test_an_interrupt_that_a_library_swallowed_ends_the_page_all_the_same(project):
+    interrupted = threading.Event()
+    bench = Workbench(project.directory)
+    interrupted.set()
+    with pytest.raises(KeyboardInterrupt):
+        bench.serve(interrupted)
+    bench.close()

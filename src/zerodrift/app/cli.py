@@ -152,6 +152,8 @@ def main() -> None:
     prepare_streams()
     if note := describe_memory_limit():
         click.echo(f"note: {note}", err=True)
+        # the threads of a library that cannot all be started may wait for each other for ever
+        os.environ.setdefault("POLARS_MAX_THREADS", "1")
     try:
         run()
     except ZerodriftError as error:

@@ -1,8 +1,11 @@
 """`zerodrift workbench`: the loop in a browser, on this machine alone."""
 
 import contextlib
+import signal
+import threading
 import webbrowser
 from pathlib import Path
+from types import FrameType
 
 import click
 
@@ -42,12 +45,20 @@ def command(directory: Path, port: int, no_browser: bool, trust: bool, skip_inva
     click.echo("Ctrl-C ends it.")
     if not no_browser:
         webbrowser.open(early.url)
+    interrupted = threading.Event()
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        interrupted.set()
+        signal.default_int_handler(number, frame)
+
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, interrupt)
     with contextlib.suppress(KeyboardInterrupt):
         from zerodrift.workbench.server import Workbench  # takes seconds; the first page is there
 
         bench = Workbench(directory, skip_invalid=skip_invalid, early=early)
         with contextlib.suppress(KeyboardInterrupt):
-            bench.serve()
+            bench.serve(interrupted)
         bench.close()
     early.close()
     click.echo("ended")
