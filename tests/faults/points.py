@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 import hashlib
+import importlib
 import json
 import os
 import re
@@ -19,6 +20,8 @@ from tests.faults.scenarios import FLEET_REPORT, Scenario, copy_project, find_se
 ON_PROJECT, ELSEWHERE, ALLOCATION = range(3)
 COUNT, FAIL, KILL = range(3)
 SECONDS = 300
+MODULES = "modules.txt"
+"""Beside the project: names of the modules that were loaded when a command ended."""
 _BEGUN = """\
 import sys
 import polars as pl
@@ -126,7 +129,19 @@ def _be_the_command(
     with contextlib.suppress(Exception):
         sys.stdout.flush()
         sys.stderr.flush()
+    if calls:
+        calls.with_name(MODULES).write_text("\n".join(sys.modules))
     return code
+
+
+def load_modules(listed: Path) -> None:
+    """Import what a command had imported when it ended, so that its next children need not."""
+    for name in listed.read_text().splitlines():
+        if name not in sys.modules:
+            with contextlib.suppress(
+                Exception
+            ):  # a user's effects, which have no place in sys.path
+                importlib.import_module(name)
 
 
 def read_tree(folder: Path) -> Tree:
@@ -185,7 +200,7 @@ class Trial:
         return self.folder / "after"
 
     def prepare(self) -> None:
-        """Make the project, run without faults, twice, and count the calls.
+        """Make the project, run without faults, four times, and count the calls.
 
         Raises:
             AssertionError: the command fails without a fault.
@@ -196,6 +211,9 @@ class Trial:
         self.project.rename(before)
         self.old = read_tree(before)
         trees = []
+        copy_project(before, self.project)
+        run_command(self.project, self.scenario.arguments, log=True)
+        load_modules(self.folder / MODULES)
         for where in (ON_PROJECT, ELSEWHERE, ALLOCATION):
             copy_project(before, self.project)
             ended = run_command(
