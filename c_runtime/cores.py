@@ -32,6 +32,22 @@ GCC_CORES: dict[str, tuple[str, ...]] = {
 }
 """Core -> what makes the GNU cross-compiler build for it. Only it makes MVE for the M55 here."""
 
+MEMORY = """\
+void *memset(void *to, int value, size_t n);
+void *memcpy(void *to, const void *from, size_t n);
+void *memset(void *to, int value, size_t n) {
+    volatile uint8_t *bytes = to;
+    for (size_t i = 0; i < n; i++) { bytes[i] = (uint8_t)value; }
+    return to;
+}
+void *memcpy(void *to, const void *from, size_t n) {
+    volatile uint8_t *bytes = to;
+    for (size_t i = 0; i < n; i++) { bytes[i] = ((const uint8_t *)from)[i]; }
+    return to;
+}
+"""
+"""What a compiler may call where there is no C library."""
+
 
 def find_cross_compilers(core: str) -> list[Compiler]:
     """Return the compilers for a core that are installed, the ziglang wheel first.

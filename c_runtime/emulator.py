@@ -18,7 +18,7 @@ from unicorn.riscv_const import (
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.chip import ARM_CPUS, PAGE, load_program, make_chip
 from zerodrift.c_runtime.compilers import Compiler
-from zerodrift.c_runtime.cores import find_cross_compilers
+from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers
 from zerodrift.c_runtime.elf import is_constant, list_symbols
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
@@ -38,18 +38,7 @@ _MAIN = """
 #define ZD_PLAIN
 #include "{prefix}_harness.c"
 #include "zd_runtime.c"
-/* What a compiler may call where there is no C library. */
-void *memset(void *to, int value, size_t n) {{
-    volatile uint8_t *bytes = to;
-    for (size_t i = 0; i < n; i++) {{ bytes[i] = (uint8_t)value; }}
-    return to;
-}}
-void *memcpy(void *to, const void *from, size_t n) {{
-    volatile uint8_t *bytes = to;
-    for (size_t i = 0; i < n; i++) {{ bytes[i] = ((const uint8_t *)from)[i]; }}
-    return to;
-}}
-{prefix}_state_t chip_state;
+{memory}{prefix}_state_t chip_state;
 {prefix}_input_t chip_input;
 {code_type} chip_codes[{batch} * {columns}];
 int32_t chip_drift[{batch} * {outputs}];
@@ -373,6 +362,7 @@ def _build(
     (folder / f"{code.prefix}_harness.c").write_text(code.harness, encoding="utf-8")
     main = folder / "zd_main.c"
     text = _MAIN.format(
+        memory=MEMORY,
         prefix=code.prefix,
         PREFIX=code.prefix.upper(),
         batch=_choose_batch(_count_state(model)),

@@ -2,47 +2,30 @@
 
 import keyword
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from zerodrift import __version__
 from zerodrift.codegen.generate import GeneratedCode, make_environment
 from zerodrift.codegen.identifiers import sanitize_comment
-from zerodrift.codegen.names import list_flags, name_channels
-from zerodrift.export.integer_model import Channel, IntegerModel
+from zerodrift.codegen.names import list_flags
+from zerodrift.codegen.package_parts import Files, Given, list_given, split_code
+from zerodrift.export.integer_model import IntegerModel
 
 _TAKEN = ("self", "elapsed_s")
 OLDEST_PYTHON = (3, 9)
 """The limited API's wheel holds from here on."""
 
 
-@dataclass(frozen=True)
-class _Given:
-    """An input as the package's user gives it: in its unit, or as the code that the C converts."""
-
-    name: str
-    field: str
-    """In the C's struct."""
-    argument: str
-    unit: str
-    lsb: float
-    offset: float
-    least: int
-    most: int
-    no_reading: int | None
-    type: str
-
-
-def render_python(
-    model: IntegerModel, code: GeneratedCode, runtime: Mapping[str, str]
-) -> dict[str, str]:
+def render_python(model: IntegerModel, code: GeneratedCode, runtime: Mapping[str, str]) -> Files:
     """Return a source tree that `pip wheel` makes one wheel per machine of, for all Pythons."""
     package = f"{code.prefix}_drift"
-    given = [_describe(c, n) for c, n in zip(model.channels, name_channels(model), strict=True)]
+    given = list_given(model)
+    names = [_name_argument(g) for g in given]
     environment = make_environment()
     environment.policies["json.dumps_kwargs"] = {"ensure_ascii": False}
-    every = {code.header_name: code.header, code.source_name: code.source, **runtime}
+    headers, sources = split_code(code, runtime)
     arguments = [
-        f"{g.argument}: float{' | None' if g.no_reading is not None else ''}" for g in given
+        f"{name}: float{' | None' if g.no_reading is not None else ''}"
+        for name, g in zip(names, given, strict=True)
     ]
     context = {
         "title": sanitize_comment(model.name),
@@ -58,13 +41,13 @@ def render_python(
         "variable": model.variable_step,
         "tare": model.tare,
         "arguments": ", ".join(arguments),
-        "example": ", ".join(f"{g.argument}=..." for g in given),
-        "encoded": ", ".join(f"CHANNELS[{i}].encode({g.argument})" for i, g in enumerate(given)),
+        "example": ", ".join(f"{name}=..." for name in names),
+        "encoded": ", ".join(f"CHANNELS[{i}].encode({name})" for i, name in enumerate(names)),
     }
-    sources = [*sorted(f"src/{n}" for n in every if n.endswith(".c")), "src/python_module.c"]
+    compiled = [*sorted(f"src/{n}" for n in sources), "src/python_module.c"]
     oldest = ".".join(map(str, OLDEST_PYTHON))
     tag = "cp" + "".join(map(str, OLDEST_PYTHON))
-    return {f"src/{name}": text for name, text in every.items()} | {
+    return {f"src/{name}": text for name, text in (headers | sources).items()} | {
         "src/python_module.c": environment.get_template("python_module.c.j2").render(context),
         f"{package}/__init__.py": environment.get_template("python_package.py.j2").render(context),
         f"{package}/py.typed": "",
@@ -89,7 +72,7 @@ packages = ["{package}"]
 
 library = Extension(
     "{package}._model",
-    sources={sources},
+    sources={compiled},
     include_dirs=["src"],
     py_limited_api=True,
 )
@@ -98,19 +81,6 @@ setup(ext_modules=[library], options={{"bdist_wheel": {{"py_limited_api": "{tag}
     }
 
 
-def _describe(channel: Channel, field: str) -> _Given:
-    argument = f"{field}_" if keyword.iskeyword(field) or field in _TAKEN else field
-    by = channel.conversion
-    in_unit = by is None or by.is_plain
-    return _Given(
-        name=channel.name,
-        field=field,
-        argument=argument,
-        unit=channel.unit if in_unit else "code",
-        lsb=channel.lsb if in_unit else 1.0,
-        offset=channel.offset if in_unit else 0.0,
-        least=channel.raw_least,
-        most=channel.raw_most,
-        no_reading=channel.raw_lacks[0] if channel.raw_lacks else None,
-        type=channel.raw_type,
-    )
+def _name_argument(given: Given) -> str:
+    is_taken = keyword.iskeyword(given.field) or given.field in _TAKEN
+    return f"{given.field}_" if is_taken else given.field

@@ -7,9 +7,9 @@ from zerodrift import __version__
 from zerodrift.base.errors import InputError
 from zerodrift.codegen.generate import GeneratedCode, make_environment
 from zerodrift.codegen.identifiers import sanitize_comment
-from zerodrift.codegen.names import name_channels
+from zerodrift.codegen.package_parts import Files, Given, lay_out, list_given, split_code
 from zerodrift.dataset.code_format import MEASURED
-from zerodrift.export.integer_model import Channel, IntegerModel
+from zerodrift.export.integer_model import IntegerModel
 
 MEMBERS = {
     **{f"F{axis}": (f"force.{axis}", "N") for axis in "xyz"},
@@ -29,8 +29,7 @@ class _Input:
     """An input of the node."""
 
     index: int
-    field: str
-    """In the C's struct."""
+    given: Given
     topic: str
     """Empty: a part of the measured wrench."""
     message: str
@@ -38,12 +37,6 @@ class _Input:
     member: str
     """Of the message, or of the wrench."""
     told: str
-    lsb: float
-    offset: float
-    least: int
-    most: int
-    no_reading: int | None
-    type: str
 
 
 @dataclass(frozen=True)
@@ -52,19 +45,16 @@ class _Output:
     lsb_per_unit: int
 
 
-def render_ros2(
-    model: IntegerModel, code: GeneratedCode, runtime: Mapping[str, str]
-) -> dict[str, str]:
+def render_ros2(model: IntegerModel, code: GeneratedCode, runtime: Mapping[str, str]) -> Files:
     """Return an ament_cmake package with the model and its node.
 
     Raises:
         InputError: an output is no part of a wrench, or in another unit.
     """
     outputs = [_Output(_place(o.name, o.unit)[0], o.lsb_per_unit) for o in model.outputs]
-    inputs = [_describe(model, index, name) for index, name in enumerate(name_channels(model))]
-    every = {code.header_name: code.header, code.source_name: code.source, **runtime}
+    inputs = [_describe(model, index, given) for index, given in enumerate(list_given(model))]
     name = f"{code.prefix}_drift"
-    sources = " ".join(f"src/{n}" for n in sorted(every) if n.endswith(".c"))
+    sources = " ".join(f"src/{n}" for n in sorted(split_code(code, runtime)[1]))
     node = (
         make_environment()
         .get_template("ros2_node.cpp.j2")
@@ -84,8 +74,7 @@ def render_ros2(
         )
     )
     return {
-        **{f"include/{n}": t for n, t in every.items() if n.endswith(".h")},
-        **{f"src/{n}": t for n, t in every.items() if n.endswith(".c")},
+        **lay_out(code, runtime),
         f"src/{code.prefix}_node.cpp": node,
         "CMakeLists.txt": f"""cmake_minimum_required(VERSION 3.8)
 project({name} LANGUAGES C CXX)
@@ -136,38 +125,17 @@ def _place(name: str, unit: str) -> tuple[str, str]:
     return place
 
 
-def _describe(model: IntegerModel, index: int, field: str) -> _Input:
-    channel: Channel = model.channels[index]
-    by = channel.conversion
-    in_unit = by is None or by.is_plain
-    source = channel.source or channel.name
+def _describe(model: IntegerModel, index: int, given: Given) -> _Input:
+    source = given.channel.source or given.channel.name
     if source.startswith(MEASURED):
-        topic, message, cpp = "", "", ""
-        member = _place(source.removeprefix(MEASURED), channel.unit)[0]
-        told = ""
-    elif index == model.guards.temperature_channel and in_unit:
-        topic, message, cpp = (
-            "temperature",
-            "sensor_msgs/Temperature",
-            "sensor_msgs::msg::Temperature",
-        )
-        member, told = "temperature", f"in {channel.unit}"
+        member = _place(source.removeprefix(MEASURED), given.channel.unit)[0]
+        return _Input(index, given, "", "", "", member, "")
+    if index == model.guards.temperature_channel and given.in_unit:
+        message, member = "Temperature", "temperature"
+        topic, package = "temperature", "sensor_msgs"
     else:
-        topic, message, cpp = f"input/{field}", "std_msgs/Float64", "std_msgs::msg::Float64"
-        unit = channel.unit if in_unit else "codes of the hardware"
-        member, told = "data", f"in {unit}"
-    return _Input(
-        index=index,
-        field=field,
-        topic=topic,
-        message=message,
-        cpp=cpp,
-        member=member,
-        told=sanitize_comment(told),
-        lsb=channel.lsb if in_unit else 1.0,
-        offset=channel.offset if in_unit else 0.0,
-        least=channel.raw_least,
-        most=channel.raw_most,
-        no_reading=channel.raw_lacks[0] if channel.raw_lacks else None,
-        type=channel.raw_type,
-    )
+        message, member = "Float64", "data"
+        topic, package = f"input/{given.field}", "std_msgs"
+    told = sanitize_comment(f"in {given.unit or 'codes of the hardware'}")
+    cpp = f"{package}::msg::{message}"
+    return _Input(index, given, topic, f"{package}/{message}", cpp, member, told)

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
-from zerodrift.c_runtime.cores import find_cross_compilers
+from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers
 from zerodrift.verify.c_gru import unpack_before, unpack_bytes, unpack_pairs
 from zerodrift.verify.object_image import Image, Kernel, read_image
 from zerodrift.verify.object_kernels import Ranges, prove_kernel
@@ -27,19 +27,7 @@ ARMV6M, ARMV7EM = 6, 7
 PROGRAM = """\
 #include "{prefix}.c"
 #include "zd_runtime.c"
-void *memset(void *to, int value, size_t n);
-void *memcpy(void *to, const void *from, size_t n);
-void *memset(void *to, int value, size_t n) {{
-    volatile uint8_t *bytes = to;
-    for (size_t i = 0; i < n; i++) {{ bytes[i] = (uint8_t)value; }}
-    return to;
-}}
-void *memcpy(void *to, const void *from, size_t n) {{
-    volatile uint8_t *bytes = to;
-    for (size_t i = 0; i < n; i++) {{ bytes[i] = ((const uint8_t *)from)[i]; }}
-    return to;
-}}
-{prefix}_state_t state;
+{memory}{prefix}_state_t state;
 {prefix}_input_t input;
 int32_t drift[{count}];
 void _start(void);
@@ -137,7 +125,7 @@ def build_program(
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     main, program = folder / "zd_proof.c", folder / "proof.elf"
-    main.write_text(PROGRAM.format(prefix=prefix, count=outputs), encoding="utf-8")
+    main.write_text(PROGRAM.format(memory=MEMORY, prefix=prefix, count=outputs), encoding="utf-8")
     free = ["-std=c99", "-O2", *build.flags, "-ffreestanding", f"-I{folder}", str(main)]
     if compilers[0].name == "gcc":
         free += ["-nostdlib", "-Wl,-Ttext=0x10000,-Tdata=0x100000,--no-relax", "-lgcc"]

@@ -14,6 +14,7 @@ from tests.golden.vectors import load
 from tests.verify.conftest import write_firmware
 
 from zerodrift.app.cli import cli
+from zerodrift.app.commands.package import KINDS
 from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
 from zerodrift.codegen.generate import generate
@@ -30,6 +31,10 @@ int main(void) { return (int)front_end_selftest(); }
 @pytest.fixture(params=PACKAGES)
 def package(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return write(request.param, tmp_path)
+
+
+def test_the_command_offers_every_package_that_there_is() -> None:
+    assert sorted(KINDS) == sorted(PACKAGES)
 
 
 def write(kind: str, folder: Path) -> Path:

@@ -12,7 +12,7 @@ from benchmarks.bench_object_proof import SUBJECTS, Subject, make_subject, plant
 from tests.golden.vectors import load
 from tests.prove.test_proof import write
 from zerodrift.base.errors import InputError
-from zerodrift.c_runtime.cores import find_cross_compilers
+from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers
 from zerodrift.verify.object_image import Image, read_image
 from zerodrift.verify.object_proof import (
     BUILDS,
@@ -138,7 +138,7 @@ def test_a_users_program_is_proven(program: Path) -> None:
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="needs arm-none-eabi-gcc")
 @pytest.mark.parametrize("core", ["cortex-m0plus", "cortex-m33"])
 def test_a_program_of_gcc_is_proven(core: str, tmp_path: Path) -> None:
-    (tmp_path / "zd_proof.c").write_text(PROGRAM.format(prefix="golden", count=8))
+    (tmp_path / "zd_proof.c").write_text(PROGRAM.format(memory=MEMORY, prefix="golden", count=8))
     for file, text in write(load("odd_hidden").model).items():
         (tmp_path / file).write_text(text)
     (gcc,) = (c for c in find_cross_compilers(core) if c.name == "gcc")
