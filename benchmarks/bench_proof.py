@@ -27,7 +27,8 @@ from benchmarks.mutants.subjects import MODELS, Subject, draw_subject, make_fold
 from benchmarks.random_models import draw_case
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate
-from zerodrift.verify.prove import OPEN, ShownPart, list_shown
+from zerodrift.verify.prove import list_shown
+from zerodrift.verify.prove_parts import OPEN, ShownPart
 
 KINDS = tuple(kind for kind in OPERATORS if kind != "assembly")
 HARMLESS = ("equivalent", "does not compile")

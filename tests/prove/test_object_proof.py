@@ -21,8 +21,9 @@ from zerodrift.verify.object_proof import (
     check_program,
     show_program,
 )
-from zerodrift.verify.prove import PROVEN, TESTED, list_shown
+from zerodrift.verify.prove import list_shown
 from zerodrift.verify.prove_kernels import Layers
+from zerodrift.verify.prove_parts import PROVEN, TESTED
 from zerodrift.verify.prove_specification import Specification
 from zerodrift.verify.prove_terms import Terms
 

@@ -9,7 +9,8 @@ from tests.golden.vectors import load
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.verify.prove import OPEN, TESTED, ShownPart, is_proven, prove
+from zerodrift.verify.prove import is_proven, prove
+from zerodrift.verify.prove_parts import OPEN, TESTED, ShownPart
 
 Texts = dict[str, str]
 GUARDED = ("ordinary", "effects", "no_reading", "lstm")

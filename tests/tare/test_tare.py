@@ -34,7 +34,8 @@ from zerodrift.verify.certificate_check import compare
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
-from zerodrift.verify.prove import OPEN, PROVEN, prove
+from zerodrift.verify.prove import prove
+from zerodrift.verify.prove_parts import OPEN, PROVEN
 from zerodrift.verify.replay import replay
 from zerodrift.verify.vectors import draw_sequences
 

@@ -12,7 +12,8 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import CertificateOutcome, compare
-from zerodrift.verify.prove import OPEN, PROVEN, TESTED, prove
+from zerodrift.verify.prove import prove
+from zerodrift.verify.prove_parts import OPEN, PROVEN, TESTED
 
 MODEL = make_model()
 CODE = generate(MODEL)

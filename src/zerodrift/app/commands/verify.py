@@ -123,7 +123,8 @@ def _prove(config: "Config", as_json: bool, elf: Path | None) -> None:
     from zerodrift.app.commands.console import show_progress
     from zerodrift.export.model_files import load_model
     from zerodrift.report.results import ProofResult, ProvenPart
-    from zerodrift.verify.prove import OPEN, TESTED, is_proven, list_shown
+    from zerodrift.verify.prove import is_proven, list_shown
+    from zerodrift.verify.prove_parts import OPEN, TESTED
     from zerodrift.verify.replay import read_code
 
     model = load_model(config.build_directory / "model.json")

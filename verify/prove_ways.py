@@ -1,0 +1,176 @@
+"""The kernels of other cores: what may differ from the plain C, and what their tables hold."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.verify.c_kernels import STRUCTS
+from zerodrift.verify.c_model import Runtime
+from zerodrift.verify.c_nodes import CInteger, Program, TypeName, Variable
+from zerodrift.verify.c_reader import PreprocessorWay, Tokens, read_ways
+from zerodrift.verify.object_proof import (
+    ProvenKernels,
+)
+from zerodrift.verify.prove_kernels import Layers, Numbered
+from zerodrift.verify.prove_machine import Rule, TermMachine
+from zerodrift.verify.prove_memory import (
+    CellBlock,
+    Found,
+    Instance,
+    Number,
+    Spot,
+)
+from zerodrift.verify.prove_parser import parse_all
+from zerodrift.verify.prove_parts import (
+    OPEN,
+    PROVEN,
+    TESTED,
+    UNCHECKED,
+    ShownPart,
+    shape,
+    shape_variable,
+    tell,
+)
+from zerodrift.verify.prove_rules import Used, make_assembly, make_rules
+from zerodrift.verify.prove_specification import (
+    Specification,
+)
+
+INTRINSICS = ("zd_gru_pairs_t", "zd_gru_rows_t", "zd_gru_columns_t")
+"""Constants of kernels that have intrinsics, where they are not in assembly."""
+
+
+def show_kernels(
+    model: IntegerModel, texts: Mapping[str, str], prefix: str, proven: ProvenKernels
+) -> Iterator[ShownPart]:
+    """Yield what is shown of each other way to compile the model.
+
+    Nothing but the layers' tables and the calls of their kernels may differ from the plain C, and
+    each kernel's table must hold the model's weights in its order. Intrinsics themselves are tested
+    (docs/reference/kernels.md), not proven; assembly is where `proven` holds its object code.
+    """
+    runtime = Runtime(texts)
+    ways = read_ways(texts, prefix, runtime.numbers)
+    programs = [(way, _parse_way(tokens)) for way, tokens in ways]
+    plain = next(p for way, p in programs if _is_plain(way))
+    for way, program in programs:
+        if _is_plain(way):
+            continue
+        try:
+            why = _hold_way(model, program, plain, prefix)
+        except UNCHECKED as error:
+            why = tell(error)
+        verdict = PROVEN if _is_covered(way, program, proven) else TESTED
+        yield ShownPart("kernels of recurrent layers", way.name, OPEN if why else verdict, why)
+
+
+def _is_covered(way: PreprocessorWay, program: Program, proven: ProvenKernels) -> bool:
+    """Return whether every kernel of a way is plain C, or assembly that is proven."""
+    ends = {name.removesuffix("_assembly") for name in program.assembly}
+    intrinsics = {v.name for v in program.constants if v.type.name in INTRINSICS} - ends
+    return bool(ends) and not intrinsics and proven.hold(way.defined, ends)
+
+
+def _is_plain(way: PreprocessorWay) -> bool:
+    assembly = {"ZD_GRU_ASSEMBLY", "ZD_ASSEMBLY"} & {*way.defined}
+    return way.defined.get("ZD_KERNEL", 0) == 0 and not assembly
+
+
+def _parse_way(tokens: Tokens) -> Program:
+    program = parse_all(tokens, tuple(STRUCTS))
+    for name, fields in STRUCTS.items():
+        program.structs[name] = tuple(
+            Variable(
+                TypeName(of.removeprefix("const ").removesuffix(" *"), True, of.endswith("*")),
+                field,
+                () if not count else (_integer(count),),
+                0,
+            )
+            for field, of, count in fields
+        )
+    return program
+
+
+def _integer(value: int) -> CInteger:
+    return CInteger(0, str(value), value)
+
+
+def _hold_way(model: IntegerModel, program: Program, plain: Program, prefix: str) -> str:
+    used = Used()
+    holder: list[Specification] = []
+    rules: dict[str, Rule] = make_rules(prefix, lambda: holder[0].layers, used)
+    own = program.constants
+    machine_program = replace(program, claims=[], constants=[])
+    machine = TermMachine(machine_program, rules)
+    meaning = Specification(machine.terms, model)
+    holder.append(meaning)
+    names = {*meaning.layers.layers}
+    apart = {f"{name}_{end}" for name in names for end in ("step", "is_sound", "assembly")}
+    tables = {v.name for v in own} - {v.name for v in plain.constants}
+    tables |= {
+        f"{name}_{end}" for name in names for end in ("w_x", "w_h", "bias", "multiplier", "stream")
+    }
+    if why := _find_difference(program, plain, apart, names | tables):
+        return why
+    for variable in own:
+        machine._declare(variable, machine.globals)
+    for name in sorted(names):
+        layer = meaning.layers.layers[name]
+        constants = machine.globals[name]
+        assert isinstance(constants, Instance)
+        if f"{name}_assembly" in program.assembly:
+            rules[f"{name}_assembly"] = make_assembly(lambda: meaning.layers, layer, constants)
+        for relaxing in (False, True):
+            if why := _hold_step(machine, meaning.layers, layer, relaxing):
+                return why
+        sound = machine.call(f"{name}_is_sound", [])
+        if not isinstance(sound, Number) or sound.term.exact != 1:
+            return f"{name}_is_sound does not know its own tables"
+    return ""
+
+
+def _hold_step(machine: TermMachine, layers: Layers, layer: Numbered, relaxing: bool) -> str:
+    """Return why a layer's own function is no step of it, its kernel taken as specified."""
+    from zerodrift.verify.prove_kernels import CELL_LIMIT, H_LIMIT_Q30
+
+    terms, hidden = machine.terms, layer.hidden
+    x = [terms.symbol(f"x{i}", -32768, 32767) for i in range(layer.inputs)]
+    h = [terms.symbol(f"h{j}", -H_LIMIT_Q30, H_LIMIT_Q30) for j in range(hidden)]
+    c = [terms.symbol(f"c{j}", -CELL_LIMIT, CELL_LIMIT) for j in range(hidden)]
+    c = c if layer.kind == "lstm" else []
+    blocks = [CellBlock("x", "int16_t", (layer.inputs,), list(x))]
+    blocks.append(CellBlock("h", "int32_t", (hidden,), list(h)))
+    if c:
+        blocks.append(CellBlock("c", "int32_t", (hidden,), list(c)))
+    given: list[Found] = [Spot(b, terms.constant(0), b.sizes) for b in blocks]
+    mode = machine.constant(int(relaxing), "uint32_t") if c else machine.constant(int(relaxing) - 1)
+    machine.call(f"{layer.name}_step", [*given, mode])
+    wanted = layers.step(layer.name, x, h, c, relaxing)
+    for block, numbers in zip(blocks[1:], wanted, strict=False):
+        if any(cell is not term for cell, term in zip(block.cells, numbers, strict=True)):
+            return f"{layer.name}_step is no step of the layer"
+    return ""
+
+
+def _find_difference(program: Program, plain: Program, apart: set[str], tables: set[str]) -> str:
+    """Return what differs from the plain C beside the layers' functions and tables."""
+    for one, other in ((program, plain), (plain, program)):
+        for name, function in one.functions.items():
+            if name in apart:
+                continue
+            twin = other.functions.get(name)
+            if twin is None or shape(twin.body) != shape(function.body):
+                return f"{name} is another than in plain C"
+        for variable in one.constants:
+            if variable.name in tables:
+                continue
+            twins = [v for v in other.constants if v.name == variable.name]
+            if len(twins) != 1 or shape_variable(twins[0]) != shape_variable(variable):
+                return f"{variable.name} is another than in plain C"
+        if one.structs.keys() != other.structs.keys():
+            return "other structs than in plain C"
+        for name, fields in one.structs.items():
+            own = [shape_variable(v) for v in fields]
+            if own != [shape_variable(v) for v in other.structs[name]]:
+                return f"{name} is another than in plain C"
+    return ""
