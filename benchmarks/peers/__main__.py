@@ -1,17 +1,19 @@
 """A GRU and an LSTM by other libraries and by zerodrift, on an emulated Cortex-M4 and on this host.
 
-    python -m benchmarks.peers [--cmsis-nn DIR] [--nnom DIR] [--onnx2c DIR] [--tflite-micro DIR]
+    python -m benchmarks.peers [--cmsis-nn DIR] [--nnom DIR] [--onnx2c DIR] [--tflm DIR]
                                [--emlearn DIR]
 
 DIR is a checkout of the library's sources; a library without one is left out, and said to be.
-onnx2c has to be built in a folder of its checkout. All get the same five random layers of 16 units
-on 4 inputs, 2,000 steps of the same inputs from a state of zero, and are built by arm-none-eabi-gcc
-for a Cortex-M4 without floating-point unit and by this host's compiler. *instructions*: of a step,
-call included, at -O2, the median of 32, counted by unicorn. *flash*: code and constants that the
-step needs, C library included, at -Os. *RAM*: static, at -Os, states included. *stack*: touched at
--O2. *error*: of the states on the chip against float64, RMS in % of the variation of the states,
-the median and the largest of the five. *host*: how many of the states' numbers this host computes
-differently. Networks around the layer, interpreters and their memory are not counted.
+onnx2c has to be built in a folder of its checkout, TensorFlow Lite Micro (TFLM) by its own
+makefile for chip and host. All get the same five random layers of 16 units on 4 inputs, 2,000 steps
+of the same inputs from a state of zero, and are built by arm-none-eabi-gcc for a Cortex-M4 without
+floating-point unit and by this host's compiler. *instructions*: of a step, call included, at -O2,
+the median of 32, counted by unicorn. *flash*: code and constants that the step needs, C library
+included, at -Os. *RAM*: static, at -Os, states included. *stack*: touched at -O2. *error*: of the
+states on the chip against float64, RMS in % of the variation of the states, the median and the
+largest of the five. *host*: how many of the states' numbers this host computes differently.
+Networks around the layer, interpreters and their memory are not counted but for TFLM, which makes
+no step without them; every figure of it is of its makefile's one release build.
 """
 
 import argparse
@@ -33,9 +35,13 @@ from benchmarks.peers.nnom import write_nnom
 from benchmarks.peers.onnx2c import NEEDED as ONNX2C_NEEDED
 from benchmarks.peers.onnx2c import find_generator, write_onnx2c
 from benchmarks.peers.ours import write_ours
+from benchmarks.peers.tflm import NEEDED as TFLM_NEEDED
+from benchmarks.peers.tflm import find_lack, list_libraries, write_tflm
 
 KINDS = ("gru", "lstm")
 SEEDS = range(5)
+CMSIS = "cmsis_nn"
+"""The other kernels that TFLM can be built with, by its makefile's name."""
 WIDTHS = (12, 6, 5, 5, 8, 8)
 """Of the table's columns."""
 _WORDS = {"gru": re.compile(r"gru(?![a-z])", re.I), "lstm": re.compile(r"lstm", re.I)}
@@ -55,8 +61,8 @@ class Peer:
     """Of its numbers."""
     write: Callable[[Task, Path, Path], Program] | None = None
     """From task, checkout and a folder to write to."""
-    left_out: str = ""
-    """Why it is not run though it has the kind."""
+    find_lack: Callable[[Path], str] = lambda _: ""
+    """From a checkout what it lacks to be run, "" if nothing."""
 
 
 PEERS = (
@@ -76,15 +82,23 @@ PEERS = (
         "int8, states int16",
         lambda task, place, _: write_nnom(task, place),
     ),
-    Peer("onnx2c", "onnx2c", ONNX2C_NEEDED, ("src/nodes",), "float", write_onnx2c),
+    Peer(
+        "onnx2c",
+        "onnx2c",
+        ONNX2C_NEEDED,
+        ("src/nodes",),
+        "float",
+        write_onnx2c,
+        lambda place: "" if find_generator(place) else "is not built, there is no */onnx2c",
+    ),
     Peer(
         "TFLM",
-        "tflite_micro",
-        "tensorflow/lite/micro/micro_interpreter.h",
+        "tflm",
+        TFLM_NEEDED,
         ("tensorflow/lite/micro/kernels",),
         "int16, weights int8",
-        left_out="not run: it needs a file by TensorFlow's converter; on a Cortex-M its kernel"
-        " calls CMSIS-NN's",
+        lambda task, place, _: write_tflm(task, place),
+        find_lack,
     ),
     Peer("emlearn", "emlearn", "emlearn/__init__.py", ("emlearn", "bindings"), ""),
 )
@@ -123,17 +137,20 @@ def try_peer(peer: Peer, place: Path | None, tasks: Sequence[Task]) -> None:
     version = tell_version(place)
     if not has_kind(peer, place, tasks[0].kind):
         print(f"{label}has none ({version})")
-    elif peer.write is None:
-        print(f"{label}{peer.left_out} ({version})")
-    elif peer.name == "onnx2c" and find_generator(place) is None:
-        print(f"{label}left out: {place} is not built, there is no */onnx2c ({version})")
+    elif lack := peer.find_lack(place):
+        print(f"{label}left out: {place} {lack} ({version})")
     else:
         write = peer.write
+        assert write is not None
         name = f"{peer.name}, {peer.form}"
         _print(name, tasks, lambda t, folder: write(t, place, folder))
         if peer.name == "NNoM" and tasks[0].kind == "gru":  # one shift for biases of two formats
             plain = [task.without_inner_bias() for task in tasks]
             _print("  inner bias 0", plain, lambda t, folder: write(t, place, folder))
+        if peer.name == "TFLM" and all(file.is_file() for file in list_libraries(place, CMSIS)):
+            _print(
+                "  by CMSIS-NN's kernels", tasks, lambda t, _: write_tflm(t, place, CMSIS)
+            )  # which begin every call from a state of zero
         print(f"  {'':30}{version}")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from numpy.typing import NDArray
-from unicorn import UC_HOOK_CODE
+from unicorn import UC_HOOK_CODE, UcError
 from unicorn.arm_const import UC_ARM_REG_LR, UC_ARM_REG_SP
 
 from benchmarks.bench_kernels import HIDDEN
@@ -23,6 +23,8 @@ from zerodrift.c_runtime.elf import list_symbols
 CORE = "cortex-m4"
 _STACK, _STACK_BYTES, _STOP = 0x8000_0000, 0x8000, 0x9000_0000
 _UNTOUCHED = 0xA5
+_ALIGNED, _TRIED = 16, 8
+"""Bytes by which an arena is made smaller, steps that are run with it."""
 _COUNTED = 32
 """Steps whose instructions are counted."""
 _SECTIONS = ("-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections")
@@ -33,7 +35,7 @@ class Program:
     """C with `peer_in`, `peer_out`, and `void peer_step(void)` that makes one of the other."""
 
     text: str
-    """main.c, which holds the numbers of the layer."""
+    """The program, which holds the numbers of the layer."""
     sources: tuple[Path, ...]
     flags: tuple[str, ...]
     """Such as -I of the library's headers."""
@@ -45,6 +47,12 @@ class Program:
     """Of `peer_out`, by NumPy's name."""
     keeps_in_out: bool = False
     """Whether `peer_out` is the state itself, and so part of what the layer needs."""
+    main: str = "main.c"
+    """The name of `text`; main.cc is C++."""
+    chip_libraries: tuple[Path, ...] = ()
+    host_libraries: tuple[Path, ...] = ()
+    arena_bytes: int = 0
+    """Of memory that the library divides up itself, less what `peer_withheld` takes away."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +64,8 @@ class Figures:
     flash_bytes: int
     """Code and constants that the step needs, -Os, the C library's part included."""
     ram_bytes: int
-    """Static, the states included; without the input's array and copies for the output."""
+    """Static, the states included; without the input's array, copies for the output, and what an
+    arena can do without."""
     stack_bytes: int
     """Touched at -O2."""
     error_pct: float
@@ -73,17 +82,19 @@ def measure(task: Task, program: Program, folder: Path) -> Figures:
         InputError: there is no GNU cross-compiler.
         CheckError: the C does not compile.
     """
-    (folder / "main.c").write_text(program.text, encoding="utf-8")
+    (folder / program.main).write_text(program.text, encoding="utf-8")
     given = program.encode(task.x)
     fast = _Chip(program, _build_chip(program, folder, "-O2"))
     answers, counts = fast.run(given)
     small = _build_chip(program, folder, "-Os")
     unlike = answers.view(np.uint8) != _run_host(program, folder, given).view(np.uint8)
-    apart = ("peer_in",) if program.keeps_in_out else ("peer_in", "peer_out")
+    apart = ("peer_in", "peer_withheld")
+    apart += () if program.keeps_in_out else ("peer_out",)
+    spare = _find_spare(program, fast.elf, given, answers)
     return Figures(
         instructions=int(np.median(counts)),
         flash_bytes=_add_sections(small, writable=False),
-        ram_bytes=_add_sections(small, writable=True) - _add_symbols(small, apart),
+        ram_bytes=_add_sections(small, writable=True) - _add_symbols(small, apart) - spare,
         stack_bytes=fast.stack_bytes,
         error_pct=task.measure_error(program.decode(answers)),
         different=int(unlike.reshape(*answers.shape, -1).any(axis=-1).sum()),
@@ -91,8 +102,9 @@ def measure(task: Task, program: Program, folder: Path) -> Figures:
     )
 
 
-def _list_arguments(program: Program, folder: Path) -> list[str]:
-    return [*program.flags, *_SECTIONS, "-w", str(folder / "main.c"), *map(str, program.sources)]
+def _list_arguments(program: Program, folder: Path, libraries: tuple[Path, ...]) -> list[str]:
+    given = (folder / program.main, *program.sources, *libraries)
+    return [*program.flags, *_SECTIONS, "-w", *map(str, given)]
 
 
 def _build_chip(program: Program, folder: Path, level: str) -> Path:
@@ -102,7 +114,8 @@ def _build_chip(program: Program, folder: Path, level: str) -> Path:
     elf = folder / f"peer{level}.elf"
     link = ["-nostartfiles", "-Wl,-Ttext=0x10000,-Tdata=0x100000,-e,peer_step", "-lm"]
     link += ["-Wl,-u,peer_in,-u,peer_out", "--specs=nosys.specs"]
-    found[0].run([level, *_list_arguments(program, folder), *link, "-o", str(elf)])
+    arguments = _list_arguments(program, folder, program.chip_libraries)
+    found[0].run([level, *arguments, *link, "-o", str(elf)])
     return elf
 
 
@@ -110,7 +123,7 @@ def _run_host(program: Program, folder: Path, given: NDArray[np.generic]) -> NDA
     """Return what this host answers to given [T, I], [T, H]."""
     compiler: Compiler = find_compilers()[0]
     library = folder / "peer.so"
-    arguments = _list_arguments(program, folder)
+    arguments = _list_arguments(program, folder, program.host_libraries)
     shown = folder / "shown.map"  # what is not needed is left out, as on the chip
     shown.write_text("{global: peer_in; peer_out; peer_step; local: *;};\n", encoding="utf-8")
     arguments += ["-shared", "-fPIC", f"-Wl,--version-script={shown}", "-lm"]
@@ -131,6 +144,7 @@ class _Chip:
 
     def __init__(self, program: Program, elf: Path) -> None:
         self._type = np.dtype(program.out_type).newbyteorder("<")
+        self.elf = elf
         self._chip = make_chip(CORE)
         with elf.open("rb") as file:
             image = ELFFile(file)
@@ -161,11 +175,32 @@ class _Chip:
         self._chip.reg_write(UC_ARM_REG_LR, _STOP | 1)
         self._chip.emu_start(self._at["peer_step"] | 1, _STOP, timeout=10_000_000)
 
+    def write_word(self, name: str, value: int) -> None:
+        """Set a variable of 32 bits."""
+        self._chip.mem_write(self._at[name], value.to_bytes(4, "little"))
+
     @property
     def stack_bytes(self) -> int:
         """Return the bytes of stack that all steps touched."""
         stack = np.frombuffer(bytes(self._chip.mem_read(_STACK, _STACK_BYTES)), dtype=np.uint8)
         return _STACK_BYTES - int((stack != _UNTOUCHED).argmax())
+
+
+def _find_spare(
+    program: Program, elf: Path, given: NDArray[np.generic], answers: NDArray[np.generic]
+) -> int:
+    """Return how many bytes of its arena the library can do without: the first answers stay."""
+    works, fails = 0, program.arena_bytes
+    while fails - works > _ALIGNED:
+        middle = (works + fails) // (2 * _ALIGNED) * _ALIGNED
+        chip = _Chip(program, elf)
+        chip.write_word("peer_withheld", middle)
+        try:
+            same = bool((chip.run(given[:_TRIED])[0] == answers[:_TRIED]).all())
+        except UcError:  # it ends in a trap or at an address that is not there
+            same = False
+        works, fails = (middle, fails) if same else (works, middle)
+    return works
 
 
 def _add_sections(elf: Path, *, writable: bool) -> int:

@@ -3,13 +3,12 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.bench_kernels import HIDDEN, INPUTS
 from benchmarks.peers.c_text import split_scale, write_array
 from benchmarks.peers.chip import Program
-from benchmarks.peers.layers import LARGEST, Array, Task
-from zerodrift.operations.lstm.cell import FloatLstm
+from benchmarks.peers.layers import Task
+from benchmarks.peers.lstm_16x8 import INPUT_SCALE, STATE_SCALE, decode, encode, quantize_16x8
 
 NEEDED = "Source/LSTMFunctions/arm_lstm_unidirectional_s16.c"
 _SOURCES = ("LSTMFunctions", "NNSupportFunctions", "BasicMathFunctions", "ActivationFunctions")
@@ -46,26 +45,20 @@ _GATE_SCALE = 2.0**-12
 
 def write_cmsis_nn(task: Task, place: Path) -> Program:
     """Return the LSTM by CMSIS-NN, quantized as TensorFlow Lite's converter does (16x8)."""
-    lstm = task.cell
-    assert isinstance(lstm, FloatLstm)
-    input_scale, state_scale = LARGEST / 2**15, 2.0**-15
-    power = int(np.ceil(np.log2(task.largest_carry))) - 15
+    lstm = quantize_16x8(task)
     arrays = write_array("int64_t", "no_bias", np.zeros(HIDDEN, dtype=np.int64))
     gates = ""
-    for k, name in enumerate(_GATES):
-        w_x, scale_x = _round_weights(lstm.w_x[k])
-        w_h, scale_h = _round_weights(lstm.w_h[k])
-        bias = np.round(lstm.bias[k] / (input_scale * scale_x)).astype(np.int64)
+    for name, gate in zip(_GATES, lstm.gates, strict=True):
         for kind, what, values in (
-            ("int8_t", "w_x", w_x),
-            ("int8_t", "w_h", w_h),
-            ("int64_t", "bias", bias),
+            ("int8_t", "w_x", gate.w_x),
+            ("int8_t", "w_h", gate.w_h),
+            ("int64_t", "bias", gate.bias),
         ):
             arrays += write_array(kind, f"{name}_{what}", values)
         gates += _GATE.format(
             name=name,
-            x=split_scale(input_scale * scale_x / _GATE_SCALE),
-            h=split_scale(state_scale * scale_h / _GATE_SCALE),
+            x=split_scale(INPUT_SCALE * gate.scale_x / _GATE_SCALE),
+            h=split_scale(STATE_SCALE * gate.scale_h / _GATE_SCALE),
             bend="ARM_TANH" if name == "cell" else "ARM_SIGMOID",
         )
     text = _MAIN.format(
@@ -74,8 +67,8 @@ def write_cmsis_nn(task: Task, place: Path) -> Program:
         inputs=INPUTS,
         hidden=HIDDEN,
         forget=split_scale(2.0**-15),
-        cell=split_scale(2.0**-30 / 2.0**power),
-        power=power,
+        cell=split_scale(2.0**-30 / 2.0**lstm.power),
+        power=lstm.power,
     )
     sources = sorted(
         path
@@ -83,17 +76,4 @@ def write_cmsis_nn(task: Task, place: Path) -> Program:
         for path in (place / "Source" / folder).glob("*.c")
         if not path.stem.endswith(("_f16", "_f32"))
     )
-
-    def encode(x: Array) -> NDArray[np.generic]:
-        return np.clip(np.round(x / input_scale), -32768, 32767).astype("<i2")
-
-    def decode(out: NDArray[np.generic]) -> Array:
-        return out.astype(np.float64) * state_scale
-
     return Program(text, tuple(sources), (f"-I{place / 'Include'}",), encode, decode, "i2")
-
-
-def _round_weights(weights: Array) -> tuple[NDArray[np.int8], float]:
-    """Return a matrix in 8 bits and what one count is worth."""
-    scale = float(np.abs(weights).max()) / 127.0
-    return np.round(weights / scale).astype(np.int8), scale
