@@ -3,7 +3,7 @@
 Runs every command that writes, with its n-th call of open, write, rename, fsync, mkdir, unlink and
 their like on the project's paths failing (EIO, ENOSPC, EMFILE), and with the process killed there
 (SIGKILL): for every n, or a share of them. Then --drawn calls on other paths fail, and as many
-allocations of 64 KiB and more. After each: one message and exit code 2, or success; each set of
+allocations of more than 64 KiB. After each: one message and exit code 2, or success; each set of
 files old or new, at once or after the next command; the command done again works and leaves no
 stray. Prints points tried, tracebacks, wrong exit codes, mixed sets and strays, with every case.
 Exit code 1 if there is one.
@@ -122,6 +122,9 @@ def try_points(trial: Trial, points: list[Point], until: float) -> Counter[str]:
     for point in points:
         if total and tell_seconds() > until:
             break
+        if total["points"] % 50 == 49:
+            done = f"{trial.scenario.name}: {total['points']} of {len(points)} points"
+            print(done, file=sys.stderr, flush=True)
         told = trial.try_point(point)
         total["points"] += 1
         for kind in {kind for kind, _ in told.wrong}:

@@ -163,12 +163,16 @@ int unlinkat(int folder, const char *path, int flags) {
 }
 int rmdir(const char *path) { return meet("rmdir", AT_FDCWD, path, 0) ? -1 : NEXT(rmdir)(path); }
 
-/* Allocations of 64 KiB and more: smaller ones fail where no program can say so. */
+/* Allocations of more than 64 KiB: smaller ones fail where no program can say so, and so does the
+ * buffer of just that size that an iterator of NumPy 2 makes, which then reads from NULL. */
 extern void *__libc_malloc(size_t n);
 extern void *__libc_calloc(size_t n, size_t size);
 extern void *__libc_realloc(void *old, size_t n);
 static int lack(size_t n) {
-    return armed && what == ALLOCATION && begun && n >= 65536u && strike("malloc", "", 0);
+    char size[32];
+    if (!armed || what != ALLOCATION || !begun || n <= 65536u) { return 0; }
+    snprintf(size, sizeof size, "%zu bytes", n);
+    return strike("malloc", size, 0);
 }
 void *malloc(size_t n) { return lack(n) ? NULL : __libc_malloc(n); }
 void *calloc(size_t n, size_t size) { return lack(n * size) ? NULL : __libc_calloc(n, size); }
