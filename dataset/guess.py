@@ -31,7 +31,10 @@ from zerodrift.dataset.time_units import FASTEST_S, SLOWEST_S, read_time_unit
 from zerodrift.dataset.units import read_unit, strip_unit
 
 FULL_SCALE_STEPS = (1.0, 2.0, 5.0, 10.0)
-GENERIC_STEMS = ("log", "data", "out", "output", "measurement", "values")
+GENERIC_NAMES = re.compile(
+    r"(logs?|data|out|output|measurements?|values|runs?|train|training|tests?|records?|recordings?)?"
+)
+"""Of files and folders: they name no sensor."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +175,7 @@ def guess_project(
         )
     checks += [f"full_scale of {output.name} is a guess from the data" for output in outputs]
     return Guess(
-        sensor_name=_name_sensor([run.log for run in runs]),
+        sensor_name=_name_sensor([run.log for run in runs], outputs[0].name if outputs else ""),
         time=time,
         temperature=temperature,
         temperature_unit=unit if unit in ("degF", "K") else "",
@@ -204,19 +207,24 @@ def _tell_contradictions(files: Sequence[SurveyedFile]) -> list[str]:
     ]
 
 
-def _name_sensor(logs: Sequence[LogFiles]) -> str:
-    """Return a name by the first run's file, or by the folder where that says nothing."""
+def _name_sensor(logs: Sequence[LogFiles], output: str) -> str:
+    """Return a name by the first run's file, by the folder, or else by the first output.
+
+    Of several runs, neither a number at the file's end nor what all files are called is a name.
+    """
     path = logs[0].path
     stem = path.name if len(logs[0].files) > 1 else path.stem
-    is_spread = len({log.path.parent for log in logs}) > 1
-    if stem.lower() in GENERIC_STEMS or (
-        len(logs) > 1 and (is_spread or len({log.path.stem for log in logs}) == 1)
-    ):
-        folders = [log.path.parent for log in logs]
-        stem = (folders[0] if len(set(folders)) == 1 else folders[0].parent).name or stem
-    name = re.sub(r"[^A-Za-z0-9_]+", "_", stem).strip("_").lower()
-    # A name in C begins with a letter.
-    return re.sub(r"^[0-9_]+", "", name) or (f"sensor_{name}" if name else "sensor")
+    folders = {log.path.parent for log in logs}
+    folder = path.parent if len(folders) == 1 else path.parent.parent
+    if len(logs) > 1:
+        alike = len(folders) > 1 or len({log.path.stem for log in logs}) == 1
+        stem = "" if alike else re.sub(r"([_.\s-]+\d+)+$", "", stem)
+    for text in (stem, folder.name, output):
+        name = re.sub(r"[^A-Za-z0-9_]+", "_", text).strip("_").lower()
+        if not GENERIC_NAMES.fullmatch(name.strip("0123456789_")):
+            # A name in C begins with a letter.
+            return re.sub(r"^[0-9_]+", "", name)
+    return "sensor"
 
 
 def _name_channel(column: str) -> str:

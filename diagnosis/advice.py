@@ -257,7 +257,7 @@ def _list_protocols(
         wanted.append(
             ProtocolSummary(
                 "heat from one side",
-                "Heat the sole alone, cool it alone, and heat the top by a lamp, in steps of 5 to "
+                "Heat one side alone, cool it alone, and heat the side opposite, in steps of 5 to "
                 "15 min, from several starting temperatures, four runs or more",
                 "these logs do not show what heat from one side does, which a sensor meets at work",
             )
@@ -293,8 +293,8 @@ def _list_protocols(
     if all(not (run.reference.max(axis=0) > run.reference.min(axis=0)).any() for run in runs):
         wanted.append(
             ProtocolSummary(
-                "weights at several temperatures",
-                "Hang test weights on and off while the air ramps, their values in the reference "
+                "known loads at several temperatures",
+                "Put known loads on and off while the air ramps, their values in the reference "
                 "columns",
                 "no run has a load, so the gain over temperature is not verified",
             )

@@ -87,11 +87,10 @@ def revise_best(
         fit_config(replace(config, effects=wanted), dataset, catalogue)
         for wanted in (config.effects, *(change.effects for change in changes))
     )
-    kept = _list_sound(config.effects, [c.effects for c in changes], models, dataset)
-    tared = find_tared([old, *(models[i] for i in kept)])  # errors must be comparable
-    before, *fitted = (_hold_out(m, dataset, tared) for m in (old, *(models[i] for i in kept)))
-    best = choose_form(before, fitted, dataset.units)
-    change, after = changes[kept[best]], fitted[best]
+    sound = _list_sound(config.effects, [c.effects for c in changes], models, dataset)
+    tared = find_tared([old, *(models[i] for i in _list_tried(sound))])  # comparable errors
+    before, best, after = _choose_sound(old, models, sound, tared, dataset)
+    change = changes[best]
     floor = measure_floor(dataset)
     judged = judge_removal if change.action == REMOVE else judge
     helps, reason = judged(before, after, dataset.units)
@@ -130,9 +129,10 @@ def try_extension(
         catalogue: the known effects.
     """
     old, *models = _fit_all((effects, *forms), dataset, catalogue)
-    kept = _list_sound(effects, forms, models, dataset)
-    before, *after = _hold_out_alike([old, *(models[i] for i in kept)], dataset)
-    return judge(before, after[choose_form(before, after, dataset.units)], dataset.units)
+    sound = _list_sound(effects, forms, models, dataset)
+    tared = find_tared([old, *(models[i] for i in _list_tried(sound))])
+    before, _, after = _choose_sound(old, models, sound, tared, dataset)
+    return judge(before, after, dataset.units)
 
 
 def _list_sound(
@@ -141,18 +141,51 @@ def _list_sound(
     models: Sequence[PhysicalModel],
     dataset: Dataset,
 ) -> list[int]:
-    """Return which forms of a change may be chosen: the simplest, and richer ones that are sound.
+    """Return which forms of a change are sound; the only one there is needs no test.
 
-    Equal time constants, or a share of nothing, are the simpler form in disguise.
+    Equal time constants, one at its bound, or a share of nothing, are another form in disguise.
     """
-    kept = [0]
-    if len(forms) > 1:
-        span = measure_span(dataset.train, dataset.full_scale)
-    for i in range(1, len(forms)):
-        placed = zip(forms[i], models[i].terms, strict=True)
+    if len(forms) == 1:
+        return [0]
+    span = measure_span(dataset.train, dataset.full_scale)
+    sound = []
+    for i, form in enumerate(forms):
+        placed = zip(form, models[i].terms, strict=True)
         if all(are_sound(f.term, span) for effect, f in placed if effect not in effects):
-            kept.append(i)
-    return kept
+            sound.append(i)
+    return sound
+
+
+def _list_tried(sound: Sequence[int]) -> list[int]:
+    return sorted({0, *sound})
+
+
+def _choose_sound(
+    old: PhysicalModel,
+    models: Sequence[PhysicalModel],
+    sound: Sequence[int],
+    tared: bool,
+    dataset: Dataset,
+) -> tuple[Fitted, int, Fitted]:
+    """Return the model before, which form to take, and the model in that form.
+
+    One that is sound; the simplest, sound or not, where no other helps.
+
+    Args:
+        old: the model before.
+        models: the model in each form, simplest first.
+        sound: which forms are sound.
+        tared: take each run's own offset off the errors.
+        dataset: the runs.
+    """
+    before = _hold_out(old, dataset, tared)
+    after = {i: _hold_out(models[i], dataset, tared) for i in _list_tried(sound)}
+    best = 0
+    if sound:
+        best = sound[choose_form(before, [after[i] for i in sound], dataset.units)]
+        if 0 not in sound and not judge(before, after[best], dataset.units)[0]:
+            best = 0
+    return before, best, after[best]
 
 
 def list_needless(

@@ -384,6 +384,7 @@ class Terms:
             return a
         if (sums := self.split(truth))[0] == 1 and len(sums[1]) == 1 and sums[1][0][1] == -1:
             truth, a, b = self.negate(truth), b, a
+        a, b = self._put(truth, 1, a), self._put(truth, 0, b)
         difference = self.subtract(a, b)
         if difference.exact is not None:
             return self.add(b, self.scale(truth, difference.exact))
@@ -400,6 +401,14 @@ class Terms:
             return bits
         low, high = min(a.low, b.low), max(a.high, self._high_unless(truth, b))
         return self._make("choose", (truth.number, a.number, b.number), low, high)
+
+    def _put(self, truth: Whole, value: int, term: Whole) -> Whole:
+        """Return a term for a truth of that value: a counter of two values is a truth, too."""
+        for atom, factor in self.split(term)[1]:
+            if atom == truth.number:
+                term = self.subtract(term, self.scale(truth, factor))
+                return self.add(term, self.constant(value * factor))
+        return term
 
     def _choose_bits(self, truth: Whole, a: Whole, b: Whole, difference: Whole) -> Whole | None:
         """(c) ? (x | k) : x, where x may have the bit k already, or may have it here alone."""

@@ -121,7 +121,7 @@ def test_one_run_alone_tells_nothing_of_heat_paths(ask):
 
 def test_what_the_programme_lacks_is_asked_for(project):
     config, dataset = project(train=CHAMBER, seed=20)
-    assert "weights at several temperatures" in named(advise(config, dataset))
+    assert "known loads at several temperatures" in named(advise(config, dataset))
     assert "the whole range" not in named(advise(config, dataset))
     narrow = replace(
         dataset,
@@ -146,7 +146,7 @@ def test_ramps_of_one_rate_are_noticed(project):
 
 def test_logs_with_loads_do_not_call_for_weights(ask):
     advice = ask(hidden=lag(100.0), seed=20, exercise=("load",))
-    assert "weights at several temperatures" not in named(advice)
+    assert "known loads at several temperatures" not in named(advice)
     slowest = max(t.tau_s for t in advice.time_constants)
     assert 40.0 < slowest < 250.0
 

@@ -39,6 +39,23 @@ def invoke(tmp_path):
     return run
 
 
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (("logs/run_1.csv", "logs/run_2.csv"), "fx"),  # nothing but the output says what it is
+        (("cell 7/run_1.csv", "cell 7/run_2.csv"), "cell_7"),
+        (("logs/SN12_2026-03-01.csv", "logs/SN12_2026-03-02.csv"), "sn12"),
+        (("logs/bridge-1.csv", "logs/bridge-2.csv"), "bridge"),
+        (("logs/run_1.csv",), "fx"),
+        (("logs/2026.csv",), "fx"),
+    ],
+)
+def test_a_sensor_is_named_by_what_names_it(tmp_path, invoke, names, expected):
+    logs = [write_log(tmp_path / name) for name in names]
+    assert invoke(*logs).exit_code == 0
+    assert load_config(tmp_path).sensor_name == expected
+
+
 def test_init_guesses_each_column_by_name_and_unit(tmp_path, invoke):
     log = write_log(tmp_path / "logs" / "FT 40.csv")
     assert invoke(log).exit_code == 0

@@ -6,7 +6,7 @@ import shlex
 import numpy as np
 import pytest
 
-from zerodrift.base.config import EffectConfig
+from zerodrift.base.config import EffectConfig, load_config
 from zerodrift.diagnosis.changes import propose_command
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.catalogue import load_catalogue
@@ -85,6 +85,25 @@ def test_add_takes_the_form_that_is_needed_by_itself(make_project, zerodrift):
     assert result.code == 2
     assert "in the model already, and no richer form of it helps" in result.err
     assert project.read_all() == before
+
+
+def lag_of_its_own(temperature):
+    """Follow the thermometer by one coefficient, and what lags it by another."""
+    return 0.3 * (temperature - 25.0) + 0.2 * (lowpass(temperature, 1.0, 60.0) - temperature)
+
+
+def test_add_takes_no_form_with_a_time_constant_at_its_bound_where_another_says_the_same(
+    make_project, zerodrift
+):
+    project = make_project(runs=8)
+    rewrite_outputs(project, lag_of_its_own)
+    for _ in range(2):  # the lag of all that follows the temperature, then the form that fits
+        assert zerodrift("add", "thermal_lag", "-C", project.directory).code in (0, 2)
+    told = json.loads(zerodrift("compare", "-C", project.directory, "--json").out)
+    fitted = load_config(project.directory).effects[-1]
+    assert (fitted.kind, fitted.held.get("own_terms")) == ("thermal_lag", 1.0)
+    assert "time_constants" not in fitted.held
+    assert told["outputs"]["Fz"]["rmse"] < 0.055  # the noise is 0.05
 
 
 def test_a_new_effect_is_added_in_the_form_that_was_found():

@@ -149,3 +149,13 @@ def test_limits_that_may_be_the_wrong_way_round_are_not_decided() -> None:
     low, high = terms.symbol("low", 0, 9), terms.symbol("high", 5, 20)
     with pytest.raises(UndecidedError):
         terms.clamp(terms.symbol("x", 0, 9), low, high)
+
+
+def test_a_counter_of_two_values_stays_within_them() -> None:
+    terms = Terms()
+    place = terms.symbol("place", 0, 1)
+    after = terms.add(place, terms.constant(1))
+    following = terms.choose(terms.equal(place, terms.constant(1)), terms.constant(0), after)
+    assert (following.low, following.high) == (0, 1)
+    for value in (0, 1):
+        assert evaluate(terms, following, {"place": value}) == 1 - value
