@@ -33,12 +33,15 @@ from zerodrift.export.model_files import load_model
 from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
 from zerodrift.operations.backend import evaluate
+from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.vectors import draw_sequences
 
 CORE = "cortex-m4"
 EXAMPLE = Path(__file__).parent.parent / "examples/ft40"
-LIMITS_KB = {"none": 0.4, "lag_bank": 2.5}
+LIMITS_KB = {"none": 0.4, "lag_bank": 2.5, "gru": 3.5}
+HIDDEN = 16
+"""Units of the GRU in the place of the dense ones."""
 UNIT_SEEDS = range(10_000, 10_200)
 BLOCK_SEEDS = range(50_000, 60_000)
 WALK_STEPS = 3000
@@ -50,10 +53,12 @@ FINER = 1000
 
 def main(quick: bool) -> None:
     """Print every mark of blocks with what was reached."""
-    measure_example(("none",) if quick else ("none", "lag_bank"))
-    measure_formats(UNIT_SEEDS[:10] if quick else UNIT_SEEDS)
+    measure_example(("none",) if quick else ("none", "lag_bank", "gru"))
+    for hidden in (0, HIDDEN):
+        measure_formats(UNIT_SEEDS[:10] if quick else UNIT_SEEDS, hidden)
     count = 400 if quick else len(BLOCK_SEEDS)
-    measure_drawn(BLOCK_SEEDS[:count])
+    for hidden in (0, HIDDEN):
+        measure_drawn(BLOCK_SEEDS[:count], hidden)
     measure_cuts(2 if quick else 20)
 
 
@@ -84,7 +89,8 @@ def train_example(kind: str) -> IntegerModel:
         shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("build", "firmware", "logs"))
         toml = folder / "zerodrift.toml"
         text = toml.read_text(encoding="utf-8")
-        lines = [line for line in text.splitlines() if not line.startswith(("hidden", "memory"))]
+        unread = () if kind == "gru" else ("hidden", "memory")
+        lines = [line for line in text.splitlines() if not line.startswith(unread)]
         toml.write_text(
             "\n".join(lines).replace('kind = "gru"', f'kind = "{kind}"'), encoding="utf-8"
         )
@@ -101,16 +107,16 @@ def count_instructions(model: IntegerModel, code: GeneratedCode) -> int:
         return max(chip.count_instructions(draw_sequences(model, 50)["walk"]))
 
 
-def measure_formats(seeds: range) -> None:
+def measure_formats(seeds: range, hidden: int) -> None:
     """Print how much further from the float model the common format is than each unit's own."""
+    of = f"GRU of {hidden} units" if hidden else "dense units"
     for finer, what in ((1, "as delivered"), (FINER, f"outputs {FINER} times as fine")):
-        units = [_refine(*describe_unit(seed), finer) for seed in seeds]
+        units = [_refine(*describe_unit(seed, hidden=hidden), finer) for seed in seeds]
         own = [quantize(*unit) for unit in units]
         design = make_design(own)
         ratios = []
-        for (described, _), model in zip(units, own, strict=True):
-            codes = draw_sequences(model, 5 * WALK_STEPS)["walk"]
-            codes = np.clip(codes, model.guards.temperature_low, model.guards.temperature_high)
+        for seed, (described, _), model in zip(seeds, units, own, strict=True):
+            codes = draw_slow(seed)
             wanted = answer(described, codes)
             errors = [
                 np.sqrt(np.mean((run(m, codes) - wanted) ** 2, axis=0))
@@ -118,10 +124,19 @@ def measure_formats(seeds: range) -> None:
             ]
             ratios.append(float((errors[1] / errors[0]).max()))
         print(
-            f"integer to float, common format over own, {len(seeds)} simulated units, worst output"
-            f" of each, {what}: median {np.median(ratios):.3f} (to reach 1.2), worst"
+            f"integer to float, common format over own, {of}, {len(seeds)} simulated units, worst"
+            f" output of each, {what}: median {np.median(ratios):.3f} (to reach 1.2), worst"
             f" {max(ratios):.3f} (to reach 2)"
         )
+
+
+def draw_slow(seed: int) -> np.ndarray:
+    """Return codes [n, 1] so slow that no feature is limited, which would hide the formats."""
+    rng = np.random.default_rng(seed)
+    t, (slow, quick) = np.arange(WALK_STEPS) * PERIOD_S, rng.uniform(0, 2 * np.pi, 2)
+    wave = 23 * np.sin(t * 2 * np.pi / 3000 + slow) + 1.2 * np.sin(t * 2 * np.pi / 400 + quick)
+    noisy = 20 + wave + rng.normal(0, 0.01, WALK_STEPS)
+    return np.round(noisy / LSB_K).astype(np.int16)[:, None]
 
 
 def _refine(
@@ -140,7 +155,10 @@ def answer(model: FloatModel, codes: np.ndarray) -> np.ndarray:
     drift = model.offset + values[:, :count] @ model.coefficients
     if model.network is not None:
         assert model.whitening is not None and model.tap_mean is not None
-        drift = drift + model.network.run((values[:, count:] - model.tap_mean) @ model.whitening.T)
+        features = (values[:, count:] - model.tap_mean) @ model.whitening.T
+        network = model.network
+        dense = isinstance(network, FloatFeedForward)
+        drift = drift + (network.run(features) if dense else network.answer(features, 0))
     return np.asarray(drift * np.array([o.lsb_per_unit for o in model.outputs]))
 
 
@@ -149,9 +167,9 @@ def run(model: IntegerModel, codes: np.ndarray) -> np.ndarray:
     return Reference(model).run(codes[None]).drift[0]
 
 
-def measure_drawn(seeds: range) -> None:
+def measure_drawn(seeds: range, hidden: int) -> None:
     """Print how many drawn blocks overflow, differ or are wrongly accepted or refused."""
-    arguments = [str(seeds.start), str(seeds.stop)]
+    arguments = [str(seeds.start), str(seeds.stop), str(hidden)]
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.bench_blocks", *arguments], check=False
     )
@@ -159,9 +177,9 @@ def measure_drawn(seeds: range) -> None:
         print(f"  the program ended with {done.returncode}: undefined behaviour, or a difference")
 
 
-def run_drawn(seeds: range) -> None:
+def run_drawn(seeds: range, hidden: int) -> None:
     """Run drawn blocks in a build that undefined behaviour ends, and print what was found."""
-    design = make_design([quantize(*describe_unit(seed)) for seed in UNIT_SEEDS[:50]])
+    design = make_design([quantize(*describe_unit(s, hidden=hidden)) for s in UNIT_SEEDS[:50]])
     told = read_design(design.to_text())
     compiler = find_compiler()
     with tempfile.TemporaryDirectory() as scratch:
@@ -182,13 +200,14 @@ def run_drawn(seeds: range) -> None:
             differ += check_host(host, codes, settled=seed % 2 == 0).mismatch is not None
         accepted, tried = count_accepted(design, host, seeds.start, max(len(seeds) // 50, 1))
     kind = "undefined behaviour would have ended it" if guarded else "not built with sanitizers"
+    of = f"GRU of {hidden} units" if hidden else "dense units"
     print(
-        f"drawn admissible blocks, {compiler.name}, {kind}: {len(seeds)} run for {STEPS} steps,"
-        f" {differ} differ in a bit (95 %: at most {bound(differ, len(seeds)):.2g} of all),"
+        f"drawn admissible blocks, {of}, {compiler.name}, {kind}: {len(seeds)} run for {STEPS}"
+        f" steps, {differ} differ in a bit (95 %: at most {bound(differ, len(seeds)):.2g} of all),"
         f" {refused} refused"
     )
     print(
-        f"inadmissible blocks (one number out by one, a norm above by one, cut, flipped bits,"
+        f"inadmissible blocks, {of} (one number out by one, a norm above by one, cut, flipped bits,"
         f" endianness, format, design): {accepted} of {tried} accepted (95 %: at most"
         f" {bound(accepted, tried):.2g})"
     )
@@ -236,4 +255,4 @@ def measure_cuts(tears: int) -> None:
 
 
 if __name__ == "__main__":
-    run_drawn(range(int(sys.argv[1]), int(sys.argv[2])))
+    run_drawn(range(int(sys.argv[1]), int(sys.argv[2])), int(sys.argv[3]))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
+from zerodrift.blocks.gru import align_layers, find_obstacle
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN
 from zerodrift.operations.clip import IntegerClip
@@ -21,6 +22,7 @@ from zerodrift.operations.dense import IntegerDense, IntegerFeatureDense
 from zerodrift.operations.difference import IntegerDifference
 from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.features import IntegerFeatures
+from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.lowpass import IntegerLowpass
@@ -48,12 +50,16 @@ class _Aligned:
     coarser: list[int]
 
 
-def align(models: Sequence[IntegerModel], design: IntegerModel | None = None) -> list[IntegerModel]:
+def align(
+    models: Sequence[IntegerModel], design: IntegerModel | None = None, margin: float = 0.0
+) -> list[IntegerModel]:
     """Return the models in one format.
 
     Args:
         models: of units of one design; one at least.
         design: a model of the format that they are to have; None: the finest that all can have.
+        margin: without a design, by how much a later unit's recurrent weights may be larger as a
+            share, if there is but one unit; the more there are, the less room is left.
 
     Raises:
         CheckError: they are not of one design, or do not fit its format; says what differs.
@@ -65,7 +71,11 @@ def align(models: Sequence[IntegerModel], design: IntegerModel | None = None) ->
         units = [model.nodes[place] for model in models]
         wanted = design.nodes[place] if design is not None else None
         by = [[known[name] for name in first.inputs] for known in coarser]
-        found = _align_nodes(units, by, wanted)
+        found = (
+            _align_recurrent(units, wanted, margin)
+            if isinstance(first, IntegerRecurrent)
+            else _align_nodes(units, by, wanted)
+        )
         for unit, node in enumerate(found.nodes):
             aligned[unit].append(node)
             coarser[unit][node.name] = found.coarser[unit]
@@ -128,13 +138,6 @@ def _require_alike(models: Sequence[IntegerModel]) -> None:
 def _align_nodes(
     nodes: list[IntegerNode], coarser: list[list[int]], design: IntegerNode | None
 ) -> _Aligned:
-    if isinstance(nodes[0], IntegerRecurrent):
-        raise CheckError(
-            f"operation '{nodes[0].name}' ({nodes[0].kind}): the weights of a recurrent layer"
-            " cannot stand in a block yet, since each kernel has them in an order of its own. Use"
-            ' [network] kind = "lag_bank", or a program per unit (`[firmware] coefficients ='
-            ' "constants"`).'
-        )
     rule = RULES.get(type(nodes[0]))
     if rule is not None:
         return rule(nodes, coarser, design)
@@ -152,6 +155,32 @@ def _align_nodes(
             ' (`[firmware] coefficients = "constants"`).'
         )
     return _Aligned(nodes, [0] * len(nodes))
+
+
+def _align_recurrent(
+    nodes: list[IntegerNode], design: IntegerNode | None, margin: float
+) -> _Aligned:
+    """Bring GRUs to one shift per gate; what no block can hold is refused."""
+    layers: list[IntegerGruLayer] = []
+    for node in [*nodes, *([] if design is None else [design])]:
+        why = find_obstacle(node)
+        if why or not isinstance(node, IntegerGruLayer):
+            raise CheckError(
+                f"operation '{node.name}' ({node.kind}): {why}. Or use [network] kind = \"gru\" or"
+                ' "lag_bank", or a program per unit (`[firmware] coefficients = "constants"`).'
+            )
+        layers.append(node)
+    if len({layer.window for layer in layers}) > 1:
+        raise CheckError(
+            f"operation '{nodes[0].name}': units of one design need the same `memory`; found"
+            f" windows of {sorted({layer.window for layer in layers})}."
+        )
+    own = layers[: len(nodes)]
+    wanted = layers[-1].gru if design is not None else None
+    room = margin / len(own)
+    grus = align_layers([n.gru for n in own], nodes[0].name, wanted, room)
+    out: list[IntegerNode] = [replace(n, gru=gru) for n, gru in zip(own, grus, strict=True)]
+    return _Aligned(out, [0] * len(nodes))
 
 
 def _equal(a: IntegerNode, b: IntegerNode) -> bool:

@@ -13,6 +13,7 @@ from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.records import Json, from_json, to_json
 from zerodrift.blocks.align import ROW_BIAS, align, most_norm
 from zerodrift.blocks.fields import TYPES, FieldPlace, Numbers, list_places, put, read
+from zerodrift.blocks.gru import count_pairs, find_overflow
 from zerodrift.blocks.proof import BlockField, prove_set
 from zerodrift.export.integer_model import FORMAT, IntegerModel, canonical_json
 from zerodrift.export.model_files import parse_model
@@ -20,6 +21,7 @@ from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN
 from zerodrift.operations.dense import IntegerDense
 from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.features import IntegerFeatures
+from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Bound
 from zerodrift.operations.lowpass import IntegerLowpass
@@ -130,6 +132,8 @@ def find_outside(field: BlockField, numbers: Numbers) -> str:
     low, high = int(numbers.min(initial=field.high)), int(numbers.max(initial=field.low))
     if low < field.low or high > field.high:
         return f"{low if low < field.low else high} is outside {field.low} .. {field.high}"
+    if field.pairs:
+        return find_overflow(numbers, (field.pairs[0], field.pairs[1]))
     if field.norm:
         norm = int(np.abs(numbers.reshape(-1, field.row)).sum(axis=1).max())
         if norm > field.norm:
@@ -177,7 +181,7 @@ def make_design(models: Sequence[IntegerModel], margin: float = MARGIN) -> Block
     Raises:
         CheckError: the units have no common format.
     """
-    aligned = align(models)
+    aligned = align(models, margin=margin)
     places = list_places(aligned)
     aligned = [_hold_middle(model, aligned) for model in aligned]
     order = sorted(places, key=lambda p: -np.dtype(TYPES[p.type]).itemsize)
@@ -223,6 +227,8 @@ def _choose_set(models: Sequence[IntegerModel], place: FieldPlace, share: float)
         bias = ROW_BIAS if isinstance(node, IntegerDense) else 0
         row = numbers.shape[-1] // (node.width if node is not None else 1)
         return BlockField(place, -32767, 32767, most_norm(NORM_UNITS, bias), row)
+    if isinstance(node, IntegerGruLayer):
+        return BlockField(place, INT32_MIN, INT32_MAX, pairs=count_pairs(node.gru))
     if isinstance(node, IntegerDense):
         return BlockField(place, -ROW_BIAS, ROW_BIAS)
     largest = max(abs(low), abs(high), 1)

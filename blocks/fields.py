@@ -6,12 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.blocks.gru import BIASES, STREAM, count_pairs, put_stream, read_stream
 from zerodrift.export.integer_model import Guards, IntegerModel
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN
 from zerodrift.operations.clip import IntegerClip
 from zerodrift.operations.dense import IntegerDense
 from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.features import IntegerFeatures
+from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.lowpass import IntegerLowpass
@@ -96,6 +98,9 @@ def _list_node(nodes: Sequence[IntegerNode], model: IntegerModel) -> Iterator[Fi
         yield FieldPlace(node.name, "matrix", "i32", (node.width, len(node.inputs)))
         yield FieldPlace(node.name, "bias", "i64", (node.width,))
         yield FieldPlace(node.name, "shift", "u8", (node.width,))
+    elif isinstance(node, IntegerGruLayer):
+        words = BIASES + 3 * sum(count_pairs(node.gru))
+        yield FieldPlace(node.name, STREAM, "i32", (node.width, words))
     elif isinstance(node, IntegerDense):
         yield FieldPlace(node.name, "weights", "i16", (node.weights.size,))
         yield FieldPlace(node.name, "bias", "i32", (node.width,))
@@ -126,6 +131,8 @@ def read(model: IntegerModel, place: FieldPlace) -> Numbers:
         told = _read_guards(model.guards, place.attribute)
         return np.array(told, dtype=np.int64).reshape(place.sizes)
     node = next(n for n in model.nodes if n.name == place.node)
+    if isinstance(node, IntegerGruLayer):
+        return read_stream(node.gru)
     return np.array(getattr(node, place.attribute), dtype=np.int64).reshape(place.sizes)
 
 
@@ -151,6 +158,8 @@ def put(model: IntegerModel, numbers: Mapping[FieldPlace, Numbers]) -> IntegerMo
 
 def _put_node(node: IntegerNode, numbers: Mapping[str, object]) -> IntegerNode:
     changed: dict[str, object] = {}
+    if isinstance(node, IntegerGruLayer) and STREAM in numbers:
+        return replace(node, gru=put_stream(node.gru, np.asarray(numbers[STREAM])))
     for name, found in numbers.items():
         before = getattr(node, name)
         if isinstance(before, np.ndarray):

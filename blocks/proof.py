@@ -5,10 +5,12 @@ number that a block holds. Sums are bounded in any order; rows of 16-bit weights
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from zerodrift.base.errors import CheckError
+from zerodrift.base.records import OPTIONAL
 from zerodrift.blocks.fields import FieldPlace
+from zerodrift.blocks.gru import STREAM, prove_layer
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, INT32_MAX
 from zerodrift.operations.clip import IntegerClip
@@ -16,6 +18,7 @@ from zerodrift.operations.dense import COPY_BITS, IntegerDense, IntegerFeatureDe
 from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.formats import LOWPASS_FRACTION
+from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Bound, Interval
@@ -41,6 +44,9 @@ class BlockField:
     """Largest sum of the absolute values of each row; 0: no bound beside low and high."""
     row: int = 0
     """Numbers in a row of `norm`."""
+    pairs: tuple[int, ...] = field(default=(), metadata=OPTIONAL)
+    """Of a GRU's numbers: words of a row of features, and of the state; no sum of them may leave
+    32 bits (`blocks/gru.py`)."""
 
     @property
     def interval(self) -> Interval:
@@ -212,6 +218,12 @@ def _require_shift(where: str, by: Interval, most: int) -> None:
         raise CheckError(f"{where}: the set holds shifts of {by.low} .. {by.high} bits of {most}")
 
 
+def _gru(node: IntegerGruLayer, inputs: list[list[Interval]], known: _Known) -> Proof:
+    if known.field(STREAM) is None:
+        return node.prove(inputs)
+    return prove_layer(node)
+
+
 def _reach_rows(
     where: str, width: int, field: BlockField, bias: Interval, inputs: Sequence[Interval]
 ) -> list[Bound]:
@@ -271,6 +283,7 @@ RULES: dict[type[IntegerNode], Rule] = {
     IntegerLowpassAfter: _lowpass_after,
     IntegerSum: _sum,
     IntegerFeatures: _features,
+    IntegerGruLayer: _gru,
     IntegerDense: _dense,
     IntegerFeatureDense: _dense,
     IntegerHead: _head,

@@ -78,7 +78,7 @@ void _start(void) {{
 """
 _LAYER = """int16_t chip_features[{inputs}];
 int32_t chip_h_q30[{hidden}];
-void chip_layer(void) {{ {name}_step(chip_features, chip_h_q30, -1); }}
+void chip_layer(void) {{ {name}_step({block}chip_features, chip_h_q30, -1); }}
 """
 _STACK_OF_LAYERS = """int16_t chip_features[{inputs}];
 int32_t chip_lower_q30[{lower}];
@@ -371,7 +371,7 @@ def _build(
         outputs=len(model.outputs),
         code_type=f"{np.dtype(model.code_type).name}_t",
         tare=f"{code.prefix}_tare(&chip_state);" if model.tare else "",
-        layer=_render_layer(model),
+        layer=_render_layer(model, "zd_block, " if code.design is not None else ""),
         norm=_render_norm(model),
         block=", zd_block" if code.design is not None else "",
     )
@@ -395,8 +395,11 @@ def _render_norm(model: IntegerModel) -> str:
     return "void chip_norm(void) {}\n"
 
 
-def _render_layer(model: IntegerModel) -> str:
-    """Return the C that calls the first GRU or else LSTM alone, or all layers of its stack."""
+def _render_layer(model: IntegerModel, block: str) -> str:
+    """Return the C that calls the first GRU or else LSTM alone, or all layers of its stack.
+
+    `block` is the first argument of a layer whose numbers lie in a block.
+    """
     layer = model.recurrent
     if layer is None:
         for lstm in model.recurrents:
@@ -410,4 +413,5 @@ def _render_layer(model: IntegerModel) -> str:
         inputs=layer.layers[0].inputs,
         lower=sum(below.hidden for below in lower),
         hidden=top.hidden,
+        block=block,
     )

@@ -9,6 +9,7 @@ import numpy as np
 from zerodrift.blocks.block import HEADER_BYTES, MAGIC, find_size
 from zerodrift.blocks.design import FORMAT_OF_BLOCK, BlockDesign
 from zerodrift.blocks.fields import C_TYPES, GUARDS, TYPES, FieldPlace, put
+from zerodrift.blocks.gru import STREAM
 from zerodrift.export.integer_model import Guards, IntegerModel
 from zerodrift.operations.arithmetic import INT32_MIN
 from zerodrift.operations.c_text import FieldNumber, format_int32, format_int64
@@ -34,6 +35,8 @@ def mark(design: BlockDesign) -> IntegerModel:
 def _mark_node(node: IntegerNode, places: list[FieldPlace]) -> IntegerNode:
     changed: dict[str, object] = {}
     for place in places:
+        if place.attribute == STREAM:
+            continue  # a layer's kernel reads it
         if place.name in {table.name for table in node.list_tables()}:
             continue  # read by an index
         if not place.sizes:
@@ -71,9 +74,11 @@ def _mark_guards(guards: Guards) -> Guards:
 
 
 def list_held(design: BlockDesign) -> frozenset[str]:
-    """Return the nodes whose tables lie in the block."""
+    """Return the nodes whose tables, or a recurrent layer's numbers, lie in the block."""
     tables = {table.name: node.name for node in design.model.nodes for table in node.list_tables()}
-    return frozenset(tables[f.place.name] for f in design.fields if f.place.name in tables)
+    return frozenset(
+        f.place.node for f in design.fields if f.place.name in tables or f.place.attribute == STREAM
+    )
 
 
 def widen(design: BlockDesign) -> IntegerModel:
@@ -106,6 +111,7 @@ def describe_block(design: BlockDesign) -> Mapping[str, object]:
         "block_magic": MAGIC,
         "block_types": [kind for kind in TYPES if kind in types],
         "block_norms": any(f.norm for f in design.fields),
+        "block_streams": any(f.pairs for f in design.fields),
         "field_types": C_TYPES,
     }
 

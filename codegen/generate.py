@@ -167,7 +167,10 @@ def _render(
         "format": FORMAT,
         "code_id": PLACEHOLDER,
         "runtime_id": find_runtime_identity(),
-        "headers": [part.header for part in parts],
+        "headers": [
+            *(part.header for part in parts),
+            *(["zd_gru_pairs.h"] if any(layer.name in held for layer in model.recurrents) else []),
+        ],
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "title": sanitize_comment(model.name),
@@ -187,7 +190,12 @@ def _render(
         "tables": tables,
         "tables_crc": crc_of_words(word for table in tables for word in table.words),
         "checks": [
-            *(f"{n}_is_sound" for layer in model.recurrents for n in layer.name_layers("_")),
+            *(
+                f"{n}_is_sound"
+                for layer in model.recurrents
+                if layer.name not in held
+                for n in layer.name_layers("_")
+            ),
             *([f"{prefix}_tables_are_sound"] if tables else []),
             *dict.fromkeys(part.is_sound for part in reversed(parts)),
         ],

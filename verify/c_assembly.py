@@ -51,7 +51,8 @@ def run_assembly(
         NotUnderstoodError: another text, or more than assembly is written for.
         FaultError: arguments of other types, or another layer's.
     """
-    layer = machine.constants.get(name.removesuffix("_assembly"))
+    own = name.removesuffix("_assembly")
+    layer = machine.constants.get(own) or machine.variables.get(own)
     if not isinstance(layer, Struct) or layer.type not in KINDS:
         raise NotUnderstoodError(f"{name} belongs to no layer")
     rows = [p for p in given[:3] if isinstance(p, Pointer) and len(p.sizes) == 1]

@@ -48,6 +48,55 @@ static uint32_t P_rows_within(const int16_t *w, uint32_t n, uint32_t m, uint32_t
     return within;
 }
 """
+GRU_WITHIN = (
+    """
+static uint32_t P_size(int32_t x) {
+    return (x < 0) ? (0u - (uint32_t)x) : (uint32_t)x;
+}
+""",
+    """
+static uint32_t P_sum_fits(uint32_t most, uint32_t norm) {
+    return ((most <= UINT32_C(2147483647)) && (norm <= ((UINT32_C(2147483647) - most) / 32768u)))
+        ? 1u : 0u;
+}
+""",
+    """
+static void P_add_norms(const int32_t *w, uint32_t pairs, uint32_t norms[3]) {
+    for (uint32_t i = 0; i < pairs; i++) {
+        const uint32_t wide = ((i | 1u) < pairs) ? 2u : 1u;
+        for (uint32_t g = 0; g < 3u; g++) {
+            const int32_t both = w[(6u * (i / 2u)) + (wide * g) + (i % 2u)];
+            norms[g] += P_size(zd_asr32((int32_t)((uint32_t)both << 16), 16u));
+            norms[g] += P_size(zd_asr32(both, 16u));
+        }
+    }
+}
+""",
+    """
+static uint32_t P_gru_within(const int32_t *stream, uint32_t units, uint32_t x, uint32_t h) {
+    uint32_t within = 1u;
+    const uint32_t words = 4u + (3u * (x + h));
+    for (uint32_t j = 0; j < units; j++) {
+        const int32_t *w = &stream[j * words];
+        uint32_t of_x[3] = {0u, 0u, 0u};
+        uint32_t of_h[3] = {0u, 0u, 0u};
+        P_add_norms(&w[4], x, of_x);
+        P_add_norms(&w[4u + (3u * x)], h, of_h);
+        const uint32_t inside = P_size(w[3]);
+        within &= P_sum_fits(P_size(w[0]), of_x[0] + of_h[0]);
+        within &= P_sum_fits(P_size(w[1]), of_x[1] + of_h[1]);
+        within &= P_sum_fits(inside, of_h[2]);
+        within &= P_sum_fits(P_size(w[2]) + ((inside + (32768u * of_h[2])) / 2u) + 1u, of_x[2]);
+    }
+    return within;
+}
+""",
+)
+"""What shows that no sum of a layer leaves 32 bits: each has a bias of magnitude b, weights of
+which the absolute values add up to a, and factors of at most 2^15, so that it is at most
+b + 2^15 a. Where that fits inside, half of it and 1 is more than what r, which is below 1/2, leaves
+of it. No sum of absolute values in it passes 2^32 for rows of at most MOST_WEIGHTS."""
+MOST_WEIGHTS = 1 << 16
 CHECK = """
 uint32_t P_check_block(const void *block, size_t bytes) {
     const P_block_t *b = (const P_block_t *)block;
@@ -92,6 +141,22 @@ class Norm:
     most: int
 
 
+@dataclass(frozen=True)
+class LayerRows:
+    """The sizes for which no sum of a GRU leaves 32 bits."""
+
+    units: int
+    x: int
+    """Words of a row of features, of two weights each."""
+    h: int
+    """Words of a row of the state."""
+
+    @property
+    def words(self) -> int:
+        """In all."""
+        return self.units * (4 + 3 * (self.x + self.h))
+
+
 @dataclass
 class BlockSet:
     """The blocks that the test lets through."""
@@ -99,6 +164,7 @@ class BlockSet:
     limits: dict[str, tuple[int, int]] = field(default_factory=dict)
     """Field -> lowest and highest of each of its numbers."""
     norms: dict[str, Norm] = field(default_factory=dict)
+    layers: dict[str, LayerRows] = field(default_factory=dict)
 
     def admit(self, block: Struct) -> None:
         """Let a block be any that passes."""
@@ -129,6 +195,9 @@ def cut_known(tokens: Tokens, prefix: str) -> tuple[Tokens, int]:
             _cut(words, places, WITHIN.replace("K(", f"{kind}(").replace("T ", f"{of} "), prefix)
     if f"{prefix}_rows_within" in words:
         _cut(words, places, ROWS_WITHIN, prefix)
+    if f"{prefix}_gru_within" in words:
+        for text in GRU_WITHIN:
+            _cut(words, places, text, prefix)
     *_, told, summed = numbers
     if told != summed:
         raise NotUnderstoodError(f"{prefix}_check_block: a length of {told}, a CRC over {summed}")
@@ -233,6 +302,9 @@ class _SetReader:
                 raise FaultError(f"{rows} rows of {row} of b->{name}, which has {count} numbers")
             self._set.norms[name] = Norm(row, most)
             return
+        if own == "gru_within" and len(numbers) == 3 and kind == "int32_t":
+            self._read_layer(name, LayerRows(*numbers), count)
+            return
         if own != f"within_{next((k for k, t in KINDS.items() if t == kind), '')}":
             raise self._error(call)
         if len(numbers) != 3 or numbers[0] != count or name in self._set.limits:
@@ -242,6 +314,12 @@ class _SetReader:
         if not least <= low <= high <= most:
             raise FaultError(f"b->{name}: {low} .. {high} is no range of {kind}")
         self._set.limits[name] = (low, high)
+
+    def _read_layer(self, name: str, rows: LayerRows, count: int) -> None:
+        told = min(rows.units, rows.x, rows.h) >= 1 and name not in self._set.layers
+        if not told or rows.words != count or 2 * (rows.x + rows.h) > MOST_WEIGHTS:
+            raise FaultError(f"{rows} of b->{name}, which has {count} numbers")
+        self._set.layers[name] = rows
 
     def _field(self, node: Expression) -> str:
         """b->x of an array, &b->x of a number."""

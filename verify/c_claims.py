@@ -27,6 +27,8 @@ class BlockClaim(Claim):
     row: int
     """Numbers in a row; 0: nothing is claimed of rows."""
     norm: int
+    layer: tuple[int, int, int]
+    """Units of a GRU no sum of which leaves 32 bits, words of its rows of features and of state."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,7 @@ def read_claims(told: Mapping[str, object]) -> CertificateClaims:
                 *_read_range(c),
                 _read_integer(c.get("row", 0)),
                 _read_integer(c.get("norm", 0)),
+                _read_layer(c),
             )
             for c in _list_rows(told.get("blocks", []))
         ),
@@ -114,6 +117,11 @@ def _read_integer(value: object) -> int:
     if type(value) is not int:
         raise TypeError(f"{value!r:.40} is no integer")
     return value
+
+
+def _read_layer(row: Mapping[str, object]) -> tuple[int, int, int]:
+    units, x, h = (_read_integer(row.get(name, 0)) for name in ("units", "x_pairs", "h_pairs"))
+    return units, x, h
 
 
 def _read_text(value: object) -> str:

@@ -80,6 +80,11 @@ def run_packed(machine: IntervalMachine, packing: "Packing", layer: Struct, step
         scratch.hold(size)
         _leave_unknown(scratch, size)
     _require_apart(step)
+    if machine.is_of_block(layer):
+        if packing is not PAIRS:
+            raise FaultError(f"{layer.name}: a block holds the numbers in the order of pairs")
+        _step_of_block(machine, layer, step)
+        return
     tables = [
         machine.table_of(layer, n) for n in ("stream", "weights", "bias") if n in layer.tables
     ]
@@ -248,15 +253,50 @@ def trim(row: list[int], count: int) -> list[int]:
     return row[:count]
 
 
-def _gru(machine: IntervalMachine, layer: Struct, weights: Weights, step: GruStep) -> None:
-    """Every accumulator by the sum of its terms' sizes, hence in whatever order they are added."""
-    (w_x, w_h, bias), multiplier, limit = weights.rows, weights.multiplier, machine.h_limit
-    n_x, n_h, h_q15 = step.inputs.low, step.hidden.low, (limit + (1 << 14)) >> 15
-    x, h = step.features.values(n_x), step.h
-    name = re.sub(r"_(\d+)$", r".\1", layer.name)  # a layer of a stack
+def _move(machine: IntervalMachine, name: str, step: GruStep) -> None:
+    """The state stays within the limit that the proof of the recurrence is about."""
+    limit, h, n_h = machine.h_limit, step.h, step.hidden.low
     if any(abs(v.low) > limit or abs(v.high) > limit for v in h.values(n_h)):
         machine.fail(f"{name}: the state is not known to be within {limit} before the step")
     h.fill([Value(-limit, limit)] * n_h)
+
+
+def _step_of_block(machine: IntervalMachine, layer: Struct, step: GruStep) -> None:
+    """Every accumulator by what the test of a block lets through."""
+    name, n_x, n_h = layer.name, step.inputs.low, step.hidden.low
+    x = step.features.values(n_x)
+    _move(machine, name, step)
+    stream = layer.tables["stream"]
+    rows = None if stream is None else machine.find_rows(stream)
+    if rows is None or (rows.units, rows.x, rows.h) != (n_h, -(-n_x // 2), -(-n_h // 2)):
+        raise FaultError(f"{name}: {n_h} units of {n_x} inputs, of which the test shows nothing")
+    least, most = TYPES["int16_t"]
+    if any(v.low < least or v.high > most for v in x) or machine.h_limit + (1 << 14) >> 15 > most:
+        raise FaultError(f"{name}: a feature or the copy of a state is no int16_t")
+    if (name, tuple(x)) in machine.recurrent:
+        return
+    machine.recurrent.add((name, tuple(x)))
+    end = TYPES["int32_t"][1]
+    for g, gate in enumerate("run"):
+        shift = layer.fields["shift"].value(g)
+        shift_right(machine, Value(0, 0), shift, 31)
+        machine.note_shift(f"{name}.{gate}.shift", shift.low)
+        for j in range(n_h):
+            machine.note(f"{name}.{gate}[{j}]", -end, end, 32)
+            if g == 2:
+                machine.note(f"{name}.{gate}[{j}].inside", -end, end, 32)
+    machine.shift = None
+    reach = machine.tanh_max + machine.h_limit
+    machine.note(f"{name}.state_step", -reach, reach, 32)
+
+
+def _gru(machine: IntervalMachine, layer: Struct, weights: Weights, step: GruStep) -> None:
+    """Every accumulator by the sum of its terms' sizes, hence in whatever order they are added."""
+    (w_x, w_h, bias), multiplier = weights.rows, weights.multiplier
+    n_x, n_h, h_q15 = step.inputs.low, step.hidden.low, (machine.h_limit + (1 << 14)) >> 15
+    x = step.features.values(n_x)
+    name = re.sub(r"_(\d+)$", r".\1", layer.name)  # a layer of a stack
+    _move(machine, name, step)
     if (name, tuple(x)) in machine.recurrent:
         return
     shifts = [layer.fields["shift"].value(g).low for g in range(3)]
@@ -305,7 +345,7 @@ def _gru(machine: IntervalMachine, layer: Struct, weights: Weights, step: GruSte
         n_x,
         n_h,
     )
-    most = machine.tanh_max + limit
+    most = machine.tanh_max + machine.h_limit
     machine.note(f"{name}.state_step", -most, most, 32)
 
 

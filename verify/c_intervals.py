@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
-from zerodrift.verify.c_block import BlockSet
+from zerodrift.verify.c_block import BlockSet, LayerRows
 from zerodrift.verify.c_checksum import FIELD as SUM
 from zerodrift.verify.c_guard import Guard
 from zerodrift.verify.c_nodes import (
@@ -287,6 +287,16 @@ class IntervalMachine(Statements):
         steps = 0 if first.exact is not None else weights.step
         aligned = first.low % norm.row == steps % norm.row == 0
         return norm.most if aligned else None
+
+    def is_of_block(self, layer: Struct) -> bool:
+        """Tell whether the numbers of a layer lie in a block."""
+        return any(table is not None and self._of_block(table) for table in layer.tables.values())
+
+    def find_rows(self, stream: Pointer) -> LayerRows | None:
+        """Return the sizes of a GRU of a block whose sums were tested; None: nothing is known."""
+        rows = self.blocks.layers.get(stream.block.name.removeprefix("b->"))
+        whole = stream.first.exact == 0 and stream.sizes == stream.block.sizes
+        return rows if whole and self._of_block(stream) else None
 
     def _of_block(self, pointer: Pointer) -> bool:
         return pointer.block.name.startswith("b->") and pointer.block.constant

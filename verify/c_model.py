@@ -13,7 +13,7 @@ from zerodrift.verify.c_checksum import is_summed
 from zerodrift.verify.c_guard import read_guard
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_kernels import RULES, STRUCTS
-from zerodrift.verify.c_nodes import CInteger, CList, CName, CNumbers, Initialiser, Variable
+from zerodrift.verify.c_nodes import CField, CInteger, CList, CName, CNumbers, Initialiser, Variable
 from zerodrift.verify.c_parser import parse
 from zerodrift.verify.c_reader import WAYS, PreprocessorWay, Tokens, read_ways
 from zerodrift.verify.c_values import (
@@ -74,13 +74,20 @@ def read_models(texts: Mapping[str, str], prefix: str) -> "list[Model]":
         if (model := alike.get(plain)) is not None:
             model.others.append((way.defined, parse(tokens, tuple(STRUCTS)).assembly))
             continue
-        kernel = way.defined.get("ZD_KERNEL", 0)
-        for int_bits, per_pair in {0: [(32, 2), (16, 2)], 1: [(32, 1), (32, 2)]}.get(
-            -1 if {"ZD_GRU_ASSEMBLY", "ZD_ASSEMBLY"} & way.defined.keys() else kernel, [(32, 2)]
-        ):
+        for int_bits, per_pair in _list_chips(way, tokens):
             alike[plain] = Model(way, tokens, prefix, runtime, int_bits, per_pair, asked)
             models.append(alike[plain])
     return models
+
+
+def _list_chips(way: PreprocessorWay, tokens: Tokens) -> list[tuple[int, int]]:
+    """Return the bits of int, and the words of scratch for two numbers, that a build can have."""
+    if {"ZD_GRU_ASSEMBLY", "ZD_ASSEMBLY"} & way.defined.keys():
+        return [(32, 2)]
+    kernel = way.defined.get("ZD_KERNEL", 0)
+    if kernel == 0 and "zd_gru_step_pairs" in tokens.words:
+        return [(32, 1), (32, 2), (16, 2)]  # of a block, on every core
+    return {0: [(32, 2), (16, 2)], 1: [(32, 1), (32, 2)]}.get(kernel, [(32, 2)])
 
 
 class Model(IntervalMachine):
@@ -229,6 +236,12 @@ class Model(IntervalMachine):
             self._at = node.at
             raise FaultError(f"{name}: {number} does not fit {kind}")
 
+    def make_layer(self, name: str, kind: str, first: CList) -> Struct:
+        """Return a layer whose numbers lie in a block."""
+        if kind not in STRUCTS:
+            raise self.not_understood(f"a variable of {kind}")
+        return self._read_struct(name, kind, first.items)
+
     def _read_struct(self, name: str, kind: str, items: tuple[Initialiser, ...]) -> Struct:
         struct = Struct(name, kind)
         if len(items) != len(STRUCTS[kind]):
@@ -245,7 +258,7 @@ class Model(IntervalMachine):
             struct.tables[field] = None
             if isinstance(item, CInteger) and item.number == 0:
                 continue
-            found = self.evaluate(item) if isinstance(item, CName) else None
+            found = self.evaluate(item) if isinstance(item, CName | CField) else None
             wanted = of.removeprefix("const ").removesuffix(" *")
             if not isinstance(found, Pointer) or found.block.type != wanted:
                 raise FaultError(f"{name}.{field}: no table of {wanted}")

@@ -223,7 +223,10 @@ class Statements(Expressions):
             self.variables[name] = struct
             return
         if kind.name not in TYPES:
-            raise self.not_understood(f"a variable of {kind.name}")
+            if not isinstance(variable.first, CList) or not kind.constant or variable.sizes:
+                raise self.not_understood(f"a variable of {kind.name}")
+            self.variables[name] = self.make_layer(name, kind.name, variable.first)
+            return
         noted = kind.constant and kind.name == "int32_t"
         if name == "sum" or noted:
             self.pending, self.shift = {}, None
@@ -245,6 +248,10 @@ class Statements(Expressions):
         block.constant = kind.constant
         self.variables[name] = block
         self._live.append(block)
+
+    def make_layer(self, name: str, kind: str, first: CList) -> Struct:
+        """Return a variable of a struct of the runtime."""
+        raise NotImplementedError
 
     def _size(self, node: Expression) -> int:
         size = self.constant(node)

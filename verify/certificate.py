@@ -10,8 +10,8 @@ from collections.abc import Mapping
 
 from zerodrift import __version__
 from zerodrift.blocks.design import BlockDesign
+from zerodrift.blocks.proof import BlockField
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
-from zerodrift.codegen.block_text import list_held
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.error_bound import ErrorBound
 from zerodrift.export.integer_model import IntegerModel
@@ -49,19 +49,28 @@ def certify_design(design: BlockDesign, code: GeneratedCode) -> str:
     Raises:
         CheckError: a bound does not hold for some block.
     """
-    held = list_held(design)
+    held = frozenset(f.place.node for f in design.fields if f.place.attribute == "shift")
     fields: list[dict[str, object]] = [
         {
             "where": f"b->{field.place.name}",
             "low": field.low,
             "high": field.high,
             **({"row": field.row, "norm": field.norm} if field.norm else {}),
+            **_describe_layer(field),
         }
         for field in design.fields
     ]
     return _write(
         design.model, design.identity, design.prove(), code, None, held, {"blocks": fields}
     )
+
+
+def _describe_layer(field: BlockField) -> dict[str, object]:
+    """Return the sizes of a GRU no sum of which leaves 32 bits."""
+    if not field.pairs:
+        return {}
+    names = ("units", "x_pairs", "h_pairs")
+    return dict(zip(names, (field.place.sizes[0], *field.pairs), strict=True))
 
 
 def _write(

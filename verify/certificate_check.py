@@ -21,7 +21,7 @@ from zerodrift.verify.c_claims import CertificateClaims, read_claims
 from zerodrift.verify.c_header import find_wrong_indices
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_model import Model, read_models
-from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError
+from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError, anything
 from zerodrift.verify.known_runtime import is_known
 
 SHARED_RUNTIME = "runtime"
@@ -194,12 +194,17 @@ def judge(claims: Mapping[str, object], machine: IntervalMachine) -> tuple[int, 
 
 def _judge_blocks(claims: CertificateClaims, machine: IntervalMachine) -> list[str]:
     """Return where the set of blocks that is claimed is not the one that the C lets through."""
-    failures, left = [], set(machine.blocks.limits)
+    tested = machine.blocks
+    failures, left = [], {*tested.limits, *tested.layers}
     for claim in claims.blocks:
         name = claim.where.removeprefix("b->")
-        norm = machine.blocks.norms.get(name)
-        found = (*machine.blocks.limits.get(name, ()), *((norm.row, norm.most) if norm else (0, 0)))
-        if found != (claim.low, claim.high, claim.row, claim.norm):
+        norm, rows = tested.norms.get(name), tested.layers.get(name)
+        found = (*tested.limits.get(name, ()), *((norm.row, norm.most) if norm else (0, 0)))
+        if rows is not None:
+            any_word = anything("int32_t")
+            found = (any_word.low, any_word.high, 0, 0, rows.units, rows.x, rows.h)
+        layer = claim.layer if any(claim.layer) else ()
+        if found != (claim.low, claim.high, claim.row, claim.norm, *layer):
             failures.append(f"{claim.where}: claimed {claim}, the test of a block has {found}")
         left.discard(name)
     return [*failures, *(f"b->{name}: tested by the C, but not claimed" for name in sorted(left))]

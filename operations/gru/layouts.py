@@ -86,6 +86,20 @@ def lay_out_pairs(gru: IntegerGru) -> list[int]:
     return words
 
 
+def find_pairs(pairs: int) -> NDArray[np.int64]:
+    """Return where the words of a row of pairs lie in the stream of the pairs kernel, [3, pairs].
+
+    Blocks of two pairs, r r u u n n, and a last odd one, r u n.
+
+    Example:
+        >>> find_pairs(3).tolist()
+        [[0, 1, 6], [2, 3, 7], [4, 5, 8]]
+    """
+    pair, gate = np.arange(pairs), np.arange(3)[:, None]
+    wide = np.where((pair | 1) < pairs, 2, 1)
+    return np.asarray(6 * (pair // 2) + wide * gate + pair % 2)
+
+
 def lay_out_before(gru: IntegerGru) -> list[int]:
     """Return the stream of a reset before the product, [H][2 + 2 (X + R)] and [H][1 + X + R].
 

@@ -27,6 +27,8 @@ class FileField:
     high: int
     norm: int
     row: int
+    pairs: tuple[int, ...] = ()
+    """Of a GRU: words of a row of features, and of the state."""
 
     @property
     def count(self) -> int:
@@ -50,7 +52,8 @@ def read_design(text: str) -> FileDesign:
         place, bounds = f["place"], (f["low"], f["high"], f["norm"], f["row"])
         own = place["node"] != "guards"
         name = f"{place['node']}_{place['attribute']}" if own else place["attribute"]
-        fields.append(FileField(name, place["type"], tuple(place["sizes"]), *bounds))
+        pairs = tuple(f.get("pairs", ()))
+        fields.append(FileField(name, place["type"], tuple(place["sizes"]), *bounds, pairs))
     return FileDesign(told["identity"], tuple(fields))
 
 
@@ -81,6 +84,8 @@ def draw_admissible(design: FileDesign, seed: int) -> dict[str, Numbers]:
             drawn = np.clip((share * field.high).astype(np.int64), field.low, field.high)
         if field.norm:
             drawn = limit_rows(drawn, field, rng)
+        if field.pairs:
+            drawn = draw_layer(field, manner, rng)
         numbers[field.name] = np.asarray(drawn, dtype=np.int64)
     return numbers
 
@@ -100,10 +105,72 @@ def limit_rows(drawn: Numbers, field: FileField, rng: np.random.Generator) -> Nu
     return rows.ravel()
 
 
+def draw_layer(
+    field: FileField, manner: int, rng: np.random.Generator, beyond: str = ""
+) -> Numbers:
+    """Return a GRU's numbers of which the sums reach the ends of 32 bits, or come near.
+
+    Args:
+        field: of the layer.
+        manner: 0: any share of what a sum may be; else all of it.
+        rng: draws shares and signs.
+        beyond: r, u, inside or outside: the sum that is one too large in one unit.
+    """
+    units, (x, h) = field.sizes[0], field.pairs
+    out, at = [], int(rng.integers(units))
+    for unit in range(units):
+        sums = dict.fromkeys(("r", "u", "inside", "outside"), 2**31 - 1)
+        if manner == 0:
+            sums = {name: int(most * rng.random()) for name, most in sums.items()}
+        if unit == at and beyond:
+            sums[beyond] = 2**31
+        biases, rows = [], {}
+        for name in ("r", "u", "inside"):
+            counts = {"r": (x, h), "u": (x, h), "inside": (h,)}[name]
+            bias, rows[name] = draw_row(sums[name], 2 * sum(counts), rng)
+            biases.append(bias)
+        used = abs(biases[2]) + 2**15 * sum(map(abs, rows["inside"]))
+        left = max(sums["outside"] - used // 2 - 1, 0)
+        bias, rows["outside"] = draw_row(left, 2 * x, rng)
+        of_x = [rows["r"][: 2 * x], rows["u"][: 2 * x], rows["outside"]]
+        of_h = [rows["r"][2 * x :], rows["u"][2 * x :], rows["inside"]]
+        out += [biases[0], biases[1], bias, biases[2], *pack_rows(of_x), *pack_rows(of_h)]
+    return np.array(out, dtype=np.int64)
+
+
+def draw_row(most: int, count: int, rng: np.random.Generator) -> tuple[int, list[int]]:
+    """Return a bias and weights with |bias| + 2^15 sum |weights| = most, as far as 16 bits go."""
+    share = rng.random() ** 2
+    norm = min(int(most * share) >> 15, 32767 * count)
+    bias = min(most - (norm << 15), 2**31)
+    sign = -1 if bias == 2**31 else int(rng.choice([-1, 1]))
+    weights = []
+    for left in range(count, 0, -1):
+        least = max(norm - 32767 * (left - 1), 0)
+        size = int(rng.integers(least, min(norm, 32767), endpoint=True)) if left > 1 else norm
+        weights.append(size * int(rng.choice([-1, 1])))
+        norm -= size
+    return sign * bias, [weights[k] for k in rng.permutation(count)]
+
+
+def pack_rows(rows: list[list[int]]) -> list[int]:
+    """Return rows r, u, n as words of two weights: blocks of two words each, a last one alone."""
+    words = [
+        [(row[k] & 0xFFFF) | (row[k + 1] & 0xFFFF) << 16 for k in range(0, len(row), 2)]
+        for row in rows
+    ]
+    packed = [w for k in range(0, len(words[0]), 2) for row in words for w in row[k : k + 2]]
+    return [w - 2**32 if w >= 2**31 else w for w in packed]
+
+
 def list_inadmissible(design: FileDesign, seed: int) -> Iterator[tuple[str, bytes]]:
     """Yield what is wrong, and the block: one number out by one, a norm above by one, the rest."""
     rng = np.random.default_rng(seed)
     for field in design.fields:
+        for beyond in ("r", "u", "inside", "outside") if field.pairs else ():
+            numbers = draw_admissible(design, 4 * seed + 3)
+            numbers[field.name] = draw_layer(field, 1, rng, beyond)
+            yield f"{beyond} of {field.name} out by one", write_block(design, numbers)
         info = np.iinfo(FORMATS[field.kind])
         for value in (field.low - 1, field.high + 1):
             if not info.min <= value <= info.max:

@@ -3,10 +3,12 @@
 import numpy as np
 
 from zerodrift.export.float_model import Calibration, FloatModel
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.dense import FloatDense, FloatFeedForward
+from zerodrift.operations.gru.cell import FloatGru
 
 PERIOD_S = 1.0
 LSB_K = 2.0**-7
@@ -14,7 +16,7 @@ DENSE = 4
 
 
 def describe_unit(
-    seed: int, *, outputs: int = 6, network: bool = True, effects: bool = True
+    seed: int, *, outputs: int = 6, network: bool = True, effects: bool = True, hidden: int = 0
 ) -> tuple[FloatModel, Calibration]:
     """Return a unit's float model and what its calibration showed.
 
@@ -26,6 +28,7 @@ def describe_unit(
         outputs: how many.
         network: whether dense units stand on it.
         effects: whether the lagging part is there.
+        hidden: units of a GRU in the place of the dense ones; 0: the dense ones stay.
     """
     rng = np.random.default_rng(seed)
     ops = GraphOperations(PERIOD_S)
@@ -45,6 +48,7 @@ def describe_unit(
     taps = (t, ops.difference(t, late))
     dense = FloatDense(rng.normal(0, 1, (DENSE, 2)), rng.normal(0, 0.5, DENSE), "tanh")
     head = rng.normal(0, 0.1, (outputs, DENSE))
+    feed_forward = FloatFeedForward((dense,), head, np.zeros(outputs))
     model = FloatModel(
         name="cell",
         sample_period_s=PERIOD_S,
@@ -57,7 +61,7 @@ def describe_unit(
         taps=taps if network else (),
         tap_mean=np.array([20.0, 0.0]) + rng.normal(0, 1, 2) if network else None,
         whitening=np.diag([1 / 25.0, 1 / 3.0]) + rng.normal(0, 1e-3, (2, 2)) if network else None,
-        network=FloatFeedForward((dense,), head, np.zeros(outputs)) if network else None,
+        network=(draw_gru(seed, outputs, hidden) if hidden else feed_forward) if network else None,
     )
     calibration = Calibration(
         code_limits=(limits,),
@@ -71,8 +75,27 @@ def describe_unit(
     return model, calibration
 
 
+def draw_gru(seed: int, outputs: int, hidden: int) -> FloatNetwork:
+    """Return a GRU of a unit's own: nothing of it but its size is another unit's.
+
+    Weights are uniform as before a training, each gate's then larger or smaller as a whole.
+    """
+    rng = np.random.default_rng((seed, 1))
+    end = hidden**-0.5
+    size = np.exp(rng.normal(0, 0.3, (3, 1, 1)))
+    w_x, w_h = (rng.uniform(-end, end, (3, hidden, n)) * 2 * size for n in (2, hidden))
+    bias = rng.uniform(-end, end, (4, hidden)) * 2
+    return FloatNetwork(
+        gru=FloatGru(w_x, w_h, bias, "after"),
+        head=rng.normal(0, 0.3, (outputs, hidden)) * end,
+        head_bias=np.zeros(outputs),
+    )
+
+
 def make_unit(
-    seed: int, *, outputs: int = 6, network: bool = True, effects: bool = True
+    seed: int, *, outputs: int = 6, network: bool = True, effects: bool = True, hidden: int = 0
 ) -> IntegerModel:
     """Return a unit's integer model, in the format of its own."""
-    return quantize(*describe_unit(seed, outputs=outputs, network=network, effects=effects))
+    return quantize(
+        *describe_unit(seed, outputs=outputs, network=network, effects=effects, hidden=hidden)
+    )
