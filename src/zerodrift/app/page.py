@@ -34,7 +34,11 @@ PREVIEWS = 4
 def survey(directory: Path, result: Path, skip_invalid: bool) -> None:
     """Write the findings, with the diagnosis where one for these logs is kept."""
     findings = survey_project(
-        directory, skip_invalid=skip_invalid, wants_diagnosis=False, say=print_progress
+        directory,
+        skip_invalid=skip_invalid,
+        wants_diagnosis=False,
+        wants_advice=False,
+        say=print_progress,
     )
     print_progress("writing")
     save_findings(findings, result)

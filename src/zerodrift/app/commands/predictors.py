@@ -20,6 +20,7 @@ from zerodrift.diagnosis.run_errors import FindUsable
 from zerodrift.diagnosis.segments import MOST_SEGMENTS
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit_config
+from zerodrift.physics.model import PhysicalModel
 from zerodrift.report.results import CompareResult
 
 if TYPE_CHECKING:
@@ -40,15 +41,27 @@ class Predictor:
     """physics | network | integer | c."""
     predict: Callable[[Run], Array]
     """Run -> [n, K] drift, in the outputs' units."""
-    effects: tuple[str, ...]
-    tared: bool
-    """Whether each run has an offset of its own, which is not the model's to predict."""
+    physics: PhysicalModel
+    """Alone, or below the network."""
     held_out: HeldOut | None = None
     """Predictions for data left out; None: the test logs are the held-out data, where there are
     any."""
     notes: tuple[str, ...] = ()
-    find_usable: FindUsable | None = None
-    """Run -> [n, K] which samples count; None: all."""
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The kinds of the model's effects."""
+        return tuple(self.physics.effects)
+
+    @property
+    def tared(self) -> bool:
+        """Whether each run has an offset of its own, which is not the model's to predict."""
+        return self.physics.tared
+
+    @property
+    def find_usable(self) -> FindUsable:
+        """Run -> [n, K] which samples count."""
+        return self.physics.find_usable
 
 
 def open_predictor(
@@ -183,11 +196,9 @@ def _open_physics(
     return Predictor(
         PHYSICS,
         model.predict,
-        model.effects,
-        model.tared,
+        model,
         hold_out(model, dataset),
         (*notes, *model.notes),
-        model.find_usable,
     )
 
 
@@ -242,10 +253,8 @@ def _open_network(compensator: "Compensator") -> Predictor:
     return Predictor(
         NETWORK,
         compensator.predict,
-        compensator.physics.effects,
-        compensator.physics.tared,
+        compensator.physics,
         notes=compensator.notes,
-        find_usable=compensator.physics.find_usable,
     )
 
 
@@ -257,23 +266,11 @@ def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Pred
     model = load_model(config.build_directory / "model.json")
     physics = compensator.physics
     if kind == INTEGER:
-        return Predictor(
-            INTEGER,
-            lambda run: predict_integer(model, run),
-            physics.effects,
-            physics.tared,
-            find_usable=physics.find_usable,
-        )
+        return Predictor(INTEGER, lambda run: predict_integer(model, run), physics)
     from zerodrift.c_runtime.host import HostModel
     from zerodrift.codegen.generate import generate
     from zerodrift.verify.errors_told import predict_by_c
 
     with tempfile.TemporaryDirectory(prefix="zerodrift-") as scratch:
         host = HostModel(model, generate(model), Path(scratch), observe=False)
-    return Predictor(
-        C,
-        lambda run: predict_by_c(host, run),
-        physics.effects,
-        physics.tared,
-        find_usable=physics.find_usable,
-    )
+    return Predictor(C, lambda run: predict_by_c(host, run), physics)

@@ -11,7 +11,7 @@ from zerodrift import __version__
 from zerodrift.app.commands.built import read_firmware, read_kept, state_uncertainty
 from zerodrift.app.commands.compare import describe_patterns, explain_figures
 from zerodrift.app.commands.diagnose import explain_verdict
-from zerodrift.app.commands.predictors import PHYSICS, compare_predictor, open_predictor
+from zerodrift.app.commands.predictors import compare_predictor, open_predictor
 from zerodrift.app.commands.project import open_project
 from zerodrift.app.commands.revise import open_history
 from zerodrift.app.commands.verdict import (
@@ -36,8 +36,6 @@ from zerodrift.diagnosis.referee import review_logs
 from zerodrift.diagnosis.run_errors import collect_errors
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.description import describe_effect
-from zerodrift.physics.fit import fit_config
-from zerodrift.physics.model import PhysicalModel
 from zerodrift.physics.summary import summarise_model
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Findings, LoggedInput, Provenance, SourceFile, trace_runs
@@ -63,6 +61,7 @@ def survey_project(
     skip_invalid: bool = False,
     wants_diagnosis: bool = True,
     wants_contribution: bool = False,
+    wants_advice: bool = True,
     say: Say = lambda _: None,
 ) -> Findings:
     """Return the results of `compare`, `diagnose`, `history`, `firmware` and `export`.
@@ -75,6 +74,7 @@ def survey_project(
         skip_invalid: drop invalid rows of the logs.
         wants_diagnosis: whether to diagnose where no diagnosis of these logs is kept.
         wants_contribution: whether to compute what the named effect would explain.
+        wants_advice: whether to say what the logs can teach.
         say: called with a description of each stage of the work.
 
     Raises:
@@ -105,7 +105,6 @@ def survey_project(
     firmware, certificate, note = read_firmware(config)
     _, entries = open_history(config)
     reviewed = review_logs(config, dataset)
-    model = _find_model(predictor.kind, config, dataset, catalogue)
     return Findings(
         sensor=config.sensor_name,
         outputs=dataset.outputs,
@@ -114,12 +113,12 @@ def survey_project(
         simulated=is_simulated(config),
         predictor=predictor.kind,
         comparison=comparison.summarise(),
-        advice=advise(config, dataset),
+        advice=advise(config, dataset) if wants_advice else None,
         comparison_sentences=tuple(explain_figures(comparison)),
         patterns=tuple(describe_patterns(comparison)),
         diagnosed=diagnosed,
         steps=list_steps(entries),
-        model=summarise_model(model),
+        model=summarise_model(predictor.physics),
         firmware=firmware,
         certificate=certificate,
         firmware_note=note,
@@ -163,15 +162,6 @@ def is_simulated(config: Config) -> bool:
     return "SIMULATED" in head or any(
         (config.directory / name).exists() for name in SIMULATED_FILES
     )
-
-
-def _find_model(kind: str, config: Config, dataset: Dataset, catalogue: Catalogue) -> PhysicalModel:
-    """Return the physical model behind the predictions."""
-    if kind == PHYSICS:
-        return fit_config(config, dataset, catalogue)
-    from zerodrift.train.compensator import Compensator
-
-    return Compensator.load(config.build_directory, catalogue).physics
 
 
 def trace_provenance(config: Config, dataset: Dataset) -> Provenance:
