@@ -28,6 +28,7 @@ RUNTIME_FILES = (
     INCLUDE_DIRECTORY / "zd_gru_columns_sse2.h",
     INCLUDE_DIRECTORY / "zd_gru_columns_avx2.h",
     INCLUDE_DIRECTORY / "zd_lstm.h",
+    INCLUDE_DIRECTORY / "zd_lstm_rows.h",
     INCLUDE_DIRECTORY / "zd_layer_norm.h",
     RUNTIME_DIRECTORY / "src" / "zd_runtime.c",
 )

@@ -21,6 +21,7 @@ from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.operations.lstm import IntegerLstmLayer
 
 SUPPORT = Path(__file__).parent / "bare_metal"
 LONGEST_RUN_S = 500
@@ -61,6 +62,21 @@ MACHINES: dict[str, QemuMachine] = {
     ),
 }
 """Core -> the board that has it. QEMU has none with a Cortex-M0+."""
+
+
+def _describe_layer(model: IntegerModel) -> list[str]:
+    """Return what `run.c` has to know of the layer whose instructions it counts."""
+    gru = model.recurrent
+    if gru is not None and len(gru.layers) == 1:
+        step = "STEP(x, h, c)=((void)(c),{}_step(x, h, -1))"
+        name, inputs, hidden = gru.name, gru.gru.inputs, gru.gru.hidden
+    else:
+        lstm = next((n for n in model.recurrents if isinstance(n, IntegerLstmLayer)), None)
+        if gru is not None or lstm is None:  # of a stack of GRUs nothing is counted
+            return []
+        step = "STEP(x, h, c)={}_step(x, h, c, 0u)"
+        name, inputs, hidden = lstm.name, lstm.layers[0].inputs, lstm.units
+    return [f"-DLAYER_{step.format(name)}", f"-DINPUTS={inputs}", f"-DHIDDEN={hidden}"]
 
 
 @dataclass(frozen=True)
@@ -165,13 +181,10 @@ class QemuModel:
         write_sources(code, folder)
         (folder / f"{code.prefix}_harness.c").write_text(code.harness, encoding="utf-8")
         (folder / "string.h").write_text("", encoding="utf-8")
-        layer = model.recurrent
         shape = [f"-DCHANNELS={model.columns}", f"-DOUTPUTS={self._outputs}"]
         shape += [f"-DCODE={np.dtype(model.code_type).name}_t"]
         shape += [f'-DHARNESS="{code.prefix}_harness.c"', "-DZD_PLAIN"]
-        if layer is not None and layer.kind == "gru":
-            shape += [f"-DLAYER_STEP={layer.name}_step"]
-            shape += [f"-DINPUTS={layer.gru.inputs}", f"-DHIDDEN={layer.gru.hidden}"]
+        shape += _describe_layer(model)
         script = folder / "link.ld"
         script.write_text(
             _SCRIPT.format(code=self._machine.code_at, data=self._machine.data_at),

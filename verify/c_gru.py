@@ -86,7 +86,9 @@ def run_packed(machine: IntervalMachine, packing: "Packing", layer: Struct, step
         _step_of_block(machine, layer, step)
         return
     tables = [
-        machine.table_of(layer, n) for n in ("stream", "weights", "bias") if n in layer.tables
+        machine.table_of(layer, name)
+        for name in ("stream", "weights", "bytes", "bias", "multiplier")
+        if name in layer.tables
     ]
     try:
         rows = unpack(*tables, inputs, hidden)
@@ -168,17 +170,85 @@ def unpack_columns(stream: list[int], inputs: int, hidden: int) -> Rows:
     return tuple([n for unit in units[:hidden] for n in unit[part]] for part in range(3))  # type: ignore[return-value]
 
 
-def unpack_rows(numbers: list[int], biases: list[int], inputs: int, hidden: int) -> Rows:
-    """[U][3]: vectors of 8 features, then of 8 states; biases [U / 4][4][4]; U is H up to 4."""
-    wide_x, wide_h = -(-inputs // 8) * 8, -(-hidden // 8) * 8
-    rows: Rows = ([], [], [])
-    for row in range(3 * hidden):
-        both = numbers[row * (wide_x + wide_h) : (row + 1) * (wide_x + wide_h)]
-        rows[0].extend(trim(both[:wide_x], inputs))
-        rows[1].extend(trim(both[wide_x:], hidden))
-    for unit in range(hidden):
-        rows[2].extend(biases[unit // 4 * 16 + 4 * k + unit % 4] for k in range(4))
-    return rows
+Scaled = tuple[list[int], list[int], list[int], list[int]]
+"""Rows, and multipliers of 8-bit recurrent weights."""
+
+
+def unpack_rows(
+    numbers: list[int],
+    small: list[int],
+    biases: list[int],
+    multiplier: list[int],
+    inputs: int,
+    hidden: int,
+    gates: int = 3,
+) -> Rows | Scaled:
+    """[U][gates]: vectors of 8 features, then of 8 states; U is H up to 4.
+
+    With 8-bit weights of the state these have a table `small` of their own. Biases lie [U / 4][4
+    kinds][4], multipliers [U / 4][gates][4].
+    """
+    bias = _split_fours(biases, 4, hidden)
+    if not small and not multiplier:
+        w_x, w_h = _split_rows(numbers, gates, hidden, (inputs, hidden))
+        return w_x, w_h, bias
+    (w_x,) = _split_rows(numbers, gates, hidden, (inputs,))
+    (w_h,) = _split_rows(small, gates, hidden, (hidden,))
+    return w_x, w_h, bias, _split_fours(multiplier, gates, hidden)
+
+
+def unpack_rows_before(
+    numbers: list[int],
+    small: list[int],
+    biases: list[int],
+    multiplier: list[int],
+    inputs: int,
+    hidden: int,
+) -> Rows | Scaled:
+    """Weights of r u of all units, then those of n; the rest as `unpack_rows`."""
+    numbers, small = _join_passes(numbers, hidden), _join_passes(small, hidden)
+    return unpack_rows(numbers, small, biases, multiplier, inputs, hidden)
+
+
+def _split_rows(
+    numbers: list[int], gates: int, hidden: int, counts: tuple[int, ...]
+) -> list[list[int]]:
+    """Return the parts of all rows, each of which is filled up to a multiple of 8."""
+    widths = [-(-count // 8) * 8 for count in counts]
+    _require_length(numbers, gates * sum(widths), hidden)
+    parts: list[list[int]] = [[] for _ in counts]
+    at = 0
+    for row in range(len(numbers) // sum(widths)):
+        for part, count, width in zip(parts, counts, widths, strict=True):
+            found = trim(numbers[at : at + width], count if row < hidden * gates else 0)
+            part.extend(found)
+            at += width
+    return parts
+
+
+def _split_fours(numbers: list[int], gates: int, hidden: int) -> list[int]:
+    """Return [U / 4][gates][4] unit by unit."""
+    _require_length(numbers, gates, hidden)
+    each = range(gates)
+    return [numbers[j // 4 * 4 * gates + 4 * g + j % 4] for j in range(hidden) for g in each]
+
+
+def _join_passes(table: list[int], hidden: int) -> list[int]:
+    """Return [U][3] of [U][2] and then [U]."""
+    units = -(-hidden // 4) * 4
+    row, rest = divmod(len(table), 3 * units)
+    if rest:
+        raise ValueError(f"{len(table)} weights of {units} units")
+    both, last = table[: 2 * units * row], table[2 * units * row :]
+    joined = []
+    for j in range(units):
+        joined += both[2 * j * row : 2 * (j + 1) * row] + last[j * row : (j + 1) * row]
+    return joined
+
+
+def _require_length(numbers: list[int], each: int, hidden: int) -> None:
+    if len(numbers) != -(-hidden // 4) * 4 * each:
+        raise ValueError(f"{len(numbers)} numbers, not {each} of each unit")
 
 
 def unpack_before(stream: list[int], inputs: int, hidden: int) -> Rows:
@@ -197,16 +267,14 @@ def unpack_before(stream: list[int], inputs: int, hidden: int) -> Rows:
     return rows
 
 
-def unpack_bytes(
-    stream: list[int], inputs: int, hidden: int
-) -> tuple[list[int], list[int], list[int], list[int]]:
+def unpack_bytes(stream: list[int], inputs: int, hidden: int) -> Scaled:
     """[H]: three biases; blocks of inputs as `unpack_pairs`; r u n per four of the state, the inner
     bytes exchanged; the bias inside; three multipliers. The multipliers come last."""
     words, fours = iter(stream), -(-hidden // 4)
     each = 7 + 3 * (-(-inputs // 2) + fours)
     if len(stream) != hidden * each:
         raise ValueError(f"{len(stream)} words, not {hidden * each}")
-    found: tuple[list[int], list[int], list[int], list[int]] = ([], [], [], [])
+    found: Scaled = ([], [], [], [])
     for _ in range(hidden):
         biases = [next(words) for _ in range(3)]
         before = [next(words) for _ in range(3 * -(-inputs // 2))]
@@ -231,7 +299,7 @@ def unpack_four(word: int) -> list[int]:
 class Packing:
     """How the tables of a kernel lie."""
 
-    unpack: Callable[..., Rows | tuple[list[int], list[int], list[int], list[int]]]
+    unpack: Callable[..., Rows | Scaled]
     """From its tables to the rows, and to the multipliers where it has some."""
     scratch: Callable[[IntervalMachine, int, int], list[int]]
     """What its scratch arrays have to hold, in order."""
@@ -241,6 +309,9 @@ class Packing:
 
 PAIRS = Packing(unpack_pairs, lambda m, i, h: [m.per_pair * (-(-i // 2) - (-h // 2))])
 ROWS = Packing(unpack_rows, lambda m, i, h: [8 * (-(-i // 8) - (-h // 8))])
+ROWS_BEFORE = Packing(
+    unpack_rows_before, lambda m, i, h: [16 * (-(-i // 8) - (-h // 8)), 4 * -(-h // 4)], after=False
+)
 COLUMNS = Packing(unpack_columns, lambda m, i, h: [8 * -(-h // 8), -(-i // 2) + 4 * -(-h // 8)])
 BEFORE = Packing(unpack_before, lambda m, i, h: [0], after=False)
 BYTES = Packing(unpack_bytes, lambda m, i, h: [0])

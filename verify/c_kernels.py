@@ -14,13 +14,14 @@ from zerodrift.verify.c_gru import (
     COLUMNS,
     PAIRS,
     ROWS,
+    ROWS_BEFORE,
     packed,
     portable,
     shift_right,
 )
 from zerodrift.verify.c_intervals import IntervalMachine, Rule
 from zerodrift.verify.c_layer_norm import normalise
-from zerodrift.verify.c_lstm import run_lstm
+from zerodrift.verify.c_lstm import run_lstm, run_lstm_rows
 from zerodrift.verify.c_values import (
     TYPES,
     Address,
@@ -374,9 +375,17 @@ RULES: dict[str, Rule] = {
         f"&zd_gru_rows_t, {GRU}, int16_t *, int32_t",
         packed(ROWS),
     ),
+    "zd_gru_step_rows_before": typed(
+        f"&zd_gru_rows_t, {GRU}, int16_t *, int32_t *, int32_t",
+        packed(ROWS_BEFORE),
+    ),
     "zd_lstm_step": typed(
         f"&zd_lstm_t, {GRU}, int32_t *, int16_t *, uint32_t",
         run_lstm,
+    ),
+    "zd_lstm_step_rows": typed(
+        f"&zd_lstm_rows_t, {GRU}, int32_t *, int16_t *, uint32_t",
+        run_lstm_rows,
     ),
     "zd_layer_norm": typed("&zd_layer_norm_t, const int16_t *, int32_t *, uint32_t", normalise),
     "zd_crc32_i16": typed("uint32_t, const int16_t *, uint32_t", _crc, "uint32_t"),
@@ -392,6 +401,7 @@ RULES: dict[str, Rule] = {
     # what scratch arrays are declared by
     "ZD_PAIR_SCRATCH": _size(lambda m, i, h: m.per_pair * ((i + 1) // 2 + (h + 1) // 2)),
     "ZD_ROW_VECTORS": _size(lambda m, n: (n + 7) // 8),
+    "ZD_ROW_UNITS": _size(lambda m, h: (h + 3) // 4 * 4),
     "ZD_COLUMN_UNITS": _size(lambda m, h: (h + 7) // 8 * 8),
     "ZD_COLUMN_PAIRS": _size(lambda m, i, h: (i + 1) // 2 + (h + 7) // 8 * 4),
 }
@@ -436,8 +446,20 @@ STRUCTS: dict[str, tuple[tuple[str, str, int], ...]] = {
     "zd_gru_columns_t": (("stream", "const int32_t *", 0), ("shift", "uint8_t", 3)),
     "zd_gru_rows_t": (
         ("weights", "const int16_t *", 0),
+        ("bytes", "const int8_t *", 0),
         ("bias", "const int32_t *", 0),
+        ("multiplier", "const int32_t *", 0),
         ("shift", "uint8_t", 3),
+        ("multiplier_shift", "uint8_t", 3),
+    ),
+    "zd_lstm_rows_t": (
+        ("weights", "const int16_t *", 0),
+        ("bytes", "const int8_t *", 0),
+        ("bias", "const int32_t *", 0),
+        ("multiplier", "const int32_t *", 0),
+        ("shift", "uint8_t", 4),
+        ("multiplier_shift", "uint8_t", 4),
+        ("cell_bits", "uint8_t", 0),
     ),
     "zd_layer_norm_t": (
         ("align", "const uint8_t *", 0),

@@ -7,7 +7,16 @@ needs the standard library only.
 import re
 from dataclasses import dataclass
 
-from zerodrift.verify.c_gru import MOST, Rows, shift_right, trim, unpack_four, unpack_pairs
+from zerodrift.verify.c_gru import (
+    MOST,
+    Rows,
+    Scaled,
+    shift_right,
+    trim,
+    unpack_four,
+    unpack_pairs,
+    unpack_rows,
+)
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_values import FaultError, Pointer, Struct, Value
 
@@ -31,24 +40,55 @@ def run_lstm(
         hidden: number of units.
         given: features, output, cell state, scratch for the output's copy; whether to relax.
     """
-    *pointers, relaxing = given
-    features, h, cell, copy = (p for p in pointers if isinstance(p, Pointer))
-    if not isinstance(relaxing, Value):
-        raise FaultError("relaxing is no number")
-    for value, what in ((inputs, "inputs"), (hidden, "units")):
-        if value.exact is None or not 0 < value.exact <= MOST:
-            raise FaultError(f"{value.low} .. {value.high} {what}")
-    if copy.block in (h.block, cell.block):
-        raise FaultError("output, cell state and scratch lie on each other")
-    copy.hold(hidden.low)
-    copy.fill([Value(-(1 << 15), (1 << 15) - 1, "int16_t")] * hidden.low)
+    _require_sizes(inputs, hidden)
+    step = _name_arguments(given, hidden.low)
     names = ("w_x", "w_h16", "w_h8", "multiplier", "bias")
     w_x, w_16, w_8, multiplier, bias = (machine.table_of(layer, n) for n in names)
     if bool(w_16) == bool(w_8) or bool(multiplier) != bool(w_8):
         raise FaultError(f"{layer.name}: weights of 16 bits, or of 8 bits and their multipliers")
     weights = LstmNumbers((w_x, w_16 or w_8, bias), multiplier)
-    step = LstmStep(features, h, cell, relaxing)
     _step(machine, layer, weights, step, (inputs.low, hidden.low))
+
+
+def run_lstm_rows(
+    machine: IntervalMachine,
+    layer: Struct,
+    inputs: Value,
+    hidden: Value,
+    *given: Pointer | Value,
+) -> None:
+    """Step a layer whose weights lie in whole vectors; arguments as of `run_lstm`."""
+    _require_sizes(inputs, hidden)
+    n_x, units = inputs.low, hidden.low
+    step = _name_arguments(given, 8 * (-(-n_x // 8) - (-units // 8)))
+    names = ("weights", "bytes", "bias", "multiplier")
+    numbers, small, biases, multiplier = (machine.table_of(layer, n) for n in names)
+    try:
+        found = unpack_lstm_rows(numbers, small, biases, multiplier, n_x, units)
+    except (IndexError, ValueError) as error:
+        raise FaultError(f"{layer.name}: its table is short or not filled up: {error}") from None
+    scaled = found[3] if len(found) == 4 else []
+    weights = LstmNumbers((found[0], found[1], found[2]), scaled)
+    _step(machine, layer, weights, step, (n_x, units))
+
+
+def _require_sizes(inputs: Value, hidden: Value) -> None:
+    for value, what in ((inputs, "inputs"), (hidden, "units")):
+        if value.exact is None or not 0 < value.exact <= MOST:
+            raise FaultError(f"{value.low} .. {value.high} {what}")
+
+
+def _name_arguments(given: tuple[Pointer | Value, ...], scratch: int) -> "LstmStep":
+    """Return what a kernel is given; nothing may rely on what it leaves in its scratch."""
+    *pointers, relaxing = given
+    features, h, cell, copy = (p for p in pointers if isinstance(p, Pointer))
+    if not isinstance(relaxing, Value):
+        raise FaultError("relaxing is no number")
+    if copy.block in (h.block, cell.block):
+        raise FaultError("output, cell state and scratch lie on each other")
+    copy.hold(scratch)
+    copy.fill([Value(-(1 << 15), (1 << 15) - 1, "int16_t")] * scratch)
+    return LstmStep(features, h, cell, relaxing)
 
 
 @dataclass(frozen=True)
@@ -90,13 +130,23 @@ def step_lstm(machine: IntervalMachine, layer: Struct, step: LstmStep) -> None:
     _step(machine, layer, LstmNumbers(rows, multiplier), step, (inputs, hidden))
 
 
-def unpack_lstm_bytes(
-    stream: list[int], inputs: int, hidden: int
-) -> tuple[list[int], list[int], list[int], list[int]]:
+def unpack_lstm_rows(
+    numbers: list[int],
+    small: list[int],
+    biases: list[int],
+    multiplier: list[int],
+    inputs: int,
+    hidden: int,
+) -> Rows | Scaled:
+    """As `unpack_rows`, of four gates."""
+    return unpack_rows(numbers, small, biases, multiplier, inputs, hidden, gates=4)
+
+
+def unpack_lstm_bytes(stream: list[int], inputs: int, hidden: int) -> Scaled:
     """[H]: i f g o per four of the output, the inner bytes exchanged; four biases, then the
     multipliers; blocks of inputs as `unpack_pairs`. The multipliers come last."""
     words, fours, pairs = iter(stream), -(-hidden // 4), -(-inputs // 2)
-    found: tuple[list[int], list[int], list[int], list[int]] = ([], [], [], [])
+    found: Scaled = ([], [], [], [])
     for _ in range(hidden):
         rows: list[list[int]] = [[], [], [], []]
         for _ in range(fours):

@@ -159,8 +159,6 @@ def _is_possible(defined: Mapping[str, int], free: list[str]) -> bool:
         return False  # ZD_KERNEL=... overrides; this assembly is the pairs kernel's alone
     if not assembly:
         return not (of_gru and "ZD_ASSEMBLY" in free)
-    if kernel == 2:
-        return assembly == 7  # vectors of the M profile beside its other instructions
     return kernel in (None, 1) and ("ZD_GRU_ASSEMBLY" not in free or of_gru == assembly)
 
 

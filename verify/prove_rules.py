@@ -17,8 +17,9 @@ from zerodrift.verify.c_gru import (
     unpack_columns,
     unpack_pairs,
     unpack_rows,
+    unpack_rows_before,
 )
-from zerodrift.verify.c_lstm import unpack_lstm_bytes
+from zerodrift.verify.c_lstm import unpack_lstm_bytes, unpack_lstm_rows
 from zerodrift.verify.prove_kernels import TANH, Layers, Numbered, Power, find_exp2, find_power
 from zerodrift.verify.prove_machine import Rule, TermMachine
 from zerodrift.verify.prove_memory import AddressOf, Found, Instance, Number, Spot
@@ -65,21 +66,40 @@ def make_rules(prefix: str, layers: Callable[[], Layers], used: Used) -> dict[st
         "sizeof": lambda m, _: Number(m.terms.symbol("sizeof", 1, 2**31), "uint64_t"),
         "ZD_PAIR_SCRATCH": lambda m, a: _size(m, scratch_of_pairs(*map(exact, a))[0]),
         "ZD_ROW_VECTORS": lambda m, a: _size(m, -(-exact(a[0]) // 8)),
+        "ZD_ROW_UNITS": lambda m, a: _size(m, -(-exact(a[0]) // 4) * 4),
         "ZD_COLUMN_UNITS": lambda m, a: _size(m, -(-exact(a[0]) // 8) * 8),
         "ZD_COLUMN_PAIRS": lambda m, a: _size(m, scratch_of_columns(*map(exact, a))[1]),
     }
-    packed: dict[str, tuple[tuple[str, ...], Callable[..., object], Scratch]] = {
-        "zd_gru_step_pairs": (("stream",), unpack_pairs, scratch_of_pairs),
-        "zd_gru_step_columns": (("stream",), unpack_columns, scratch_of_columns),
-        "zd_gru_step_rows": (("weights", "bias"), unpack_rows, scratch_of_rows),
+    of_rows = ("weights", "bytes", "bias", "multiplier")
+    packed = {
+        "zd_gru_step_pairs": Packed("gru", ("stream",), unpack_pairs, scratch_of_pairs),
+        "zd_gru_step_columns": Packed("gru", ("stream",), unpack_columns, scratch_of_columns),
+        "zd_gru_step_rows": Packed("gru", of_rows, unpack_rows, scratch_of_rows),
+        "zd_gru_step_rows_before": Packed(
+            "gru before", of_rows, unpack_rows_before, scratch_of_rows_before
+        ),
+        "zd_lstm_step_rows": Packed("lstm", of_rows, unpack_lstm_rows, scratch_of_rows),
     }
-    for name, (tables, unpack, scratch) in packed.items():
-        rules[name] = _make_packed(layers, tables, unpack, scratch)
+    for name, kernel in packed.items():
+        rules[name] = _make_packed(layers, kernel)
     return rules
 
 
 Scratch: TypeAlias = Callable[[int, int], list[int]]
 """(inputs, units) -> how many numbers each scratch array of a kernel must have."""
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A kernel of intrinsics, which has the weights in another order."""
+
+    kind: str
+    """Of its layers: gru | gru before | lstm."""
+    tables: tuple[str, ...]
+    """Fields of its constants."""
+    unpack: Callable[..., object]
+    """From the tables, inputs and units to the rows."""
+    scratch: Scratch
 
 
 def scratch_of_pairs(inputs: int, hidden: int) -> list[int]:
@@ -90,6 +110,11 @@ def scratch_of_pairs(inputs: int, hidden: int) -> list[int]:
 def scratch_of_rows(inputs: int, hidden: int) -> list[int]:
     """Return what the kernel of rows needs."""
     return [8 * (-(-inputs // 8) - (-hidden // 8))]
+
+
+def scratch_of_rows_before(inputs: int, hidden: int) -> list[int]:
+    """Return what the same needs with the reset before the product."""
+    return [2 * scratch_of_rows(inputs, hidden)[0], -(-hidden // 4) * 4]
 
 
 def scratch_of_columns(inputs: int, hidden: int) -> list[int]:
@@ -252,40 +277,51 @@ def _forget(machine: TermMachine, found: Found, count: int) -> None:
         machine.write(found.block, k, None)
 
 
-def _make_packed(
-    layers: Callable[[], Layers],
-    names: tuple[str, ...],
-    unpack: Callable[..., object],
-    scratch: Scratch,
-) -> Rule:
+def _make_packed(layers: Callable[[], Layers], kernel: Packed) -> Rule:
     """Return the rule of a kernel that has the weights in another order."""
 
     def rule(machine: TermMachine, arguments: list[Found]) -> Found:
-        address, inputs, hidden, x, h, *given, keep = arguments
-        layer = _find_layer(address, layers(), "gru", exact(inputs), exact(hidden))
+        address, inputs, hidden, x, h, *given, mode = arguments
+        layer = _find_layer(address, layers(), kernel.kind, exact(inputs), exact(hidden))
         assert isinstance(address, AddressOf)
-        tables = [list_numbers(address.of, name) for name in names]
-        shift = [c.low for c in address.of.fields[SHIFT].cells if isinstance(c, Whole)]
-        hold_packed(layer, unpack(*tables, layer.inputs, layer.hidden), shift)
-        if exact(keep) not in (0, -1):
-            raise UndecidedError("u_keep is neither 0 nor -1")
+        tables = [list_numbers(address.of, name) for name in kernel.tables]
+        shift, more, bits = _read_shifts(address.of)
+        hold_packed(layer, kernel.unpack(*tables, layer.inputs, layer.hidden), shift, more)
+        lstm = layer.kind == "lstm"
+        cell = as_place(given.pop(0), "int32_t") if lstm else None
+        _hold_mode(layer, mode, bits)
         places = as_place(x, "int16_t"), as_place(h, "int32_t")
-        _step(machine, layers(), layer, *places, exact(keep) == 0)
-        for array, count in zip(given, scratch(layer.inputs, layer.hidden), strict=True):
+        _step(machine, layers(), layer, *places, exact(mode) == int(lstm), cell)
+        for array, count in zip(given, kernel.scratch(layer.inputs, layer.hidden), strict=True):
             _forget(machine, array, count)
         return None
 
     return rule
 
 
-def make_assembly(layers: Callable[[], Layers], layer: Numbered, constants: Instance) -> Rule:
-    """Return the rule of a layer's function in assembly, whose text is known elsewhere."""
+def _read_shifts(constants: Instance) -> tuple[list[int], list[int], list[int]]:
+    """Return a layer's shifts, those of its multipliers, and its cell_bits."""
     shift, more, bits = (
         [c.low for c in constants.fields[name].cells if isinstance(c, Whole)]
         if name in constants.fields
         else []
-        for name in ("shift", "multiplier_shift", "cell_bits")
+        for name in (SHIFT, "multiplier_shift", "cell_bits")
     )
+    return shift, more, bits
+
+
+def _hold_mode(layer: Numbered, mode: Found, bits: Sequence[int]) -> None:
+    """Raise where a kernel is called neither for a step in time nor towards rest."""
+    lstm = layer.kind == "lstm"
+    if list(bits) != [layer.cell_bits] * lstm:
+        raise UndecidedError(f"{layer.name}: another cell_bits than the model's")
+    if exact(mode) not in ((0, 1) if lstm else (0, -1)):
+        raise UndecidedError("neither a step in time nor one towards rest")
+
+
+def make_assembly(layers: Callable[[], Layers], layer: Numbered, constants: Instance) -> Rule:
+    """Return the rule of a layer's function in assembly, whose text is known elsewhere."""
+    shift, more, bits = _read_shifts(constants)
     ways: dict[str, Callable[..., object]] = {
         "zd_gru_before_t": unpack_before,
         "zd_gru_bytes_t": unpack_bytes,
@@ -299,10 +335,9 @@ def make_assembly(layers: Callable[[], Layers], layer: Numbered, constants: Inst
         place, lstm = as_place(stream, "int32_t"), layer.kind == "lstm"
         numbers = [c.low for c in place.block.cells if isinstance(c, Whole)]
         hold_packed(layer, unpack(numbers, layer.inputs, layer.hidden), shift, more)
-        if bits != [layer.cell_bits] * lstm:
-            raise UndecidedError(f"{layer.name}: another cell_bits than the model's")
-        if exact(mode) not in ((0, 1) if lstm else (0, -1)) or len(cell) != int(lstm):
-            raise UndecidedError("neither a step in time nor one towards rest")
+        _hold_mode(layer, mode, bits)
+        if len(cell) != int(lstm):
+            raise UndecidedError(f"{layer.name}: a cell state of another kind of layer")
         own = as_place(cell[0], "int32_t") if lstm else None
         places = as_place(x, "int16_t"), as_place(h, "int32_t")
         _step(machine, layers(), layer, *places, exact(mode) == int(lstm), own)
@@ -312,8 +347,10 @@ def make_assembly(layers: Callable[[], Layers], layer: Numbered, constants: Inst
 
 
 def list_numbers(instance: Instance, name: str) -> list[int]:
-    """Return the constants that a field points to."""
+    """Return the constants that a field points to; none where it is NULL."""
     place = instance.fields[name].cells[0]
+    if isinstance(place, Whole) and place.exact == 0:
+        return []
     if not isinstance(place, Spot) or place.at.exact != 0:
         raise UndecidedError(f"{instance.name}.{name} points to no table")
     return [c.low for c in place.block.cells if isinstance(c, Whole) and c.exact is not None]

@@ -36,7 +36,7 @@ from zerodrift.verify.prove_specification import (
     Specification,
 )
 
-INTRINSICS = ("zd_gru_pairs_t", "zd_gru_rows_t", "zd_gru_columns_t")
+INTRINSICS = ("zd_gru_pairs_t", "zd_gru_rows_t", "zd_gru_columns_t", "zd_lstm_rows_t")
 """Constants of kernels that have intrinsics, where they are not in assembly."""
 
 

@@ -30,12 +30,13 @@ def _kernel(name: str) -> str:
     return f"-DZD_KERNEL=ZD_KERNEL_{name}"
 
 
+_ROWS = Way("host: rows, MVE lane by lane", HOST, (_kernel("ROWS"), f"-I{HOST_MVE_DIRECTORY}"))
 _HOST_FAST = (
     Way("host: columns with SSE2", HOST, (_kernel("COLUMNS"),), "x86-64"),
     Way("host: columns with AVX2", HOST, (_kernel("COLUMNS"), "-mavx2"), "avx2"),
     Way("host: pairs", HOST, (_kernel("PAIRS"),)),
     Way("host: pairs, ZD_SMALL", HOST, (_kernel("PAIRS"), "-DZD_SMALL")),
-    Way("host: rows, MVE lane by lane", HOST, (_kernel("ROWS"), f"-I{HOST_MVE_DIRECTORY}")),
+    _ROWS,
 )
 _HOST_ANY = (
     Way("host: portable", HOST, (_kernel("PORTABLE"), "-DZD_LANES=1u")),
@@ -66,7 +67,7 @@ def list_host_ways(model: IntegerModel) -> tuple[Way, ...]:
     """Return the ways beside the default one that a model's C can be compiled on a host."""
     if _is_fast(model):
         return _HOST_FAST + _HOST_ANY
-    return _HOST_ANY
+    return (_ROWS, *_HOST_ANY) if model.recurrents else _HOST_ANY
 
 
 def list_core_ways(model: IntegerModel) -> tuple[Way, ...]:

@@ -1,5 +1,5 @@
-/* Those of Arm's M-profile vector intrinsics that zd_gru_rows.h uses, lane by lane in plain C, so that
- * the rows kernel and its tables run on any host. Written from the Arm C Language Extensions; not part
+/* Those of Arm's M-profile vector intrinsics that the rows kernels use, lane by lane in plain C, so that
+ * these kernels and their tables run on any host. Written from the Arm C Language Extensions; not part
  * of a firmware.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -18,6 +18,9 @@ typedef struct {
 typedef struct {
     int16_t lane[8];
 } int16x8_t;
+typedef struct {
+    int32x4_t val[2];
+} int32x4x2_t;
 typedef struct {
     int32x4_t val[4];
 } int32x4x4_t;
@@ -42,6 +45,15 @@ static inline int16x8_t vld1q_z_s16(const int16_t *from, mve_pred16_t p) {
     return x;
 }
 static inline int16x8_t vld1q_s16(const int16_t *from) { return vld1q_z_s16(from, 8u); }
+static inline int32x4x2_t vld2q_s32(const int32_t *from) {
+    int32x4x2_t x;
+    ZD_EACH4 {
+        for (int k = 0; k < 2; k++) {
+            x.val[k].lane[i] = from[(2 * i) + k];
+        }
+    }
+    return x;
+}
 static inline int32x4x4_t vld4q_s32(const int32_t *from) {
     int32x4x4_t x;
     ZD_EACH4 {
@@ -49,6 +61,13 @@ static inline int32x4x4_t vld4q_s32(const int32_t *from) {
             x.val[k].lane[i] = from[(4 * i) + k];
         }
     }
+    return x;
+}
+
+/* Eight numbers of 8 bits, their sign kept. */
+static inline int16x8_t vldrbq_s16(const int8_t *from) {
+    int16x8_t x;
+    ZD_EACH8 { x.lane[i] = from[i]; }
     return x;
 }
 
@@ -70,9 +89,20 @@ static inline int32x4_t vdupq_n_s32(int32_t a) {
     ZD_EACH4 { x.lane[i] = a; }
     return x;
 }
+static inline int16x8_t vdupq_n_s16(int16_t a) {
+    int16x8_t x;
+    ZD_EACH8 { x.lane[i] = a; }
+    return x;
+}
 static inline uint32x4_t vreinterpretq_u32_s32(int32x4_t a) {
     uint32x4_t x;
     ZD_EACH4 { x.lane[i] = (uint32_t)a.lane[i]; }
+    return x;
+}
+
+static inline int32x4_t vreinterpretq_s32_u32(uint32x4_t a) {
+    int32x4_t x;
+    ZD_EACH4 { x.lane[i] = (int32_t)a.lane[i]; }
     return x;
 }
 
@@ -101,12 +131,42 @@ static inline int32x4_t vrmulhq_s32(int32x4_t a, int32x4_t b) {
     }
     return a;
 }
+/* a b / 2^32, rounded down. */
+static inline int32x4_t vmulhq_s32(int32x4_t a, int32x4_t b) {
+    ZD_EACH4 { a.lane[i] = (int32_t)(((int64_t)a.lane[i] * b.lane[i]) >> 32); }
+    return a;
+}
 static inline int32x4_t vshrq_n_s32(int32x4_t a, int n) {
     ZD_EACH4 { a.lane[i] >>= n; }
     return a;
 }
 static inline int32x4_t vrshrq_n_s32(int32x4_t a, int n) {
     ZD_EACH4 { a.lane[i] = (int32_t)(((int64_t)a.lane[i] + ((int64_t)1 << (n - 1))) >> n); }
+    return a;
+}
+static inline int32x4_t vminq_s32(int32x4_t a, int32x4_t b) {
+    ZD_EACH4 { a.lane[i] = (a.lane[i] < b.lane[i]) ? a.lane[i] : b.lane[i]; }
+    return a;
+}
+static inline int32x4_t vmaxq_s32(int32x4_t a, int32x4_t b) {
+    ZD_EACH4 { a.lane[i] = (a.lane[i] > b.lane[i]) ? a.lane[i] : b.lane[i]; }
+    return a;
+}
+/* To the left modulo 2^32, n up to 32; to the right where n is negative, to nearest, halves up. */
+static inline int32x4_t vrshlq_n_s32(int32x4_t a, int32_t n) {
+    ZD_EACH4 {
+        const int64_t x = a.lane[i];
+        a.lane[i] = (n < 0) ? (int32_t)((x + ((int64_t)1 << (-n - 1))) >> -n)
+                            : (int32_t)(uint32_t)((uint64_t)x << n);
+    }
+    return a;
+}
+/* The same, n down to -62. */
+static inline uint32x4_t vrshlq_n_u32(uint32x4_t a, int32_t n) {
+    ZD_EACH4 {
+        const uint64_t x = a.lane[i];
+        a.lane[i] = (n < 0) ? (uint32_t)((x + ((uint64_t)1 << (-n - 1))) >> -n) : (uint32_t)(x << n);
+    }
     return a;
 }
 /* To the left, saturating; to the right where n is negative. */

@@ -20,7 +20,7 @@ ROW_NUMBERS = 8
 MOST_INPUTS, MOST_UNITS, MOST_UNITS_BEFORE = 32, 128, 64
 """What the assembly is written for; the last: units with the reset before the product."""
 ROW_UNITS = 4
-"""Units whose activations the rows kernel takes at once."""
+"""Units whose activations the rows kernels take at once."""
 
 
 def has_fast_kernels(gru: IntegerGru) -> bool:
@@ -156,25 +156,57 @@ def lay_out_columns(gru: IntegerGru) -> list[int]:
     return words
 
 
-def lay_out_rows(gru: IntegerGru) -> list[int]:
-    """Return the weights of the rows kernel, [U][3][8 X + 8 R], X = ceil(I/8), R = ceil(H/8).
+def fill_rows(*weights: NDArray[np.int16] | NDArray[np.int8]) -> NDArray[np.int64]:
+    """Return [G, H, n] side by side as the rows kernels read them: whole vectors, fours of units.
 
-    U is H filled up to a multiple of four; features and state are filled up with zeros to whole
-    vectors.
+    H is filled up to a multiple of four and each n to one of eight, with zeros.
+
+    Example:
+        >>> fill_rows(np.ones((3, 5, 2), np.int16), np.ones((3, 5, 5), np.int16)).shape
+        (3, 8, 16)
     """
-    units = -(-gru.hidden // ROW_UNITS) * ROW_UNITS
     parts = []
-    for weights in (gru.w_x, gru.w_h):
-        fill = -weights.shape[2] % ROW_NUMBERS
-        parts.append(np.pad(weights, [(0, 0), (0, units - gru.hidden), (0, fill)]))
-    return [int(w) for w in np.moveaxis(np.concatenate(parts, axis=2), 1, 0).ravel()]
+    for some in weights:
+        units, fill = -some.shape[1] % ROW_UNITS, -some.shape[2] % ROW_NUMBERS
+        parts.append(np.pad(some.astype(np.int64), [(0, 0), (0, units), (0, fill)]))
+    return np.concatenate(parts, axis=2)
 
 
-def lay_out_row_biases(gru: IntegerGru) -> list[int]:
-    """Return the biases of the rows kernel, [U / 4][r, u, n outside, n inside][4]."""
-    units = -(-gru.hidden // ROW_UNITS) * ROW_UNITS
-    bias = np.pad(gru.bias, [(0, 0), (0, units - gru.hidden)]).reshape(4, -1, ROW_UNITS)
-    return [int(b) for b in bias.transpose(1, 0, 2).ravel()]
+def order_rows(rows: NDArray[np.int64]) -> list[int]:
+    """Return [G, U, n] unit by unit, within a unit gate by gate."""
+    return [int(w) for w in np.moveaxis(rows, 1, 0).ravel()]
+
+
+def order_fours(numbers: NDArray[np.int32]) -> list[int]:
+    """Return a number per row [G, H] as [U / 4][G][4], U being H filled up to a multiple of 4.
+
+    Example:
+        >>> order_fours(np.array([[1, 2], [3, 4]], dtype=np.int32))
+        [1, 2, 0, 0, 3, 4, 0, 0]
+    """
+    filled = np.pad(numbers, [(0, 0), (0, -numbers.shape[1] % ROW_UNITS)])
+    fours = filled.reshape(len(numbers), -1, ROW_UNITS)
+    return [int(n) for n in fours.transpose(1, 0, 2).ravel()]
+
+
+def lay_out_rows(gru: IntegerGru) -> list[int]:
+    """Return the weights of 16 bits of the rows kernel, [U][3][8 X + 8 R].
+
+    X = ceil(I/8), R = ceil(H/8); U is H filled up to a multiple of four. With 8-bit recurrent
+    weights it is [U][3][8 X]. With the reset before the product it is r and u of all units, then n.
+    """
+    wide = (gru.w_x, gru.w_h) if gru.multiplier is None else (gru.w_x,)
+    return _order_passes(gru, fill_rows(*wide))
+
+
+def lay_out_row_bytes(gru: IntegerGru) -> list[int]:
+    """Return the recurrent weights of 8 bits of the rows kernel, [U][3][8 R], as `lay_out_rows`."""
+    return _order_passes(gru, fill_rows(gru.w_h))
+
+
+def _order_passes(gru: IntegerGru, rows: NDArray[np.int64]) -> list[int]:
+    passes = (rows,) if gru.reset == "after" else (rows[:2], rows[2:])
+    return [number for gates in passes for number in order_rows(gates)]
 
 
 def arrange_by_unit(gru: IntegerGru, field: str) -> list[int]:
@@ -196,6 +228,7 @@ FILTERS: dict[str, Callable[..., object]] = {
     "lay_out_bytes": lay_out_bytes,
     "lay_out_columns": lay_out_columns,
     "lay_out_rows": lay_out_rows,
-    "lay_out_row_biases": lay_out_row_biases,
+    "lay_out_row_bytes": lay_out_row_bytes,
+    "order_fours": order_fours,
 }
 """What the templates of a GRU call."""

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from zerodrift.operations.gru.layouts import pack_fours, pack_pairs
+from zerodrift.operations.gru.layouts import fill_rows, order_rows, pack_fours, pack_pairs
 from zerodrift.operations.lstm.cell import IntegerLstm
 
 MOST_INPUTS, MOST_UNITS = 32, 128
@@ -52,6 +52,21 @@ def lay_out_bytes(lstm: IntegerLstm) -> list[int]:
     return words
 
 
+def lay_out_rows(lstm: IntegerLstm) -> list[int]:
+    """Return the weights of 16 bits of the rows kernel, [U][4][8 X + 8 R].
+
+    X = ceil(I/8), R = ceil(H/8); U is H filled up to a multiple of four. With 8-bit recurrent
+    weights it is [U][4][8 X].
+    """
+    wide = (lstm.w_x, lstm.w_h) if lstm.multiplier is None else (lstm.w_x,)
+    return order_rows(fill_rows(*wide))
+
+
+def lay_out_row_bytes(lstm: IntegerLstm) -> list[int]:
+    """Return the recurrent weights of 8 bits of the rows kernel, [U][4][8 R]."""
+    return order_rows(fill_rows(lstm.w_h))
+
+
 def arrange_by_unit(lstm: IntegerLstm, field: str) -> list[int]:
     """Return an array in the order of the C: unit by unit, within a unit gate by gate.
 
@@ -66,5 +81,7 @@ FILTERS: dict[str, Callable[..., object]] = {
     "lstm_has_fast_kernel": has_fast_kernel,
     "lay_out_lstm_pairs": lay_out_pairs,
     "lay_out_lstm_bytes": lay_out_bytes,
+    "lay_out_lstm_rows": lay_out_rows,
+    "lay_out_lstm_row_bytes": lay_out_row_bytes,
 }
 """What the templates of an LSTM call."""

@@ -1,10 +1,12 @@
 """The C of every board that QEMU has, built by GNU cross-compilers: 0 LSB against the reference."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.fixed_point.test_emulated_chips import SHAPES, draw_codes
+from tests.fixed_point.test_emulated_chips import LARGE, SHAPES, draw_codes
+from tests.fixed_point.test_rows import SHIFTS, draw_scaled_model
 from tests.golden.model_factory import Shape, draw_model
 from tests.golden.vectors import load
 
@@ -23,6 +25,10 @@ QUICK = {
     ("cortex-m55", "-O2"),
     ("rv32imc", "-Os"),
 }
+OF_ROWS = ("before", "before, stack", "int8", "int8 before", "lstm", "lstm, int8, stack")
+QUICK_SHAPES = {("cortex-m55", shape) for shape in OF_ROWS}
+"""What only this board can run of the vector kernels."""
+GOLDEN_ROWS = ("reset_before", "int8", "int8_before", "lstm", "lstm_saturated", "lstm_int8")
 STREAM = Shape(hidden=11, inputs=3, outputs=2, gain=3.0)
 """Odd in everything: the last pair, vector and block of each kernel are partly filled."""
 
@@ -57,9 +63,14 @@ def test_board_equals_reference_at_every_level(core: str, level: str, tmp_path: 
     compare(core, STREAM, 41, (level,), tmp_path)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("core", MACHINES)
+@pytest.mark.parametrize(
+    ("core", "shape"),
+    [
+        pytest.param(core, shape, marks=() if (core, shape) in QUICK_SHAPES else pytest.mark.slow)
+        for core in MACHINES
+        for shape in SHAPES
+    ],
+)
 def test_board_equals_reference_for_every_shape(core: str, shape: str, tmp_path: Path) -> None:
     require(core)
     compare(core, SHAPES[shape], 42, ("-O2",), tmp_path)
@@ -79,8 +90,16 @@ def test_board_equals_reference_for_random_models(core: str, seed: int, tmp_path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ordinary", "rails", "saturation", "odd_hidden", "effects"])
-@pytest.mark.parametrize("core", ["cortex-m4", "cortex-m55", "rv32imc"])
+@pytest.mark.parametrize(
+    ("core", "name"),
+    [
+        *itertools.product(
+            ("cortex-m4", "cortex-m55", "rv32imc"),
+            ("ordinary", "rails", "saturation", "odd_hidden", "effects"),
+        ),
+        *(("cortex-m55", name) for name in GOLDEN_ROWS),
+    ],
+)
 def test_board_replays_golden_vectors(core: str, name: str, tmp_path: Path) -> None:
     require(core)
     golden = load(name)
@@ -90,3 +109,31 @@ def test_board_replays_golden_vectors(core: str, name: str, tmp_path: Path) -> N
     outputs = len(golden.model.outputs)
     expected = golden.rows[:, : outputs + 1]
     np.testing.assert_array_equal(rows[golden.every - 1 :: golden.every], expected)
+
+
+@pytest.mark.parametrize("shifts", SHIFTS)
+@pytest.mark.parametrize("reset", ["after", "before"])
+def test_products_of_8_bits_are_rounded_by_any_shift_on_the_m55(
+    reset: str, shifts: tuple[int, int, int], tmp_path: Path
+) -> None:
+    require("cortex-m55")
+    model = draw_scaled_model(reset, shifts)
+    codes = draw_codes(len(model.channels))
+    found = QemuModel(model, generate(model), "cortex-m55", tmp_path).run(codes, settled=False)
+    expected = Reference(model).run(codes[None], settled=False)
+    np.testing.assert_array_equal(found.drift, expected.drift[0])
+
+
+MARKS_55 = {"before": 800, "int8": 1000, "lstm": 1024, "lstm, int8": 1400}
+"""Instructions of a step of 16 units on 4 inputs: 0.8 to 1.1 for each multiplication."""
+
+
+@pytest.mark.parametrize("shape", MARKS_55)
+def test_a_step_on_the_m55_takes_no_more_instructions_than_its_mark(
+    shape: str, tmp_path: Path
+) -> None:
+    require("cortex-m55")
+    model = draw_model(LARGE[shape], 36)
+    board = QemuModel(model, generate(model), "cortex-m55", tmp_path)
+    still = np.zeros((1, model.columns), dtype=model.code_type)
+    assert 0 < board.run(still).layer_instructions <= MARKS_55[shape]

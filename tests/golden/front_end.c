@@ -5,13 +5,13 @@
 #include "zd_runtime.h"
 #include "zd_network.h"
 
-#if FRONT_END_CODE_ID != 4273101130
+#if FRONT_END_CODE_ID != 2943211727
 #error "front_end.h is not of the same generation as front_end.c: copy all files again"
 #endif
 #if ZD_RUNTIME_FORMAT != 3
 #error "front_end was generated for zerodrift runtime format 3: generate it again"
 #endif
-#if ZD_RUNTIME_ID != 0x84d000b6
+#if ZD_RUNTIME_ID != 0x886ea6c6
 #error "zd_runtime.h is not the one that front_end.c was generated with: copy all files again"
 #endif
 
@@ -62,7 +62,7 @@ static uint32_t gru_is_sound(void) {
     return (zd_crc32_i32(0, gru_stream, 176u) == UINT32_C(1017025436)) ? 1u : 0u;
 }
 #elif ZD_KERNEL == ZD_KERNEL_ROWS
-static const int16_t gru_rows[384] = { /* rows r, u, n of each unit in whole vectors */
+static const int16_t gru_rows[384] = { /* unit by unit, gate by gate, in whole vectors */
     8944, 3105, 11529, 0, 0, 0, 0, 0, 1211, -197, -487, 71,
     1138, -71, 751, -870, -3715, -16367, 15525, 0, 0, 0, 0, 0,
     742, -1132, -710, 337, 494, -1005, 386, 53, 2418, -2633, 1479, 0,
@@ -96,17 +96,25 @@ static const int16_t gru_rows[384] = { /* rows r, u, n of each unit in whole vec
     108, -860, -1136, 1089, -34, 523, -1240, 150, -11434, -4474, 10037, 0,
     0, 0, 0, 0, -1136, -2020, 2352, 1623, 660, 1439, -125, -1601
 };
-static const int32_t gru_bias[32] = {
+static const int32_t gru_bias[32] = { /* gate by gate of four units */
     7010172, -23766836, -28507872, 560156, -12416876, -18530336, 22556384, -8510060,
     21453556, -17651868, 5321348, -11498596, -16010712, -50085952, 65934608, 10167664,
     -21661304, -9894708, -1515732, -25179380, -13214668, -15451060, -17080756, -11300228,
     -13585820, -23002756, 5758864, -15473216, 49175856, 53123528, 17158904, 59572904
 };
-static const zd_gru_rows_t gru = {gru_rows, gru_bias, {11, 11, 10}};
+static const zd_gru_rows_t gru = {
+    gru_rows,
+    0,
+    gru_bias,
+    0,
+    {11, 11, 10},
+    {0, 0, 0}
+};
 /* 1 if the weights are what they were generated as. */
 static uint32_t gru_is_sound(void) {
-    const uint32_t crc = zd_crc32_i16(0, gru_rows, 384u);
-    return (zd_crc32_i32(crc, gru_bias, 32u) == UINT32_C(3148737988)) ? 1u : 0u;
+    uint32_t crc = zd_crc32_i16(0, gru_rows, 384u);
+    crc = zd_crc32_i32(crc, gru_bias, 32u);
+    return (crc == UINT32_C(3148737988)) ? 1u : 0u;
 }
 #elif ZD_KERNEL == ZD_KERNEL_COLUMNS
 static const int32_t gru_stream[176] = { /* eight units side by side */

@@ -183,6 +183,7 @@ def test_command_writes_checked_firmware(project: Path) -> None:
         "zd_gru_columns_sse2.h",
         "zd_gru_columns_avx2.h",
         "zd_lstm.h",
+        "zd_lstm_rows.h",
         "zd_layer_norm.h",
         "zd_gru_portable.h",
         "zd_signals.h",

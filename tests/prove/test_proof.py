@@ -1,5 +1,6 @@
 """Golden models are proven; C that means something else is not."""
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -8,9 +9,12 @@ from tests.golden.models import CASES
 from tests.golden.vectors import load
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate
+from zerodrift.codegen.names import name_prefix
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.verify.object_proof import ProvenKernels
 from zerodrift.verify.prove import is_proven, prove
 from zerodrift.verify.prove_parts import OPEN, TESTED, ShownPart
+from zerodrift.verify.prove_ways import show_kernels
 
 Texts = dict[str, str]
 GUARDED = ("ordinary", "effects", "no_reading", "lstm")
@@ -48,6 +52,44 @@ def test_kernels_of_intrinsics_and_assembly_are_told_as_tested() -> None:
     tested = [one for one in shown if one.verdict == TESTED and one.build]
     builds = " ".join(one.build for one in tested)
     assert all(k in builds for k in ("PAIRS", "ROWS", "COLUMNS", "ZD_GRU_ASSEMBLY"))
+
+
+def show_rows(name: str, pattern: str = "", becomes: str = "") -> list[ShownPart]:
+    """Return what is shown of the rows kernels of a golden model, one text of its C replaced."""
+    model = load(name).model
+    texts = write(model)
+    prefix = name_prefix(model)
+    texts[f"{prefix}.c"], count = re.subn(pattern, becomes, texts[f"{prefix}.c"], count=1)
+    assert count == 1
+    shown = show_kernels(model, texts, prefix, ProvenKernels())
+    return [one for one in shown if "KERNEL_ROWS" in one.build]
+
+
+@pytest.mark.parametrize("name", ["reset_before", "int8", "int8_before", "lstm", "lstm_int8"])
+def test_rows_of_every_layer_are_told_as_tested(name: str) -> None:
+    assert [(one.verdict, one.why) for one in show_rows(name)] == [(TESTED, "")]
+
+
+ROWS_CHANGES = {
+    "a weight of r": ("reset_before", r"(gru_rows\[\d+\] = \{[^\d-]*)(-?\d+)", r"\g<1>\g<2>1"),
+    "other biases": ("reset_before", r"(    0,\n    )gru_bias(,\n    0)", r"\1gru_rows\2"),
+    "a shift": ("reset_before", r"(gru_bias,\n    0,\n    \{)\d+", r"\g<1>9"),
+    "scratch": ("reset_before", r"v\[16u \*", "v[15u *"),
+    "scratch of u": ("reset_before", r"u_q31\[ZD_ROW_UNITS\(\d+u\)", r"\g<0> - 1u"),
+    "reset": ("reset_before", r"rows_before\((.*), u_q31, u_keep", r"rows(\1, u_keep"),
+    "a weight of 8 bits": ("int8", r"(gru_bytes\[\d+\] = \{[^\d-]*)(-?\d+)", r"\g<1>3"),
+    "a multiplier": ("int8", r"(four units \*/[^\d-]*)(-?\d+)", r"\g<1>77"),
+    "a multiplier's shift": ("int8", r"(gru_multiplier,\n.*\n    \{)\d+", r"\g<1>9"),
+    "a weight beyond the units": ("lstm", r"0(\n\};\nstatic const int32_t lstm_bias)", r"1\1"),
+    "a bit of the cell state": ("lstm", r"(lstm_bias,(?:\n.*){3}\}, )2\d", r"\g<1>23"),
+    "relaxing": ("lstm", r"rows\((.*), relaxing\)", r"rows(\1, 0u)"),
+    "another layer": ("lstm_int8", r"(lstm_1_bytes,\n    )lstm_1_bias", r"\1lstm_0_bias"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", ROWS_CHANGES)
+def test_rows_that_mean_something_else_are_not_proven(what: str) -> None:
+    assert [one.verdict for one in show_rows(*ROWS_CHANGES[what])] == [OPEN]
 
 
 CHANGES = {

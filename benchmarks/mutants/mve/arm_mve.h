@@ -1,4 +1,4 @@
-/* What of Arm's vector extension the rows kernel uses, in plain C, so that a host under sanitizers
+/* What of Arm's vector extension the rows kernels use, in plain C, so that a host under sanitizers
  * can run it. Each function reads and writes exactly the memory that the instruction does. */
 #ifndef ZD_MUTANTS_ARM_MVE_H
 #define ZD_MUTANTS_ARM_MVE_H
@@ -7,6 +7,7 @@
 typedef struct { int32_t e[4]; } int32x4_t;
 typedef struct { uint32_t e[4]; } uint32x4_t;
 typedef struct { int16_t e[8]; } int16x8_t;
+typedef struct { int32x4_t val[2]; } int32x4x2_t;
 typedef struct { int32x4_t val[4]; } int32x4x4_t;
 typedef uint16_t mve_pred16_t; /* here: how many lanes are on */
 
@@ -28,9 +29,19 @@ static inline int16x8_t vld1q_z_s16(const int16_t *p, mve_pred16_t on) {
     return r;
 }
 static inline int16x8_t vld1q_s16(const int16_t *p) { return vld1q_z_s16(p, 8); }
+static inline int32x4x2_t vld2q_s32(const int32_t *p) {
+    int32x4x2_t r;
+    MVE_EACH(8, r.val[i % 2].e[i / 2] = p[i])
+    return r;
+}
 static inline int32x4x4_t vld4q_s32(const int32_t *p) {
     int32x4x4_t r;
     MVE_EACH(16, r.val[i % 4].e[i / 4] = p[i])
+    return r;
+}
+static inline int16x8_t vldrbq_s16(const int8_t *p) {
+    int16x8_t r;
+    MVE_EACH(8, r.e[i] = p[i])
     return r;
 }
 static inline void vst1q_p_s32(int32_t *p, int32x4_t x, mve_pred16_t on) {
@@ -54,10 +65,30 @@ static inline int32x4_t vdupq_n_s32(int32_t x) {
     MVE_EACH(4, r.e[i] = x)
     return r;
 }
+static inline int16x8_t vdupq_n_s16(int16_t x) {
+    int16x8_t r;
+    MVE_EACH(8, r.e[i] = x)
+    return r;
+}
 static inline uint32x4_t vreinterpretq_u32_s32(int32x4_t x) {
     uint32x4_t r;
     MVE_EACH(4, r.e[i] = (uint32_t)x.e[i])
     return r;
+}
+static inline int32x4_t vreinterpretq_s32_u32(uint32x4_t x) {
+    int32x4_t r;
+    MVE_EACH(4, r.e[i] = (int32_t)x.e[i])
+    return r;
+}
+static inline int32x4_t vrshlq_n_s32(int32x4_t x, int32_t n) {
+    const int64_t half = (n < 0) ? (int64_t)1 << (-n - 1) : 0;
+    MVE_EACH(4, x.e[i] = (n < 0) ? (int32_t)((x.e[i] + half) >> -n) : (int32_t)(uint32_t)((uint64_t)x.e[i] << n))
+    return x;
+}
+static inline uint32x4_t vrshlq_n_u32(uint32x4_t x, int32_t n) {
+    const uint64_t half = (n < 0) ? (uint64_t)1 << (-n - 1) : 0;
+    MVE_EACH(4, x.e[i] = (uint32_t)((n < 0) ? ((x.e[i] + half) >> -n) : ((uint64_t)x.e[i] << n)))
+    return x;
 }
 #define MVE_TWO(name, expression)                                                                  \
     static inline int32x4_t name(int32x4_t x, int32x4_t y) {                                       \
@@ -68,7 +99,10 @@ static inline uint32x4_t vreinterpretq_u32_s32(int32x4_t x) {
 MVE_TWO(vaddq_s32, (int32_t)((uint32_t)a + (uint32_t)b))
 MVE_TWO(vsubq_s32, (int32_t)((uint32_t)a - (uint32_t)b))
 MVE_TWO(vmulq_s32, (int32_t)((uint32_t)a * (uint32_t)b))
+MVE_TWO(vminq_s32, (a < b) ? a : b)
+MVE_TWO(vmaxq_s32, (a > b) ? a : b)
 MVE_TWO(vandq_s32, a & b)
+MVE_TWO(vmulhq_s32, (int32_t)(((int64_t)a * b) >> 32))
 MVE_TWO(vrmulhq_s32, (int32_t)(((int64_t)a * b + ((int64_t)1 << 31)) >> 32))
 static inline int32x4_t vaddq_n_s32(int32x4_t x, int32_t n) { return vaddq_s32(x, vdupq_n_s32(n)); }
 static inline int32x4_t vshrq_n_s32(int32x4_t x, int n) {

@@ -9,7 +9,7 @@
 
 #include "zd_network.h"
 
-#if ZD_RUNTIME_ID != 0x84d000b6
+#if ZD_RUNTIME_ID != 0x886ea6c6
 #error "zd_lstm.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
@@ -106,5 +106,9 @@ static inline void zd_lstm_step(const zd_lstm_t *layer, uint32_t inputs, uint32_
         h_q30[j] = 2 * zd_mul_high(zd_tanh_q30(zd_asr32(c + half, cell_bits - 16u)), o_q31);
     }
 }
+
+#if ZD_KERNEL == ZD_KERNEL_ROWS
+#include "zd_lstm_rows.h"
+#endif
 
 #endif /* ZD_LSTM_H */

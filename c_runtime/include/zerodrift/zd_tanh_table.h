@@ -9,19 +9,19 @@
 
 #include "zd_runtime.h"
 
-#if ZD_RUNTIME_ID != 0x84d000b6
+#if ZD_RUNTIME_ID != 0x886ea6c6
 #error "zd_tanh_table.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
 /* Names as the linker knows them, for assembly. */
-#define ZD_TANH_HALF_OFFSET_NAME "zd_tanh_half_offset_q30_84d000b6"
-#define ZD_TANH_HALF_SLOPE_NAME "zd_tanh_half_slope_q19_84d000b6"
-#define ZD_TANH_OFFSET_NAME "zd_tanh_offset_q30_84d000b6"
-#define ZD_TANH_SLOPE_NAME "zd_tanh_slope_q19_84d000b6"
-#define zd_tanh_half_offset_q30 zd_tanh_half_offset_q30_84d000b6
-#define zd_tanh_half_slope_q19 zd_tanh_half_slope_q19_84d000b6
-#define zd_tanh_offset_q30 zd_tanh_offset_q30_84d000b6
-#define zd_tanh_slope_q19 zd_tanh_slope_q19_84d000b6
+#define ZD_TANH_HALF_OFFSET_NAME "zd_tanh_half_offset_q30_886ea6c6"
+#define ZD_TANH_HALF_SLOPE_NAME "zd_tanh_half_slope_q19_886ea6c6"
+#define ZD_TANH_OFFSET_NAME "zd_tanh_offset_q30_886ea6c6"
+#define ZD_TANH_SLOPE_NAME "zd_tanh_slope_q19_886ea6c6"
+#define zd_tanh_half_offset_q30 zd_tanh_half_offset_q30_886ea6c6
+#define zd_tanh_half_slope_q19 zd_tanh_half_slope_q19_886ea6c6
+#define zd_tanh_offset_q30 zd_tanh_offset_q30_886ea6c6
+#define zd_tanh_slope_q19 zd_tanh_slope_q19_886ea6c6
 
 /* clang-format off */
 #if defined(ZD_SMALL)
