@@ -5,6 +5,9 @@ from dataclasses import dataclass, replace
 
 from zerodrift.base.config import Config
 
+LIMITS = ("beyond_training", "too_short")
+"""Kinds that say what test logs cannot show; the others say that data are wrong."""
+
 
 @dataclass(frozen=True)
 class DataNote:

@@ -6,11 +6,13 @@ from typing import ClassVar
 
 from zerodrift.dataset.runs import OutlierCount
 from zerodrift.diagnosis.candidates import Untested
-from zerodrift.diagnosis.data_notes import DataNote
+from zerodrift.diagnosis.data_notes import LIMITS, DataNote
 from zerodrift.diagnosis.remainder import RemainderPattern
 
 SURE = 0.99
 """A higher probability is told as higher than this, one below 1 - SURE likewise."""
+MOST_NAMED = 3
+"""Runs that a sentence names."""
 LIKELY = 0.5
 """From this probability on, something else that is missing is told."""
 
@@ -127,6 +129,17 @@ class Diagnosis:
     def probability(self) -> float:
         """Probability that the effect that is named is missing; 0 where none is named."""
         return self.probability_of(self.effect)
+
+    @property
+    def wrong_runs(self) -> tuple[str, ...]:
+        """The runs whose data look wrong: what is said of a model holds once they are mended."""
+        runs = (note.run for note in self.notes if note.run and note.kind not in LIMITS)
+        return tuple(dict.fromkeys(runs))
+
+    def tell_wrong_runs(self) -> str:
+        """Return the names of these runs, the first few of many; empty where there are none."""
+        *first, last = [*self.wrong_runs[:MOST_NAMED], "others"][: len(self.wrong_runs)] or [""]
+        return f"{', '.join(first)} and {last}" if first else last
 
     def probability_of(self, effect: str | None) -> float:
         """Return the probability that an effect is missing; 0 for one that was not tried."""

@@ -176,6 +176,10 @@ def _choose(
         if kind not in standing.refused and diagnosis.verdict != "missing":
             return "add", offer, f"The drift follows {other.signal}: {other.reason}.", (firmware,)
     propose = Offer("propose", "Look for a formula")
+    if diagnosis.verdict == "unknown" and diagnosis.wrong_runs and findings.firmware is None:
+        runs = diagnosis.tell_wrong_runs()
+        reason = f"The data of {runs} look wrong, as the notes say: mend them or leave them out."
+        return "diagnose", Offer("look", "Look again"), reason, (propose, *plan, firmware)
     if diagnosis.verdict == "unknown" and not standing.proposed and findings.firmware is None:
         reason = (
             "No effect of the catalogue explains what is left "

@@ -4,8 +4,12 @@ from dataclasses import replace
 
 import pytest
 
+from zerodrift.app.commands.diagnose import explain_verdict
 from zerodrift.diagnosis.candidates import Untested
+from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis
+from zerodrift.diagnosis.explained import STEP
+from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.report.tables import tabulate_candidates
 from zerodrift.report.verdict import explain_candidate, explain_standing, write_headline
 
@@ -14,6 +18,10 @@ TITLES = {"creep": "creep and creep recovery"}
 
 def rate(effect, ratio, p=0.004):
     return CandidateReport(effect, ratio, p, 0.4, {})
+
+
+def wrong(run, kind):
+    return DataNote(run, "Fz", (0, 9), kind, "")
 
 
 def told(verdict, effect=None, **changes):
@@ -87,3 +95,20 @@ def test_what_comes_nearest_is_never_called_not_it():
     diagnosed = told("unknown", nearest="creep", candidates=(nearest,))
     assert explain_standing(diagnosed, nearest) == "nearest, and not all of it"
     assert "97 % likely" in explain_candidate(diagnosed, nearest)
+
+
+@pytest.mark.parametrize(
+    ("notes", "first"),
+    [
+        ((), "To look for a formula of it: zerodrift propose"),
+        ((wrong("run_3", "fahrenheit"), wrong("run_3", "sign")), "First look at run_3, whose data"),
+        ((wrong("a", "sign"), wrong("b", "stuck")), "First look at a and b, whose data look wrong"),
+        ((wrong("test_1", "too_short"),), "To look for a formula of it: zerodrift propose"),
+        ([wrong(name, "sign") for name in "abcd"], "First look at a, b, c and others, whose"),
+    ],
+)
+def test_wrong_data_come_before_a_formula(notes, first):
+    sentences = explain_verdict(told("unknown", notes=tuple(notes)), "", load_catalogue())
+    steps = [one.text for one in sentences if one.role == STEP]
+    assert len(steps) == 1
+    assert steps[0].startswith(first)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 from tests.report.conftest import make_findings
-from tests.report.test_verdict import rate, told
+from tests.report.test_verdict import rate, told, wrong
 
 from zerodrift.diagnosis.changes import AddCommand
 from zerodrift.diagnosis.explained import ExplainedDiagnosis
@@ -37,6 +37,11 @@ BUILT = SimpleNamespace(flash_bytes=1446)
         (stand(), "diagnose", "look"),
         (stand(missing()), "add", "add"),
         (stand(told("unknown")), "add", "propose"),
+        (
+            stand(told("unknown", notes=(DataNote("a", "t", (0, 9), "sign", ""),))),
+            "diagnose",
+            "look",
+        ),
         (stand(told("unknown"), proposed=True), "firmware", "firmware"),
         (stand(told("complete")), "firmware", "firmware"),
         (stand(told("complete"), firmware=BUILT), "verify", "verify"),

@@ -244,7 +244,17 @@ def explain_verdict(
         ]
         if not diagnosis.remainder:
             sentences.append(Sentence("What is left follows no signal in the logs."))
-        sentences.append(Sentence("To look for a formula of it: zerodrift propose", STEP))
+        if not diagnosis.wrong_runs:
+            sentences.append(Sentence("To look for a formula of it: zerodrift propose", STEP))
+    if diagnosis.wrong_runs:
+        runs = diagnosis.tell_wrong_runs()
+        sentences.append(
+            Sentence(
+                f"First look at {runs}, whose data look wrong (see the notes): mend them or leave "
+                "them out, then diagnose again.",
+                STEP,
+            )
+        )
     sentences.append(Sentence(f"Evidence: {diagnosis.evidence}."))
     if diagnosis.next_experiment:
         sentences.append(Sentence(f"Next experiment: {diagnosis.next_experiment}."))
