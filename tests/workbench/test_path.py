@@ -38,7 +38,7 @@ BUILT = SimpleNamespace(flash_bytes=1446)
         (stand(missing()), "add", "add"),
         (stand(told("unknown")), "add", "propose"),
         (
-            stand(told("unknown", notes=(DataNote("a", "t", (0, 9), "sign", ""),))),
+            stand(told("unknown", notes=(wrong("a", "sign"),))),
             "diagnose",
             "look",
         ),
