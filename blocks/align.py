@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
-from zerodrift.blocks.gru import align_layers, find_obstacle
+from zerodrift.blocks.gru import align_layers, find_obstacle, refine
+from zerodrift.blocks.rounding import visit
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN
 from zerodrift.operations.clip import IntegerClip
@@ -72,7 +73,7 @@ def align(
         wanted = design.nodes[place] if design is not None else None
         by = [[known[name] for name in first.inputs] for known in coarser]
         found = (
-            _align_recurrent(units, wanted, margin)
+            _align_recurrent(models, units, wanted, margin)
             if isinstance(first, IntegerRecurrent)
             else _align_nodes(units, by, wanted)
         )
@@ -158,9 +159,15 @@ def _align_nodes(
 
 
 def _align_recurrent(
-    nodes: list[IntegerNode], design: IntegerNode | None, margin: float
+    models: Sequence[IntegerModel],
+    nodes: list[IntegerNode],
+    design: IntegerNode | None,
+    margin: float,
 ) -> _Aligned:
-    """Bring GRUs to one shift per gate; what no block can hold is refused."""
+    """Bring GRUs to one shift per gate; what no block can hold is refused.
+
+    For a design's format each unit's rows are rounded together; to find it they need not be.
+    """
     layers: list[IntegerGruLayer] = []
     for node in [*nodes, *([] if design is None else [design])]:
         why = find_obstacle(node)
@@ -179,6 +186,11 @@ def _align_recurrent(
     wanted = layers[-1].gru if design is not None else None
     room = margin / len(own)
     grus = align_layers([n.gru for n in own], nodes[0].name, wanted, room)
+    if design is not None:
+        grus = [
+            gru if gru.shift == n.gru.shift else refine(n.gru, gru, visit(model, n))
+            for model, n, gru in zip(models, own, grus, strict=True)
+        ]
     out: list[IntegerNode] = [replace(n, gru=gru) for n, gru in zip(own, grus, strict=True)]
     return _Aligned(out, [0] * len(nodes))
 

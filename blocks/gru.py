@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
+from zerodrift.blocks.rounding import Visits, round_rows
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.gru.cell import GATES, H_LIMIT_Q30, IntegerGru, prove_state
@@ -112,7 +113,7 @@ def _bound_rows(bias: Numbers, w_x: Numbers, w_h: Numbers) -> list[Numbers]:
 def align_layers(
     grus: Sequence[IntegerGru], name: str, design: IntegerGru | None, margin: float
 ) -> list[IntegerGru]:
-    """Return layers with the same shifts, each weight rounded to its new scale once.
+    """Return layers with the same shifts, each weight rounded to its new scale by itself.
 
     Args:
         grus: of the units; all of one shape.
@@ -188,6 +189,40 @@ def _rescale(gru: IntegerGru, shifts: tuple[int, int, int]) -> IntegerGru:
     inside = _coarsen(bias[3], by[2])
     return replace(
         gru, w_x=w_x, w_h=w_h, bias=np.stack([*outside, inside]).astype(np.int32), shift=shifts
+    )
+
+
+def refine(own: IntegerGru, aligned: IntegerGru, visits: Visits) -> IntegerGru:
+    """Return a layer in a design's format whose sums are nearer to its own than `aligned` gives.
+
+    Args:
+        own: in the format of its own.
+        aligned: each weight rounded by itself; returned where rounding rows together would leave
+            the set of blocks.
+        visits: the features and states for which sums are to be near.
+    """
+    bias = aligned.bias.astype(np.int64)
+    w_x, w_h = aligned.w_x.astype(np.int64), aligned.w_h.astype(np.int64)
+    both, inputs = np.concatenate([visits.x, visits.h], axis=1), own.inputs
+    for gate, (before, after) in enumerate(zip(own.shift, aligned.shift, strict=True)):
+        if before == after:
+            continue
+        rows_x, rows_h = (w[gate] / 2.0 ** (before - after) for w in (own.w_x, own.w_h))
+        if gate < GATES.index("n"):
+            rows, change = round_rows(np.concatenate([rows_x, rows_h], axis=1), both)
+            w_x[gate], w_h[gate] = rows[:, :inputs], rows[:, inputs:]
+            bias[gate] += change
+            continue
+        w_x[gate], outside = round_rows(rows_x, visits.x)
+        w_h[gate], inside = round_rows(rows_h, visits.h)
+        bias[gate] += outside
+        bias[3] += inside
+    largest = max(int(np.abs(w).max()) for w in (w_x, w_h))
+    reach = _bound_rows(bias.T, np.moveaxis(w_x, 0, 1), np.moveaxis(w_h, 0, 1))
+    if largest > INT16_MAX or max(int(sums.max()) for sums in reach) > INT32_MAX:
+        return aligned
+    return replace(
+        aligned, w_x=w_x.astype(np.int16), w_h=w_h.astype(np.int16), bias=bias.astype(np.int32)
     )
 
 
