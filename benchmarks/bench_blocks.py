@@ -11,13 +11,14 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from tests.blocks.draws import draw_admissible, list_inadmissible, read_design, write_block
 from tests.blocks.flash import count_operations, cut_everywhere
 from tests.blocks.test_blocks import DAY, make_block
-from tests.blocks.units import LSB_K, PERIOD_S, describe_unit
+from tests.blocks.units import LSB_K, PERIOD_S, describe_effects, describe_unit
 
 from zerodrift.base.errors import InputError
 from zerodrift.blocks.block import BlockNotes, apply, decode
@@ -42,6 +43,12 @@ EXAMPLE = Path(__file__).parent.parent / "examples/ft40"
 LIMITS_KB = {"none": 0.4, "lag_bank": 2.5, "gru": 3.5}
 HIDDEN = 16
 """Units of the GRU in the place of the dense ones."""
+KINDS = {
+    "dense units": describe_unit,
+    f"GRU of {HIDDEN} units": partial(describe_unit, hidden=HIDDEN),
+    "2^x, play, delay, load": describe_effects,
+}
+"""What is in the blocks that are drawn."""
 UNIT_SEEDS = range(10_000, 10_200)
 BLOCK_SEEDS = range(50_000, 60_000)
 WALK_STEPS = 3000
@@ -57,8 +64,8 @@ def main(quick: bool) -> None:
     for hidden in (0, HIDDEN):
         measure_formats(UNIT_SEEDS[:10] if quick else UNIT_SEEDS, hidden)
     count = 400 if quick else len(BLOCK_SEEDS)
-    for hidden in (0, HIDDEN):
-        measure_drawn(BLOCK_SEEDS[:count], hidden)
+    for kind in KINDS:
+        measure_drawn(BLOCK_SEEDS[:count], kind)
     measure_cuts(2 if quick else 20)
 
 
@@ -167,9 +174,9 @@ def run(model: IntegerModel, codes: np.ndarray) -> np.ndarray:
     return Reference(model).run(codes[None]).drift[0]
 
 
-def measure_drawn(seeds: range, hidden: int) -> None:
+def measure_drawn(seeds: range, kind: str) -> None:
     """Print how many drawn blocks overflow, differ or are wrongly accepted or refused."""
-    arguments = [str(seeds.start), str(seeds.stop), str(hidden)]
+    arguments = [str(seeds.start), str(seeds.stop), kind]
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.bench_blocks", *arguments], check=False
     )
@@ -177,9 +184,10 @@ def measure_drawn(seeds: range, hidden: int) -> None:
         print(f"  the program ended with {done.returncode}: undefined behaviour, or a difference")
 
 
-def run_drawn(seeds: range, hidden: int) -> None:
+def run_drawn(seeds: range, of: str) -> None:
     """Run drawn blocks in a build that undefined behaviour ends, and print what was found."""
-    design = make_design([quantize(*describe_unit(s, hidden=hidden)) for s in UNIT_SEEDS[:50]])
+    describe = KINDS[of]
+    design = make_design([quantize(*describe(seed)) for seed in UNIT_SEEDS[:50]])
     told = read_design(design.to_text())
     compiler = find_compiler()
     with tempfile.TemporaryDirectory() as scratch:
@@ -200,7 +208,6 @@ def run_drawn(seeds: range, hidden: int) -> None:
             differ += check_host(host, codes, settled=seed % 2 == 0).mismatch is not None
         accepted, tried = count_accepted(design, host, seeds.start, max(len(seeds) // 50, 1))
     kind = "undefined behaviour would have ended it" if guarded else "not built with sanitizers"
-    of = f"GRU of {hidden} units" if hidden else "dense units"
     print(
         f"drawn admissible blocks, {of}, {compiler.name}, {kind}: {len(seeds)} run for {STEPS}"
         f" steps, {differ} differ in a bit (95 %: at most {bound(differ, len(seeds)):.2g} of all),"
@@ -255,4 +262,4 @@ def measure_cuts(tears: int) -> None:
 
 
 if __name__ == "__main__":
-    run_drawn(range(int(sys.argv[1]), int(sys.argv[2])), int(sys.argv[3]))
+    run_drawn(range(int(sys.argv[1]), int(sys.argv[2])), sys.argv[3])

@@ -19,17 +19,21 @@ from zerodrift.blocks.rounding import visit
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN
 from zerodrift.operations.clip import IntegerClip
+from zerodrift.operations.delay import IntegerDelay
 from zerodrift.operations.dense import IntegerDense, IntegerFeatureDense
 from zerodrift.operations.difference import IntegerDifference
 from zerodrift.operations.drift import IntegerDrift
+from zerodrift.operations.exp2 import IntegerExp2
 from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
+from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.offset import IntegerOffset
+from zerodrift.operations.play import IntegerPlay
 from zerodrift.operations.product import IntegerProduct
 from zerodrift.operations.recurrent import IntegerRecurrent
 from zerodrift.operations.sum import IntegerSum
@@ -325,6 +329,70 @@ def _align_product(
     return _Aligned(out, by)
 
 
+def _align_load(
+    nodes: list[IntegerLoad], coarser: list[list[int]], design: IntegerLoad | None
+) -> _Aligned:
+    shift = _choose_least_shift(nodes, design)
+    out: list[IntegerNode] = [replace(n, shift=shift) for n in nodes]
+    return _Aligned(out, [n.shift - shift for n in nodes])
+
+
+def _align_exp2(
+    nodes: list[IntegerExp2], coarser: list[list[int]], design: IntegerExp2 | None
+) -> _Aligned:
+    """The exponent is a row of one; results are as coarse as those of the highest octave."""
+    first = nodes[0]
+    rows = [(n.shift, [n.coefficient << by[0]]) for n, by in zip(nodes, coarser, strict=True)]
+    shift = design.shift if design is not None else _choose_row_shift(rows, first.name)
+    top = max(n.top for n in nodes) if design is None else design.top
+    if any(n.top > top for n in nodes):
+        raise CheckError(
+            f"operation '{first.name}': the unit's powers of two reach octave"
+            f" {max(n.top for n in nodes)}; {top} is fixed. Make a new design from all units."
+        )
+    low = first.low if design is None else design.low
+    if any(n.low != low for n in nodes):
+        raise CheckError(
+            f"operation '{first.name}': the units' exponents have other lower limits. Give the"
+            ' unit a program of its own (`[firmware] coefficients = "constants"`).'
+        )
+    out: list[IntegerNode] = [
+        replace(
+            n,
+            coefficient=rescale(row[0], shift - n.shift),
+            bias=_rescale_bias(n.bias, n.shift, shift),
+            shift=shift,
+            top=top,
+        )
+        for n, (_, row) in zip(nodes, rows, strict=True)
+    ]
+    return _Aligned(out, [top - n.top for n in nodes])
+
+
+def _align_play(
+    nodes: list[IntegerPlay], coarser: list[list[int]], design: IntegerPlay | None
+) -> _Aligned:
+    by = _no_coarser(nodes, coarser)
+    out: list[IntegerNode] = [
+        replace(n, half_width=rescale(n.half_width, -d)) for n, d in zip(nodes, by, strict=True)
+    ]
+    return _Aligned(out, by)
+
+
+def _align_delay(
+    nodes: list[IntegerDelay], coarser: list[list[int]], design: IntegerDelay | None
+) -> _Aligned:
+    steps = sorted({n.steps for n in [*nodes, *([] if design is None else [design])]})
+    if len(steps) > 1:
+        raise CheckError(
+            f"operation '{nodes[0].name}': the units' delays end in different steps ({steps}); a"
+            " block holds where in its step a delay ends, the program how many steps it has. Hold"
+            " the delay in zerodrift.toml, or give the unit a program of its own"
+            ' (`[firmware] coefficients = "constants"`).'
+        )
+    return _Aligned(list(nodes), _no_coarser(nodes, coarser))
+
+
 def _align_lowpass(
     nodes: list[IntegerLowpass], coarser: list[list[int]], design: IntegerLowpass | None
 ) -> _Aligned:
@@ -537,6 +605,10 @@ def _rule(of: Callable[[list[Node], list[list[int]], Node | None], _Aligned]) ->
 
 RULES: dict[type[IntegerNode], Rule] = {
     IntegerInput: _rule(_align_input),
+    IntegerLoad: _rule(_align_load),
+    IntegerExp2: _rule(_align_exp2),
+    IntegerPlay: _rule(_align_play),
+    IntegerDelay: _rule(_align_delay),
     IntegerOffset: _rule(_align_offset),
     IntegerClip: _rule(_align_clip),
     IntegerDifference: _rule(_pass_on),

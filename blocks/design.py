@@ -18,8 +18,10 @@ from zerodrift.blocks.proof import BlockField, prove_set
 from zerodrift.export.integer_model import FORMAT, IntegerModel, canonical_json
 from zerodrift.export.model_files import parse_model
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN
+from zerodrift.operations.delay import IntegerDelay
 from zerodrift.operations.dense import IntegerDense
 from zerodrift.operations.drift import IntegerDrift
+from zerodrift.operations.exp2 import EXPONENT_BITS, IntegerExp2
 from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.input import IntegerInput
@@ -27,6 +29,7 @@ from zerodrift.operations.intervals import Bound
 from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.play import IntegerPlay
 from zerodrift.operations.sum import IntegerSum
 
 FILE_NAME = "design.json"
@@ -227,6 +230,8 @@ def _choose_set(models: Sequence[IntegerModel], place: FieldPlace, share: float)
         bias = ROW_BIAS if isinstance(node, IntegerDense) else 0
         row = numbers.shape[-1] // (node.width if node is not None else 1)
         return BlockField(place, -32767, 32767, most_norm(NORM_UNITS, bias), row)
+    if isinstance(node, IntegerDelay):
+        return BlockField(place, 0, INT32_MAX)
     if isinstance(node, IntegerGruLayer):
         return BlockField(place, INT32_MIN, INT32_MAX, pairs=count_pairs(node.gru))
     if isinstance(node, IntegerDense):
@@ -257,12 +262,14 @@ LIMITS = {
 
 
 def _is_row(node: IntegerNode | None) -> bool:
-    return isinstance(node, IntegerSum | IntegerFeatures | IntegerDrift)
+    return isinstance(node, IntegerSum | IntegerFeatures | IntegerDrift | IntegerExp2)
 
 
 def _ends(node: IntegerNode | None) -> tuple[int, int]:
     if isinstance(node, IntegerLowpass | IntegerLowpassAfter):
         return 1, INT32_MAX
+    if isinstance(node, IntegerPlay):
+        return 0, INT32_MAX
     return INT32_MIN, INT32_MAX
 
 
@@ -298,4 +305,6 @@ def _codes(model: IntegerModel, place: FieldPlace) -> tuple[int, int]:
     if isinstance(node, IntegerInput):
         channel = model.channels[node.channel]
         return channel.least, channel.most
+    if isinstance(node, IntegerExp2):
+        return node.low, ((node.top + 1) << EXPONENT_BITS) - 1
     return INT32_MIN, INT32_MAX

@@ -10,16 +10,20 @@ from zerodrift.blocks.gru import BIASES, STREAM, count_pairs, put_stream, read_s
 from zerodrift.export.integer_model import Guards, IntegerModel
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN
 from zerodrift.operations.clip import IntegerClip
+from zerodrift.operations.delay import IntegerDelay
 from zerodrift.operations.dense import IntegerDense
 from zerodrift.operations.drift import IntegerDrift
+from zerodrift.operations.exp2 import IntegerExp2
 from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
+from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.offset import IntegerOffset
+from zerodrift.operations.play import IntegerPlay
 from zerodrift.operations.product import IntegerProduct
 from zerodrift.operations.sum import IntegerSum
 
@@ -75,6 +79,17 @@ def _list_node(nodes: Sequence[IntegerNode], model: IntegerModel) -> Iterator[Fi
         yield FieldPlace(node.name, "high", "i32")
         if model.channels[node.channel].bits > 16:
             yield FieldPlace(node.name, "origin", "i32")
+    elif isinstance(node, IntegerLoad):
+        yield FieldPlace(node.name, "low", "i32")
+        yield FieldPlace(node.name, "high", "i32")
+    elif isinstance(node, IntegerExp2):
+        yield FieldPlace(node.name, "coefficient", "i32")
+        yield FieldPlace(node.name, "bias", "i64")
+        yield FieldPlace(node.name, "high", "i32")
+    elif isinstance(node, IntegerPlay):
+        yield FieldPlace(node.name, "half_width", "i32")
+    elif isinstance(node, IntegerDelay):
+        yield FieldPlace(node.name, "newer_q31", "i32")
     elif isinstance(node, IntegerOffset):
         yield FieldPlace(node.name, "offset", "i32")
     elif isinstance(node, IntegerClip):

@@ -14,18 +14,22 @@ from zerodrift.blocks.gru import STREAM, prove_layer
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, INT32_MAX
 from zerodrift.operations.clip import IntegerClip
+from zerodrift.operations.delay import IntegerDelay
 from zerodrift.operations.dense import COPY_BITS, IntegerDense, IntegerFeatureDense
 from zerodrift.operations.drift import IntegerDrift
+from zerodrift.operations.exp2 import IntegerExp2
 from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.formats import LOWPASS_FRACTION
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.offset import IntegerOffset
+from zerodrift.operations.play import IntegerPlay
 from zerodrift.operations.product import IntegerProduct
 from zerodrift.operations.sum import IntegerSum
 from zerodrift.operations.tables import NODE_MAX, STEP_BITS
@@ -123,6 +127,49 @@ def _input(node: IntegerInput, inputs: list[list[Interval]], known: _Known) -> P
     code = Interval(low.low, high.high) - known.of("origin", node.origin)
     out = code.scale(1 << node.shift)
     return [out], [Bound(f"{node.name}.code", code, 32).check(), Bound(node.name, out, 32).check()]
+
+
+def _load(node: IntegerLoad, inputs: list[list[Interval]], known: _Known) -> Proof:
+    """The rule of `IntegerLoad.prove` between the widest limits."""
+    low, high = known.of("low", node.low), known.of("high", node.high)
+    if low.high > high.low:
+        raise CheckError(f"{node.name}: a lower limit of the set may lie above an upper one")
+    return replace(node, low=low.low, high=high.high).prove(inputs)
+
+
+def _exp2(node: IntegerExp2, inputs: list[list[Interval]], known: _Known) -> Proof:
+    """The result rises with the exponent, and the exponent is at most the highest of the set."""
+    x, coefficient = inputs[0][0], known.of("coefficient", node.coefficient)
+    bias, high = known.of("bias", node.bias), known.of("high", node.high)
+    widest = replace(node, high=high.high)
+    found = widest.prove(inputs)  # the limits, the polynomial
+    total, bound = _add_row(f"{node.name}.sum", [coefficient], bias, [x], 64)
+    t = Interval(total.low >> node.shift, total.high >> node.shift)
+    t = _saturate(t, Interval(node.low, node.low), high, node.name)
+    low_end, high_end = (widest.raise_to(end) for end in (t.low, t.high))
+    out = Interval(low_end, high_end)
+    changed = {
+        bound.where: bound,
+        f"{node.name}.exponent": Bound(f"{node.name}.exponent", t, 32).check(),
+        node.name: Bound(node.name, out, 32).check(),
+    }
+    return [out], [changed.get(line.where, line) for line in found[1]]
+
+
+def _play(node: IntegerPlay, inputs: list[list[Interval]], known: _Known) -> Proof:
+    """The rule of `IntegerPlay.prove` for the widest slack; y stays within x's range with any."""
+    half = known.of("half_width", node.half_width)
+    if half.low < 0:
+        raise CheckError(f"{node.name}: the set holds a half-width below 0")
+    return replace(node, half_width=half.high).prove(inputs)
+
+
+def _delay(node: IntegerDelay, inputs: list[list[Interval]], known: _Known) -> Proof:
+    """The result lies between two samples with any share of the newer one."""
+    share = known.of("newer_q31", node.newer_q31)
+    if share.low < 0:
+        raise CheckError(f"{node.name}: the set holds a share below 0")
+    return replace(node, newer_q31=share.high).prove(inputs)
 
 
 def _offset(node: IntegerOffset, inputs: list[list[Interval]], known: _Known) -> Proof:
@@ -276,6 +323,10 @@ Rule = Callable[..., Proof]
 """(node, intervals of its inputs, those of its numbers) -> its outputs and bounds."""
 RULES: dict[type[IntegerNode], Rule] = {
     IntegerInput: _input,
+    IntegerLoad: _load,
+    IntegerExp2: _exp2,
+    IntegerPlay: _play,
+    IntegerDelay: _delay,
     IntegerOffset: _offset,
     IntegerClip: _clip,
     IntegerProduct: _product,

@@ -83,9 +83,18 @@ def _state_cell(pointer: Pointer) -> Value:
     return pointer.values(1)[0]
 
 
+def _most(machine: IntervalMachine, value: Value, what: str) -> int:
+    """Return the largest that a parameter can be: one known number, or any of a block's."""
+    if value.exact is None and not machine.has_block:
+        raise FaultError(f"{what} is {value.low} .. {value.high}, and no block holds it")
+    if value.low < 0:
+        raise FaultError(f"{what} is {value.low} .. {value.high}; at least 0 is allowed")
+    return value.high
+
+
 def _play(machine: IntervalMachine, place: Pointer, x: Value, half_width: Value) -> Value:
     """y' lies between y and x, so a range of y that holds all x is never left."""
-    y, half = _state_cell(place), number(half_width, 0, TYPES["int32_t"][1], "half of the slack")
+    y, half = _state_cell(place), _most(machine, half_width, "half of the slack")
     machine.pending["slack"] = (x.low - half, x.high + half, 32)
     machine.convert(Value(x.low - half, x.high + half, "int64_t"), "int32_t")
     after = Value(min(y.low, x.low), max(y.high, x.high))
@@ -112,7 +121,7 @@ def _count_from(
 
 
 def _between(machine: IntervalMachine, older: Value, newer: Value, share: Value) -> Value:
-    part = number(share, 0, (1 << 31) - 1, "a share in 2^-31")
+    part = _most(machine, share, "a share in 2^-31")
     ends = (older.low - newer.high, newer.high - older.low)
     rise = max(abs(e) for e in ends) * part
     machine.pending["rise"] = (-rise, rise + (1 << 30), 64)

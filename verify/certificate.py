@@ -49,7 +49,7 @@ def certify_design(design: BlockDesign, code: GeneratedCode) -> str:
     Raises:
         CheckError: a bound does not hold for some block.
     """
-    held = frozenset(f.place.node for f in design.fields if f.place.attribute == "shift")
+    held = frozenset((f.place.node, f.place.attribute) for f in design.fields)
     fields: list[dict[str, object]] = [
         {
             "where": f"b->{field.place.name}",
@@ -79,7 +79,7 @@ def _write(
     bounds: list[Bound],
     code: GeneratedCode,
     bound: ErrorBound | None,
-    held: frozenset[str],
+    held: frozenset[tuple[str, str]],
     further: Mapping[str, object],
 ) -> str:
     """Return the text.
@@ -90,13 +90,14 @@ def _write(
         bounds: what is proven.
         code: the C.
         bound: of the distance from the float model.
-        held: nodes whose shifts lie in a block.
+        held: nodes and their attributes that lie in a block.
         further: claims beside those.
     """
     texts = {code.header_name: code.header, code.source_name: code.source}
     texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
     grus = [layer for layer in model.recurrents if isinstance(layer, IntegerGruLayer)]
-    idle = frozenset[str]().union(*(node.idle for node in model.nodes))
+    own = [node for node in model.nodes if (node.name, "newer_q31") not in held]
+    idle = frozenset[str]().union(*(node.idle for node in own))
     body: dict[str, object] = {
         "certificate": FORMAT,
         "about": "Nothing overflows, for any input code. Derived from the weights by intervals;"
@@ -121,7 +122,7 @@ def _write(
         "shifts": [
             {"where": shift.where, "shift": int(shift.amount), "most": shift.most}
             for node in (*model.conversions, *model.nodes)
-            if node.name not in held
+            if (node.name, "shift") not in held
             for shift in node.list_shifts()
         ],
         "bounds": [

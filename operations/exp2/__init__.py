@@ -70,7 +70,7 @@ class IntegerExp2(IntegerNode):
     high: int
     """Limits of the exponent in Q7.24."""
     top: int
-    """high >> 24: the octave in which results are largest."""
+    """high >> 24, or in a unit's block above it: the octave in which results are largest."""
 
     @property
     def ends(self) -> tuple[int, int]:
@@ -78,12 +78,16 @@ class IntegerExp2(IntegerNode):
 
         At the lower one the float model is limited as well.
         """
-        return -1, int(self._raise(np.array([self.high]))[0])
+        return -1, self.raise_to(self.high)
 
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:
         """Return the power of two."""
         total = values[self.inputs[0]] * self.coefficient + self.bias
         return {}, self._raise(np.asarray(saturate(total >> self.shift, self.low, self.high)))
+
+    def raise_to(self, t_q24: int) -> int:
+        """Return the result of an exponent in Q7.24."""
+        return int(self._raise(np.array([t_q24]))[0])
 
     def _raise(self, t_q24: IntArray) -> IntArray:
         f_q31 = (t_q24 & ((1 << EXPONENT_BITS) - 1)) << (31 - EXPONENT_BITS)
@@ -98,9 +102,9 @@ class IntegerExp2(IntegerNode):
         monotone in t and lies between its values at the ends.
         """
         check_shift(self.name, self.shift, 62)
-        if not (self.low <= self.high and self.high >> EXPONENT_BITS == self.top):
+        if not (self.low <= self.high and self.high >> EXPONENT_BITS <= self.top):
             raise CheckError(
-                f"{self.name}: exponents {self.low} .. {self.high} do not end in octave {self.top}."
+                f"{self.name}: exponents {self.low} .. {self.high} end above octave {self.top}."
                 " The model is refused."
             )
         bias = Interval(self.bias, self.bias)
@@ -108,8 +112,7 @@ class IntegerExp2(IntegerNode):
         total = scaled + bias
         t = Interval(total.low >> self.shift, total.high >> self.shift)
         t = t.saturate(self.low, self.high)
-        low, high = (int(self._raise(np.array([end]))[0]) for end in (t.low, t.high))
-        out = Interval(low, high)
+        out = Interval(self.raise_to(t.low), self.raise_to(t.high))
         reach = abs(self.bias) + scaled.magnitude
         return [out], [
             Bound(f"{self.name}.sum", Interval(-reach, reach), 64).check(),

@@ -10,15 +10,14 @@ from tests.fleet.conftest import SENSORS, TOML, write_sensor
 from zerodrift.blocks.design import load_design
 
 BLOCK = '\n[firmware]\ncoefficients = "block"\ncalibrated = 2026-03-01\n'
-LINEAR = TOML.replace('\n[[effect]]\nkind = "dark_current"\n', "")
 
 
 @pytest.fixture
 def fleet(tmp_path: Path) -> Path:
-    """Return three simulated units with effects that a block can hold."""
+    """Return three simulated units, each with a dark current of its own."""
     for seed, sensor in enumerate(SENSORS):
         write_sensor(tmp_path, sensor, seed)
-    (tmp_path / "zerodrift.toml").write_text(LINEAR + BLOCK, encoding="utf-8")
+    (tmp_path / "zerodrift.toml").write_text(TOML + BLOCK, encoding="utf-8")
     return tmp_path
 
 

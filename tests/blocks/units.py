@@ -75,6 +75,64 @@ def describe_unit(
     return model, calibration
 
 
+def describe_effects(
+    seed: int, kinds: tuple[str, ...] = ("exp2", "play", "delay", "load", "warm_up")
+) -> tuple[FloatModel, Calibration]:
+    """Return a unit with a dark current, a hysteresis, a late thermometer, a load and a warm-up.
+
+    Args:
+        seed: of the unit; every parameter of its effects is its own.
+        kinds: which of them.
+    """
+    rng = np.random.default_rng(seed)
+    ops = GraphOperations(PERIOD_S)
+    t = ops.input("temperature_degC")
+    rise = ops.affine(t, 1.0, -20.0 + rng.normal(0, 0.5))
+    scatter = dict(zip(kinds, np.exp(rng.normal(0, 0.1, len(kinds))).tolist(), strict=True))
+    nodes = {"rise": (rise, 100.0)}
+    for kind, share in scatter.items():
+        if kind == "exp2":
+            nodes[kind] = (ops.exp2(ops.affine(rise, 1 / (9.0 * share), 0.0)), 300.0)
+        elif kind == "play":
+            nodes[kind] = (ops.difference(ops.play(t, 2.0 * share), t), 3.0)
+        elif kind == "delay":
+            nodes[kind] = (ops.difference(t, ops.delay(t, 2.5 * share**0.5)), 5.0)
+        elif kind == "load":
+            load = ops.input("load:F0")
+            nodes[kind] = (ops.product(ops.affine(rise, 1e-3, 0.0), load), 40.0)
+        else:
+            halvings = ops.affine(ops.input("elapsed_s"), -1 / (60.0 * share), 0.0)
+            nodes[kind] = (ops.exp2(halvings), 1.0)
+    limits = (round((-40 + rng.uniform(-2, 2)) / LSB_K), round(80 / LSB_K))
+    channels = [Channel("temperature", "degC", LSB_K, no_reading=-32768)]
+    sources = {"temperature_degC": 0}
+    if "load" in kinds:
+        channels.append(Channel("measured", "N", 1e-4, bits=32))
+        sources["load:F0"] = 1
+    model = FloatModel(
+        name="cell",
+        sample_period_s=PERIOD_S,
+        channels=tuple(channels),
+        sources=sources,
+        outputs=tuple(OutputFormat(f"F{k}", "N", 10_000, 200.0) for k in range(2)),
+        features=tuple(node for node, _ in nodes.values()),
+        coefficients=np.stack([rng.normal(0, 1 / most, 2) for _, most in nodes.values()]),
+        offset=rng.normal(0, 0.2, 2),
+    )
+    load = round((400 + rng.uniform(0, 50)) * 10_000)
+    calibration = Calibration(
+        code_limits=(limits, *(((-load, load),) if "load" in kinds else ())),
+        feature_max=np.zeros(0),
+        drift_low=np.full(2, -3.0 - rng.random()),
+        drift_high=np.full(2, 3.0 + rng.random()),
+        rate_max=19,
+        warm_up_steps=0,
+        temperature_range=(round(-22 / LSB_K), round(62 / LSB_K)),
+        ranges={node: (-most, most) for name, (node, most) in nodes.items() if name != "exp2"},
+    )
+    return model, calibration
+
+
 def draw_gru(seed: int, outputs: int, hidden: int) -> FloatNetwork:
     """Return a GRU of a unit's own: nothing of it but its size is another unit's.
 
