@@ -7,17 +7,30 @@ nodes that read it. Rows of matrices keep their own shifts, which are stored in 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar, cast
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import replace
+from typing import TypeVar, cast
 
 from zerodrift.base.errors import CheckError
+from zerodrift.blocks.align_rows import align_dense, align_drift, align_features, align_head
+from zerodrift.blocks.align_signals import (
+    Aligned,
+    align_clip,
+    align_delay,
+    align_exp2,
+    align_input,
+    align_load,
+    align_lowpass,
+    align_lowpass_after,
+    align_offset,
+    align_play,
+    align_product,
+    align_sum,
+    equal,
+    pass_on,
+)
 from zerodrift.blocks.gru import align_layers, find_obstacle, refine
 from zerodrift.blocks.rounding import visit
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN
 from zerodrift.operations.clip import IntegerClip
 from zerodrift.operations.delay import IntegerDelay
 from zerodrift.operations.dense import IntegerDense, IntegerFeatureDense
@@ -38,21 +51,7 @@ from zerodrift.operations.product import IntegerProduct
 from zerodrift.operations.recurrent import IntegerRecurrent
 from zerodrift.operations.sum import IntegerSum
 
-WIDEST = 2**31 - 1
-"""Largest coefficient of a row in a block: it is kept in 32 bits."""
-ROW_BIAS = 2**29
-"""A dense row's bias is at most this, and its weights reach 2^31 - 1 less it: a row that needs
-more gets a shift of one less."""
-SHARED_BITS = 6
-"""All outputs have one shift where none loses more bits of its coefficients' 31 by it: their rows
-are then a loop where the C is compiled for size, in a third of the flash."""
 Node = TypeVar("Node", bound=IntegerNode)
-
-
-@dataclass(frozen=True)
-class _Aligned:
-    nodes: list[IntegerNode]
-    coarser: list[int]
 
 
 def align(
@@ -142,12 +141,12 @@ def _require_alike(models: Sequence[IntegerModel]) -> None:
 
 def _align_nodes(
     nodes: list[IntegerNode], coarser: list[list[int]], design: IntegerNode | None
-) -> _Aligned:
+) -> Aligned:
     rule = RULES.get(type(nodes[0]))
     if rule is not None:
         return rule(nodes, coarser, design)
     for node in [*nodes, *([] if design is None else [design])]:
-        if node is not nodes[0] and not _equal(nodes[0], node):
+        if node is not nodes[0] and not equal(nodes[0], node):
             raise CheckError(
                 f"operation '{node.name}' ({node.kind}) differs between units, and a block cannot"
                 " hold its numbers yet. Hold its parameters in zerodrift.toml, or give the unit a"
@@ -159,7 +158,7 @@ def _align_nodes(
             " between units. Give the unit a program of its own"
             ' (`[firmware] coefficients = "constants"`).'
         )
-    return _Aligned(nodes, [0] * len(nodes))
+    return Aligned(nodes, [0] * len(nodes))
 
 
 def _align_recurrent(
@@ -167,7 +166,7 @@ def _align_recurrent(
     nodes: list[IntegerNode],
     design: IntegerNode | None,
     margin: float,
-) -> _Aligned:
+) -> Aligned:
     """Bring GRUs to one shift per gate; what no block can hold is refused.
 
     For a design's format each unit's rows are rounded together; to find it they need not be.
@@ -196,429 +195,32 @@ def _align_recurrent(
             for model, n, gru in zip(models, own, grus, strict=True)
         ]
     out: list[IntegerNode] = [replace(n, gru=gru) for n, gru in zip(own, grus, strict=True)]
-    return _Aligned(out, [0] * len(nodes))
+    return Aligned(out, [0] * len(nodes))
 
 
-def _equal(a: IntegerNode, b: IntegerNode) -> bool:
-    one, other = a.attributes(), b.attributes()
-    return one.keys() == other.keys() and all(np.array_equal(one[k], other[k]) for k in one)  # type: ignore[arg-type]
+Rule = Callable[[list[IntegerNode], list[list[int]], IntegerNode | None], Aligned]
 
 
-# --- integers in another format
-
-
-def rescale(number: int, bits: int) -> int:
-    """Return number * 2^bits, to the nearest integer, halves upwards."""
-    return number << bits if bits >= 0 else (number + (1 << (-bits - 1))) >> -bits
-
-
-def _rescale_bias(bias: int, shift: int, to: int) -> int:
-    """Return a bias with its rounding half for another shift."""
-    return rescale(bias - (1 << shift >> 1), to - shift) + (1 << to >> 1)
-
-
-def _limit(number: int, bits: int) -> int:
-    """Return a limit of a coarser signal; the ends of int32 stay where they are."""
-    return number if number in (INT32_MIN, INT32_MAX) else rescale(number, -bits)
-
-
-def _choose_row_shift(rows: Sequence[tuple[int, Sequence[int]]], where: str) -> int:
-    """Return the largest shift at which every row's coefficients fit 32 bits.
-
-    Args:
-        rows: (shift, coefficients) of each unit.
-        where: names the row in messages.
-    """
-    fits = []
-    for shift, coefficients in rows:
-        surplus = 0
-        while any(abs(rescale(c, -surplus)) > WIDEST for c in coefficients):
-            surplus += 1
-        fits.append(shift - surplus)
-    if min(fits) < 0:
-        raise CheckError(f"{where}: the coefficients do not fit 32 bits; use a coarser output unit")
-    return min(fits)
-
-
-def _no_coarser(nodes: Sequence[IntegerNode], coarser: list[list[int]]) -> list[int]:
-    """Return by how much the output is coarser: as every input of it is."""
-    for node, by in zip(nodes, coarser, strict=True):
-        if len(set(by)) > 1:
-            raise CheckError(
-                f"operation '{node.name}' reads signals whose formats differ in this unit. Give"
-                ' it a program of its own (`[firmware] coefficients = "constants"`).'
-            )
-    return [by[0] if by else 0 for by in coarser]
-
-
-# --- rules
-
-
-def _align_input(
-    nodes: list[IntegerInput], coarser: list[list[int]], design: IntegerInput | None
-) -> _Aligned:
-    shift = _choose_least_shift(nodes, design)
-    out: list[IntegerNode] = [replace(n, shift=shift) for n in nodes]
-    return _Aligned(out, [n.shift - shift for n in nodes])
-
-
-class _Shifted(Protocol):
-    @property
-    def name(self) -> str: ...
-    @property
-    def shift(self) -> int: ...
-
-
-def _choose_least_shift(nodes: Sequence[_Shifted], design: _Shifted | None) -> int:
-    shift = min(n.shift for n in nodes) if design is None else design.shift
-    _require_shift(nodes[0], [n.shift for n in nodes], shift)
-    return shift
-
-
-def _require_shift(node: _Shifted, shifts: Sequence[int], wanted: int) -> None:
-    if any(shift < wanted for shift in shifts):
-        raise CheckError(
-            f"operation '{node.name}': the unit needs a coarser format than its design has"
-            f" (a shift of {min(shifts)}; {wanted} is fixed). Make a new design from all units."
-        )
-
-
-def _align_offset(
-    nodes: list[IntegerOffset], coarser: list[list[int]], design: IntegerOffset | None
-) -> _Aligned:
-    by = _no_coarser(nodes, coarser)
-    out: list[IntegerNode] = [
-        replace(n, offset=rescale(n.offset, -d)) for n, d in zip(nodes, by, strict=True)
-    ]
-    return _Aligned(out, by)
-
-
-def _align_clip(
-    nodes: list[IntegerClip], coarser: list[list[int]], design: IntegerClip | None
-) -> _Aligned:
-    by = _no_coarser(nodes, coarser)
-    out: list[IntegerNode] = [
-        replace(n, low=_limit(n.low, d), high=_limit(n.high, d))
-        for n, d in zip(nodes, by, strict=True)
-    ]
-    return _Aligned(out, by)
-
-
-def _pass_on(
-    nodes: list[IntegerDifference], coarser: list[list[int]], design: IntegerDifference | None
-) -> _Aligned:
-    return _Aligned(list(nodes), _no_coarser(nodes, coarser))
-
-
-def _align_product(
-    nodes: list[IntegerProduct], coarser: list[list[int]], design: IntegerProduct | None
-) -> _Aligned:
-    """The factors are coarser by da + db already; the result becomes as coarse as the coarsest."""
-    least = [n.shift - sum(by) for n, by in zip(nodes, coarser, strict=True)]
-    shift = max(0, *least) if design is None else design.shift
-    if any(s > shift for s in least):
-        raise CheckError(
-            f"operation '{nodes[0].name}': the unit's range is too wide for its design (a shift of"
-            f" {max(least)}; {shift} is fixed). Make a new design from all units."
-        )
-    by = [shift - s for s in least]
-    out: list[IntegerNode] = [
-        replace(n, shift=shift, low=_limit(n.low, d), high=_limit(n.high, d))
-        for n, d in zip(nodes, by, strict=True)
-    ]
-    return _Aligned(out, by)
-
-
-def _align_load(
-    nodes: list[IntegerLoad], coarser: list[list[int]], design: IntegerLoad | None
-) -> _Aligned:
-    shift = _choose_least_shift(nodes, design)
-    out: list[IntegerNode] = [replace(n, shift=shift) for n in nodes]
-    return _Aligned(out, [n.shift - shift for n in nodes])
-
-
-def _align_exp2(
-    nodes: list[IntegerExp2], coarser: list[list[int]], design: IntegerExp2 | None
-) -> _Aligned:
-    """The exponent is a row of one; results are as coarse as those of the highest octave."""
-    first = nodes[0]
-    rows = [(n.shift, [n.coefficient << by[0]]) for n, by in zip(nodes, coarser, strict=True)]
-    shift = design.shift if design is not None else _choose_row_shift(rows, first.name)
-    top = max(n.top for n in nodes) if design is None else design.top
-    if any(n.top > top for n in nodes):
-        raise CheckError(
-            f"operation '{first.name}': the unit's powers of two reach octave"
-            f" {max(n.top for n in nodes)}; {top} is fixed. Make a new design from all units."
-        )
-    low = first.low if design is None else design.low
-    if any(n.low != low for n in nodes):
-        raise CheckError(
-            f"operation '{first.name}': the units' exponents have other lower limits. Give the"
-            ' unit a program of its own (`[firmware] coefficients = "constants"`).'
-        )
-    out: list[IntegerNode] = [
-        replace(
-            n,
-            coefficient=rescale(row[0], shift - n.shift),
-            bias=_rescale_bias(n.bias, n.shift, shift),
-            shift=shift,
-            top=top,
-        )
-        for n, (_, row) in zip(nodes, rows, strict=True)
-    ]
-    return _Aligned(out, [top - n.top for n in nodes])
-
-
-def _align_play(
-    nodes: list[IntegerPlay], coarser: list[list[int]], design: IntegerPlay | None
-) -> _Aligned:
-    by = _no_coarser(nodes, coarser)
-    out: list[IntegerNode] = [
-        replace(n, half_width=rescale(n.half_width, -d)) for n, d in zip(nodes, by, strict=True)
-    ]
-    return _Aligned(out, by)
-
-
-def _align_delay(
-    nodes: list[IntegerDelay], coarser: list[list[int]], design: IntegerDelay | None
-) -> _Aligned:
-    steps = sorted({n.steps for n in [*nodes, *([] if design is None else [design])]})
-    if len(steps) > 1:
-        raise CheckError(
-            f"operation '{nodes[0].name}': the units' delays end in different steps ({steps}); a"
-            " block holds where in its step a delay ends, the program how many steps it has. Hold"
-            " the delay in zerodrift.toml, or give the unit a program of its own"
-            ' (`[firmware] coefficients = "constants"`).'
-        )
-    return _Aligned(list(nodes), _no_coarser(nodes, coarser))
-
-
-def _align_lowpass(
-    nodes: list[IntegerLowpass], coarser: list[list[int]], design: IntegerLowpass | None
-) -> _Aligned:
-    shift = _choose_least_shift(nodes, design)
-    out: list[IntegerNode] = [
-        replace(n, shift=shift, m_q31=rescale(n.m_q31, shift - n.shift)) for n in nodes
-    ]
-    return _Aligned(out, _no_coarser(nodes, coarser))
-
-
-def _align_lowpass_after(
-    nodes: list[IntegerLowpassAfter], coarser: list[list[int]], design: IntegerLowpassAfter | None
-) -> _Aligned:
-    shift = _choose_least_shift(nodes, design)
-    out: list[IntegerNode] = [
-        replace(n, shift=shift, rate_q31=rescale(n.rate_q31, shift - n.shift)) for n in nodes
-    ]
-    return _Aligned(out, _no_coarser(nodes, coarser))
-
-
-def is_plain(node: IntegerSum) -> bool:
-    """Return whether a sum only changes a sign or a format: it is the same in every unit."""
-    return all(abs(c) == 1 for c in node.coefficients)
-
-
-def _align_sum(
-    nodes: list[IntegerSum], coarser: list[list[int]], design: IntegerSum | None
-) -> _Aligned:
-    same = all(_equal(nodes[0], n) for n in [*nodes, *([] if design is None else [design])])
-    if same and is_plain(nodes[0]) and not any(any(by) for by in coarser):
-        return _Aligned(list(nodes), [0] * len(nodes))
-    rows = [
-        (n.shift, [c << d for c, d in zip(n.coefficients, by, strict=True)])
-        for n, by in zip(nodes, coarser, strict=True)
-    ]
-    shift = design.shift if design is not None else _choose_row_shift(rows, nodes[0].name)
-    out: list[IntegerNode] = [
-        replace(
-            n,
-            coefficients=tuple(rescale(c, shift - n.shift) for c in row),
-            bias=_rescale_bias(n.bias, n.shift, shift),
-            shift=shift,
-        )
-        for n, (_, row) in zip(nodes, rows, strict=True)
-    ]
-    return _Aligned(out, [0] * len(nodes))
-
-
-def _align_features(
-    nodes: list[IntegerFeatures], coarser: list[list[int]], design: IntegerFeatures | None
-) -> _Aligned:
-    """Rows keep their shifts; missing ones are zero."""
-    width = _choose_width(nodes, design)
-    out: list[IntegerNode] = []
-    for node, by in zip(nodes, coarser, strict=True):
-        matrix = node.matrix.astype(object) * np.array([1 << d for d in by], dtype=object)
-        rows, biases, shifts = [], [], []
-        for row, bias, shift in zip(matrix.tolist(), node.bias.tolist(), node.shift, strict=True):
-            to = _choose_row_shift([(shift, row)], node.name)
-            rows.append([rescale(c, to - shift) for c in row])
-            biases.append(_rescale_bias(bias, shift, to))
-            shifts.append(to)
-        pad = width - node.width
-        filled = np.array(rows + [[0] * len(by)] * pad, dtype=np.int32).reshape(width, len(by))
-        out.append(
-            replace(
-                node,
-                matrix=filled,
-                bias=np.array(biases + [0] * pad, dtype=np.int64),
-                shift=(*shifts, *[0] * pad),
-            )
-        )
-    return _Aligned(out, [0] * len(nodes))
-
-
-def _choose_width(nodes: Sequence[IntegerNode], design: IntegerNode | None) -> int:
-    width = max(n.width for n in nodes)
-    if design is None:
-        return width
-    if width > design.width:
-        raise CheckError(
-            f"operation '{nodes[0].name}': the unit has {width} rows, its design"
-            f" {design.width}. Make a new design from all units, or limit `hidden`."
-        )
-    return design.width
-
-
-def _align_dense(
-    nodes: list[IntegerDense], coarser: list[list[int]], design: IntegerDense | None
-) -> _Aligned:
-    """Rows keep their shifts; missing ones, and weights of missing inputs, are zero."""
-    first = nodes[0]
-    if any(n.activation != "tanh" for n in nodes):
-        raise CheckError(
-            f"operation '{first.name}': a layer with '{first.activation}' cannot stand in a block"
-            ' yet. Use tanh, or a program per unit (`[firmware] coefficients = "constants"`).'
-        )
-    width = _choose_width(nodes, design)
-    columns = max(n.weights.shape[1] for n in (*nodes, *([] if design is None else [design])))
-    out: list[IntegerNode] = []
-    for node in nodes:
-        rows, biases, shifts = [], [], []
-        for row, bias, shift in zip(
-            node.weights.tolist(), node.bias.tolist(), node.shift, strict=True
-        ):
-            to = shift
-            while shift - to < 2 and to > 0 and not fits_row(row, bias, shift, to):
-                to -= 1
-            if not fits_row(row, bias, shift, to):
-                raise CheckError(f"operation '{node.name}': a row does not fit 32 bits")
-            rows.append([rescale(w, to - shift) for w in row] + [0] * (columns - len(row)))
-            biases.append(_rescale_bias(bias, shift, to))
-            shifts.append(to)
-        pad = width - node.width
-        out.append(
-            replace(
-                node,
-                weights=np.array(rows + [[0] * columns] * pad, dtype=np.int16),
-                bias=np.array(biases + [0] * pad, dtype=np.int32),
-                shift=(*shifts, *[0] * pad),
-            )
-        )
-    return _Aligned(out, [0] * len(nodes))
-
-
-def most_norm(magnitude: int, bias: int = 0) -> int:
-    """Return the largest L1 norm of a row of 32-bit sums over inputs up to a magnitude."""
-    return (2**31 - 1 - bias) // magnitude
-
-
-def fits_row(row: Sequence[int], bias: int, shift: int, to: int) -> bool:
-    """Return whether a dense row fits the split of its 32 bits at another shift."""
-    norm = sum(abs(rescale(w, to - shift)) for w in row)
-    return (
-        abs(_rescale_bias(bias, shift, to)) <= ROW_BIAS
-        and norm <= most_norm(2**15, ROW_BIAS)
-        and max(map(abs, row), default=0) <= INT16_MAX
-    )
-
-
-def _align_head(
-    nodes: list[IntegerHead], coarser: list[list[int]], design: IntegerHead | None
-) -> _Aligned:
-    columns = max(n.weights.shape[1] for n in (*nodes, *([] if design is None else [design])))
-    out: list[IntegerNode] = [replace(n, weights=_pad_columns(n.weights, columns)) for n in nodes]
-    return _Aligned(out, [0] * len(nodes))
-
-
-def _pad_columns(matrix: NDArray[np.int16], columns: int) -> NDArray[np.int16]:
-    return np.pad(matrix, ((0, 0), (0, columns - matrix.shape[1])))
-
-
-def _align_drift(
-    nodes: list[IntegerDrift], coarser: list[list[int]], design: IntegerDrift | None
-) -> _Aligned:
-    shifts = []
-    scaled = []
-    for node, by in zip(nodes, coarser, strict=True):
-        signals = by[:-1] if node.head else by
-        matrix = node.coefficients.astype(object)
-        scaled.append(matrix * np.array([1 << d for d in signals], dtype=object))
-    for k in range(nodes[0].width):
-        rows = [
-            (n.shift[k], [*matrix[k].tolist(), int(n.head_coefficients[k])])
-            for n, matrix in zip(nodes, scaled, strict=True)
-        ]
-        own = _choose_row_shift(rows, f"drift[{k}]")
-        shifts.append(own if design is None else design.shift[k])
-    if design is None and max(shifts) - min(shifts) <= SHARED_BITS:
-        shifts = [min(shifts)] * len(shifts)
-    out: list[IntegerNode] = []
-    for node, matrix in zip(nodes, scaled, strict=True):
-        by_row = [to - s for to, s in zip(shifts, node.shift, strict=True)]
-        out.append(
-            replace(
-                node,
-                coefficients=np.array(
-                    [
-                        [rescale(c, d) for c in r]
-                        for r, d in zip(matrix.tolist(), by_row, strict=True)
-                    ],
-                    dtype=np.int64,
-                ).reshape(node.coefficients.shape),
-                head_coefficients=np.array(
-                    [
-                        rescale(int(c), d)
-                        for c, d in zip(node.head_coefficients, by_row, strict=True)
-                    ],
-                    dtype=np.int64,
-                ),
-                bias=np.array(
-                    [
-                        _rescale_bias(int(b), s, to)
-                        for b, s, to in zip(node.bias, node.shift, shifts, strict=True)
-                    ],
-                    dtype=np.int64,
-                ),
-                shift=tuple(shifts),
-            )
-        )
-    return _Aligned(out, [0] * len(nodes))
-
-
-Rule = Callable[[list[IntegerNode], list[list[int]], IntegerNode | None], _Aligned]
-
-
-def _rule(of: Callable[[list[Node], list[list[int]], Node | None], _Aligned]) -> Rule:
+def _rule(of: Callable[[list[Node], list[list[int]], Node | None], Aligned]) -> Rule:
     return cast(Rule, of)  # it is called with nodes of its own type alone
 
 
 RULES: dict[type[IntegerNode], Rule] = {
-    IntegerInput: _rule(_align_input),
-    IntegerLoad: _rule(_align_load),
-    IntegerExp2: _rule(_align_exp2),
-    IntegerPlay: _rule(_align_play),
-    IntegerDelay: _rule(_align_delay),
-    IntegerOffset: _rule(_align_offset),
-    IntegerClip: _rule(_align_clip),
-    IntegerDifference: _rule(_pass_on),
-    IntegerProduct: _rule(_align_product),
-    IntegerLowpass: _rule(_align_lowpass),
-    IntegerLowpassAfter: _rule(_align_lowpass_after),
-    IntegerSum: _rule(_align_sum),
-    IntegerFeatures: _rule(_align_features),
-    IntegerDense: _rule(_align_dense),
-    IntegerFeatureDense: _rule(_align_dense),
-    IntegerHead: _rule(_align_head),
-    IntegerDrift: _rule(_align_drift),
+    IntegerInput: _rule(align_input),
+    IntegerLoad: _rule(align_load),
+    IntegerExp2: _rule(align_exp2),
+    IntegerPlay: _rule(align_play),
+    IntegerDelay: _rule(align_delay),
+    IntegerOffset: _rule(align_offset),
+    IntegerClip: _rule(align_clip),
+    IntegerDifference: _rule(pass_on),
+    IntegerProduct: _rule(align_product),
+    IntegerLowpass: _rule(align_lowpass),
+    IntegerLowpassAfter: _rule(align_lowpass_after),
+    IntegerSum: _rule(align_sum),
+    IntegerFeatures: _rule(align_features),
+    IntegerDense: _rule(align_dense),
+    IntegerFeatureDense: _rule(align_dense),
+    IntegerHead: _rule(align_head),
+    IntegerDrift: _rule(align_drift),
 }

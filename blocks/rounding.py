@@ -7,7 +7,6 @@ over what the unit's own model goes through under drawn inputs. What is left in 
 the bias. Source: Frantar et al., GPTQ, arXiv:2210.17323, algorithm 1.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,16 +89,14 @@ def _find_range(model: IntegerModel, channel: int) -> tuple[int, int, float]:
     return low, high, max(OTHER_RATE * (high - low), 1)
 
 
-def _draw_ramps(
-    low: int, high: int, rate: float, steps: int, rng: np.random.Generator
-) -> Sequence[int] | Numbers:
+def _draw_ramps(low: int, high: int, rate: float, steps: int, rng: np.random.Generator) -> Numbers:
     now, found = rng.uniform(low, high), list[float]()
     while len(found) < steps:
         to, slope = rng.uniform(low, high), rate * SLOWEST ** rng.random()
         found += np.linspace(now, to, max(int(abs(to - now) / slope), 1)).tolist()
         found += [to] * int(rng.integers(LONGEST_DWELL))
         now = to
-    return np.clip(np.round(found[:steps]), low, high).astype(np.int64)
+    return np.asarray(np.clip(np.round(found[:steps]), low, high), dtype=np.int64)
 
 
 def round_rows(rows: Array, inputs: Numbers) -> tuple[Numbers, Numbers]:
