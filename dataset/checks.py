@@ -9,7 +9,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.tables import LogTable
-from zerodrift.dataset.times import write_local
+from zerodrift.dataset.time_units import write_local
 from zerodrift.dataset.units import read_unit
 
 Mask = NDArray[np.bool_]

@@ -13,7 +13,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import COLDEST_DEGC, HOTTEST_DEGC
 from zerodrift.dataset.guess_inputs import choose_codes, choose_inputs, write_column
 from zerodrift.dataset.guess_runs import LogFiles, SurveyedFile, choose_runs, find_runs
-from zerodrift.dataset.join import UNIX_S, propose_zone
+from zerodrift.dataset.join import propose_zone
 from zerodrift.dataset.roles import (
     INPUT,
     OUTPUT,
@@ -27,7 +27,7 @@ from zerodrift.dataset.roles import (
 )
 from zerodrift.dataset.sampling import look_at_sampling
 from zerodrift.dataset.survey import Times, words
-from zerodrift.dataset.time_units import FASTEST_S, SLOWEST_S, read_time_unit
+from zerodrift.dataset.time_units import FASTEST_S, SLOWEST_S, is_unix, read_time_unit
 from zerodrift.dataset.units import read_unit, strip_unit
 
 FULL_SCALE_STEPS = (1.0, 2.0, 5.0, 10.0)
@@ -281,7 +281,7 @@ def _choose_zone(timed: Sequence[tuple[SurveyedFile, Times]]) -> str:
         times
         for _, times in timed
         if times.clock.kind == "zoned"
-        or (times.clock.kind == "number" and UNIX_S[0] < times.seconds[0] < UNIX_S[1])
+        or (times.clock.kind == "number" and is_unix(times.seconds[0]))
     ]
     return propose_zone(local[0].seconds, utc[0].seconds) if local and utc else ""
 

@@ -18,10 +18,8 @@ from zerodrift.dataset.resample import find_gaps
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.sampling import COARSEST
 from zerodrift.dataset.tables import LogTable
-from zerodrift.dataset.times import write_local
+from zerodrift.dataset.time_units import is_unix, write_local
 
-UNIX_S = (1e8, 1e11)
-"""Seconds of this size count from 1970: 1973 to 5138."""
 QUARTER_S = 900.0
 """Zones differ by whole quarters of an hour."""
 ONE_CLOCK = (
@@ -122,7 +120,7 @@ def _tell_scale(config: Config, table: LogTable) -> str:
         return "own"
     if clock.kind == "number":
         first = float(table.columns[config.time_column][0])
-        return "utc" if UNIX_S[0] < first < UNIX_S[1] else "own"
+        return "utc" if is_unix(first) else "own"
     return "utc" if clock.is_absolute else "local"
 
 
@@ -198,4 +196,4 @@ def _explain_apart(config: Config, tables: Sequence[LogTable], label: str) -> st
 
 
 def _write(time_s: float) -> str:
-    return write_local(time_s) if UNIX_S[0] < time_s < UNIX_S[1] else f"{time_s:.10g} s"
+    return write_local(time_s) if is_unix(time_s) else f"{time_s:.10g} s"

@@ -20,7 +20,7 @@ from zerodrift.dataset.sampling import COARSEST, Sampling, look_at_sampling
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
 from zerodrift.dataset.shared_rows import KnownRun, Repeats, find_repeats
 from zerodrift.dataset.tables import LogTable, label_log
-from zerodrift.dataset.time_units import read_time_unit, refuse_unit, write_time
+from zerodrift.dataset.time_units import read_time_unit, refuse_unit, tell_time
 from zerodrift.dataset.units import are_alike, read_unit
 
 SMALL_SPAN_K = 2.0
@@ -197,7 +197,7 @@ def _note_stretches(
         times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
         notes.append(
             f"{who}: interrupted {times} (longest {length_s:.4g} s, after "
-            f"{write_time(time_s[longest])} s); not bridged, read as {len(stretches)} stretches"
+            f"{tell_time(time_s[longest])}); not bridged, read as {len(stretches)} stretches"
         )
     short = [stretch for stretch in stretches if stretch.steps < MIN_STEPS]
     if short:

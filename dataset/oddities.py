@@ -9,7 +9,7 @@ import numpy as np
 
 from zerodrift.base.config import Config
 from zerodrift.dataset.runs import Array, Run
-from zerodrift.dataset.time_units import write_time
+from zerodrift.dataset.time_units import tell_time
 
 UNIT_RATIOS = {
     1000.0: "one in thousandths of the other's unit",
@@ -112,7 +112,7 @@ def _tell_spikes(where: Sequence[tuple[Run, int]], column: str, what: str) -> li
     rows = "one row" if len(where) == 1 else f"{len(where)} rows, the first"
     return [
         f"'{column}' ({what}) jumps{height} and back in {rows} at "
-        f"{write_time(run.time_s[row])} s of {run.source.name}: if no sensor did that, take the "
+        f"{tell_time(run.time_s[row])} of {run.source.name}: if no sensor did that, take the "
         "row out"
     ]
 

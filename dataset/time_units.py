@@ -2,6 +2,8 @@
 
 import re
 
+import numpy as np
+
 from zerodrift.base.clock_config import TIME_UNITS
 from zerodrift.base.errors import InputError
 
@@ -14,6 +16,8 @@ _WORDS = {
     "h": ("h", "hr", "hrs", "hour", "hours"),
 }
 _UNIT_OF = {word: unit for unit, words in _WORDS.items() for word in words}
+UNIX_S = (1e8, 1e11)
+"""Seconds of this size count from 1970: 1973 to 5138."""
 _EPOCHS = (("ns", 1e17, 1e20), ("us", 1e14, 1e17), ("ms", 1e11, 1e14))
 """Times as large as this count from 1970 in these units: 1973 to 5138."""
 SLOWEST_S = 500.0
@@ -22,9 +26,26 @@ FASTEST_S = 0.002
 ALIKE = 0.02
 
 
+def is_unix(time_s: float) -> bool:
+    """Return whether seconds of this size count from 1970, and not from a log's begin."""
+    return UNIX_S[0] < time_s < UNIX_S[1]
+
+
+def write_local(time_s: float) -> str:
+    """Return seconds from 1970 as the date and time that they stand for."""
+    return str(np.datetime64(round(time_s), "s")).replace("T", " ")
+
+
 def write_time(time_s: float) -> str:
-    """Return a time in seconds with enough digits to be unambiguous, also for Unix times."""
+    """Return a time in seconds with enough digits to be unambiguous; a Unix time as a date."""
+    if is_unix(time_s):
+        return write_local(time_s)
     return f"{time_s:.6g}" if abs(time_s) < 1e5 else f"{time_s:.1f}".removesuffix(".0")
+
+
+def tell_time(time_s: float) -> str:
+    """Return the same with its unit."""
+    return write_time(time_s) + ("" if is_unix(time_s) else " s")
 
 
 def read_time_unit(column: str) -> str:

@@ -15,7 +15,7 @@ import polars as pl
 from zerodrift.base.clock_config import TIME_UNITS, TimeConfig, read_fixed_zone
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Array
-from zerodrift.dataset.time_units import read_time_unit
+from zerodrift.dataset.time_units import read_time_unit, write_local
 
 DAY_S = 86400.0
 HALF_DAY_S = DAY_S / 2
@@ -337,11 +337,6 @@ def _explain_repeated(label: str, zone: str, local_s: float, how: str) -> str:
         f"clock goes back in it {how}; expected it to go back once, which tells the two apart. If "
         "the clock was not put back, state a fixed zone such as +01:00; else split the log there."
     )
-
-
-def write_local(time_s: float) -> str:
-    """Return seconds from 1970 as the date and time that they stand for."""
-    return str(np.datetime64(round(time_s), "s")).replace("T", " ")
 
 
 def _unwrap_midnight(values: Array) -> Array:

@@ -34,7 +34,7 @@ from zerodrift.report.plot import (
     spread,
 )
 from zerodrift.report.thin import pick_rows, pick_spread
-from zerodrift.report.window import Window, choose_clock, find_rows
+from zerodrift.report.window import TimeAxis, Window, choose_clock, find_rows
 
 Array = NDArray[np.float64]
 
@@ -230,7 +230,7 @@ def draw_cause(
     first, last = float(trace.time_s[start]), float(trace.time_s[stop - 1])
     if view.window.from_s is not None and view.window.to_s is not None:
         first, last = view.window.from_s, view.window.to_s
-    bands = _list_bands(view, compared, clock.seconds)
+    bands = _list_bands(view, compared, clock)
     rows = start + pick_spread(stop - start, ROWS_READ)
     panels, places, curves = [], [], []
     is_narrow = width < NARROW
@@ -241,7 +241,7 @@ def draw_cause(
         title, unit, drawn = _list_lines(view, k, key, compared, units, read)
         kept = [pick_rows(y, start, stop, max(int(2.0 * width), 100)) for _, y in drawn]
         lines = tuple(
-            Curve(trace.time_s[r] / clock.seconds, np.asarray(y[r]), c.ink, c.name, c.dash, c.width)
+            Curve(clock.place(trace.time_s[r]), np.asarray(y[r]), c.ink, c.name, c.dash, c.width)
             for (c, y), r in zip(drawn, kept, strict=True)
         )
         floor = float(compared.outputs[view.output].noise_floor)
@@ -249,9 +249,9 @@ def draw_cause(
         around = (-floor, floor) if key == LEFT else ()
         is_last = number == len(view.panes) - 1
         x = AxisScale(
-            first / clock.seconds,
-            last / clock.seconds,
-            f"time on the log's clock, {clock.unit}",
+            clock.place(first),
+            clock.place(last),
+            clock.title,
             hidden=not is_last,
         )
         panels.append(
@@ -322,10 +322,10 @@ def _tell(values: Array, digits: int = 5) -> tuple[float, ...]:
     return tuple(float(f"{value:.{digits}g}") for value in np.asarray(values).tolist())
 
 
-def _list_bands(view: CauseView, compared: ComparisonSummary, seconds: float) -> tuple[Band, ...]:
+def _list_bands(view: CauseView, compared: ComparisonSummary, clock: TimeAxis) -> tuple[Band, ...]:
     """Return the worst segments of this run and output, numbered as tabled."""
     return tuple(
-        Band(segment.from_s / seconds, segment.to_s / seconds, str(number))
+        Band(clock.place(segment.from_s), clock.place(segment.to_s), str(number))
         for number, segment in enumerate(compared.worst, 1)
         if (segment.run, segment.output) == (view.trace.run, view.output)
     )
@@ -414,7 +414,7 @@ def _draw_scatter(
         f"{view.against.describe()}, {view.against.name_unit(units.get(view.against.channel, ''))}"
     )
     note = "does not move in these logs" if float(np.ptp(x)) == 0.0 else ""
-    heading = f"what is left of {view.output}, {unit}, against {view.against.describe()}"
+    heading = f"what is left of {view.output}, {unit}"  # against what, the axis says
     panel = Panel(
         left=0.0,
         top=0.0,

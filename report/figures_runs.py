@@ -111,7 +111,7 @@ def draw_run(
         rows = pick_rows(ghost, start, stop, most)
         drawn.append(
             go.Scatter(
-                x=trace.time_s[rows] / clock.seconds,
+                x=clock.place(trace.time_s[rows]),
                 y=ghost[rows].astype(np.float32),
                 name=f"{ghost_name}: this is what it would look like",
                 line={"color": HEATING, "width": 2.5, "dash": "dash"},
@@ -123,7 +123,7 @@ def draw_run(
     marks, shapes = _mark_worst(compared, trace.run, output, 0.0, clock)
     figure.add_traces([*drawn, *marks])
     figure.update_layout(shapes=[*shapes, *_mark_floor(float(told.noise_floor))])
-    figure.update_xaxes(title=f"time on the log's clock, {clock.unit}", row=2, col=1)
+    figure.update_xaxes(title=clock.title, row=2, col=1)
     # One axis for both rows, so that the cursor is shared.
     figure.update_traces(xaxis="x2")
     figure.update_layout(hovermode="x unified", hoversubplots="axis", xaxis={"visible": False})
@@ -131,7 +131,7 @@ def draw_run(
     figure.update_layout(height=520, xaxis2={"matches": None, "hoverformat": ".5~g"})
     figure.update_xaxes(showspikes=True, spikemode="across", spikethickness=1, spikecolor=FLOOR)
     if window.from_s is not None and window.to_s is not None:
-        figure.update_xaxes(range=[window.from_s / clock.seconds, window.to_s / clock.seconds])
+        figure.update_xaxes(range=[clock.place(window.from_s), clock.place(window.to_s)])
     return figure
 
 
@@ -169,7 +169,7 @@ def _draw_lines(
         kept = pick_rows(values, 0, values.size, most)
         drawn.append(
             go.Scatter(
-                x=(time_s[kept] / clock.seconds + offset_h).astype(np.float32),
+                x=(clock.place(time_s[kept]) + offset_h).astype(np.float32),
                 y=values[kept].astype(np.float32),
                 name=label,
                 legendgroup=label,
@@ -186,7 +186,7 @@ def _draw_lines(
     if wild.size:
         drawn.append(
             go.Scatter(
-                x=(trace.time_s[wild] / clock.seconds + offset_h).astype(np.float32),
+                x=(clock.place(trace.time_s[wild]) + offset_h).astype(np.float32),
                 y=trace.drift[k, wild].astype(np.float32),
                 name="outliers, hardly counted",
                 legendgroup="outliers",
@@ -209,7 +209,7 @@ def _mark_worst(
     for number, segment in enumerate(compared.worst, 1):
         if segment.run != run or segment.output != output:
             continue
-        x0, x1 = (end / clock.seconds + offset for end in (segment.from_s, segment.to_s))
+        x0, x1 = (clock.place(end) + offset for end in (segment.from_s, segment.to_s))
         shapes.append(shade(x0, x1, "x2", "y2"))
         # A point to hover over, since a shape tells nothing.
         marks.append(

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 
+from zerodrift.dataset.time_units import is_unix, write_time
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.diagnosis.diagnosis import Diagnosis, write_probability
 from zerodrift.diagnosis.history import Step
@@ -149,14 +150,16 @@ def tabulate_worst(compared: ComparisonSummary) -> Table:
             s.run,
             s.output,
             s.pattern,
-            f"{s.from_s:.6g}",
-            f"{s.to_s:.6g}",
+            write_time(s.from_s),
+            write_time(s.to_s),
             f"{write_number(s.rmse, 3)} {units[s.output]}",
             f"{s.mean_error:+.3g} {units[s.output]}".replace("-", "−"),
         )
         for number, s in enumerate(compared.worst, 1)
     )
-    headings = ("#", "run", "output", "what was going on", "from, s", "to, s", "RMSE", "mean error")
+    dated = any(is_unix(s.from_s) for s in compared.worst)
+    ends = ("from", "to") if dated else ("from, s", "to, s")
+    headings = ("#", "run", "output", "what was going on", *ends, "RMSE", "mean error")
     return Table("Worst segments", headings, rows, texts=4)
 
 
@@ -201,8 +204,8 @@ def tabulate_parts(parts: Sequence[ReportPart], unit: str) -> Table:
     rows = tuple(
         (
             part.run,
-            write_number(part.from_s, 6),
-            write_number(part.to_s, 6),
+            write_time(part.from_s),
+            write_time(part.to_s),
             write_number(part.temperature_degC),
             write_number(part.measured),
             write_number(part.model),
@@ -211,8 +214,10 @@ def tabulate_parts(parts: Sequence[ReportPart], unit: str) -> Table:
         )
         for part in parts
     )
+    dated = any(is_unix(part.from_s) for part in parts)
+    ends = ("from", "to") if dated else ("from, s", "to, s")
     headings = (
-        *("run", "from, s", "to, s", "mean temperature, degC", f"mean drift, {unit}"),
+        *("run", *ends, "mean temperature, degC", f"mean drift, {unit}"),
         *(f"mean of model, {unit}", f"mean of what is left, {unit}", f"its RMS, {unit}"),
     )
     return Table("Along the runs, as a table", headings, rows, note="Equal parts of each run.")

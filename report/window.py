@@ -1,9 +1,12 @@
 """What part of a run is shown, and in which unit of time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import overload
 
 import numpy as np
+from numpy.typing import NDArray
 
+from zerodrift.dataset.time_units import is_unix, write_local
 from zerodrift.report.findings import Trace
 
 
@@ -19,11 +22,27 @@ class Window:
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """The unit of a time axis."""
+    """The unit of a time axis, and where it begins."""
 
     unit: str
     seconds: float
     """One unit."""
+    from_s: float = 0.0
+    """Zero of the axis on the log's clock: a clock of dates is told from the run's first row."""
+
+    @property
+    def title(self) -> str:
+        """What stands below the axis."""
+        since = f"since {write_local(self.from_s)}" if self.from_s else "on the log's clock"
+        return f"time {since}, {self.unit}"
+
+    @overload
+    def place(self, time_s: float) -> float: ...
+    @overload
+    def place(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def place(self, time_s: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+        """Return where times on the log's clock lie."""
+        return (time_s - self.from_s) / self.seconds
 
 
 HOURS = TimeAxis("h", 3600.0)
@@ -32,9 +51,11 @@ LONGEST_IN_UNITS = 300.0
 
 
 def choose_clock(trace: Trace) -> TimeAxis:
-    """Return the unit in which a run's time reads best."""
-    length_s = float(trace.time_s[-1] - trace.time_s[0])
-    return next((c for c in CLOCKS if length_s <= LONGEST_IN_UNITS * c.seconds), HOURS)
+    """Return the unit in which a run's time reads best, and its zero."""
+    first_s = float(trace.time_s[0])
+    length_s = float(trace.time_s[-1]) - first_s
+    axis = next((c for c in CLOCKS if length_s <= LONGEST_IN_UNITS * c.seconds), HOURS)
+    return replace(axis, from_s=first_s) if is_unix(first_s) else axis
 
 
 def find_rows(trace: Trace, window: Window) -> tuple[int, int]:

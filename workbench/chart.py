@@ -94,6 +94,7 @@ def draw_wish(place: Workplace, wish: PictureWish, *, hides: bool) -> DrawnPictu
         is_whole=view.window.from_s is None,
         seconds=clock.seconds,
         clock=clock.unit,
+        from_s=clock.from_s,
         sheet=Sheet(table.headings, table.rows, table.texts),
     )
 

@@ -7,6 +7,7 @@ from dash import html
 from dash.development.base_component import Component
 
 from zerodrift.base.records import to_dict
+from zerodrift.dataset.time_units import tell_time, write_time
 from zerodrift.diagnosis.comparison_summary import WorstSegment
 from zerodrift.diagnosis.held_out import TEST_LOGS
 from zerodrift.diagnosis.history import Step
@@ -73,8 +74,8 @@ def show_segments(findings: Findings, *, hides: bool = False) -> list[Component]
     for number, segment in enumerate(compared.worst, 1):
         unit = compared.outputs[segment.output].unit
         words = (
-            f"{number}. {segment.run}, {segment.output}, {segment.from_s:.6g} to "
-            f"{segment.to_s:.6g} s"
+            f"{number}. {segment.run}, {segment.output}, {write_time(segment.from_s)} to "
+            f"{tell_time(segment.to_s)}"
         )
         part = to_dict(find_part(findings, segment))
         items.append(

@@ -178,7 +178,7 @@ def _choose(
     propose = Offer("propose", "Look for a formula")
     if diagnosis.verdict == "unknown" and diagnosis.wrong_runs and findings.firmware is None:
         runs = diagnosis.tell_wrong_runs()
-        reason = f"The data of {runs} look wrong, as the notes say: mend them or leave them out."
+        reason = f"The data of {runs} look wrong, as is said above: mend them or leave them out."
         return "diagnose", Offer("look", "Look again"), reason, (propose, *plan, firmware)
     if diagnosis.verdict == "unknown" and not standing.proposed and findings.firmware is None:
         reason = (

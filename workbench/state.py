@@ -76,6 +76,8 @@ class DrawnPicture:
     seconds: float
     """One unit of the time axis."""
     clock: str
+    from_s: float
+    """Zero of the time axis, on the log's clock."""
     sheet: Sheet
     note: str = field(default="")
 

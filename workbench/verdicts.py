@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dash import html
 from dash.development.base_component import Component
 
+from zerodrift.diagnosis.data_notes import LIMITS
 from zerodrift.diagnosis.diagnosis import CandidateReport
 from zerodrift.diagnosis.explained import DETAIL, ExplainedDiagnosis
 from zerodrift.diagnosis.strength import WEAK, rate_strength
@@ -16,6 +17,8 @@ from zerodrift.report.report import list_notes
 from zerodrift.report.verdict import explain_candidate, write_headline
 from zerodrift.workbench.panels import show_picture, show_table
 
+MOST_WRONG = 6
+"""Notes of wrong data that stand below the verdict; all of them are among what it rests on."""
 MOST_CARDS = 4
 """Candidates that are told in full; the table has all."""
 
@@ -44,6 +47,8 @@ def show_verdict(
         html.P(label, className="kicker"),
         html.P(headline.sentence, className="sentence", id="verdict-sentence"),
     ]
+    wrong = [note for note in findings.reviewed if note.kind not in LIMITS]
+    parts += [html.P(f"{note.write()}.", className="wrong") for note in wrong[:MOST_WRONG]]
     sentences = explained.sentences if explained else ()
     notes = [html.P(s.text, className="note") for s in sentences if s.role == DETAIL]
     notes += [html.P(f"Note: {note}", className="note") for note in list_notes(findings)]

@@ -1,6 +1,7 @@
 """Pictures are exact where it counts: places, ticks, peaks, and words for those who cannot see."""
 
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -29,7 +30,8 @@ from zerodrift.report.plot import (
     list_round_ticks,
 )
 from zerodrift.report.svg import render_svg, write_style
-from zerodrift.report.window import Window
+from zerodrift.report.tables import tabulate_worst
+from zerodrift.report.window import Window, choose_clock
 
 
 def draw_one(curve, x=None, y=None):
@@ -193,3 +195,26 @@ def test_nothing_stands_outside_of_the_picture(long_run, width):
     text = render_svg(drawn.picture)
     assert "thermal_lag would explain" in text
     assert re.search(r"heating.*cooling", text)
+
+
+@pytest.mark.parametrize(
+    ("begin_s", "title", "first"),
+    [
+        (0.0, "time on the log's clock, min", 0.0),
+        (120.0, "time on the log's clock, min", 2.0),
+        (1772352000.0, "time since 2026-03-01 08:00:00, min", 0.0),
+    ],
+)
+def test_a_clock_of_dates_is_told_from_the_runs_first_row(begin_s, title, first):
+    flat = np.zeros(900)
+    trace = make_trace(flat, flat, temperature=flat, load=flat)
+    trace = replace(trace, time_s=trace.time_s + begin_s)
+    axis = choose_clock(trace)
+    assert axis.title == title
+    assert axis.place(trace.time_s)[[0, 60]].tolist() == [first, first + 1.0]
+    worst = WorstSegment("run", "Fz", begin_s, begin_s + 60.0, 1.0, "", 0.5)
+    table = tabulate_worst(make_comparison((worst,)))
+    dated = begin_s > 1e8
+    assert table.headings[4:6] == (("from", "to") if dated else ("from, s", "to, s"))
+    ends = ("2026-03-01 08:00:00", "2026-03-01 08:01:00")
+    assert table.rows[0][4:6] == (ends if dated else (f"{begin_s:g}", f"{begin_s + 60.0:g}"))

@@ -1,6 +1,7 @@
 """Every verdict has its words and its buttons; nobody needs colour to read it."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -10,6 +11,7 @@ import numpy as np
 from tests.report.conftest import make_findings, make_trace
 from tests.report.test_verdict import rate, told
 
+from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.explained import HEADLINE, ExplainedDiagnosis, Sentence
 from zerodrift.report.window import Window
 from zerodrift.workbench.chart import MOVES, choose_window, move_window
@@ -52,6 +54,18 @@ def test_notes_of_logs_and_diagnosis_are_shown():
     text = read(show_verdict(find(diagnosed), diagnosing=False, hides=False)[1])
     assert "Note: rows were set aside" in text
     assert "Note: one run holds 80 % of the error" in text
+
+
+def test_wrong_data_stand_below_the_verdict_and_limits_of_test_logs_do_not():
+    wrong, limit = DataNote("run_3", "t", (0, 9), "fahrenheit", "looks like degF"), "too_short"
+    findings = replace(
+        find(told("unknown")),
+        reviewed=(wrong, DataNote("test_1", "t", (0, 9), limit, "has 9 rows")),
+    )
+    _, parts = show_verdict(findings, diagnosing=False, hides=False)
+    shown = read(parts[:-1])  # without what is folded
+    assert "run run_3, column t, rows 0 to 9: looks like degF." in shown
+    assert "has 9 rows" not in shown
 
 
 def test_guess_comes_before_the_verdict():

@@ -195,7 +195,7 @@
     if (cursor === null) { return; }
     const table = document.createElement("table");
     const s = now.cause.times_s[cursor];
-    const rows = [["time", write(s / now.seconds) + " " + now.clock], ...now.cause.curves.map((curve) => [curve.name, write(curve.values[cursor]) + " " + curve.unit])];
+    const rows = [["time", write((s - now.from_s) / now.seconds) + " " + now.clock], ...now.cause.curves.map((curve) => [curve.name, write(curve.values[cursor]) + " " + curve.unit])];
     rows.forEach(([name, value]) => {
       const row = table.insertRow();
       row.insertCell().textContent = name;

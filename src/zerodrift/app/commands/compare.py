@@ -24,7 +24,7 @@ from zerodrift.app.commands.console import (
 )
 from zerodrift.app.commands.predictors import KINDS
 from zerodrift.base.extras import PAGE, require
-from zerodrift.dataset.time_units import write_time
+from zerodrift.dataset.time_units import is_unix, write_time
 from zerodrift.diagnosis.segments import MOST_SEGMENTS
 
 if TYPE_CHECKING:
@@ -204,10 +204,11 @@ def _print_failures(comparison: "Comparison", console: "Console") -> None:
         console.print("  no pattern found that holds on runs left out.")
     if not failures.worst:
         return
+    dated = any(is_unix(s.from_s) for s in failures.worst)
     table = open_table(
         "Worst segments",
         ("run", "output", "what was going on"),
-        ("from s", "to s", "RMSE", "mean"),
+        (*(("from", "to") if dated else ("from s", "to s")), "RMSE", "mean"),
     )
     units = dict(zip(comparison.outputs, comparison.units, strict=True))
     for s in failures.worst:
