@@ -61,7 +61,7 @@ MARKS = (
     StepMark("gru int8", "cortex-m0plus", ("-O2",), None),
     StepMark("lstm int16", "cortex-m4", ("-O2",), 1856),
     StepMark("lstm int16", "cortex-m4", ("-Os",), None),
-    StepMark("lstm int16", "cortex-m0plus", ("-O2",), None),
+    StepMark("lstm int16", "cortex-m0plus", ("-O2",), 8320),
     StepMark("lstm int8", "cortex-m4", ("-O2",), 2400),
     StepMark("lstm int8", "cortex-m4", ("-Os",), None),
     StepMark("gru int16", "cortex-m55", ("-O2",), 750),

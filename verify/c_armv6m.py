@@ -90,6 +90,45 @@ def write_gru_before(
     yield from _tables(small)
 
 
+def write_lstm(
+    name: str, sizes: tuple[int, int], shifts: Sequence[int], bits: int, small: bool
+) -> Iterator[str]:
+    """The LSTM with 16-bit weights, of so many inputs and units and bits of the cell state."""
+    inputs, hidden = sizes
+    end_x = 12 + 8 * ((inputs + 1) // 2)
+    frame = end_x + 8 * ((hidden + 1) // 2)
+    all_four = ("r8", "r9", "r10", "r11")
+    yield from _enter(name, frame)
+    yield from ("str r3, [sp, #4]", "str r1, [sp, #8]")
+    yield from _pack(inputs, hidden, 12)
+    yield from ("3:", "ldm r0!, {r1-r4}", *(f"mov {s}, r{k}" for k, s in enumerate(all_four, 1)))
+    yield "add r1, sp, #12"
+    yield from _dot_of_words((inputs + 1) // 2, all_four, end_x, "4")
+    yield from _dot_of_words((hidden + 1) // 2, all_four, frame, "5")
+    yield from ("movs r7, #1", "lsls r7, r7, #30", "mov r1, r10")
+    yield from _then_tanh(shifts[2])
+    yield from ("mov r10, r1", "mov r1, r8")
+    yield from _then_tanh(shifts[0])
+    yield from ("adds r2, r7, r1", "mov r1, r10", "bl 7f")
+    yield from (f"adds r1, #{1 << (29 - bits)}", f"asrs r1, r1, #{30 - bits}", "mov r8, r1")
+    yield "mov r1, r11"
+    yield from _then_tanh(shifts[3])
+    yield from ("adds r2, r7, r1", "mov r11, r2", "mov r1, r9")
+    yield from _then_tanh(shifts[1])
+    yield from ("ldr r6, [sp, #4]", f"ldr r3, [sp, #{frame + 36}]", "cmp r3, #0", "bne 11f")
+    yield from ("adds r2, r7, r1", "ldr r1, [r6]")
+    yield from ("bl 7f", "add r1, r8", *CELL_IN_TIME, "13:", "stm r6!, {r1}", "str r6, [sp, #4]")
+    yield from ("movs r2, #1", f"lsls r2, r2, #{bits - 17}", "adds r1, r1, r2")
+    yield from _then_tanh(bits - 16)
+    yield from ("mov r2, r11", "bl 7f", "lsls r1, r1, #1", "ldr r6, [sp, #8]", "stm r6!, {r1}")
+    yield from ("str r6, [sp, #8]", "ldr r1, [sp]", "cmp r6, r1", "beq 8f", "b 3b", "8:")
+    yield from _leave(frame)
+    yield from CELL_TOWARDS_REST
+    yield from _tanh(small)
+    yield from HIGH_PRODUCT
+    yield from _tables(small)
+
+
 def _enter(name: str, frame: int) -> Iterator[str]:
     yield from (".syntax unified", f".set zd_stack_{name}, {frame + 36}", "push {r4-r7, lr}")
     yield from (f"mov r{k}, r{k + 4}" for k in range(4, 8))
@@ -161,6 +200,26 @@ HIGH_PRODUCT = (
     *("muls r1, r4, r1", "muls r3, r4, r3", "uxth r5, r2", "adds r1, r1, r5"),
     *("asrs r2, r2, #16", "asrs r1, r1, #16", "adds r1, r1, r2", "adds r1, r1, r3", "bx lr"),
 )
+CELL_IN_TIME = (
+    *("lsrs r2, r7, #1", "subs r1, r1, r2", "asrs r3, r1, #31", "ands r1, r1, r3"),
+    *("adds r1, r1, r2", "adds r1, r1, r2", "asrs r3, r1, #31", "bics r1, r1, r3"),
+    *("subs r1, r1, r2", "lsls r1, r1, #1"),
+)
+"""Limited to 2^29 on either side, then doubled."""
+CELL_TOWARDS_REST = (
+    *("11:", "subs r7, r7, r1", "ldr r1, [r6]", "mov r2, r7", "bl 7f", "mov r2, r8"),
+    *("subs r1, r2, r1", "movs r3, #0", "movs r4, #1", "lsls r4, r4, #30"),
+    *("12:", "subs r5, r7, r4", "asrs r5, r5, #31", "subs r3, r3, r5", "lsrs r4, r4, #1"),
+    *("lsrs r5, r4, #16", "bne 12b", "movs r4, #1", "lsls r4, r4, r3", "ldr r2, [r6]"),
+    *("movs r5, #1", "lsls r5, r5, #30", "subs r2, r2, r5", "movs r3, r1", "muls r3, r4, r3"),
+    *("adds r3, r3, r2", "uxth r5, r1", "muls r5, r4, r5", "uxth r7, r2", "adds r5, r5, r7"),
+    *("lsrs r5, r5, #16", "asrs r1, r1, #16", "muls r1, r4, r1", "asrs r2, r2, #16"),
+    *("adds r1, r1, r2", "adds r1, r1, r5", "asrs r1, r1, #16", "asrs r2, r1, #31"),
+    *("ands r3, r3, r2", "ands r1, r1, r2", "movs r2, #0", "movs r4, #1", "lsls r4, r4, #31"),
+    *("adds r3, r3, r4", "adcs r1, r1, r2", "asrs r1, r1, #31", "bics r3, r3, r1"),
+    *("lsrs r4, r4, #1", "subs r1, r3, r4", "b 13b"),
+)
+"""By a quarter to half of the distance, limited to 2^30 on either side."""
 
 
 def _then_tanh(shift: int) -> Iterator[str]:
@@ -184,10 +243,13 @@ def _dot_of_words(pairs: int, totals: Sequence[str], end: int, label: str) -> It
     if blocks > 1:
         yield from ("cmp r1, lr", f"bne {label}b")
     if pairs % 2:
-        last = f"r4-r{3 + len(totals)}" if len(totals) > 1 else "r4"
-        yield from ("ldm r1!, {r2, r3}", f"ldm r0!, {{{last}}}")
-        for k, total in enumerate(totals, 4):
-            yield from _mac_pair(f"r{k}", "r2", "r3", "r7", total)
+        yield "ldm r1!, {r2, r3}"
+        for some in (totals[:3], totals[3:]):
+            if some:
+                last = f"r4-r{3 + len(some)}" if len(some) > 1 else "r4"
+                yield f"ldm r0!, {{{last}}}"
+            for k, total in enumerate(some, 4):
+                yield from _mac_pair(f"r{k}", "r2", "r3", "r7", total)
 
 
 def _mac_pair(w: str, a: str, b: str, free: str, total: str) -> Iterator[str]:

@@ -139,6 +139,9 @@ def _require_known(
     elif (layer.type, core) == ("zd_gru_bytes_t", 7):
         scales = [layer.fields["multiplier_shift"].value(g).low for g in range(3)]
         found = c_armv7em.write_gru_of_bytes(known_shape, scales)
+    elif (layer.type, core) == ("zd_lstm_pairs_t", 6):
+        bits = layer.fields["cell_bits"].value(0).low
+        found = c_armv6m.write_lstm(name, (inputs, hidden), shifts, bits, small)
     elif (layer.type, core) == ("zd_lstm_pairs_t", 7):
         bits = layer.fields["cell_bits"].value(0).low
         found = c_armv7em.write_lstm(known_shape, bits)

@@ -160,6 +160,13 @@ class Curves:
                 return curve
         return terms.add(terms.call(TANH, [curve.base]), offset)
 
+    def overflows(self, word: WordCurve, by: int) -> bool:
+        """Return whether a shift to the left leaves 32 bits on a piece, of what has a limit."""
+        ends = [self.words.signed(v) for v in word.values]
+        limited = any(v.exact is None for v in ends) and any(v.exact is not None for v in ends)
+        most = 1 << (31 - by) if by < 32 else 0
+        return limited and any(v.low < -most or v.high >= most for v in ends)
+
     def settle(self, word: Word) -> Whole:
         """Return a word as a term.
 

@@ -11,18 +11,19 @@ from zerodrift.verify.prove_terms import UndecidedError, Whole
 Flag: TypeAlias = Callable[[], Word]
 
 
-def _unknown() -> Word:
-    raise UndecidedError("a flag that nothing has set")
+def unknown() -> Word:
+    """Of a flag that is asked for: there is no rule for it."""
+    raise UndecidedError("a flag that nothing has set, or that has no rule")
 
 
 @dataclass(frozen=True)
 class Flags:
     """How to find each flag, 0 or 1."""
 
-    n: Flag = _unknown
-    z: Flag = _unknown
-    c: Flag = _unknown
-    v: Flag = _unknown
+    n: Flag = unknown
+    z: Flag = unknown
+    c: Flag = unknown
+    v: Flag = unknown
 
     def hold(self, condition: int, curves: Curves) -> Word:
         """Return whether a condition holds.

@@ -6,7 +6,7 @@ has no rule, and every branch that hangs on a number that is not known, ends the
 
 from zerodrift.verify.object_code import decode
 from zerodrift.verify.object_curves import TABLE, WIDE, Curves, Word, WordCurve
-from zerodrift.verify.object_flags import Flag, Flags, set_flags
+from zerodrift.verify.object_flags import Flag, Flags, set_flags, unknown
 from zerodrift.verify.object_image import Image
 from zerodrift.verify.object_instruction import LR, PC, SP, Instruction
 from zerodrift.verify.object_memory import LOWEST, ObjectMemory
@@ -119,6 +119,11 @@ class ObjectMachine:
     def _whole(self, k: int) -> Whole:
         return self.curves.settle(self._read(k))
 
+    def _settle(self, k: int) -> Whole:
+        """Return a register as a term, and hold it as that from now on."""
+        word = self._read(k)
+        return self._settle_word(word) if isinstance(word, WordCurve) else word
+
     def _write(self, k: int, value: Word) -> None:
         if k == SP:
             area, at = self.memory._find(self.curves.settle(value))
@@ -207,7 +212,7 @@ class ObjectMachine:
                 self._write(one.n, after)
             self._write(one.d, value)
             return
-        place, value = self.curves.settle(address), self._whole(one.d)
+        place, value = self.curves.settle(address), self._settle(one.d)
         if one.back:
             self._write(one.n, after)
         self.memory.store(place, size, value, self.floor)
@@ -235,7 +240,7 @@ class ObjectMachine:
         places = [self.terms.add(base, self.words.number(4 * k)) for k in range(count)]
         if one.name != "ldm":
             for k, place in zip(one.registers, places, strict=True):
-                self.memory.store(place, 4, self._whole(k), self.floor)
+                self.memory.store(place, 4, self._settle(k), self.floor)
         else:
             values = [self._load(place, 4, False, False) for place in places]
             for k, value in zip(one.registers, values, strict=True):
@@ -252,9 +257,26 @@ class ObjectMachine:
     def _shift(self, word: Word, kind: str, by: int) -> Word:
         if by == 0:
             return word
-        if kind == "asr" and by >= 31 and isinstance(word, Whole) and word.exact is None:
-            word = self._lift(word)
+        if kind == "asr" and by >= 31:
+            word = self._find_sign(word, by)
+        elif kind == "lsl" and isinstance(word, WordCurve) and self.curves.overflows(word, by):
+            word = self._settle_word(word)
         return self.parts.shift(word, kind, by)
+
+    def _settle_word(self, word: WordCurve) -> Whole:
+        """Return a curve as a term; a register that holds it holds the term from now on."""
+        whole = self.curves.settle(word)
+        self.registers = [whole if r is word else r for r in self.registers]
+        return whole
+
+    def _find_sign(self, word: Word, by: int) -> Word:
+        """Return a word as a curve of which each piece has one sign, as far as there is one."""
+        if isinstance(word, WordCurve):
+            signs = self.parts.shift(word, "asr", by)
+            if isinstance(signs, Whole) or all(v.exact is not None for v in signs.values):
+                return word
+            word = self._settle_word(word)
+        return word if word.exact is not None else self._lift(word)
 
     def _lift(self, word: Whole) -> Word:
         """Return a word of which a mask of its sign is made, as a curve."""
@@ -348,8 +370,10 @@ class ObjectMachine:
     def _shift_by_register(self, one: Instruction) -> None:
         words, by = self.words, self._whole(one.m)
         amount = words.residue(by, 8, False).exact
-        if amount is None and one.shift == "lsl" and not one.sets:
+        if amount is None and one.shift == "lsl":
             total: Word = words.shift_left_by(self._whole(one.n), by)
+            if one.sets:
+                self.flags = set_flags(self.curves, total, unknown, self.flags.v)
         elif amount is None or (one.sets and not 0 < amount < 32) or amount > 31:
             raise UndecidedError("a shift by what is not known")
         else:

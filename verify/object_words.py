@@ -44,6 +44,16 @@ class WordTerms(Terms):
             return super()._shift(self.add(below, self.scale(rest, 1 << 16)), by + 16)
         return super()._shift(a, by)
 
+    def _extremum(self, kind: str, a: Whole, b: Whole) -> Whole:
+        """Return an end of a term and a number: of the term without its constant, + that."""
+        if a.exact is not None:
+            a, b = b, a
+        if b.exact is None or a.exact is not None or (constant := self.split(a)[0]) == 0:
+            return super()._extremum(kind, a, b)
+        moved = self.constant(constant)
+        found = super()._extremum(kind, self.subtract(a, moved), self.subtract(b, moved))
+        return self.add(found, moved)
+
     def _is_half(self, number: int) -> bool:
         atom = self.atom(number)
         return atom.kind == "shift" and atom.inner[1] == 16

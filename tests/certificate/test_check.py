@@ -402,6 +402,10 @@ LSTM_FAULTS: dict[str, tuple[str, str]] = {
     "another gate's shift": (r"ssat r4, #20, r4, asr #(\d)", r"ssat r4, #20, r4, asr #1\1"),
     "order of the weights": (r"smlad r2, r5, r9, r2", "smlad r2, r5, r10, r2"),
     "relaxing in time": (r"cbnz r6, 3f", "cbz r6, 3f"),
+    "the lower limit of the smallest cores": (r"bics r1, r1, r3", "ands r1, r1, r3"),
+    "a doubling less on the smallest cores": (r"lsrs r5, r4, #16", "lsrs r5, r4, #17"),
+    "another gate on the smallest cores": (r"mov r1, r11", "mov r1, r9"),
+    "rounding of i g on the smallest cores": (r"adds r1, #(\d+)", r"adds r1, #1\1"),
     "another's stream": (
         r"lstm_assembly\(lstm\.stream, h_q30, x, cell",
         r"lstm_assembly(lstm.stream, cell, x, h_q30",

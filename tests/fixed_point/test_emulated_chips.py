@@ -63,6 +63,8 @@ QUICK = {
     ("cortex-m4", "everything"),
     ("cortex-m4", "int8 before"),
     ("cortex-m0plus", "before"),
+    ("cortex-m0plus", "lstm"),
+    ("cortex-m0plus", "stack of lstms"),
     ("cortex-m4", "before"),
     ("cortex-m4", "int8"),
     ("cortex-m4", "int8, stack"),
@@ -114,7 +116,7 @@ def test_chip_equals_reference(core: str, shape: str, tmp_path: Path) -> None:
     ("core", "shape"),
     [
         *(("cortex-m4", s) for s in SHAPES if s.startswith(("before", "int8, ", "lstm", "stack"))),
-        *(("cortex-m0plus", s) for s in ("before", "before, stack")),
+        *(("cortex-m0plus", s) for s in ("before", "before, stack", "lstm", "stack of lstms")),
     ],
 )
 @pytest.mark.parametrize(
@@ -151,18 +153,42 @@ def test_layers_that_are_assembly_alone_are_the_same_in_every_build(
 def test_an_lstm_of_8_bits_is_the_same_at_any_size_by_any_compiler(
     hidden: int, inputs: int, flags: tuple[str, ...], tmp_path: Path
 ) -> None:
+    check_lstm("int8", "cortex-m4", (hidden, inputs), flags, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "inputs"),
+    [
+        (1, 1),
+        (2, 3),
+        (17, 8),
+        *(pytest.param(h, i, marks=pytest.mark.slow) for h, i in ((64, 5), (127, 3), (128, 32))),
+    ],
+)
+@pytest.mark.parametrize("flags", [("-O2",), ("-Os",)])
+def test_an_lstm_on_the_smallest_cores_is_the_same_at_any_size_by_any_compiler(
+    hidden: int, inputs: int, flags: tuple[str, ...], tmp_path: Path
+) -> None:
+    check_lstm("int16", "cortex-m0plus", (hidden, inputs), flags, tmp_path)
+
+
+def check_lstm(
+    weights: str, core: str, sizes: tuple[int, int], flags: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Hold an LSTM of so many units and inputs against the reference, by every compiler."""
+    hidden, inputs = sizes
     layers = (("lstm", hidden, (0,)),)
     model = draw_model(
-        Shape(weights="int8", inputs=inputs, layered=layers, gain=4.0, forget_bias=4.0), 31
+        Shape(weights=weights, inputs=inputs, layered=layers, gain=4.0, forget_bias=4.0), 31
     )
     codes = draw_codes(len(model.channels))[::6].astype(model.code_type)
     expected = {s: Reference(model).run(codes[None], settled=s) for s in (True, False)}
     code = generate(model)
-    assert "zd_lstm_bytes_t" in code.source
-    for compiler in find_cross_compilers("cortex-m4"):
+    assert ("zd_lstm_bytes_t" if weights == "int8" else "zd_lstm_pairs_t") in code.source
+    for compiler in find_cross_compilers(core):
         folder = tmp_path / compiler.name
         folder.mkdir()
-        chip = EmulatedModel(model, code, "cortex-m4", folder, flags, compiler)
+        chip = EmulatedModel(model, code, core, folder, flags, compiler)
         for settled, answer in expected.items():
             drift, flagged = chip.run(codes, settled=settled)
             np.testing.assert_array_equal(drift, answer.drift[0])
@@ -181,7 +207,11 @@ COUNTED = {
 
 @pytest.mark.parametrize("flags", [("-O2",), ("-Os",)])
 @pytest.mark.parametrize(
-    ("core", "shape"), [*(("cortex-m4", s) for s in COUNTED), ("cortex-m0plus", "before")]
+    ("core", "shape"),
+    [
+        *(("cortex-m4", s) for s in COUNTED),
+        *(("cortex-m0plus", s) for s in ("before", "lstm")),
+    ],
 )
 def test_instruction_count_of_other_layers_does_not_depend_on_the_data(
     core: str, shape: str, flags: tuple[str, ...], tmp_path: Path
@@ -266,6 +296,7 @@ LARGE = {
         ("cortex-m4", "lstm", 1728),
         ("cortex-m4", "before", 1400),
         ("cortex-m0plus", "before", 7200),
+        ("cortex-m0plus", "lstm", 8320),
         ("cortex-m4", "int8", 1900),
         ("cortex-m4", "lstm, int8", 2400),
     ],

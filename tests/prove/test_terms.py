@@ -4,6 +4,7 @@ import random
 
 import pytest
 
+from zerodrift.verify.object_words import WordTerms
 from zerodrift.verify.prove_terms import Terms, UndecidedError, Whole
 
 LOW, HIGH = -9, 9
@@ -38,8 +39,8 @@ def evaluate(terms: Terms, term: Whole, values: dict[str, int]) -> int:
 class Draw:
     """A random term, and the same thing computed with numbers."""
 
-    def __init__(self, seed: int) -> None:
-        self.rng, self.terms = random.Random(seed), Terms()
+    def __init__(self, seed: int, terms: Terms | None = None) -> None:
+        self.rng, self.terms = random.Random(seed), terms or Terms()
         self.names = ["a", "b", "c"]
         self.ends = {}
         for name in self.names:
@@ -114,9 +115,10 @@ class Draw:
         return terms.choose(u, own, once)
 
 
+@pytest.mark.parametrize("make", [Terms, WordTerms])
 @pytest.mark.parametrize("seed", range(40))
-def test_normal_forms_keep_their_value_and_range(seed: int) -> None:
-    draw = Draw(seed)
+def test_normal_forms_keep_their_value_and_range(seed: int, make: type[Terms]) -> None:
+    draw = Draw(seed, make())
     for _ in range(60):
         term, compute = draw.draw(4)
         for _ in range(8):
@@ -132,6 +134,16 @@ def test_clamp_of_c_is_the_specifications() -> None:
     assert draw._clamp_as_c(x, low, high) is draw.terms.clamp(x, low, high)
     moved = draw.terms.add(x, draw.terms.constant(3))
     assert draw._clamp_as_c(moved, low, high) is draw.terms.clamp(moved, low, high)
+
+
+def test_clamp_of_a_distance_is_the_clamp_of_what_it_is_from() -> None:
+    """max(min(x - 12, 0) + 19, 0) - 7, as a core without a limit of its own computes it."""
+    terms = WordTerms()
+    x, zero = terms.symbol("x", -100, 100), terms.constant(0)
+    below = terms.minimum(terms.subtract(x, terms.constant(12)), zero)
+    limited = terms.maximum(terms.add(below, terms.constant(19)), zero)
+    wanted = terms.clamp(x, terms.constant(-7), terms.constant(12))
+    assert terms.subtract(limited, terms.constant(7)) is wanted
 
 
 def test_step_towards_a_target_stays_between_the_two() -> None:
