@@ -3,6 +3,7 @@
 import contextlib
 import importlib
 import os
+import signal
 import sys
 import tempfile
 from functools import cache
@@ -146,10 +147,17 @@ def drop_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def end_on_request() -> None:
+    """Let SIGTERM end a command as Ctrl-C does, so that locks and scratch files are removed."""
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
 def main() -> None:
     """Run the command line; a user's error becomes one message on stderr and its exit code."""
     use_one_thread()
     prepare_streams()
+    end_on_request()
     if note := describe_memory_limit():
         click.echo(f"note: {note}", err=True)
         # the threads of a library that cannot all be started may wait for each other for ever
