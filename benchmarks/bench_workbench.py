@@ -193,7 +193,7 @@ def measure_page(bench: Workbench, browser: Any) -> dict[str, float]:
         took["driver"].append(page.evaluate(ASK, wish))
     for number in range(ZOOMS):
         # The chart may lie below the window, and moves with the length of the verdict above it.
-        page.locator("#main svg").evaluate("chart => chart.scrollIntoView()")
+        page.locator("#main svg").evaluate("chart => chart.scrollIntoView({behavior: 'instant'})")
         box = page.locator("#main svg").bounding_box()
         page.wait_for_selector("#main .over .mark", state="detached")
         x = box["x"] + 90.0 + 20.0 * number
