@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from setup import find_stages
 
 import zerodrift
 
@@ -34,11 +35,14 @@ NAMED = re.compile(rf"\b({'|'.join(MODULES | SIGNALS | SYSTEM)})\b")
 
 def list_modules() -> list[str]:
     """Return the product's modules but those that are commands to be run."""
-    return [
-        found.name
-        for found in pkgutil.walk_packages(zerodrift.__path__, "zerodrift.")
-        if not found.name.endswith("__main__")
+    stages = {name: importlib.import_module(f"zerodrift.{name}") for name in find_stages()}
+    packages = {"zerodrift.": zerodrift, **{f"zerodrift.{n}.": m for n, m in stages.items()}}
+    found = [
+        module.name
+        for prefix, package in packages.items()
+        for module in pkgutil.walk_packages(package.__path__, prefix)
     ]
+    return [name for name in dict.fromkeys(found) if not name.endswith("__main__")]
 
 
 @pytest.mark.slow

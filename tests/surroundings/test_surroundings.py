@@ -16,6 +16,7 @@ from tests.surroundings.conftest import (
     write_project,
 )
 
+from zerodrift.app.surroundings import is_out_of_memory
 from zerodrift.base.scratch import make_scratch
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX only")
@@ -88,18 +89,43 @@ def test_names_beyond_ascii_are_printed_on_an_ascii_terminal(tmp_path: Path, run
 
 
 @needs_posix
-@pytest.mark.parametrize("limit_kB", [1_000_000, pytest.param(1_500_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("limit_kB", [400_000, 850_000, 1_000_000, 1_200_000])
+def test_too_little_memory_for_the_libraries_is_one_message(
+    limit_kB: int, project: Path, run: Run
+) -> None:
+    """They abort, or wait for ever, when they are loaded in less."""
+    done = run("compare", "-C", project, preexec_fn=lambda: limit_address_space(limit_kB))
+    assert_one_message(done, 2, "GB of address space (ulimit -v)", "1.25 GB at least", "Raise")
+
+
+@needs_posix
+def test_help_needs_no_memory_to_speak_of(run: Run) -> None:
+    done = run("compare", "--help", preexec_fn=lambda: limit_address_space(700_000))
+    assert (done.returncode, "Usage:" in done.stdout) == (0, True), done.stderr
+
+
+@needs_posix
+@pytest.mark.parametrize("limit_kB", [1_300_000, pytest.param(1_500_000, marks=pytest.mark.slow)])
 def test_little_memory_is_told_before_a_library_gives_up(
     limit_kB: int, project: Path, run: Run
 ) -> None:
-    import resource
-
-    limit = (limit_kB * 1024, limit_kB * 1024)
-    done = run(
-        "compare", "-C", project, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, limit)
-    )
+    done = run("compare", "-C", project, preexec_fn=lambda: limit_address_space(limit_kB))
     assert "GB of address space (ulimit -v)" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_library_that_finds_no_room_is_told_from_one_that_is_missing() -> None:
+    assert is_out_of_memory(ImportError("x.so: failed to map segment from shared object"))
+    assert is_out_of_memory(RuntimeError("can't start new thread"))
+    assert not is_out_of_memory(ModuleNotFoundError("No module named 'torch'"))
+    assert not is_out_of_memory(RuntimeError("another"))
+
+
+def limit_address_space(limit_kB: int) -> None:
+    """Limit what this process may address, as `ulimit -v` does."""
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_AS, (limit_kB * 1024, limit_kB * 1024))
 
 
 @needs_posix

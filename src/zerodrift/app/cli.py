@@ -12,7 +12,12 @@ from importlib.metadata import entry_points
 import click
 
 from zerodrift import __version__
-from zerodrift.app.surroundings import describe_memory_limit, explain_memory, prepare_streams
+from zerodrift.app.surroundings import (
+    describe_memory_limit,
+    explain_memory,
+    is_out_of_memory,
+    prepare_streams,
+)
 from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.files import NOTHING_HALF, explain_refusal, explain_write, is_refused_write
 from zerodrift.base.threads import use_one_thread
@@ -158,11 +163,11 @@ def main() -> None:
     use_one_thread()
     prepare_streams()
     end_on_request()
-    if note := describe_memory_limit():
-        click.echo(f"note: {note}", err=True)
-        # the threads of a library that cannot all be started may wait for each other for ever
-        os.environ.setdefault("POLARS_MAX_THREADS", "1")
     try:
+        if note := describe_memory_limit(sys.argv[1:]):
+            click.echo(f"note: {note}", err=True)
+            # the threads of a library that cannot all be started may wait for each other for ever
+            os.environ.setdefault("POLARS_MAX_THREADS", "1")
         run()
     except ZerodriftError as error:
         click.echo(f"error: {error}", err=True)
@@ -190,3 +195,8 @@ def main() -> None:
     except click.exceptions.Abort:
         click.echo("interrupted; nothing was left half-written", err=True)
         sys.exit(130)
+    except (ImportError, RuntimeError) as error:  # click's Abort and Exit are RuntimeErrors
+        if not is_out_of_memory(error):
+            raise
+        click.echo(f"error: {explain_memory()}", err=True)
+        sys.exit(2)

@@ -3,10 +3,21 @@
 import io
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+
+from zerodrift.base.errors import InputError
 
 LEAST_ADDRESS_SPACE = 2_500_000_000
 """Bytes below which the numerical libraries may stop the process without a message of theirs."""
+
+_NO_ROOM = ("failed to map segment", "cannot map", "annot allocate memory")
+"""What the loader says of a library that found no room in the address space."""
+
+LEAST_TO_COMPUTE = 1_250_000_000
+"""Bytes below which NumPy and Polars abort, or wait for ever, while they are loaded."""
+WITHOUT_LIBRARIES = ("doctor", "effects")
+"""Commands that answer without them."""
 
 
 def prepare_streams() -> None:
@@ -23,11 +34,24 @@ def prepare_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def describe_memory_limit() -> str:
-    """Return a note on a limit of the address space at which libraries fail, or nothing."""
+def describe_memory_limit(arguments: Sequence[str]) -> str:
+    """Return a note on a limit of the address space at which libraries fail, or nothing.
+
+    Raises:
+        InputError: the limit is too small for the command that the arguments name.
+    """
     limit = read_address_space()
     if limit is None or limit >= LEAST_ADDRESS_SPACE:
         return ""
+    asks_for_help = not arguments or {"-h", "--help", "--version"} & set(arguments)
+    computes = not asks_for_help and arguments[0] not in WITHOUT_LIBRARIES
+    if limit < LEAST_TO_COMPUTE and computes:
+        raise InputError(
+            f"this process may use {limit / 1e9:.1f} GB of address space (ulimit -v); expected"
+            f" {LEAST_TO_COMPUTE / 1e9:.2f} GB at least, since the numerical libraries cannot be"
+            f" loaded in less, and {LEAST_ADDRESS_SPACE / 1e9:.1f} GB for long logs. Raise the"
+            " limit. Nothing was changed."
+        )
     return (
         f"this process may use {limit / 1e9:.1f} GB of address space (ulimit -v); expected"
         f" {LEAST_ADDRESS_SPACE / 1e9:.1f} GB or more. Below that a numerical library or the"
@@ -43,6 +67,13 @@ def read_address_space() -> int | None:
         return None
     soft, _ = resource.getrlimit(resource.RLIMIT_AS)
     return None if soft == resource.RLIM_INFINITY else soft
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Tell whether a library could not be loaded, or a thread not started, for want of memory."""
+    if isinstance(error, ImportError):
+        return any(words in str(error) for words in _NO_ROOM)
+    return isinstance(error, RuntimeError) and "can't start new thread" in str(error)
 
 
 def explain_memory() -> str:
