@@ -9,7 +9,7 @@ from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.runs import Dataset
 from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.effect import Effect
+from zerodrift.physics.effect import Effect, Values
 from zerodrift.physics.signals import explain_missing, plan_signals
 from zerodrift.physics.terms import CHIP, start_term
 
@@ -28,6 +28,8 @@ class Change:
     """All effects of the model after the change."""
     place: int
     """Position of the effect among those of zerodrift.toml; for an addition, past the last."""
+    is_richer: bool = False
+    """Whether it adds an effect in a form that is asked for only where no plain one helps."""
 
 
 def name_effect(effect: EffectConfig) -> str:
@@ -119,8 +121,8 @@ def propose_forms(
 ) -> tuple[Change, ...]:
     """Return the changes that `add` chooses from, simplest first.
 
-    These are the forms that the catalogue lists for an effect, or for one that is there already
-    its richer ones. A user who holds a value has chosen.
+    These are the forms that the catalogue lists for an effect, the richer ones last and marked, or
+    for one that is there already its richer ones. A user who holds a value has chosen.
 
     Raises:
         InputError: as `propose_addition`; an effect that is there already has no richer form.
@@ -130,30 +132,34 @@ def propose_forms(
     declared = catalogue[effect.kind]
     names = [name_effect(present) for present in config.effects]
     if name_effect(effect) not in names:
-        forms = _list_forms(declared)
-    else:
-        present = config.effects[names.index(name_effect(effect))]
-        values = start_term(catalogue, replace(present, line=0)).values
-        forms_known = (*declared.variants, *declared.upgrades)
-        fitting = [
-            i
-            for i, form in enumerate(forms_known)
-            if all(values[name] == value for name, value in form.items())
-        ]
-        richer = forms_known[fitting[-1] + 1 :] if fitting else ()
-        # Without a richer form the refusal below says that the effect is there.
-        forms = [dict(form) for form in richer] or [{}]
+        plain, richer = (_list_forms(declared, f) for f in (declared.variants, declared.upgrades))
+        return tuple(
+            replace(
+                propose_addition(config, dataset, catalogue, replace(effect, held=form)),
+                is_richer=i >= len(plain),
+            )
+            for i, form in enumerate((*plain, *richer))
+        )
+    present = config.effects[names.index(name_effect(effect))]
+    values = start_term(catalogue, replace(present, line=0)).values
+    forms_known = (*declared.variants, *declared.upgrades)
+    fitting = [
+        i
+        for i, form in enumerate(forms_known)
+        if all(values[name] == value for name, value in form.items())
+    ]
+    # Without a richer form the refusal below says that the effect is there.
+    forms = [dict(form) for form in forms_known[fitting[-1] + 1 :] if fitting] or [{}]
     return tuple(
         propose_addition(config, dataset, catalogue, replace(effect, held=form)) for form in forms
     )
 
 
-def _list_forms(effect: Effect) -> list[dict[str, float]]:
-    """Return what is held in each form that the catalogue lists for an effect, simplest first."""
+def _list_forms(effect: Effect, forms: Sequence[Values]) -> list[dict[str, float]]:
+    """Return what is held in each of some forms of an effect, without what is its default."""
     defaults = {p.name: p.default for p in effect.parameters}
     return [
-        {name: value for name, value in form.items() if value != defaults[name]}
-        for form in effect.variants
+        {name: value for name, value in form.items() if value != defaults[name]} for form in forms
     ]
 
 
@@ -230,5 +236,5 @@ def list_extensions(
     found = extend_model(effects, catalogue, kind, parameters)
     if found[-1].held or len(found) == len(effects):
         return (found,)
-    forms = _list_forms(catalogue[kind]) or [{}]
+    forms = _list_forms(catalogue[kind], catalogue[kind].variants) or [{}]
     return tuple((*effects, EffectConfig(kind, form)) for form in forms)

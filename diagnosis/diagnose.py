@@ -83,7 +83,24 @@ def conclude(case: Case) -> Diagnosis:
     if diagnosis.verdict == "complete":
         return diagnosis
     again = weigh_again(case, terms)
-    return diagnosis if again is None else _conclude(again)[0]
+    if again is not None:
+        case, diagnosis = again, _conclude(again)[0]
+    if diagnosis.verdict == "unknown":
+        richer = _conclude(allow_richer(case))[0]
+        diagnosis = richer if richer.verdict == "missing" else diagnosis
+    return diagnosis
+
+
+def allow_richer(case: Case) -> Case:
+    """Return the case with the richer forms of effects that the model lacks among those tried.
+
+    They have more freedom than the plain ones: they are asked where those explain too little.
+    """
+    catalogue = {
+        kind: replace(effect, variants=(*effect.variants, *effect.upgrades), upgrades=())
+        for kind, effect in case.catalogue.items()
+    }
+    return replace(case, catalogue=catalogue)
 
 
 def weigh_again(case: Case, terms: Sequence[Term]) -> Case | None:

@@ -77,12 +77,26 @@ def revise_best(
 ) -> Revision:
     """Fit the model before and after each of some changes, and judge the best of them.
 
+    Forms marked as richer are asked only where no plain one helps: on few runs their freedom alone
+    may look like a gain.
+
     Args:
         config: the project as it is.
         dataset: its runs.
         catalogue: the known effects.
         changes: forms of one change, simplest first; see `choose_form`.
     """
+    plain = [change for change in changes if not change.is_richer]
+    revision = _revise_best(config, dataset, catalogue, plain)
+    if revision.helps or len(plain) == len(changes):
+        return revision
+    richer = _revise_best(config, dataset, catalogue, changes)
+    return richer if richer.helps else revision
+
+
+def _revise_best(
+    config: Config, dataset: Dataset, catalogue: Catalogue, changes: Sequence[Change]
+) -> Revision:
     old, *models = (
         fit_config(replace(config, effects=wanted), dataset, catalogue)
         for wanted in (config.effects, *(change.effects for change in changes))

@@ -106,6 +106,25 @@ def test_add_takes_no_form_with_a_time_constant_at_its_bound_where_another_says_
     assert told["outputs"]["Fz"]["rmse"] < 0.055  # the noise is 0.05
 
 
+def lag_against_the_rest(temperature):
+    """Follow the thermometer at once, and give a part of it back late: no lag of everything."""
+    return 0.3 * (temperature - 25.0) - 0.15 * lowpass(temperature, 1.0, 240.0)
+
+
+def test_a_part_that_lags_against_the_rest_is_named_and_added_by_its_name_alone(
+    make_project, zerodrift
+):
+    project = make_project(runs=8)
+    rewrite_outputs(project, lag_against_the_rest)
+    found = json.loads(zerodrift("diagnose", "-C", project.directory, "--json").out)
+    assert (found["verdict"], found["effect"]) == ("missing", "thermal_lag")
+    assert "--hold own_terms=1" in found["command"]
+    assert zerodrift("add", "thermal_lag", "-C", project.directory).code == 0
+    assert load_config(project.directory).effects[-1].held == {"own_terms": 1.0}
+    after = json.loads(zerodrift("diagnose", "-C", project.directory, "--json").out)
+    assert after["verdict"] == "complete"
+
+
 def test_a_new_effect_is_added_in_the_form_that_was_found():
     creep = load_catalogue()["creep"]
     found = {"time_constants": 2.0, "tau_s": 90.0, "slow_tau_s": 900.0}
