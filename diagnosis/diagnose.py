@@ -85,22 +85,25 @@ def conclude(case: Case) -> Diagnosis:
     again = weigh_again(case, terms)
     if again is not None:
         case, diagnosis = again, _conclude(again)[0]
-    if diagnosis.verdict == "unknown":
-        richer = _conclude(allow_richer(case))[0]
-        diagnosis = richer if richer.verdict == "missing" else diagnosis
-    return diagnosis
+    return diagnosis if diagnosis.verdict == "missing" else try_richer(case, diagnosis)
 
 
-def allow_richer(case: Case) -> Case:
-    """Return the case with the richer forms of effects that the model lacks among those tried.
+def try_richer(case: Case, plain: Diagnosis) -> Diagnosis:
+    """Return what the richer forms of effects that the model lacks explain, or what was found.
 
-    They have more freedom than the plain ones: they are asked where those explain too little.
+    They have more freedom than the plain ones, so they are asked only where these explain too
+    little, and only if one of them comes nearer by itself than any of these.
     """
-    catalogue = {
-        kind: replace(effect, variants=(*effect.variants, *effect.upgrades), upgrades=())
-        for kind, effect in case.catalogue.items()
-    }
-    return replace(case, catalogue=catalogue)
+    present = {term.effect.kind for term in case.terms}
+    richer = {k: e for k, e in case.catalogue.items() if e.upgrades and k not in present}
+    alone = {k: replace(e, variants=e.upgrades, upgrades=()) for k, e in richer.items()}
+    leading = lead(look(replace(case, catalogue=Catalogue(alone)), case.terms)) if alone else None
+    nearest = min((candidate.rmse_left_out_ratio for candidate in plain.candidates), default=1.0)
+    if leading is None or leading.rmse_ratio >= nearest:
+        return plain
+    every = {k: replace(e, variants=(*e.variants, *e.upgrades)) for k, e in richer.items()}
+    found = _conclude(replace(case, catalogue=Catalogue({**case.catalogue, **every})))[0]
+    return found if found.verdict == "missing" else plain
 
 
 def weigh_again(case: Case, terms: Sequence[Term]) -> Case | None:
