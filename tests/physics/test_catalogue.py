@@ -332,7 +332,7 @@ def test_options_have_the_columns_that_their_equations_say(kind, choices, names)
     assert list(build_alone(kind, choices)[1]) == [f"{kind}: {name}" for name in names]
 
 
-def test_a_slow_zero_shift_is_tried_once_the_lag_is_known():
+def test_a_lag_is_tried_in_all_its_forms_and_then_in_the_richer_ones():
     catalogue = load_catalogue()
     campaign = open_case(
         make_dataset(linear, runs=3, length=200), catalogue, [EffectConfig("zero_tempco")]
@@ -342,7 +342,8 @@ def test_a_slow_zero_shift_is_tried_once_the_lag_is_known():
         terms = [start_term(catalogue, EffectConfig(kind)) for kind in kinds]
         return [dict(p.choices) for p in propose(catalogue, terms, campaign)[0] if p.kind == LAG]
 
-    assert list_lags("zero_tempco") == [{"time_constants": 1}, {"time_constants": 2}]
+    plain = [{"time_constants": 1}, {"time_constants": 2}]
+    assert list_lags("zero_tempco") == [*plain, {"own_terms": 1}]
     assert list_lags("zero_tempco", LAG) == [{"time_constants": 2}, {"own_terms": 1}]
 
 
