@@ -175,7 +175,7 @@ def propose(
         if effect.kind in kinds:
             proposals += _upgrade(effect, terms, kinds[effect.kind])
             continue
-        for choices in effect.variants:
+        for choices in effect.list_plain(len(campaign.groups)):
             term = start_term(catalogue, EffectConfig(effect.kind), choices)
             proposals.append(Proposal(effect, choices, len(terms), (*terms, term)))
     return proposals, untested
@@ -186,7 +186,7 @@ def _upgrade(effect: Effect, terms: Sequence[Term], place: int) -> list[Proposal
     present = terms[place]
     now = _find_variant(effect, present)
     proposals = []
-    for choices in (*effect.variants, *effect.upgrades)[now + 1 :]:
+    for choices in effect.forms[now + 1 :]:
         values = {**present.values, **choices}
         changed = Term(effect, values, present.held, present.signal)
         proposals.append(
@@ -199,10 +199,10 @@ def _find_variant(effect: Effect, term: Term) -> int:
     """Return the index of the last variant whose choices the term has."""
     fitting = [
         i
-        for i, choices in enumerate((*effect.variants, *effect.upgrades))
+        for i, choices in enumerate(effect.forms)
         if all(term.values[name] == value for name, value in choices.items())
     ]
-    return fitting[-1] if fitting else len(effect.variants) + len(effect.upgrades) - 1
+    return fitting[-1] if fitting else len(effect.forms) - 1
 
 
 def try_candidates(

@@ -132,7 +132,11 @@ def propose_forms(
     declared = catalogue[effect.kind]
     names = [name_effect(present) for present in config.effects]
     if name_effect(effect) not in names:
-        plain, richer = (_list_forms(declared, f) for f in (declared.variants, declared.upgrades))
+        runs = len({run.group for run in dataset.train})
+        plain_forms = declared.list_plain(runs)
+        plain, richer = (
+            _list_forms(declared, f) for f in (plain_forms, declared.list_richer(runs))
+        )
         return tuple(
             replace(
                 propose_addition(config, dataset, catalogue, replace(effect, held=form)),
@@ -142,7 +146,7 @@ def propose_forms(
         )
     present = config.effects[names.index(name_effect(effect))]
     values = start_term(catalogue, replace(present, line=0)).values
-    forms_known = (*declared.variants, *declared.upgrades)
+    forms_known = declared.forms
     fitting = [
         i
         for i, form in enumerate(forms_known)
@@ -227,14 +231,15 @@ def list_extensions(
     catalogue: Catalogue,
     kind: str,
     parameters: Mapping[str, float],
+    runs: int = 1,
 ) -> tuple[tuple[EffectConfig, ...], ...]:
     """Return the models that `add` chooses from if it is asked for what was found, simplest first.
 
     One where choices are held, or where an effect becomes richer; else one for each form that the
-    catalogue lists. Arguments as of `extend_model`.
+    catalogue lists for so many runs. Other arguments as of `extend_model`.
     """
     found = extend_model(effects, catalogue, kind, parameters)
     if found[-1].held or len(found) == len(effects):
         return (found,)
-    forms = _list_forms(catalogue[kind], catalogue[kind].variants) or [{}]
+    forms = _list_forms(catalogue[kind], catalogue[kind].list_plain(runs)) or [{}]
     return tuple((*effects, EffectConfig(kind, form)) for form in forms)

@@ -31,6 +31,7 @@ from zerodrift.diagnosis.rules import (
 )
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.physics.effect import Effect, Values
 from zerodrift.physics.terms import Term
 
 MOST_EFFECTS = 4
@@ -95,15 +96,22 @@ def try_richer(case: Case, plain: Diagnosis) -> Diagnosis:
     little, and only if one of them comes nearer by itself than any of these.
     """
     present = {term.effect.kind for term in case.terms}
-    richer = {k: e for k, e in case.catalogue.items() if e.upgrades and k not in present}
-    alone = {k: replace(e, variants=e.upgrades, upgrades=()) for k, e in richer.items()}
+    runs = len(case.campaign.groups)
+    absent = {k: e for k, e in case.catalogue.items() if k not in present}
+    richer = {k: e for k, e in absent.items() if e.list_richer(runs)}
+    alone = {k: _with_forms(e, e.list_richer(runs)) for k, e in richer.items()}
     leading = lead(look(replace(case, catalogue=Catalogue(alone)), case.terms)) if alone else None
     nearest = min((candidate.rmse_left_out_ratio for candidate in plain.candidates), default=1.0)
     if leading is None or leading.rmse_ratio >= nearest:
         return plain
-    every = {k: replace(e, variants=(*e.variants, *e.upgrades)) for k, e in richer.items()}
+    every = {k: _with_forms(e, e.forms) for k, e in richer.items()}
     found = _conclude(replace(case, catalogue=Catalogue({**case.catalogue, **every})))[0]
     return found if found.verdict == "missing" else plain
+
+
+def _with_forms(effect: Effect, forms: tuple[Values, ...]) -> Effect:
+    """Return the effect with these forms as its plain ones, and no others."""
+    return replace(effect, variants=forms, run_variants=(), upgrades=())
 
 
 def weigh_again(case: Case, terms: Sequence[Term]) -> Case | None:
@@ -171,8 +179,9 @@ def foresee_refusal(case: Case, finding: Finding) -> str:
     diagnosis by octaves of them, with outliers beside what the best model explains.
     """
     kind = finding.judged.kind
-    forms = list_extensions(case.effects, case.catalogue, kind, finding.judged.parameters)
     logs = case.dataset if case.whole is None else case.whole
+    runs = len({run.group for run in logs.train})
+    forms = list_extensions(case.effects, case.catalogue, kind, finding.judged.parameters, runs)
     kept, reason = try_extension(case.effects, forms, logs, case.catalogue)
     return "" if kept else f"{kind} would gain a little, but not enough for `add`: {reason}"
 

@@ -15,7 +15,7 @@ from zerodrift.diagnosis.experiments import choose_experiment
 from zerodrift.diagnosis.probability import tell_probabilities
 from zerodrift.diagnosis.remainder import RemainderPattern, describe_remainder, single_out_runs
 from zerodrift.diagnosis.rules import ENOUGH_RUNS, Finding, list_lookalikes, wanders
-from zerodrift.physics.campaign import FEWEST_RUNS
+from zerodrift.physics.effect import FEWEST_RUNS
 from zerodrift.physics.fit import flat_weights
 from zerodrift.physics.search import Found, search
 from zerodrift.physics.signals import explain_missing

@@ -16,7 +16,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.graph import Node
-from zerodrift.physics.effect import Arrivals, Feature
+from zerodrift.physics.effect import FEWEST_RUNS, Arrivals, Feature
 from zerodrift.physics.octaves import MEANS
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.rates import Rates
@@ -34,8 +34,6 @@ FEWEST_ROWS = 8
 FAST_ROWS = 3_000
 """Samples for which deviations within blocks are kept."""
 CACHED_COLUMNS = 400
-FEWEST_RUNS = 4
-"""With fewer runs, runs are cut into pieces that stand in for runs."""
 FEWEST_PIECES = 8
 """As many pieces there are then, at least."""
 

@@ -17,6 +17,9 @@ Arrivals = tuple[tuple[str, int], ...]
 """(run, +1 where it came to its first temperature from above, -1 from below); others: at rest."""
 
 Values = Mapping[str, float]
+
+FEWEST_RUNS = 4
+"""Runs from which on whole runs are the evidence; fewer are cut into pieces."""
 """Parameter name -> value, in the parameter's unit."""
 
 
@@ -165,11 +168,27 @@ class Effect:
     source: str = ""
     variants: tuple[Values, ...] = ({},)
     """Choices that the diagnosis tries, simplest first; the first one is the default."""
+    run_variants: tuple[Values, ...] = ()
+    """More of them, tried at once where there are FEWEST_RUNS runs or more, and with fewer as
+    upgrades: pieces of one run do not tell them from the plain ones."""
     upgrades: tuple[Values, ...] = ()
-    """Richer choices, tried only once the effect is in the model: on few runs they might be taken
-    for the effect itself."""
+    """Richer choices, tried where the plain ones explain too little, or once the effect is in the
+    model."""
     file: str = ""
     """The user's file it was declared in; empty for a built-in."""
+
+    @property
+    def forms(self) -> tuple[Values, ...]:
+        """All choices that the catalogue lists, simplest first."""
+        return (*self.variants, *self.run_variants, *self.upgrades)
+
+    def list_plain(self, runs: int) -> tuple[Values, ...]:
+        """Return the choices that are tried at once on so many runs, simplest first."""
+        return (*self.variants, *self.run_variants) if runs >= FEWEST_RUNS else self.variants
+
+    def list_richer(self, runs: int) -> tuple[Values, ...]:
+        """Return the other choices."""
+        return self.forms[len(self.list_plain(runs)) :]
 
     def parameter(self, name: str) -> Parameter:
         """Return the parameter `name`.

@@ -115,6 +115,6 @@ def _check_declaration(effect: Effect) -> None:
                 f"{where}: parameter '{parameter.name}' is searched on a log scale, so its lower "
                 f"bound must be above 0; it is {parameter.lower:g}."
             )
-    for variant in (*effect.variants, *effect.upgrades):
+    for variant in effect.forms:
         for name in variant:
             effect.parameter(name)

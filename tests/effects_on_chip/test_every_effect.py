@@ -34,7 +34,7 @@ LARGEST_ERROR_PCT = 0.01
 CASES = [
     pytest.param(kind, dict(variant), id=f"{kind}-{'-'.join(f'{v:g}' for v in variant.values())}")
     for kind, effect in load_catalogue().items()
-    for variant in (*effect.variants, *effect.upgrades)
+    for variant in effect.forms
 ]
 REWRITTEN = (EffectConfig("zero_tempco", {"order": 2}), EffectConfig("dark_current"))
 """What the effects that rewrite the temperature act on."""

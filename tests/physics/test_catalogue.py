@@ -74,7 +74,7 @@ def test_effect_tells_all_that_a_reader_asks(kind):
 
 @pytest.mark.parametrize("kind", CONTRACT)
 def test_effect_builds_in_every_variant(kind):
-    for choices in (*load_catalogue()[kind].variants, *load_catalogue()[kind].upgrades):
+    for choices in load_catalogue()[kind].forms:
         _, columns, term = build_alone(kind, choices)
         assert columns or term.effect.rewrite is not None or term.effect.sets_aside
         assert all(np.isfinite(column).all() for column in columns.values())
@@ -332,10 +332,15 @@ def test_options_have_the_columns_that_their_equations_say(kind, choices, names)
     assert list(build_alone(kind, choices)[1]) == [f"{kind}: {name}" for name in names]
 
 
-def test_a_lag_is_tried_in_all_its_forms_and_then_in_the_richer_ones():
+@pytest.mark.parametrize(
+    ("runs", "at_once"), [(3, []), (4, [{"own_terms": 1}])], ids=["pieces", "runs"]
+)
+def test_a_lag_with_coefficients_of_its_own_is_tried_at_once_where_runs_are_the_evidence(
+    runs, at_once
+):
     catalogue = load_catalogue()
     campaign = open_case(
-        make_dataset(linear, runs=3, length=200), catalogue, [EffectConfig("zero_tempco")]
+        make_dataset(linear, runs=runs, length=200), catalogue, [EffectConfig("zero_tempco")]
     ).campaign
 
     def list_lags(*kinds):
@@ -343,7 +348,7 @@ def test_a_lag_is_tried_in_all_its_forms_and_then_in_the_richer_ones():
         return [dict(p.choices) for p in propose(catalogue, terms, campaign)[0] if p.kind == LAG]
 
     plain = [{"time_constants": 1}, {"time_constants": 2}]
-    assert list_lags("zero_tempco") == [*plain, {"own_terms": 1}]
+    assert list_lags("zero_tempco") == [*plain, *at_once]
     assert list_lags("zero_tempco", LAG) == [{"time_constants": 2}, {"own_terms": 1}]
 
 
