@@ -40,11 +40,11 @@ def tell_plain_errors(
         `outputs` in their units, of all samples; `floor_ratio_before` and `floor_ratio_after`
         pooled over the outputs, outliers by their weights. Candidates and probabilities stay.
     """
-    before, steady_before = _leave_out(effects, dataset, catalogue)
+    before, steady_before = measure_left_out(effects, dataset, catalogue)
     after, steady_after = None, steady_before
     if diagnosis.effect is not None:
         extended = extend_model(effects, catalogue, diagnosis.effect, diagnosis.parameters)
-        after, steady_after = _leave_out(extended, dataset, catalogue)
+        after, steady_after = measure_left_out(extended, dataset, catalogue)
     places = {name: dataset.outputs.index(name) for name in diagnosis.outputs}
     outputs = {
         name: replace(
@@ -59,12 +59,12 @@ def tell_plain_errors(
     return replace(
         diagnosis,
         outputs=outputs,
-        floor_ratio_before=_pool(steady_before[columns], floor),
-        floor_ratio_after=_pool(steady_after[columns], floor),
+        floor_ratio_before=pool_ratio(steady_before[columns], floor),
+        floor_ratio_after=pool_ratio(steady_after[columns], floor),
     )
 
 
-def _leave_out(
+def measure_left_out(
     effects: Sequence[EffectConfig], dataset: Dataset, catalogue: Catalogue
 ) -> tuple[Array, Array]:
     """Return the RMSE [K] on runs left out: over all samples, and with outliers by weights."""
@@ -72,5 +72,6 @@ def _leave_out(
     return pool_rmse(errors), pool_steady_rmse(errors)
 
 
-def _pool(rmse: Array, floor: Array) -> float:
+def pool_ratio(rmse: Array, floor: Array) -> float:
+    """Return errors [K] over the noise floor [K], pooled over the outputs."""
     return float(np.sqrt(np.mean((rmse / floor) ** 2)))

@@ -21,6 +21,7 @@ from zerodrift.diagnosis.formula.expression import (
 from zerodrift.diagnosis.formula.grammar import centre, list_forms
 from zerodrift.diagnosis.formula.screen import Screen, Search, list_sources
 from zerodrift.diagnosis.formula.words import Meaning, explain
+from zerodrift.diagnosis.plain_errors import measure_left_out, pool_ratio
 from zerodrift.diagnosis.remainder import RemainderPattern, describe_remainder
 from zerodrift.diagnosis.revision import Revision, revise
 from zerodrift.diagnosis.rules import (
@@ -136,6 +137,8 @@ def propose_formula(
 ) -> FormulaSearch:
     """Return a formula for what the model and the catalogue leave, from the training runs.
 
+    Errors are those of the plain fits, as `compare` and `add` tell them.
+
     Args:
         config: the project.
         dataset: its runs; test logs are not looked at.
@@ -146,6 +149,29 @@ def propose_formula(
         InputError: as `fit_config`.
     """
     dataset = replace(dataset, test=())
+    found = _search_formula(config, dataset, catalogue, advance)
+    floor = np.array([found.noise_floor[name] for name in dataset.outputs])
+    if found.formula is not None:
+        before, after = found.formula.revision.before, found.formula.revision.after
+        return replace(
+            found,
+            floor_ratio_before=pool_ratio(before.steady_rmse, floor),
+            floor_ratio_after=pool_ratio(after.steady_rmse, floor),
+        )
+    rmse, steady = measure_left_out(config.effects, dataset, catalogue)
+    ratio = pool_ratio(steady, floor)
+    return replace(
+        found,
+        rmse_left_out=dict(zip(dataset.outputs, rmse.tolist(), strict=True)),
+        floor_ratio_before=ratio,
+        floor_ratio_after=ratio,
+    )
+
+
+def _search_formula(
+    config: Config, dataset: Dataset, catalogue: Catalogue, advance: Advance
+) -> FormulaSearch:
+    """Return the same with the errors by which the search judges."""
     places = {f"formula_{n}": _hold_place(f"formula_{n}") for n in range(SEARCHES * SHORTLIST)}
     case = open_case(dataset, Catalogue({**catalogue, **places}), config.effects, advance)
     known = replace(case, catalogue=catalogue)

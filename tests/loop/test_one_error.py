@@ -58,3 +58,15 @@ def test_logs_of_a_test_decide_nothing_and_what_they_lose_is_told(make_project, 
         assert fell is (factor > 0.0)
         text = " ".join(zerodrift("remove", "thermal_lag", "-C", project.directory).out.split())
         assert "On the test logs, which decide nothing here" in text
+
+
+def test_propose_tells_what_compare_tells_without_a_formula_too(make_project, zerodrift):
+    project = make_project(runs=5)
+    read = {
+        name: json.loads(zerodrift(name, "-C", project.directory, "--json").out)
+        for name in ("compare", "propose", "diagnose")
+    }
+    assert not read["propose"]["found"]
+    for name, output in read["compare"]["outputs"].items():
+        assert read["propose"]["rmse_left_out"][name]["before"] == output["rmse_left_out"]
+    assert read["propose"]["floor_ratio_before"] == read["diagnose"]["floor_ratio_before"]
