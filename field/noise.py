@@ -19,8 +19,9 @@ MEMORIES = (0.25, 0.75, 2.0)
 """Time constants of the noise with a memory, in blocks."""
 LONGEST_S = 3.0e8
 """Of flicker noise: ten years; slower than that is a constant."""
-MORE = (1.0, 4.0)
-"""Flicker noise that is possible, too, in halves of the variance that was seen."""
+MORE = (3.0, 10.0)
+"""Flicker noise that is possible, too, in halves of the variance that was seen: fourteen days show
+a share of what the slow octaves hold, and what is learnt too small is told as ageing later."""
 LEAST = 1e-7
 """Of a variance that is fitted, as a share of the data's."""
 

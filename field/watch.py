@@ -24,8 +24,13 @@ SHARES = {STEP: 0.4, AGEING: 0.3, OTHER_UNIT: 0.3}
 """Of the false alarms."""
 ONCE = 0.1
 """False alarms that a change from the first sample on may cause, in those of a month."""
-SIZES = (1.5, 30.0)
-"""Standard deviations of a change that are averaged over, in those of a block's mean."""
+SIZES = (1.5, 5.0, 30.0)
+"""Standard deviations of a change of the zero that are averaged over, in those of a block's mean.
+None is more than six times the one before: a step whose size lies between two of them would else
+be told as a cause of several terms, which fits any size."""
+UNLIKE = (10.0, 40.0)
+"""The same of another model or unit, whose drift differs by much more than a calibration is
+uncertain: what a calibration takes off is ten times what it leaves, or more."""
 GRID = {STEP: 1, AGEING: 6, OTHER_UNIT: 3}
 """From one time of change to the next, in blocks."""
 LONGEST = 360
@@ -173,8 +178,8 @@ def check_model(blocks: BlockMeans, rules: Rules) -> ChangeFound | None:
     white = solve_triangular(factor, blocks.residual, lower=True)
     flat = solve_triangular(factor, follow, lower=True)[:, None, :]
     scales = np.full(2, typical + rules.calibrated)
-    ratios = [_ratio(white, np.cumsum(white**2), flat, width * scales) for width in SIZES]
-    log = float(np.logaddexp.reduce([r[0][-1, 0] for r in ratios])) - np.log(len(SIZES))
+    ratios = [_ratio(white, np.cumsum(white**2), flat, width * scales) for width in UNLIKE]
+    log = float(np.logaddexp.reduce([r[0][-1, 0] for r in ratios])) - np.log(len(UNLIKE))
     if log < -np.log(ONCE * rules.per_month):
         return None
     best = max(ratios, key=lambda ratio: float(ratio[0][-1, 0]))
@@ -280,9 +285,10 @@ def _weigh_one(
         begins = np.asarray(at, dtype=np.int64)
         told = []
         flat = solve_triangular(factor, shapes.reshape(n, -1), lower=True).reshape(shapes.shape)
-        for width in SIZES:
+        sizes = UNLIKE if cause in (OTHER_UNIT, OTHER_MODEL) else SIZES
+        for width in sizes:
             logs, first = _ratio(white, squares, flat, width * scales)
-            told.append(_Ratios(cause, logs, weight / len(SIZES), begins, first))
+            told.append(_Ratios(cause, logs, weight / len(sizes), begins, first))
         return told
 
     ratios: list[_Ratios] = []

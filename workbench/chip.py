@@ -25,6 +25,7 @@ from zerodrift.export.encoding import encode_values
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import ModelState, Reference
+from zerodrift.fleet.sensors import open_sensor
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.recording.lines import LineError, LineReader, Values
 from zerodrift.workbench.live_steps import LiveSteps
@@ -148,17 +149,19 @@ class LiveChip:
     Where a step is variable, each row is a step.
     """
 
-    def __init__(self, directory: Path, folder: Path) -> None:
+    def __init__(self, directory: Path, folder: Path, sensor: str | None = None) -> None:
         """Begin before the first line.
 
         Args:
             directory: of the project; its zerodrift.toml says what the columns are.
             folder: of a replay, with its model.
+            sensor: a unit of a fleet.
 
         Raises:
             InputError: a file of the project is gone or damaged.
         """
-        self._config = load_config(directory)
+        config = load_config(directory)
+        self._config = config if sensor is None else open_sensor(config, sensor)
         self._model = load_model(folder / MODEL)
         self._reference = Reference(self._model)
         self._state: ModelState | None = None

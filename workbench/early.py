@@ -15,6 +15,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from zerodrift.base.config import FILE_NAME, Config, load_config
 from zerodrift.base.errors import InputError
+from zerodrift.fleet.sensors import open_sensor
 from zerodrift.workbench.address import PageAddress, find_address, keep_address
 
 HOST = "127.0.0.1"
@@ -48,12 +49,13 @@ body {{ font: 1rem/1.55 system-ui, sans-serif; max-width: 46rem; margin: 0 auto;
 """
 
 
-def tell_project(directory: Path) -> tuple[str, ...]:
+def tell_project(directory: Path, sensor: str | None = None) -> tuple[str, ...]:
     """Return what zerodrift.toml and the names of its logs say; nothing where it is wrong."""
     if not (directory / FILE_NAME).is_file():
         return ()
     try:
         config = load_config(directory)
+        config = config if sensor is None else open_sensor(config, sensor)
     except InputError:
         return ()
     outputs = ", ".join(f"{one.name} in {one.unit}" for one in config.outputs)
@@ -63,7 +65,8 @@ def tell_project(directory: Path) -> tuple[str, ...]:
         for use, patterns in (("to learn from", config.train_logs), ("to test", config.test_logs))
         if patterns
     ]
-    return (f"Sensor {config.sensor_name}: {outputs}", f"Effects in the model: {effects}", *logs)
+    name = config.sensor_name if sensor is None else f"{config.sensor_name}, unit {sensor}"
+    return (f"Sensor {name}: {outputs}", f"Effects in the model: {effects}", *logs)
 
 
 def _tell_logs(config: Config, use: str, patterns: tuple[str, ...]) -> str:
@@ -83,17 +86,18 @@ def _tell_logs(config: Config, use: str, patterns: tuple[str, ...]) -> str:
 class EarlyPage:
     """A port, and who answers on it until the page does."""
 
-    def __init__(self, directory: Path, port: int = 0) -> None:
+    def __init__(self, directory: Path, port: int = 0, sensor: str | None = None) -> None:
         """Open a port; nobody answers yet.
 
         Args:
             directory: of the project.
             port: to listen on; 0 for the one that the project had last, or any that is free.
+            sensor: a unit of a fleet.
 
         Raises:
             InputError: the port is taken.
         """
-        self._directory = directory.resolve()
+        self._directory, self._sensor = directory.resolve(), sensor
         known = find_address(self._directory)
         try:
             self.listener = _listen(port or known.port, is_wish=not port)
@@ -119,7 +123,9 @@ class EarlyPage:
             again=AGAIN_S,
             name=html.escape(self._directory.name),
             starting=STARTING,
-            facts="".join(f"<li>{html.escape(f)}</li>" for f in tell_project(self._directory)),
+            facts="".join(
+                f"<li>{html.escape(f)}</li>" for f in tell_project(self._directory, self._sensor)
+            ),
         ).encode()
         handler = _make_handler(page, self.token, self.port)
         server = ThreadingHTTPServer((HOST, self.port), handler, bind_and_activate=False)

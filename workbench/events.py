@@ -4,7 +4,7 @@ from pathlib import Path
 
 SURVEYED, DIAGNOSED, PREVIEWED, CHIP_READY = "surveyed", "diagnosed", "previewed", "chip-ready"
 DIAGNOSIS = "diagnosis.json"
-SKIP_INVALID = "--skip-invalid"
+SKIP_INVALID, SENSOR = "--skip-invalid", "--sensor"
 
 
 def name_preview(result: Path, effect: str, run: str) -> Path:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from zerodrift.base.config import FILE_NAME
 from zerodrift.diagnosis.history import FILE_NAME as HISTORY
+from zerodrift.fleet.sensors import FOLDER
 from zerodrift.report.findings import Findings
 from zerodrift.workbench.uploads import LOGS
 
@@ -15,16 +16,21 @@ Marks = dict[str, tuple[int, int]]
 
 
 def mark_files(
-    directory: Path, findings: Findings | None, recorded: frozenset[Path] = frozenset()
+    directory: Path,
+    findings: Findings | None,
+    recorded: frozenset[Path] = frozenset(),
+    sensor: str | None = None,
 ) -> Marks:
     """Return size and time of zerodrift.toml, the logs, the user's effects, and what was built.
 
     Whatever went into the findings counts, and new files where logs usually lie, except hidden ones
-    and those in `recorded`: a log that grows would never let the page rest.
+    and those in `recorded`: a log that grows would never let the page rest. A unit of a fleet has a
+    folder of its own below build/.
     """
     places = {directory / FILE_NAME, *directory.glob("*.py"), *directory.glob("*.csv")}
     places |= set(directory.glob(f"{LOGS}/*"))
-    places |= {directory / "build" / name for name in BUILT}
+    built = directory / "build" if sensor is None else directory / "build" / FOLDER / sensor
+    places |= {built / name for name in BUILT}
     if findings is not None:
         places |= {directory / source.file for source in findings.provenance.files}
     marks = {}

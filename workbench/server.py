@@ -39,6 +39,7 @@ class Workbench:
         port: int = 0,
         *,
         skip_invalid: bool = False,
+        sensor: str | None = None,
         early: EarlyPage | None = None,
     ) -> None:
         """Open a directory and a port, and look at the project.
@@ -47,14 +48,15 @@ class Workbench:
             directory: of the project.
             port: to listen on; 0 for any that is free.
             skip_invalid: drop invalid rows of the logs.
+            sensor: a unit of a fleet.
             early: has the port already, and may answer on it until `serve`.
 
         Raises:
             InputError: another workbench is open there, or the port is taken.
         """
-        self.place = Workplace(directory, skip_invalid=skip_invalid)
+        self.place = Workplace(directory, skip_invalid=skip_invalid, sensor=sensor)
         try:
-            self._early = early or EarlyPage(self.place.directory, port)
+            self._early = early or EarlyPage(self.place.directory, port, sensor)
         except InputError:
             self.place.close()
             raise
@@ -161,7 +163,8 @@ def add_routes(server: Flask, place: Workplace) -> None:
         if findings is None or findings.firmware is None:
             return Response("There is no current firmware.", 404, mimetype="text/plain")
         text = pack_files(place.directory, findings.firmware.files)
-        name = f"{place.directory.name}_firmware.zip"
+        unit = "" if place.sensor is None else f"_{place.sensor}"
+        name = f"{place.directory.name}{unit}_firmware.zip"
         return send_file(
             io.BytesIO(text), mimetype="application/zip", as_attachment=True, download_name=name
         )

@@ -59,7 +59,7 @@ def show_frame(place: Workplace) -> Shown:
         logs = list_logs(place.directory)
         start = [html.Main(panels.show_start(logs, str(place.directory)))]
     elif place.findings is None:
-        facts = tell_project(place.directory)
+        facts = tell_project(place.directory, place.sensor)
         start = [html.Main(panels.show_waiting(place.directory.name, facts, is_busy=place.busy))]
     message = place.message
     text = message.text if message is not None else ""

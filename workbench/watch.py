@@ -7,6 +7,7 @@ from pathlib import Path
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.selectors import matches_logs
+from zerodrift.fleet.sensors import open_sensor
 from zerodrift.recording.status import ENDED, RecordingStatus, list_statuses, name_status
 
 
@@ -28,8 +29,8 @@ class WatchedRecording:
 class RecordingWatch:
     """The recordings of a project."""
 
-    def __init__(self, directory: Path) -> None:
-        self._directory = directory
+    def __init__(self, directory: Path, sensor: str | None = None) -> None:
+        self._directory, self._sensor = directory, sensor
         self._compared: frozenset[str] = frozenset()
         """Logs of recordings that had ended when the project was looked at last."""
 
@@ -93,13 +94,14 @@ class RecordingWatch:
                 name=log.relative_to(self._directory).as_posix() if inside else str(log),
                 state=state,
                 status=status,
-                is_named=state == ENDED and _is_named(self._directory, log),
+                is_named=state == ENDED and _is_named(self._directory, log, self._sensor),
             )
         return found
 
 
-def _is_named(directory: Path, log: Path) -> bool:
+def _is_named(directory: Path, log: Path, sensor: str | None) -> bool:
     try:
-        return matches_logs(load_config(directory), log)
+        config = load_config(directory)
+        return matches_logs(config if sensor is None else open_sensor(config, sensor), log)
     except InputError:
         return False

@@ -45,6 +45,7 @@ from zerodrift.workbench.events import (
     DIAGNOSED,
     DIAGNOSIS,
     PREVIEWED,
+    SENSOR,
     SKIP_INVALID,
     SURVEYED,
     name_preview,
@@ -80,23 +81,30 @@ MOST_READ = 12
 """Drivers of runs that are kept in memory."""
 READS_LOGS = ("add", "remove", "propose", "plan", "train", "firmware", "report")
 """Commands that the page runs and that can drop invalid rows."""
+OF_ONE_MODEL = (*READS_LOGS, "restore", "verify", "apply")
+"""Commands that the page runs and that take a unit of a fleet."""
 
 
 class Workplace:
     """A project directory, its findings, and the job that runs."""
 
-    def __init__(self, directory: Path, *, skip_invalid: bool = False) -> None:
+    def __init__(
+        self, directory: Path, *, skip_invalid: bool = False, sensor: str | None = None
+    ) -> None:
         """Open a directory.
 
         Args:
             directory: of zerodrift.toml, or where a new project is to be.
             skip_invalid: drop invalid rows of the logs, in every command that reads them.
+            sensor: the unit of a fleet whose model and logs these are; every command gets it.
 
         Raises:
             InputError: another workbench is open on it.
         """
         self.directory = directory.resolve()
+        self.sensor = sensor
         self._skip_invalid = [SKIP_INVALID] if skip_invalid else []
+        self._unit = [] if sensor is None else [SENSOR, sensor]
         self._lock = threading.RLock()
         self._hold = hold_directory(self.directory)
         self._scratch = tempfile.TemporaryDirectory(prefix="zerodrift-workbench-")
@@ -104,7 +112,7 @@ class Workplace:
         self._is_anew = False
         self._result: Path | None = None
         self._marks: Marks = {}
-        self.recordings = RecordingWatch(self.directory)
+        self.recordings = RecordingWatch(self.directory, sensor)
         self._read: dict[tuple[int, str, DriftDriver], Array] = {}
         self.findings: Findings | None = None
         self.previews: tuple[str, ...] = ()
@@ -206,7 +214,7 @@ class Workplace:
                 return
             self.recordings.begin_look()
             self._marks = self._mark_files()
-            arguments = [str(self.directory), str(result), *self._skip_invalid]
+            arguments = [str(self.directory), str(result), *self._skip_invalid, *self._unit]
             self.job = Job(
                 "look",
                 "Looking at the project",
@@ -241,7 +249,8 @@ class Workplace:
                 self.look()
 
     def _mark_files(self) -> Marks:
-        return mark_files(self.directory, self.findings, self.recordings.list_logs())
+        recorded = self.recordings.list_logs()
+        return mark_files(self.directory, self.findings, recorded, self.sensor)
 
     def forget_recording(self, file: str) -> None:
         """Show a recording no longer, and follow its log as any other.
@@ -327,7 +336,10 @@ class Workplace:
                 self._touch()
                 return False
             self.message = None
-            options = self._skip_invalid if name in READS_LOGS else []
+            options = [
+                *(self._skip_invalid if name in READS_LOGS else []),
+                *(self._unit if name in OF_ONE_MODEL else []),
+            ]
             self.job = Job(
                 name,
                 title,
@@ -414,7 +426,16 @@ class Workplace:
             self.job = Job(
                 "chip",
                 "Bringing the C into the page",
-                [[CHILD, "chip", str(self.directory), str(result), *self._skip_invalid]],
+                [
+                    [
+                        CHILD,
+                        "chip",
+                        str(self.directory),
+                        str(result),
+                        *self._skip_invalid,
+                        *self._unit,
+                    ]
+                ],
                 on_event=lambda event: self._take(event, result),
                 on_end=self._end,
             )
@@ -433,7 +454,7 @@ class Workplace:
         if self.chip_folder is None:
             raise InputError("no C is in the page yet; expected it to run. Press the button first.")
         if anew or self._live is None:
-            self._live = LiveChip(self.directory, self.chip_folder)
+            self._live = LiveChip(self.directory, self.chip_folder, self.sensor)
         return self._live.take(text)
 
     def undo(self) -> None:

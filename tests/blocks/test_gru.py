@@ -22,7 +22,9 @@ from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, generate_design
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.export.quantize import quantize
+from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.verify.certificate import certify_design
 from zerodrift.verify.certificate_check import CertificateOutcome, compare
 from zerodrift.verify.host_check import check_host
@@ -156,6 +158,21 @@ def test_what_no_block_holds_is_refused(change: Callable[..., object], why: str)
     described, calibration = describe_unit(3, outputs=2, hidden=2)
     with pytest.raises(CheckError, match=why):
         make_design([quantize(change(described), calibration)])
+
+
+def test_a_gru_with_weights_of_8_bits_is_refused_by_name() -> None:
+    with pytest.raises(CheckError, match=r"'gru' .*8 bits cannot stand in a block.*int16"):
+        make_design([quantize(*describe_unit(3, outputs=2, hidden=2), "int8")])
+
+
+def test_an_lstm_is_refused_by_name() -> None:
+    described, calibration = describe_unit(3, outputs=2, hidden=2)
+    rng = np.random.default_rng(4)
+    cell = FloatLstm(*(rng.uniform(-0.5, 0.5, (4, 2, n)) for n in (2, 2)), np.zeros((4, 2)))
+    layers = (FloatLayer(cell, (0,)),)
+    network = FloatLayeredNetwork(2, layers, (1,), rng.normal(size=(2, 2)), np.zeros(2))
+    with pytest.raises(CheckError, match=r"lstm.*cannot stand in a block.*lag_bank"):
+        make_design([quantize(replace(described, network=network), calibration)])
 
 
 def test_units_that_do_not_fit_are_refused_with_the_reason() -> None:

@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from benchmarks.bench_monitor import draw_unit
 
 from zerodrift.field.blocks import join_blocks, make_blocks
 from zerodrift.field.noise import MEMORIES, correlate, fit_noise
@@ -53,6 +54,13 @@ def test_three_years_are_tested_in_seconds_and_a_late_step_is_found() -> None:
     assert 6398 <= found.since <= 6401
     assert found.alarm >= 6400
     assert found.size == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("noise", ["white", "flicker"])
+def test_a_step_does_not_pass_for_another_unit(noise: str) -> None:
+    """Of five times the noise: between the sizes that the test averages over."""
+    told = [draw_unit(700_000 + i, noise, STEP) for i in range(8)]
+    assert [one.cause for one in told] == [STEP] * 8
 
 
 def test_a_gap_of_months_is_no_change() -> None:

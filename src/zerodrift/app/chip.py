@@ -38,14 +38,16 @@ AT_ONCE = 2048
 Answers = tuple[NDArray[np.int32], NDArray[np.uint32]]
 
 
-def prepare_chip(directory: Path, result: Path, skip_invalid: bool) -> None:
-    """Write into `result` what the page needs to run the C of a project's firmware.
+def prepare_chip(
+    directory: Path, result: Path, skip_invalid: bool, sensor: str | None = None
+) -> None:
+    """Write into `result` what the page needs to run the C of a project's, or a unit's, firmware.
 
     Raises:
         InputError: there is no firmware or no compiler, or a log cannot be read.
         CheckError: the C does not compile.
     """
-    config, dataset = open_project(directory, skip_invalid)
+    config, dataset = open_project(directory, skip_invalid, sensor)
     path = config.build_directory / MODEL
     model = load_model(path)
     print_progress("compiling to WebAssembly")

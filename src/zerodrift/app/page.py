@@ -1,6 +1,6 @@
 """What the page runs in separate processes: survey, diagnosis, and the firmware's C for the page.
 
-python -m zerodrift.app.page survey|diagnose|chip PROJECT RESULT [--skip-invalid]
+python -m zerodrift.app.page survey|diagnose|chip PROJECT RESULT [--skip-invalid] [--sensor NAME]
 
 All write into the directory RESULT and report by an event when a file there is complete.
 """
@@ -22,6 +22,7 @@ from zerodrift.workbench.events import (
     DIAGNOSED,
     DIAGNOSIS,
     PREVIEWED,
+    SENSOR,
     SKIP_INVALID,
     SURVEYED,
     name_preview,
@@ -31,10 +32,11 @@ from zerodrift.workbench.jobs import EVENT_MARK
 PREVIEWS = 4
 
 
-def survey(directory: Path, result: Path, skip_invalid: bool) -> None:
+def survey(directory: Path, result: Path, skip_invalid: bool, sensor: str | None) -> None:
     """Write the findings, with the diagnosis where one for these logs is kept."""
     findings = survey_project(
         directory,
+        sensor=sensor,
         skip_invalid=skip_invalid,
         wants_diagnosis=False,
         wants_advice=False,
@@ -45,13 +47,13 @@ def survey(directory: Path, result: Path, skip_invalid: bool) -> None:
     _tell(SURVEYED)
 
 
-def diagnose(directory: Path, result: Path, skip_invalid: bool) -> None:
+def diagnose(directory: Path, result: Path, skip_invalid: bool, sensor: str | None) -> None:
     """Write the diagnosis, and then the curves of the effects that it names."""
     from zerodrift.app.commands.project import open_project
     from zerodrift.app.commands.survey import trace_provenance
     from zerodrift.physics.catalogue import load_catalogue
 
-    config, dataset = open_project(directory, skip_invalid)
+    config, dataset = open_project(directory, skip_invalid, sensor)
     catalogue = load_catalogue(config.plugin_files)
     mark = trace_provenance(config, dataset).mark
     found = diagnose_once(config, dataset, catalogue, mark, True, print_progress)
@@ -70,11 +72,11 @@ def diagnose(directory: Path, result: Path, skip_invalid: bool) -> None:
         _tell(PREVIEWED)
 
 
-def chip(directory: Path, result: Path, skip_invalid: bool) -> None:
+def chip(directory: Path, result: Path, skip_invalid: bool, sensor: str | None) -> None:
     """Write the firmware's C as WebAssembly, the runs, and the reference's answers."""
     from zerodrift.app.chip import prepare_chip
 
-    prepare_chip(directory, result, skip_invalid)
+    prepare_chip(directory, result, skip_invalid, sensor)
     _tell(CHIP_READY)
 
 
@@ -85,10 +87,12 @@ def _tell(event: str) -> None:
 def main() -> None:
     """Do what the arguments say; a user's error is one message on stderr."""
     what, directory, result = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
-    skip_invalid = SKIP_INVALID in sys.argv[4:]
+    options = sys.argv[4:]
+    skip_invalid = SKIP_INVALID in options
+    sensor = options[options.index(SENSOR) + 1] if SENSOR in options else None
     try:
         do = {"survey": survey, "diagnose": diagnose, "chip": chip}[what]
-        do(directory, result, skip_invalid)
+        do(directory, result, skip_invalid, sensor)
     except ZerodriftError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

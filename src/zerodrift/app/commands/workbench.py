@@ -9,7 +9,13 @@ from types import FrameType
 
 import click
 
-from zerodrift.app.commands.common import directory_option, skip_invalid_option, trust_option
+from zerodrift.app.commands.common import (
+    directory_option,
+    sensor_option,
+    skip_invalid_option,
+    trust_option,
+)
+from zerodrift.app.commands.project import open_config
 from zerodrift.app.trust import require_trust
 from zerodrift.base.config import FILE_NAME, load_config
 from zerodrift.base.errors import InputError
@@ -22,24 +28,35 @@ from zerodrift.base.extras import PAGE, WORKBENCH, require
     "--port", type=click.IntRange(0, 65535), default=0, help="Port (default: any that is free)."
 )
 @click.option("--no-browser", is_flag=True, help="Print the address only; open no browser.")
+@sensor_option
 @trust_option
 @skip_invalid_option
-def command(directory: Path, port: int, no_browser: bool, trust: bool, skip_invalid: bool) -> None:
+def command(
+    directory: Path,
+    port: int,
+    no_browser: bool,
+    sensor: str | None,
+    trust: bool,
+    skip_invalid: bool,
+) -> None:
     """Open a page on DIR: measurement, model and residual, the verdict, Add, Undo, firmware.
 
     The page runs the commands of this command line and shows what they print. It is served on
     127.0.0.1 to whoever has the token in its address; nothing leaves this machine. Without a
-    zerodrift.toml in DIR it begins a new project from logs, or a simulated one to practise on.
+    zerodrift.toml in DIR it begins a new project from logs, or a simulated one to practise on. Of a
+    fleet, --sensor names the unit; what Add and Remove change is the design that all units share.
     """
     require(PAGE, "zerodrift workbench")
     require(WORKBENCH, "zerodrift workbench")
     from zerodrift.workbench.early import EarlyPage
     from zerodrift.workbench.hold import hold_directory, release_directory
 
+    if sensor is not None:
+        open_config(directory, sensor)
     require_trust(_list_plugins(directory), trusted=trust)
     # Refused before a page is promised; the page itself holds the directory from then on.
     release_directory(hold_directory(directory.resolve()))
-    early = EarlyPage(directory, port)
+    early = EarlyPage(directory, port, sensor)
     early.begin()
     click.echo(f"Workbench on {directory.resolve()}: {early.url}")
     click.echo("Ctrl-C ends it.")
@@ -56,7 +73,7 @@ def command(directory: Path, port: int, no_browser: bool, trust: bool, skip_inva
     with contextlib.suppress(KeyboardInterrupt):
         from zerodrift.workbench.server import Workbench  # takes seconds; the first page is there
 
-        bench = Workbench(directory, skip_invalid=skip_invalid, early=early)
+        bench = Workbench(directory, skip_invalid=skip_invalid, sensor=sensor, early=early)
         with contextlib.suppress(KeyboardInterrupt):
             bench.serve(interrupted)
         bench.close()
