@@ -22,6 +22,8 @@ from zerodrift.diagnosis.rules import (
     EXPLAINED,
     EXPLAINED_WITHOUT_DWELL,
     LEFT_WITHOUT_DWELL,
+    SURE_SHARE,
+    SURE_UNITS,
     SURELY_THERE,
     Finding,
     helps,
@@ -139,12 +141,16 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
     if rails is not None and helps(rails, first):
         first = count_rails(first, rails)
         findings = place_rails(first, rails, findings)
+    pair = not findings and not is_at_floor(first, first.fitted_ratio)
+    if pair:
+        findings = find_pair(case, first)
+        terms = findings[-1].judged.found.terms if findings else case.terms
     if not findings:
         complete = is_at_floor(first, first.fitted_ratio) and not wanders(case, first)
         verdict = "complete" if complete else "unknown"
         return report(case, verdict, first, None, ()), terms
     left = findings[-1].judged.fitted_ratio if last is None else last.fitted_ratio
-    if len(findings) > 1:
+    if len(findings) > 1 and not pair:
         confirmed = confirm(case, findings)
         strongest = confirmed[0]
         if strongest.judged.sound and helps(strongest.judged, strongest.examination):
@@ -215,6 +221,34 @@ def find_missing(case: Case, first: Examination) -> tuple[list[Finding], Examina
             return findings, None
         examination = look(case, leading.found.terms)
     return findings, examination
+
+
+def find_pair(case: Case, first: Examination) -> list[Finding]:
+    """Return two missing effects of which each hides the other, or none.
+
+    Where both are large, the error with one of them is still that of the other, and its share of
+    the whole may even grow. Each has to help beside the other as an effect has to that is alone.
+    First comes one that `add` keeps by itself, or that lowers the error more.
+    """
+    leading = next((j for j in first.judged if j.sound), None)
+    if leading is None or leading.gain < SURE_UNITS or leading.positive_share < SURE_SHARE:
+        return []
+    shortlist = frozenset(j.kind for j in first.judged[:SHORTLIST])
+    found = []
+    terms, kind = leading.found.terms, ""
+    for _ in range(2):  # the other one beside the first, then the first beside the other one
+        examination = look(case, terms, shortlist - {kind})
+        best = lead(examination)
+        if best is None:
+            return []
+        found.append(Finding(examination, best))
+        told = {term.effect.kind: term for term in case.terms}
+        kind, terms = best.kind, _without(best.found.terms, leading.kind, told)
+    if found[-1].judged.kind != leading.kind:
+        return []
+    alone = {j.kind: j.rmse_ratio for j in first.judged}
+    found.sort(key=lambda finding: alone.get(finding.judged.kind, 1.0))
+    return sorted(found, key=lambda finding: bool(foresee_refusal(case, finding)))
 
 
 def confirm(case: Case, findings: Sequence[Finding]) -> list[Finding]:
