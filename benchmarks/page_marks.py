@@ -68,6 +68,7 @@ def measure_first(directory: Path, browser: Any) -> dict[str, float]:
         finally:
             page.close()
             process.send_signal(signal.SIGINT)  # its own processes end with it
+            process.communicate()
     return {"address_s": address_s, "first_page_s": first_s, "first_chart_s": drawn_s}
 
 

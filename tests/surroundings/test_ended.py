@@ -35,3 +35,18 @@ def test_ended_command_leaves_the_project_as_it_was(tmp_path, by):
     assert process.returncode == 130, said
     assert b"Traceback" not in said
     assert project.read_all() == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows ends a process without asking it")
+def test_workbench_ends_in_silence_where_its_reader_has_gone(tmp_path):
+    write_project(tmp_path, runs=3)
+    command = [sys.executable, "-m", "zerodrift", "workbench", "--no-browser", "-C", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout.readline()
+        process.stdout.close()
+        process.send_signal(signal.SIGINT)
+        said = process.stderr.read()
+        process.wait(timeout=60.0)
+    assert b"sys.exit" not in said and b"Traceback" not in said, said
+    assert process.returncode in (1, 130)

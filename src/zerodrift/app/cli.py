@@ -124,7 +124,7 @@ def run() -> None:
     except SystemExit as ended:
         if is_own_exit(ended) or COMPLETION in os.environ:  # click completes, and exits
             raise
-        if find_raiser(ended) == "rich.console":  # click's way to report a closed pipe
+        if is_closed_pipe(ended):
             raise BrokenPipeError from ended
         raise InputError(
             f"something that this command ran called sys.exit({ended.code!r}), so that the command"
@@ -136,6 +136,14 @@ def run() -> None:
 def is_own_exit(ended: SystemExit) -> bool:
     """Tell whether one of zerodrift's own commands ended the process, its work done."""
     return find_raiser(ended).startswith("zerodrift.")
+
+
+def is_closed_pipe(ended: SystemExit) -> bool:
+    """Tell whether rich or click ended the process because the reader of its output has gone."""
+    trace = ended.__traceback__
+    called = trace.tb_next if trace is not None else None  # by `run`: click, which else returns
+    is_own = called is not None and called.tb_next is None
+    return find_raiser(ended) == "rich.console" or (is_own and find_raiser(ended) == "click.core")
 
 
 def find_raiser(ended: SystemExit) -> str:
