@@ -56,10 +56,7 @@ def write_gru(layer: LayerShape) -> Iterator[str]:
 
 def _enter_gru(layer: LayerShape, frame: int) -> Iterator[str]:
     yield from _enter(layer, frame)
-    if layer.small and layer.shifts[1] > 1:
-        yield f"and r8, r3, #{2 ** (32 - layer.shifts[1])}"
-    else:
-        yield "mov r8, r3"
+    yield _keep_update(8, layer.shifts[1])
     yield "stm sp, {r4-r8}"
     yield from _pack(layer, 20)
 
@@ -101,14 +98,15 @@ def write_gru_before(layer: LayerShape) -> Iterator[str]:
     frame = layer.frame(6, layer.h_pairs + hidden)
     of_x, constants = _list_pairs(24, layer.x_pairs), "ldm sp, {r3, r7-r11}"
     yield from _enter(layer, frame)
-    yield from (f"add r8, sp, #{at_rh + 4 * layer.h_pairs}", "sub r8, r8, r1", "stm sp, {r3-r8}")
+    yield from (f"add r8, sp, #{at_rh + 4 * layer.h_pairs}", "sub r8, r8, r1")
+    yield from (_keep_update(3, shifts[1]), "stm sp, {r3-r8}")
     yield from _pack(layer, 24)
     yield from (f"add r4, sp, #{at_rh}", "1:")
     yield from _queue(2, [*of_x, *_list_pairs(at_h, layer.h_pairs)])
     yield constants
     yield from _activation(1, shifts[0], small, half=True)
-    yield from _activation(2, shifts[1], small, half=False)
-    yield from ("and r2, r2, r3", "add r2, r2, #0x40000000", "str r2, [r12, r11]")
+    yield from _update(3, shifts[1], small)
+    yield "str r2, [r12, r11]"
     yield from ("ldr r5, [r12], #4", "smmul r5, r5, r1", "add r5, r5, #8192", "asr r5, r5, #14")
     yield from ("strh r5, [r4], #2", "cmp r12, r7", "bne 1b")
     if hidden % 2:
@@ -304,15 +302,44 @@ def _shifted(shift: int) -> str:
 
 def _line_of_all(k: int, shift: int) -> Iterator[str]:
     yield from (f"ssat r{k}, #20, r{k}{_shifted(shift)}", f"asr r5, r{k}, #11")
+    yield from _look_up(k)
+
+
+def _look_up(k: int) -> Iterator[str]:
     yield from ("ldr r6, [r8, r5, lsl #2]", "ldrsh lr, [r9, r5, lsl #1]")
     yield f"mla r{k}, lr, r{k}, r6"
+
+
+def _keep_update(to: int, shift: int) -> str:
+    """What makes of a_u its table's argument, or 0 towards rest; u_keep where that needs none."""
+    return f"and r{to}, r3, #{2 ** (32 - shift)}" if shift > 1 else f"mov r{to}, r3"
+
+
+def _update(keep: int, shift: int, small: bool) -> Iterator[str]:
+    """u_q31, or 1/2, from r2."""
+    if small:
+        if shift > 1:
+            yield from (f"smmul r2, r2, r{keep}", "eors r5, r2, r2, asr #31")
+            yield "usat r5, #8, r5, asr #11"
+        else:
+            yield f"and r2, r2, r{keep}"
+            yield from _limited(2, shift)
+        yield from _line_of_half(2)
+        yield "adc r2, r2, #0x40000000"
+        return
+    if shift > 1:
+        yield from (f"smmul r2, r2, r{keep}", "ssat r5, #9, r2, asr #11")
+        yield from _look_up(2)
+    else:
+        yield from _line_of_all(2, shift)
+        yield f"and r2, r2, r{keep}"
+    yield "add r2, r2, #0x40000000"
 
 
 def _gates_of_all(shifts: Sequence[int]) -> Iterator[str]:
     yield from _line_of_all(1, shifts[0])
     yield from ("add r1, r1, #0x40000000", "smmlar r3, r4, r1, r3")
-    yield from _line_of_all(2, shifts[1])
-    yield from ("and r2, r2, r11", "add r2, r2, #0x40000000")
+    yield from _update(11, shifts[1], small=False)
     yield from _line_of_all(3, shifts[2])
 
 
@@ -330,13 +357,7 @@ def _gates_of_half(shifts: Sequence[int]) -> Iterator[str]:
     yield from _limited(1, shifts[0])
     yield from _line_of_half(1)
     yield from ("adc r1, r1, #0x40000000", "smmlar r3, r4, r1, r3")
-    if shifts[1] > 1:
-        yield from ("smmul r2, r2, r11", "eors r5, r2, r2, asr #31", "usat r5, #8, r5, asr #11")
-    else:
-        yield "and r2, r2, r11"
-        yield from _limited(2, shifts[1])
-    yield from _line_of_half(2)
-    yield "adc r2, r2, #0x40000000"
+    yield from _update(11, shifts[1], small=True)
     yield from _limited(3, shifts[2])
     yield from _line_of_half(3)
     yield "adc r3, r3, #0"

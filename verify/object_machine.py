@@ -395,6 +395,8 @@ class ObjectMachine:
         word = self._read(one.m)
         if one.name == "ssat" and one.value == 20:
             word = self.curves.settle(word)
+        elif (one.name, one.value, one.shift, one.by) == ("ssat", 9, "asr", 11):
+            word = self.parts.begin_lines(word)
         word = self._shift(word, one.shift, one.by)
         self._write(one.d, self.parts.limit(word, one.value, one.name == "ssat"))
 

@@ -34,6 +34,12 @@ class Parts:
             ("limit", bits, signed), lambda a: words.limit(a, bits, signed), word
         )
 
+    def begin_lines(self, word: Word) -> Word:
+        """Return a word whose line of tanh's table is asked for: a curve over these lines."""
+        if isinstance(word, Whole) and word.exact is None:
+            return self.curves.begin(TABLE, self.words.signed(word))
+        return word
+
     def _begin_limit(self, t: Whole, bits: int) -> Word:
         """Return a number that is to be limited as a curve, of its half where it is even."""
         constant, sums = self.terms.split(t)

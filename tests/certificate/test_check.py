@@ -434,7 +434,8 @@ LSTM_BYTES = Shape(inputs=3, layered=(("lstm", 5, (0,)),), weights="int8", code_
 NORM = Shape(inputs=3, layered=(("gru", 5, (0,)), ("norm", 5, (1,))), code_limit=12000)
 FURTHER_FAULTS: dict[str, tuple[Shape, str, str]] = {
     "r h rounded elsewhere": (BEFORE, r"add r5, r5, #8192", "add r5, r5, #4096"),
-    "u not masked": (BEFORE, r"and r2, r2, r3", "mov r2, r2"),
+    "u rounded": (BEFORE, r"smmul r2, r2, r3", "smmulr r2, r2, r3"),
+    "u not 0 towards rest": (BEFORE, r"and r3, r3, #(\d+)", r"mov r3, #\1"),
     "r h cut off on the smallest": (BEFORE, r"lsls r2, r2, #13", "lsls r2, r2, #12"),
     "the reset after the product": (BEFORE, r"zd_gru_before_t gru", "zd_gru_pairs_t gru"),
     "a stream too long": (

@@ -5,7 +5,7 @@
 #include "zd_runtime.h"
 #include "zd_network.h"
 
-#if FRONT_END_CODE_ID != 2943211727
+#if FRONT_END_CODE_ID != 3932492792
 #error "front_end.h is not of the same generation as front_end.c: copy all files again"
 #endif
 #if ZD_RUNTIME_FORMAT != 3
@@ -558,12 +558,8 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "movw r6, #:lower16:(" ZD_TANH_SLOPE_NAME " + 512)\n"
         "movt r6, #:upper16:(" ZD_TANH_SLOPE_NAME " + 512)\n"
 #endif
-#if defined(ZD_SMALL)
         "and r8, r3, #2097152\n"
-#else
-        "mov r8, r3\n"
-#endif
-        "stm sp, {r4-r8}\n"
+"stm sp, {r4-r8}\n"
 #if defined(ZD_UNALIGNED)
         "ldr r4, [r2, #0]\n"
         "str r4, [sp, #20]\n"
@@ -631,7 +627,7 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "mla r1, lr, r1, r6\n"
 "adc r1, r1, #0x40000000\n" /* r_q31 */
         "smmlar r3, r4, r1, r3\n"
-        "smmul r2, r2, r11\n" /* shifted, or 0 */
+        "smmul r2, r2, r11\n"
         "eors r5, r2, r2, asr #31\n"
         "usat r5, #8, r5, asr #11\n"
         "uqadd8 r5, r5, r10\n"
@@ -657,13 +653,12 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "mla r1, lr, r1, r6\n"
 "add r1, r1, #0x40000000\n" /* r_q31 */
         "smmlar r3, r4, r1, r3\n"
-        "ssat r2, #20, r2, asr #11\n"
-        "asr r5, r2, #11\n"
+        "smmul r2, r2, r11\n"
+        "ssat r5, #9, r2, asr #11\n"
         "ldr r6, [r8, r5, lsl #2]\n"
         "ldrsh lr, [r9, r5, lsl #1]\n"
         "mla r2, lr, r2, r6\n"
-"and r2, r2, r11\n"
-        "add r2, r2, #0x40000000\n" /* u_q31, or 1/2 */
+"add r2, r2, #0x40000000\n" /* u_q31, or 1/2 */
         "ssat r3, #20, r3, asr #10\n"
         "asr r5, r3, #11\n"
         "ldr r6, [r8, r5, lsl #2]\n"
