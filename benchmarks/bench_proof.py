@@ -8,7 +8,9 @@ Faults are drawn by `benchmarks.mutants`, which knows nothing of the prover, in 
 files; assembly, which is tested and not proven, is left out. Whatever is proven all the same is
 given to the oracle of `benchmarks.mutants` (every bit and sanitizers, every layout on this host):
 it must mean the same. Of every tenth that is not proven the oracle is asked too, so that the share
-of faults among them is known. Exit code 1: a random model is not proven, or a fault is.
+of faults among them is known. Both go in parts: `--first N` begins at the Nth, and what was found
+so far is printed every 25 models or faults. Exit code 1: a random model is not proven, or a fault
+is.
 """
 
 import argparse
@@ -35,6 +37,8 @@ HARMLESS = ("equivalent", "does not compile")
 ASKED = 10
 """Of so many faults that are not proven, the oracle is asked of one."""
 LIMIT_S = 30.0
+TOLD = 25
+"""After so many the count so far is printed."""
 
 
 def main(quick: bool) -> None:
@@ -63,6 +67,8 @@ def prove_models(count: int, seed: int, first: int = 0) -> bool:
         failed += bool(left)
         if left:
             print(f"case {number} ({case.sort}): {_tell(left)}", flush=True)
+        if len(seconds) % TOLD == 0:
+            print(f"  cases {first} to {number}: {failed} not proven, {slow} slow", flush=True)
     kinds = ", ".join(f"{n} {sort}" for sort, n in sorted(sorts.items()))
     print(f"random models proven: {count - failed} of {count} ({kinds}; seed {seed});"
           f" not proven at most {100 * bound_rate(failed, count):.2f} %")  # fmt: skip
@@ -92,6 +98,8 @@ def plant(count: int, seed: int, first: int = 0, only: Sequence[str] = ()) -> bo
                 (one.why for one in list_shown(models[name], texts) if one.verdict == OPEN), ""
             )
             told["not proven" if why else "proven"] += 1
+            if (number - first) % TOLD == TOLD - 1:
+                print(f"  faults {first} to {number}: {dict(told)}", flush=True)
             if why and number // len(names) % ASKED:
                 continue
             finding = oracles[name].judge(mutant.file, mutant.text, mutant.lines, bit_suffices=True)

@@ -169,6 +169,7 @@ class Terms:
             total = self._sum(c + sign * d, sums)
         if sign > 0:
             self._narrow_move(a, b, total)
+            total = self._narrow_mix(a, b, self._narrow_mix(b, a, total))
             return self._narrow(total, a.low + b.low, a.high + b.high)
         return self._narrow(total, a.low - b.high, a.high - b.low)
 
@@ -204,6 +205,31 @@ class Terms:
         for d, u in ((a, b), (b, a)):
             if u.low >= 0 and u.high < 1 << 31:
                 self._limit_move(h, self.subtract(d, self.scale(h, -1)), total)
+
+    def _narrow_mix(self, a: Whole, moved: Whole, total: Whole) -> Whole:
+        """a + floor(x / 2^s) = floor((2^s a + x) / 2^s), where an atom of both counts once.
+
+        So older + round((newer - older) q) is seen to lie between older and newer.
+        """
+        constant, sums = self.split(moved)
+        if len(sums) != 1 or sums[0][1] != 1 or total.kind != "sum":
+            return total
+        shift = self._all[sums[0][0]]
+        if shift.kind != "shift":
+            return total
+        by = shift.inner[1]
+        (c, left), (d, right) = self.split(self._all[shift.inner[0]]), self.split(a)
+        factors = dict(left)
+        if not any(number in factors for number, _ in right):
+            return total
+        for number, factor in right:
+            factors[number] = factors.get(number, 0) + (factor << by)
+        low = high = c + (d + constant << by)
+        for number, factor in factors.items():
+            atom = self._all[number]
+            ends = factor * atom.low, factor * atom.high
+            low, high = low + min(ends), high + max(ends)
+        return self._narrow(total, low >> by, high >> by)
 
     def _limit_move(self, h: Whole, n: Whole, total: Whole) -> None:
         total.low = max(total.low, min(h.low, n.low) - 1)

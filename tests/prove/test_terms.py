@@ -156,6 +156,35 @@ def test_step_towards_a_target_stays_between_the_two() -> None:
     assert (moved.low, moved.high) == (-(2**30) - 1, 2**30 + 1)
 
 
+@pytest.mark.parametrize("share", [0, 1, 5, 12, 16])
+@pytest.mark.parametrize("first", [True, False])
+def test_mix_of_two_samples_lies_between_them(share: int, first: bool) -> None:
+    """older + round((newer - older) share / 16): exactly as wide as what it takes on."""
+    terms = Terms()
+    newer, older = terms.symbol("newer", -7, 5), terms.symbol("older", -7, 5)
+    apart = terms.scale(terms.subtract(newer, older), share)
+    part = terms.shift(terms.add(apart, terms.constant(8)), 4)
+    mixed = terms.add(older, part) if first else terms.add(part, older)
+    every = [
+        (evaluate(terms, mixed, {"newer": a, "older": b}), b + ((a - b) * share + 8 >> 4))
+        for a in range(-7, 6)
+        for b in range(-7, 6)
+    ]
+    assert all(a == b for a, b in every)
+    assert (mixed.low, mixed.high) == (min(every)[0], max(every)[0]) == (-7, 5)
+
+
+def test_mix_beyond_its_samples_is_as_wide_as_it_goes() -> None:
+    """older + round((newer - older) 3 / 2) + 1 leaves the samples, and its range says so."""
+    terms = Terms()
+    newer, older = terms.symbol("newer", 0, 4), terms.symbol("older", 0, 4)
+    apart = terms.scale(terms.subtract(newer, older), 3)
+    part = terms.shift(terms.add(apart, terms.constant(1)), 1)
+    mixed = terms.add(terms.add(older, terms.constant(1)), part)
+    every = [b + 1 + ((a - b) * 3 + 1 >> 1) for a in range(5) for b in range(5)]
+    assert (mixed.low, mixed.high) == (min(every), max(every)) == (-1, 7)
+
+
 def test_limits_that_may_be_the_wrong_way_round_are_not_decided() -> None:
     terms = Terms()
     low, high = terms.symbol("low", 0, 9), terms.symbol("high", 5, 20)
