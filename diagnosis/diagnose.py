@@ -29,6 +29,7 @@ from zerodrift.diagnosis.rules import (
     helps,
     is_at_floor,
     lead,
+    stands_alone,
     wanders,
 )
 from zerodrift.physics.campaign import Campaign
@@ -149,7 +150,10 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
         complete = is_at_floor(first, first.fitted_ratio) and not wanders(case, first)
         verdict = "complete" if complete else "unknown"
         return report(case, verdict, first, None, ()), terms
-    left = findings[-1].judged.fitted_ratio if last is None else last.fitted_ratio
+    # Fits with the noise that is left weigh anew: what one of them explained stays explained.
+    left = min(finding.judged.fitted_ratio for finding in findings)
+    left = left if last is None else min(left, last.fitted_ratio)
+    alone = findings[0]
     if len(findings) > 1 and not pair:
         confirmed = confirm(case, findings)
         strongest = confirmed[0]
@@ -165,9 +169,11 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
     if not explained:
         unknown = report(case, "unknown", first, findings[0], ())
         # What is there is named, though something else is missing beside it.
-        if unknown.probability_of(findings[0].judged.kind) < SURELY_THERE:
+        sure = unknown.probability_of(findings[0].judged.kind) >= SURELY_THERE
+        if not sure and not stands_alone(alone):
             return unknown, terms
-        findings, beside = findings[:1], unknown.something_else
+        findings = findings[:1] if sure else [alone]
+        beside = unknown.something_else
     refusal = foresee_refusal(case, findings[0])
     if refusal:
         # What `add` refuses is not offered: here, or at any later look at these logs.

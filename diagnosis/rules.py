@@ -28,6 +28,11 @@ EXPLAINED_WITHOUT_DWELL = 0.7
 of what is no noise."""
 SURELY_THERE = 0.9
 """Probability from which an effect is named though too much is left for the right form alone."""
+MOST_OF_IT = 0.8
+"""An effect that explains this share of the excess, ..."""
+NO_RIVAL = 0.25
+"""... in all runs, where no other one has more than this share of its gain, is there, though in an
+unlike form: what is outside the catalogue is imitated by several effects, or by none so well."""
 ENOUGH_RUNS = 6
 """Fewer runs than this are thin evidence, and said to be: there an effect that is named ..."""
 SURE_UNITS = 300.0
@@ -103,6 +108,16 @@ def helps(judged: Judged, examination: Examination, *, beside: bool = False) -> 
     clear = judged.share >= CONCENTRATED and judged.positive_share >= ALL_GAIN
     clear = clear and not is_at_floor(examination, examination.fitted_ratio)
     return worthwhile and judged.gain > 0.0 and (sure or clear)
+
+
+def stands_alone(finding: Finding) -> bool:
+    """Return whether an effect explains most of what is missing, and nothing else much of it."""
+    leading, examination = finding.judged, finding.examination
+    if examination.runs < ENOUGH_RUNS or leading.p_value > SIGNIFICANT:
+        return False
+    most = leading.sound and leading.share >= MOST_OF_IT and leading.positive_share >= ALL_GAIN
+    rival = max((j.gain for j in examination.judged if j.kind != leading.kind), default=0.0)
+    return most and rival <= NO_RIVAL * leading.gain
 
 
 def list_lookalikes(finding: Finding) -> list[Judged]:
