@@ -57,7 +57,12 @@ def test_nothing_is_drawn_over_before_the_guess(place):
 @pytest.mark.parametrize(("busy", "words"), [(True, "Reading the logs"), (False, "says why")])
 def test_project_of_which_nothing_is_known_yet_is_no_empty_page(tmp_path, busy, words):
     place = SimpleNamespace(
-        has_project=True, findings=None, directory=tmp_path, message=None, busy=busy
+        has_project=True,
+        findings=None,
+        directory=tmp_path,
+        message=None,
+        busy=busy,
+        sensor=None,
     )
     start, start_hidden, bench_hidden, *_ = show_frame(place)
     assert words in str(start[0].to_plotly_json())
