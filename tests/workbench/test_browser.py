@@ -205,7 +205,7 @@ def test_any_channel_goes_into_any_pane_and_to_the_scatter(page, bench):
     page.locator("#main .head").nth(3).select_option("value:60:load Fz")
     tells(page, "load Fz", "#main .sheet svg")
     page.locator("#against").select_option("rate:60:temperature")
-    tells(page, "against rate of temperature", "#main .sheet svg")
+    tells(page, "rate of temperature, K/min", "#main .sheet svg")
     assert page.wrong == []
 
 
