@@ -89,7 +89,7 @@ def conclude(case: Case) -> Diagnosis:
     again = weigh_again(case, terms)
     if again is not None:
         case, diagnosis = again, _conclude(again)[0]
-    return diagnosis if diagnosis.verdict == "missing" else try_richer(case, diagnosis)
+    return try_richer(case, diagnosis) if diagnosis.verdict == "unknown" else diagnosis
 
 
 def try_richer(case: Case, plain: Diagnosis) -> Diagnosis:
@@ -142,8 +142,8 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
     if rails is not None and helps(rails, first):
         first = count_rails(first, rails)
         findings = place_rails(first, rails, findings)
-    pair = not findings and not is_at_floor(first, first.fitted_ratio)
-    if pair:
+    is_pair = not findings and not is_at_floor(first, first.fitted_ratio)
+    if is_pair:
         findings = find_pair(case, first)
         terms = findings[-1].judged.found.terms if findings else case.terms
     if not findings:
@@ -154,7 +154,7 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
     left = min(finding.judged.fitted_ratio for finding in findings)
     left = left if last is None else min(left, last.fitted_ratio)
     alone = findings[0]
-    if len(findings) > 1 and not pair:
+    if len(findings) > 1 and not is_pair:
         confirmed = confirm(case, findings)
         strongest = confirmed[0]
         if strongest.judged.sound and helps(strongest.judged, strongest.examination):
@@ -254,7 +254,7 @@ def find_pair(case: Case, first: Examination) -> list[Finding]:
         return []
     alone = {j.kind: j.rmse_ratio for j in first.judged}
     found.sort(key=lambda finding: alone.get(finding.judged.kind, 1.0))
-    return sorted(found, key=lambda finding: bool(foresee_refusal(case, finding)))
+    return found[::-1] if foresee_refusal(case, found[0]) else found
 
 
 def confirm(case: Case, findings: Sequence[Finding]) -> list[Finding]:

@@ -99,6 +99,13 @@ def test_too_little_memory_for_the_libraries_is_one_message(
 
 
 @needs_posix
+@pytest.mark.parametrize("command", ["effects", "doctor"])
+def test_commands_that_read_no_log_load_the_libraries_too(command: str, run: Run) -> None:
+    done = run(command, preexec_fn=lambda: limit_address_space(400_000))
+    assert_one_message(done, 2, "1.25 GB at least")
+
+
+@needs_posix
 def test_help_needs_no_memory_to_speak_of(run: Run) -> None:
     done = run("compare", "--help", preexec_fn=lambda: limit_address_space(700_000))
     assert (done.returncode, "Usage:" in done.stdout) == (0, True), done.stderr

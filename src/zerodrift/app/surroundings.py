@@ -16,8 +16,6 @@ _NO_ROOM = ("failed to map segment", "cannot map", "annot allocate memory")
 
 LEAST_TO_COMPUTE = 1_250_000_000
 """Bytes below which NumPy and Polars abort, or wait for ever, while they are loaded."""
-WITHOUT_LIBRARIES = ("doctor", "effects")
-"""Commands that answer without them."""
 
 
 def prepare_streams() -> None:
@@ -38,14 +36,13 @@ def describe_memory_limit(arguments: Sequence[str]) -> str:
     """Return a note on a limit of the address space at which libraries fail, or nothing.
 
     Raises:
-        InputError: the limit is too small for the command that the arguments name.
+        InputError: the limit is too small for any command; help needs next to nothing.
     """
     limit = read_address_space()
     if limit is None or limit >= LEAST_ADDRESS_SPACE:
         return ""
     asks_for_help = not arguments or {"-h", "--help", "--version"} & set(arguments)
-    computes = not asks_for_help and arguments[0] not in WITHOUT_LIBRARIES
-    if limit < LEAST_TO_COMPUTE and computes:
+    if limit < LEAST_TO_COMPUTE and not asks_for_help:
         raise InputError(
             f"this process may use {limit / 1e9:.1f} GB of address space (ulimit -v); expected"
             f" {LEAST_TO_COMPUTE / 1e9:.2f} GB at least, since the numerical libraries cannot be"
