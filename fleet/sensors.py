@@ -5,7 +5,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from zerodrift.base.config import TRAIN, USES, Config, locate_key
+from zerodrift.base.config import TRAIN, USES, Config, load_config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.fleet_config import PLACEHOLDER
 
@@ -149,6 +149,16 @@ def open_sensor(config: Config, sensor: str) -> Config:
         unit_build=config.build_directory / FOLDER / sensor,
         firmware_out=config.firmware_out / sensor,
     )
+
+
+def load_unit(path: Path, sensor: str | None) -> Config:
+    """Return the project of a directory, or that of one of its sensors.
+
+    Raises:
+        InputError: as `load_config` and `open_sensor`.
+    """
+    config = load_config(path)
+    return config if sensor is None else open_sensor(config, sensor)
 
 
 def explain_no_placeholder(config: Config, where: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.clock_config import TIME_UNITS
-from zerodrift.base.config import Config, load_config
+from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json, to_dict
 from zerodrift.dataset.code_format import MEASURED
@@ -25,7 +25,7 @@ from zerodrift.export.encoding import encode_values
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import ModelState, Reference
-from zerodrift.fleet.sensors import open_sensor
+from zerodrift.fleet.sensors import load_unit
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.recording.lines import LineError, LineReader, Values
 from zerodrift.workbench.live_steps import LiveSteps
@@ -160,8 +160,7 @@ class LiveChip:
         Raises:
             InputError: a file of the project is gone or damaged.
         """
-        config = load_config(directory)
-        self._config = config if sensor is None else open_sensor(config, sensor)
+        self._config = load_unit(directory, sensor)
         self._model = load_model(folder / MODEL)
         self._reference = Reference(self._model)
         self._state: ModelState | None = None

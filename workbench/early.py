@@ -13,9 +13,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
-from zerodrift.base.config import FILE_NAME, Config, load_config
+from zerodrift.base.config import FILE_NAME, Config
 from zerodrift.base.errors import InputError
-from zerodrift.fleet.sensors import open_sensor
+from zerodrift.fleet.sensors import load_unit
 from zerodrift.workbench.address import PageAddress, find_address, keep_address
 
 HOST = "127.0.0.1"
@@ -54,8 +54,7 @@ def tell_project(directory: Path, sensor: str | None = None) -> tuple[str, ...]:
     if not (directory / FILE_NAME).is_file():
         return ()
     try:
-        config = load_config(directory)
-        config = config if sensor is None else open_sensor(config, sensor)
+        config = load_unit(directory, sensor)
     except InputError:
         return ()
     outputs = ", ".join(f"{one.name} in {one.unit}" for one in config.outputs)

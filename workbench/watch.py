@@ -4,10 +4,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.selectors import matches_logs
-from zerodrift.fleet.sensors import open_sensor
+from zerodrift.fleet.sensors import load_unit
 from zerodrift.recording.status import ENDED, RecordingStatus, list_statuses, name_status
 
 
@@ -101,7 +100,6 @@ class RecordingWatch:
 
 def _is_named(directory: Path, log: Path, sensor: str | None) -> bool:
     try:
-        config = load_config(directory)
-        return matches_logs(config if sensor is None else open_sensor(config, sensor), log)
+        return matches_logs(load_unit(directory, sensor), log)
     except InputError:
         return False

@@ -151,27 +151,24 @@ def propose_formula(
     dataset = replace(dataset, test=())
     found = _search_formula(config, dataset, catalogue, advance)
     floor = np.array([found.noise_floor[name] for name in dataset.outputs])
-    if found.formula is not None:
+    if found.formula is None:
+        rmse, steady = measure_left_out(config.effects, dataset, catalogue)
+        left = steady
+    else:
         before, after = found.formula.revision.before, found.formula.revision.after
-        return replace(
-            found,
-            floor_ratio_before=pool_ratio(before.steady_rmse, floor),
-            floor_ratio_after=pool_ratio(after.steady_rmse, floor),
-        )
-    rmse, steady = measure_left_out(config.effects, dataset, catalogue)
-    ratio = pool_ratio(steady, floor)
+        rmse, steady, left = before.rmse, before.steady_rmse, after.steady_rmse
     return replace(
         found,
         rmse_left_out=dict(zip(dataset.outputs, rmse.tolist(), strict=True)),
-        floor_ratio_before=ratio,
-        floor_ratio_after=ratio,
+        floor_ratio_before=pool_ratio(steady, floor),
+        floor_ratio_after=pool_ratio(left, floor),
     )
 
 
 def _search_formula(
     config: Config, dataset: Dataset, catalogue: Catalogue, advance: Advance
 ) -> FormulaSearch:
-    """Return the same with the errors by which the search judges."""
+    """Return the same without the errors of the plain fits."""
     places = {f"formula_{n}": _hold_place(f"formula_{n}") for n in range(SEARCHES * SHORTLIST)}
     case = open_case(dataset, Catalogue({**catalogue, **places}), config.effects, advance)
     known = replace(case, catalogue=catalogue)
@@ -323,7 +320,6 @@ def _finish(
         ended,
         formula=Formula(effect, terms, values, meaning, revision, rivals),
         reason=revision.reason,
-        floor_ratio_after=best.floor_ratio,
         nearest="",
     )
 
@@ -395,10 +391,10 @@ def _end(case: Case, seen: Examination, reason: str, suffices: str = "") -> Form
         forms=0,
         tried=0,
         p_value=None,
-        floor_ratio_before=seen.floor_ratio,
-        floor_ratio_after=seen.floor_ratio,
+        floor_ratio_before=0.0,
+        floor_ratio_after=0.0,
         nearest="",
         remainder=tuple(describe_remainder(case.dataset.train, rests, case.plan, seen.floor)),
-        rmse_left_out=dict(zip(outputs, np.sqrt(seen.base_errors).tolist(), strict=True)),
+        rmse_left_out={},
         noise_floor=dict(zip(outputs, seen.floor.tolist(), strict=True)),
     )

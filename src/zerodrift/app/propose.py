@@ -50,7 +50,6 @@ def summarise_search(whole: FormulaAnswer, dataset: Dataset, file: Path | None) 
     if formula is not None:
         revision = formula.revision
         names = dataset.outputs
-        before = dict(zip(names, revision.before.rmse.tolist(), strict=True))
         after = dict(zip(names, revision.after.rmse.tolist(), strict=True))
         floor = dict(zip(names, revision.floor.rms.tolist(), strict=True))
     units = dict(zip(dataset.outputs, dataset.units, strict=True))

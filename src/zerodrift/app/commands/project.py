@@ -22,12 +22,9 @@ def open_config(directory: Path, sensor: str | None = None) -> Config:
     Raises:
         InputError: zerodrift.toml is missing or wrong, or has no such unit.
     """
-    config = load_config(directory)
-    if sensor is None:
-        return config
-    from zerodrift.fleet.sensors import open_sensor
+    from zerodrift.fleet.sensors import load_unit
 
-    return open_sensor(config, sensor)
+    return load_unit(directory, sensor)
 
 
 def refuse_shared_program(directory: Path, sensor: str | None) -> None:
