@@ -22,7 +22,7 @@ NAMES = (
     *("bench_apply", "bench_uncertainty", "bench_install", "bench_bound"),
     "bench_contracting",
     *("bench_proof", "bench_object_proof"),
-    *("bench_steps", "bench_wasm"),
+    *("bench_steps", "bench_wasm", "bench_small", "bench_kinds"),
 )
 """Modules of this folder, each with `main(quick: bool)`."""
 

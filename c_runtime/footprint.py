@@ -42,7 +42,7 @@ _LAYER = (
     *("lstm_step", "lstm_assembly", "zd_lstm_step"),
 )
 _LAYER_SECTION = re.compile(
-    r"\.((gru|lstm)|(gru|lstm)_(?!is_sound)\w+|zd_(gru|lstm)_\w+|zd_tanh_\w+|zd_dot\w*)$"
+    r"\.((gru|lstm)|(gru|lstm)_(?!is_sound)\w+|zd_(gru|lstm)_\w+|zd_(tanh|sigmoid)_\w+|zd_dot\w*)$"
 )
 ENTRIES = ("init", "settle", "step", "selftest", "save", "restore")
 """The functions that a firmware calls."""

@@ -13,7 +13,7 @@ from zerodrift.codegen.generate import make_environment
 from zerodrift.codegen.identity import NO_IDENTITY, identify_runtime
 from zerodrift.operations.c_text import crc_of_words
 from zerodrift.operations.exp2 import OCTAVE_Q29
-from zerodrift.operations.tables import STEP_BITS, tanh_nodes
+from zerodrift.operations.tables import NODE_BITS, STEP_BITS, tanh_nodes
 
 GENERATED = ("zd_tanh_table.h", "zd_exp2.h")
 """Headers made of a template of the same name in codegen/templates."""
@@ -34,7 +34,7 @@ def compute_lines() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     line = np.arange(slope.size) - slope.size // 2
     offset = (nodes[:-1] - slope * line) * 2**STEP_BITS
     largest = slope * (np.abs(line) + 1) * 2**STEP_BITS
-    if slope.max() >= 2**15 or np.abs(offset).max() >= 2**31 or largest.max() >= 2**31:
+    if slope.max() >= 2**15 or np.abs(offset).max() >= 2**30 or largest.max() >= 2**31:
         raise AssertionError("a line of the activation table does not fit int32 and int16")
     return offset, slope
 
@@ -63,12 +63,15 @@ def _render_tables() -> dict[Path, str]:
     offset, slope = compute_lines()
     half_offset, half_slope = compute_half()
     slopes = [*slope.tolist(), 0]
+    sigmoid = offset + 2 ** (NODE_BITS + STEP_BITS)
     context = {
         "id": NO_IDENTITY,
         "half_offsets": half_offset.tolist(),
         "half_slopes": half_slope.tolist(),
         "half_crc": crc_of_words([*half_offset.tolist(), *half_slope.tolist()]),
         "offsets": offset.tolist(),
+        "sigmoid_offsets": sigmoid.tolist(),
+        "sigmoid_crc": crc_of_words(sigmoid.tolist()),
         "slopes": slopes,
         "lines_crc": crc_of_words([*offset.tolist(), *slopes]),
         "octave": OCTAVE_Q29,

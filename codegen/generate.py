@@ -168,7 +168,7 @@ def _render(
         "code_id": PLACEHOLDER,
         "runtime_id": find_runtime_identity(),
         "headers": [
-            *(part.header for part in parts),
+            *dict.fromkeys(part.header for part in parts),
             *(["zd_gru_pairs.h"] if any(layer.name in held for layer in model.recurrents) else []),
         ],
         "prefix": prefix,

@@ -19,6 +19,8 @@ from zerodrift.operations.node import Writer
 Int32Array = NDArray[np.int32]
 
 TANH = RuntimePart("zd_network.h", "zd_tanh_is_sound")
+SIGMOID = RuntimePart("zd_network.h", "zd_sigmoid_is_sound")
+"""What recurrent layers read of it beside tanh."""
 
 NODES = 513
 NODE_BITS = 19

@@ -6,9 +6,15 @@ Shares no code with the generator and needs the standard library only.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-HALF_LINES = 178
-"""Of the table that is read at -Os."""
-LIMIT = 256 - HALF_LINES
+from zerodrift.verify.c_armv7em_table import (
+    activate,
+    find_tables,
+    gates_of_all,
+    gates_of_half,
+    keep_update,
+    update,
+)
+
 PUSHED = 36
 """Bytes of the registers that a function saves."""
 
@@ -42,21 +48,96 @@ class LayerShape:
 
 
 def write_gru(layer: LayerShape) -> Iterator[str]:
-    """Reset after the product, 16-bit weights."""
-    shifts, small = layer.shifts, layer.small
-    frame = layer.frame(5)
-    yield from _enter_gru(layer, frame)
-    yield "1:"
-    yield from _dot(20, layer.x_pairs, 3, "r1-r4, ")
-    yield from _dot(20 + 4 * layer.x_pairs, layer.h_pairs, 4, "")
-    yield "ldm sp, {r7-r11}"
-    yield from _gates_of_half(shifts) if small else _gates_of_all(shifts)
-    yield from _move(frame)
+    """Reset after the product, 16-bit weights: the stack is pushed block by block, downwards."""
+    x, h = layer.x_pairs, layer.h_pairs
+    beside = x if x <= 4 else 0  # pairs of features that are pushed with the constants
+    unused = (x + h) % 2  # words: what is saved and pushed makes whole eights of bytes
+    at_h = 20 + 4 * (beside + unused)
+    x_at = _stack_up(20, x, x) if beside else _stack_up(at_h + 4 * h, x, 8)
+    h_at = _stack_up(at_h, h, 4)
+    frame = 4 * (5 + x + h + unused)
+    yield from (".syntax unified", f".set zd_stack_{layer.name}, {frame + PUSHED}")
+    yield "push {r4-r11, lr}"
+    if not beside:
+        for first in range(0, layer.inputs, 16):
+            count = min(16, layer.inputs - first)
+            yield from _load_features(layer, first, count, _registers(4, 8), "r12")
+            yield _push(4, (count + 1) // 2)
+    yield from _push_state(layer.hidden, layer.small)
+    yield from find_tables(layer.small)
+    yield keep_update(8, layer.shifts[1])
+    further = ("r9", "r10", "r11", "r12", "lr")
+    if beside:
+        yield from _load_features(layer, 0, layer.inputs, further, "r4")
+    yield f"push {{{', '.join(('r1', 'r5-r8', *further[: beside + unused]))}}}"
+    yield from (f"sub r12, r1, #{4 * layer.hidden}", "1:")
+    units = 1 if layer.small or layer.hidden % 2 else 4 if layer.hidden % 4 == 0 else 2
+    if units > 1:
+        yield f".rept {units}"
+    yield from _dot(x_at, 3, "r1-r4, ")
+    yield from _dot(h_at, 4, "")
+    yield from _gates(layer)
+    if units > 1:
+        yield ".endr"
+    yield from _end(frame)
+
+
+def _registers(first: int, count: int) -> tuple[str, ...]:
+    return tuple(f"r{k}" for k in range(first, first + count))
+
+
+def _push(first: int, count: int) -> str:
+    return f"push {{r{first}-r{first + count - 1}}}" if count > 1 else f"push {{r{first}}}"
+
+
+def _stack_up(lowest: int, pairs: int, block: int) -> list[int]:
+    """Where each pair lies from sp on, if blocks of so many were pushed one after another."""
+    blocks = [range(i, min(i + block, pairs)) for i in range(0, pairs, block)]
+    order = [i for each in reversed(blocks) for i in each]
+    return [lowest + 4 * order.index(i) for i in range(pairs)]
+
+
+def _load_features(
+    layer: LayerShape, first: int, count: int, registers: Sequence[str], free: str
+) -> Iterator[str]:
+    """Pairs of features to registers."""
+    for i, to in zip(range(first, first + count, 2), registers, strict=False):
+        alone = i + 1 == first + count
+        if layer.unaligned and count > 1 and not alone:
+            yield f"ldr {to}, [r2, #{2 * i}]"
+            continue
+        yield f"ldrh {to}, [r2, #{2 * i}]"
+        if not alone:
+            yield from (f"ldrh {free}, [r2, #{2 * i + 2}]", f"orr {to}, {to}, {free}, lsl #16")
+
+
+def _push_state(hidden: int, small: bool) -> Iterator[str]:
+    """State to 16 bits, rounded, in pairs, pushed by eight units; r1 <- where it ends."""
+    yield "mov lr, #32768"
+    eights, looped = hidden // 8, small and hidden >= 16
+    if looped:
+        yield from (f"add r12, r1, #{32 * eights}", "9:")
+    for _ in range(1 if looped else eights):
+        yield from _push_units(8)
+    if looped:
+        yield from ("cmp r1, r12", "bne 9b")
+    if hidden % 8:
+        yield from _push_units(hidden % 8)
+
+
+def _push_units(units: int) -> Iterator[str]:
+    yield f"ldm r1!, {{r4-r{3 + units}}}" if units > 1 else "ldr r4, [r1], #4"
+    yield from (f"add r{k}, lr, r{k}, lsl #1" for k in range(4, 4 + units))
+    for k in range(units // 2):
+        yield f"pkhtb r{4 + k}, r{5 + 2 * k}, r{4 + 2 * k}, asr #16"
+    if units % 2:
+        yield f"lsr r{4 + units // 2}, r{3 + units}, #16"
+    yield _push(4, (units + 1) // 2)
 
 
 def _enter_gru(layer: LayerShape, frame: int) -> Iterator[str]:
     yield from _enter(layer, frame)
-    yield _keep_update(8, layer.shifts[1])
+    yield keep_update(8, layer.shifts[1])
     yield "stm sp, {r4-r8}"
     yield from _pack(layer, 20)
 
@@ -69,7 +150,7 @@ def write_gru_of_bytes(layer: LayerShape, scales: Sequence[int]) -> Iterator[str
     if layer.h_pairs % 2:
         yield from ("mov r4, #0", f"str r4, [sp, #{at_h + 4 * layer.h_pairs}]")
     yield "1:"
-    yield from _dot(20, layer.x_pairs, 3, "r1-r3, ")
+    yield from _dot(range(20, at_h, 4), 3, "r1-r3, ")
     totals = ("r10", "r11", "lr")
     for four in range(fours):
         yield from (f"ldrd r8, r9, [sp, #{at_h + 8 * four}]", "ldm r0!, {r5-r7}")
@@ -85,9 +166,8 @@ def write_gru_of_bytes(layer: LayerShape, scales: Sequence[int]) -> Iterator[str
             yield f"add {total}, {total}, r6, lsl #{32 - scale}"
         else:
             yield f"add {total}, {total}, r5"
-    yield "ldm sp, {r7-r11}"
-    yield from _gates_of_half(layer.shifts) if layer.small else _gates_of_all(layer.shifts)
-    yield from _move(frame)
+    yield from _gates(layer)
+    yield from _end(frame)
 
 
 def write_gru_before(layer: LayerShape) -> Iterator[str]:
@@ -99,13 +179,13 @@ def write_gru_before(layer: LayerShape) -> Iterator[str]:
     of_x, constants = _list_pairs(24, layer.x_pairs), "ldm sp, {r3, r7-r11}"
     yield from _enter(layer, frame)
     yield from (f"add r8, sp, #{at_rh + 4 * layer.h_pairs}", "sub r8, r8, r1")
-    yield from (_keep_update(3, shifts[1]), "stm sp, {r3-r8}")
+    yield from (keep_update(3, shifts[1]), "stm sp, {r3-r8}")
     yield from _pack(layer, 24)
     yield from (f"add r4, sp, #{at_rh}", "1:")
     yield from _queue(2, [*of_x, *_list_pairs(at_h, layer.h_pairs)])
     yield constants
-    yield from _activation(1, shifts[0], small, half=True)
-    yield from _update(3, shifts[1], small)
+    yield from activate(1, shifts[0], small, half=True)
+    yield from update(3, shifts[1], small)
     yield "str r2, [r12, r11]"
     yield from ("ldr r5, [r12], #4", "smmul r5, r5, r1", "add r5, r5, #8192", "asr r5, r5, #14")
     yield from ("strh r5, [r4], #2", "cmp r12, r7", "bne 1b")
@@ -114,17 +194,23 @@ def write_gru_before(layer: LayerShape) -> Iterator[str]:
     yield from (f"sub r12, r12, #{4 * hidden}", "2:")
     yield from _queue(1, [*of_x, *_list_pairs(at_rh, layer.h_pairs)])
     yield constants
-    yield from _activation(1, shifts[2], small, half=False)
+    yield from activate(1, shifts[2], small, half=False)
     yield from ("ldr r2, [r12, r11]", "ldr r4, [r12]", "sub r1, r1, r4", "smmulr r1, r1, r2")
     yield from ("add r4, r4, r1, lsl #1", "str r4, [r12], #4", "cmp r12, r7", "bne 2b")
     yield from (f"add sp, sp, #{frame}", "pop {r4-r11, pc}")
 
 
-def _move(frame: int) -> Iterator[str]:
-    """The state of a GRU towards r3 by r2, the loop's end and the function's."""
+def _gates(layer: LayerShape) -> Iterator[str]:
+    """From the sums of a GRU's unit to its new state."""
+    yield "ldm sp, {r7-r11}"
+    yield from gates_of_half(layer.shifts) if layer.small else gates_of_all(layer.shifts)
     yield from ("ldr r4, [r12]", "sub r3, r3, r4", "smmulr r3, r3, r2", "add r4, r4, r3, lsl #1")
-    yield from ("str r4, [r12], #4", "cmp r12, r7", "bne 1b")
-    yield from (f"add sp, sp, #{frame}", "pop {r4-r11, pc}")
+    yield "str r4, [r12], #4"
+
+
+def _end(frame: int) -> Iterator[str]:
+    """The loop's end and the function's."""
+    yield from ("cmp r12, r7", "bne 1b", f"add sp, sp, #{frame}", "pop {r4-r11, pc}")
 
 
 def write_lstm(layer: LayerShape, bits: int) -> Iterator[str]:
@@ -172,13 +258,13 @@ def _leave_lstm(layer: LayerShape, bits: int, frame: int) -> Iterator[str]:
     """From the sums to cell state and output, in time and towards rest."""
     yield "ldm sp, {r7-r11}"
     for gate, shift in enumerate(layer.shifts):
-        yield from _activation(gate + 1, shift, layer.small, half=gate != 2)
+        yield from activate(gate + 1, shift, layer.small, half=gate != 2)
     yield from ("ldr r5, [r12, r11]", "smmulr r3, r3, r1", f"add r3, r3, #{1 << (29 - bits)}")
     yield from ("ldr r6, [sp, #20]", "cbnz r6, 3f", "smmulr r6, r5, r2")
     yield from (f"add r3, r6, r3, asr #{30 - bits}", "ssat r3, #31, r3, lsl #1")
     yield from ("lsrs r5, r3, #1", "adc r3, r3, #0", "2:", "str r3, [r12, r11]")
     yield f"add r3, r3, #{1 << (bits - 17)}"
-    yield from _activation(3, bits - 16, layer.small, half=False)
+    yield from activate(3, bits - 16, layer.small, half=False)
     yield from ("smmulr r3, r3, r4", "lsl r3, r3, #1", "str r3, [r12], #4")
     yield from ("cmp r12, r7", "bne 1b", f"add sp, sp, #{frame}", "pop {r4-r11, pc}")
     yield from ("3:", f"asr r3, r3, #{30 - bits}", "rsb r2, r2, #0x80000000", "smmulr r6, r5, r2")
@@ -190,18 +276,10 @@ def _leave_lstm(layer: LayerShape, bits: int, frame: int) -> Iterator[str]:
 
 
 def _enter(layer: LayerShape, frame: int) -> Iterator[str]:
-    """What is saved, where the state ends (r4) and where the table lies (r5, r6, its limit r7)."""
+    """What is saved, where the state ends (r4) and where the tables lie (r5 - r7)."""
     yield from (".syntax unified", f".set zd_stack_{layer.name}, {frame + PUSHED}")
     yield from ("push {r4-r11, lr}", f"sub sp, sp, #{frame}", f"add r4, r1, #{4 * layer.hidden}")
-    if layer.small:
-        tables = (f"half_offset_q30 - {4 * LIMIT}", f"half_slope_q19 - {2 * LIMIT}")
-    else:
-        tables = ("offset_q30 + 1024", "slope_q19 + 512")
-    for register, table in zip(("r5", "r6"), tables, strict=True):
-        yield f"movw {register}, #:lower16:(zd_tanh_{table})"
-        yield f"movt {register}, #:upper16:(zd_tanh_{table})"
-    if layer.small:
-        yield f"movs r7, #{LIMIT}"
+    yield from find_tables(layer.small)
 
 
 def _pack(layer: LayerShape, first: int) -> Iterator[str]:
@@ -251,17 +329,6 @@ def _queue(rows: int, blocks: list[tuple[int, int]], first: str | None = None) -
                 taken += 1
 
 
-def _activation(k: int, shift: int, small: bool, half: bool) -> Iterator[str]:
-    if small:
-        yield from _limited(k, shift)
-        yield from _line_of_half(k)
-        yield f"adc r{k}, r{k}, #{'0x40000000' if half else '0'}"
-        return
-    yield from _line_of_all(k, shift)
-    if half:
-        yield f"add r{k}, r{k}, #0x40000000"
-
-
 def _pack_state(hidden: int, small: bool) -> Iterator[str]:
     """State to 16 bits, rounded, in pairs."""
     eights, looped = hidden // 8, small and hidden >= 16
@@ -281,83 +348,17 @@ def _pack_state(hidden: int, small: bool) -> Iterator[str]:
         yield from ("ldr r4, [r1]", "add r4, lr, r4, lsl #1", "lsr r4, r4, #16", "str r4, [r3]")
 
 
-def _dot(offset: int, pairs: int, third: int, before: str) -> Iterator[str]:
-    """Sums r1, r2 and r<third>; `before` is loaded with the first weights."""
+def _dot(places: Sequence[int], third: int, before: str) -> Iterator[str]:
+    """Sums r1, r2 and r<third> of pairs on the stack; `before` is loaded with the first weights."""
+    pairs = len(places)
     for i in range(0, pairs - 1, 2):
-        yield f"ldrd r5, r6, [sp, #{offset + 4 * i}]"
+        yield f"ldrd r5, r6, [sp, #{places[i]}]"
         yield f"ldm r0!, {{{before if i == 0 else ''}r7-r11, lr}}"
         for total, weights in ((1, ("r7", "r8")), (2, ("r9", "r10")), (third, ("r11", "lr"))):
             for v, w in zip(("r5", "r6"), weights, strict=True):
                 yield f"smlad r{total}, {v}, {w}, r{total}"
     if pairs % 2:
-        yield f"ldr r5, [sp, #{offset + 4 * (pairs - 1)}]"
+        yield f"ldr r5, [sp, #{places[-1]}]"
         yield f"ldm r0!, {{{before if pairs == 1 else ''}r7-r9}}"
         for total, k in ((1, 7), (2, 8), (third, 9)):
             yield f"smlad r{total}, r5, r{k}, r{total}"
-
-
-def _shifted(shift: int) -> str:
-    return f", asr #{shift}" if shift else ""
-
-
-def _line_of_all(k: int, shift: int) -> Iterator[str]:
-    yield from (f"ssat r{k}, #20, r{k}{_shifted(shift)}", f"asr r5, r{k}, #11")
-    yield from _look_up(k)
-
-
-def _look_up(k: int) -> Iterator[str]:
-    yield from ("ldr r6, [r8, r5, lsl #2]", "ldrsh lr, [r9, r5, lsl #1]")
-    yield f"mla r{k}, lr, r{k}, r6"
-
-
-def _keep_update(to: int, shift: int) -> str:
-    """What makes of a_u its table's argument, or 0 towards rest; u_keep where that needs none."""
-    return f"and r{to}, r3, #{2 ** (32 - shift)}" if shift > 1 else f"mov r{to}, r3"
-
-
-def _update(keep: int, shift: int, small: bool) -> Iterator[str]:
-    """u_q31, or 1/2, from r2."""
-    if small:
-        if shift > 1:
-            yield from (f"smmul r2, r2, r{keep}", "eors r5, r2, r2, asr #31")
-            yield "usat r5, #8, r5, asr #11"
-        else:
-            yield f"and r2, r2, r{keep}"
-            yield from _limited(2, shift)
-        yield from _line_of_half(2)
-        yield "adc r2, r2, #0x40000000"
-        return
-    if shift > 1:
-        yield from (f"smmul r2, r2, r{keep}", "ssat r5, #9, r2, asr #11")
-        yield from _look_up(2)
-    else:
-        yield from _line_of_all(2, shift)
-        yield f"and r2, r2, r{keep}"
-    yield "add r2, r2, #0x40000000"
-
-
-def _gates_of_all(shifts: Sequence[int]) -> Iterator[str]:
-    yield from _line_of_all(1, shifts[0])
-    yield from ("add r1, r1, #0x40000000", "smmlar r3, r4, r1, r3")
-    yield from _update(11, shifts[1], small=False)
-    yield from _line_of_all(3, shifts[2])
-
-
-def _limited(k: int, shift: int) -> Iterator[str]:
-    yield from (f"ssat r{k}, #20, r{k}{_shifted(shift)}", f"asr r5, r{k}, #11")
-    yield f"eors r5, r5, r{k}, asr #31"
-
-
-def _line_of_half(k: int) -> Iterator[str]:
-    yield from ("uqadd8 r5, r5, r10", "ldr r6, [r8, r5, lsl #2]", "ldrh lr, [r9, r5, lsl #1]")
-    yield from (f"eor r6, r6, r{k}, asr #31", f"mla r{k}, lr, r{k}, r6")
-
-
-def _gates_of_half(shifts: Sequence[int]) -> Iterator[str]:
-    yield from _limited(1, shifts[0])
-    yield from _line_of_half(1)
-    yield from ("adc r1, r1, #0x40000000", "smmlar r3, r4, r1, r3")
-    yield from _update(11, shifts[1], small=True)
-    yield from _limited(3, shifts[2])
-    yield from _line_of_half(3)
-    yield "adc r3, r3, #0"

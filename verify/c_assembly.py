@@ -28,7 +28,7 @@ NAMES = {
     f"ZD_TANH_{half}{field}_NAME": f"zd_tanh_{half.lower()}{field.lower()}_{digits}"
     for half in ("", "HALF_")
     for field, digits in (("OFFSET", "q30"), ("SLOPE", "q19"))
-}
+} | {"ZD_SIGMOID_OFFSET_NAME": "zd_sigmoid_offset_q31"}
 """Macros of the runtime: what a table is called where the linker sees it."""
 
 

@@ -156,7 +156,7 @@ class Parser(ExpressionParser):
         self.take("(")
         while not self.take_if(")"):
             word = self.take()
-            if word[0] != '"' and not re.fullmatch(r"ZD_TANH_\w+_NAME", word):
+            if word[0] != '"' and not re.fullmatch(r"ZD_(TANH|SIGMOID)_\w+_NAME", word):
                 raise self.error(f"'{word}' in assembly")
             lines.append(word)
         self.take(";")

@@ -329,6 +329,8 @@ class Terms:
         if d.low > 0:
             return self.constant(0)
         constant, sums = self.split(d)
+        if (found := self._at_most_around(d, sums)) is not None:
+            return found
         common = 0
         for _, factor in sums:
             common = gcd(common, factor)
@@ -339,6 +341,38 @@ class Terms:
             sums = tuple((n, -f) for n, f in sums)
             return self.negate(self._le(1 - constant, sums))
         return self._le(constant, sums)
+
+    def _at_most_around(self, d: Whole, sums: Sums) -> Whole | None:
+        """Return whether d <= 0 of a d that holds an x modulo 2^32, if the side of x decides it.
+
+        x modulo 2^32 is x - 2^32 floor(x / 2^32), of which the floor is one of two numbers here: so
+        one comparison without a sign tells whether a number lies between two ends.
+        """
+        for number, factor in sums:
+            atom = self._all[number]
+            two = atom.kind == "shift" and atom.inner[1] == 32 and atom.high == atom.low + 1
+            if not two or abs(factor) != 1 << 32:
+                continue
+            x, edge, sign = self._all[atom.inner[0]], atom.high << 32, -1 if factor > 0 else 1
+            rest = self.subtract(d, self.scale(atom, factor))
+            apart = self.subtract(rest, self.scale(x, sign))
+            if apart.exact is None:
+                continue
+            sides = []  # d below the edge, and from it on; the ends of each
+            for floor, low, high in ((atom.low, x.low, edge - 1), (atom.high, edge, x.high)):
+                ends = [sign * end + apart.exact + factor * floor for end in (low, high)]
+                told = 1 if max(ends) <= 0 else 0 if min(ends) > 0 else None
+                sides.append((self.add(rest, self.constant(factor * floor)), told))
+            below = self.less(x, self.constant(edge))
+            for (_, told), (other, _), here in zip(
+                sides, reversed(sides), (below, self.negate(below)), strict=True
+            ):
+                if told is None:
+                    continue
+                if told:
+                    return self.either([here, self.at_most_zero(other)])
+                return self.both([self.negate(here), self.at_most_zero(other)])
+        return None
 
     def _le(self, constant: int, sums: Sums) -> Whole:
         d = self._sum(constant, sums)

@@ -25,7 +25,7 @@ from zerodrift.operations.intervals import Bound, Interval, Shift
 from zerodrift.operations.node import Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.recurrent import IntegerRecurrent, number_layers, prove_layers
 from zerodrift.operations.signals import Real
-from zerodrift.operations.tables import TANH
+from zerodrift.operations.tables import SIGMOID, TANH
 
 
 @dataclass(frozen=True)
@@ -177,8 +177,8 @@ class IntegerGruLayer(IntegerRecurrent):
 
     @property
     def parts(self) -> tuple[RuntimePart, ...]:
-        """The table of tanh."""
-        return (TANH,)
+        """The table of tanh, and that of the sigmoid."""
+        return (TANH, SIGMOID)
 
     def list_shifts(self) -> list[Shift]:
         """Return every right shift in the C."""

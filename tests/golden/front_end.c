@@ -5,13 +5,13 @@
 #include "zd_runtime.h"
 #include "zd_network.h"
 
-#if FRONT_END_CODE_ID != 3932492792
+#if FRONT_END_CODE_ID != 557913348
 #error "front_end.h is not of the same generation as front_end.c: copy all files again"
 #endif
 #if ZD_RUNTIME_FORMAT != 3
 #error "front_end was generated for zerodrift runtime format 3: generate it again"
 #endif
-#if ZD_RUNTIME_ID != 0x886ea6c6
+#if ZD_RUNTIME_ID != 0xf9abe6c9
 #error "zd_runtime.h is not the one that front_end.c was generated with: copy all files again"
 #endif
 
@@ -544,37 +544,6 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         ".syntax unified\n"
         ".set zd_stack_gru_assembly, 80\n"
         "push {r4-r11, lr}\n"
-        "sub sp, sp, #44\n"
-        "add r4, r1, #32\n" /* where the state ends */
-#if defined(ZD_SMALL)
-        "movw r5, #:lower16:(" ZD_TANH_HALF_OFFSET_NAME " - 312)\n"
-        "movt r5, #:upper16:(" ZD_TANH_HALF_OFFSET_NAME " - 312)\n"
-        "movw r6, #:lower16:(" ZD_TANH_HALF_SLOPE_NAME " - 156)\n"
-        "movt r6, #:upper16:(" ZD_TANH_HALF_SLOPE_NAME " - 156)\n"
-        "movs r7, #78\n"
-#else
-        "movw r5, #:lower16:(" ZD_TANH_OFFSET_NAME " + 1024)\n"
-        "movt r5, #:upper16:(" ZD_TANH_OFFSET_NAME " + 1024)\n"
-        "movw r6, #:lower16:(" ZD_TANH_SLOPE_NAME " + 512)\n"
-        "movt r6, #:upper16:(" ZD_TANH_SLOPE_NAME " + 512)\n"
-#endif
-        "and r8, r3, #2097152\n"
-"stm sp, {r4-r8}\n"
-#if defined(ZD_UNALIGNED)
-        "ldr r4, [r2, #0]\n"
-        "str r4, [sp, #20]\n"
-        "ldrh r4, [r2, #4]\n"
-        "str r4, [sp, #24]\n"
-#else
-        "ldrh r4, [r2, #0]\n"
-        "ldrh r5, [r2, #2]\n"
-        "orr r4, r4, r5, lsl #16\n"
-        "str r4, [sp, #20]\n"
-        "ldrh r4, [r2, #4]\n"
-        "str r4, [sp, #24]\n"
-#endif
-"mov r12, r1\n"
-        "add r3, sp, #28\n"
         "mov lr, #32768\n" /* half of what is cut off, doubled */
         "ldm r1!, {r4-r11}\n"
         "add r4, lr, r4, lsl #1\n"
@@ -589,8 +558,37 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "pkhtb r5, r7, r6, asr #16\n"
         "pkhtb r6, r9, r8, asr #16\n"
         "pkhtb r7, r11, r10, asr #16\n"
-        "stm r3!, {r4-r7}\n"
+        "push {r4-r7}\n"
+#if defined(ZD_SMALL)
+        "movw r5, #:lower16:(" ZD_TANH_HALF_OFFSET_NAME " - 312)\n"
+        "movt r5, #:upper16:(" ZD_TANH_HALF_OFFSET_NAME " - 312)\n"
+        "movw r6, #:lower16:(" ZD_TANH_HALF_SLOPE_NAME " - 156)\n"
+        "movt r6, #:upper16:(" ZD_TANH_HALF_SLOPE_NAME " - 156)\n"
+        "movs r7, #78\n"
+#else
+        "movw r5, #:lower16:(" ZD_TANH_OFFSET_NAME " + 1024)\n"
+        "movt r5, #:upper16:(" ZD_TANH_OFFSET_NAME " + 1024)\n"
+        "movw r6, #:lower16:(" ZD_TANH_SLOPE_NAME " + 512)\n"
+        "movt r6, #:upper16:(" ZD_TANH_SLOPE_NAME " + 512)\n"
+        "movw r7, #:lower16:(" ZD_SIGMOID_OFFSET_NAME " + 1024)\n"
+        "movt r7, #:upper16:(" ZD_SIGMOID_OFFSET_NAME " + 1024)\n"
+#endif
+        "and r8, r3, #2097152\n"
+#if defined(ZD_UNALIGNED)
+        "ldr r9, [r2, #0]\n"
+        "ldrh r10, [r2, #4]\n"
+#else
+        "ldrh r9, [r2, #0]\n"
+        "ldrh r4, [r2, #2]\n"
+        "orr r9, r9, r4, lsl #16\n"
+        "ldrh r10, [r2, #4]\n"
+#endif
+        "push {r1, r5-r8, r9, r10}\n"
+        "sub r12, r1, #32\n"
 "1:\n"
+#if !defined(ZD_SMALL)
+        ".rept 4\n"
+#endif
         "ldrd r5, r6, [sp, #20]\n"
         "ldm r0!, {r1-r4, r7-r11, lr}\n"
         "smlad r1, r5, r7, r1\n"
@@ -648,17 +646,17 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
 #else
         "ssat r1, #20, r1, asr #11\n"
         "asr r5, r1, #11\n"
-        "ldr r6, [r8, r5, lsl #2]\n"
+        "ldr r6, [r10, r5, lsl #2]\n"
         "ldrsh lr, [r9, r5, lsl #1]\n"
         "mla r1, lr, r1, r6\n"
-"add r1, r1, #0x40000000\n" /* r_q31 */
+/* r_q31 */
         "smmlar r3, r4, r1, r3\n"
         "smmul r2, r2, r11\n"
         "ssat r5, #9, r2, asr #11\n"
-        "ldr r6, [r8, r5, lsl #2]\n"
+        "ldr r6, [r10, r5, lsl #2]\n"
         "ldrsh lr, [r9, r5, lsl #1]\n"
         "mla r2, lr, r2, r6\n"
-"add r2, r2, #0x40000000\n" /* u_q31, or 1/2 */
+/* u_q31, or 1/2 */
         "ssat r3, #20, r3, asr #10\n"
         "asr r5, r3, #11\n"
         "ldr r6, [r8, r5, lsl #2]\n"
@@ -670,6 +668,9 @@ static void gru_assembly(const int32_t *stream ZD_IN_REGISTER, int32_t *h_q30 ZD
         "smmulr r3, r3, r2\n"
         "add r4, r4, r3, lsl #1\n"
         "str r4, [r12], #4\n"
+#if !defined(ZD_SMALL)
+        ".endr\n"
+#endif
         "cmp r12, r7\n"
         "bne 1b\n"
         "add sp, sp, #44\n"
@@ -886,11 +887,11 @@ uint32_t front_end_step(front_end_state_t *s, const front_end_input_t *in,
     if (s->steps < 5u) {
         flags |= FRONT_END_FLAG_WARMING_UP;
     }
-    if ((temperature < -12000) || (temperature > 12000)) {
+    if ((uint32_t)(temperature - (-12000)) > 24000u) {
         flags |= FRONT_END_FLAG_TEMPERATURE_RANGE;
     }
-    if ((temperature - s->previous_temperature > 1000) ||
-        (s->previous_temperature - temperature > 1000)) {
+    /* one comparison for both ends: what lies below wraps around */
+    if ((uint32_t)(temperature - s->previous_temperature + 1000) > 2000u) {
         flags |= FRONT_END_FLAG_RATE_RANGE;
     }
     s->previous_temperature = (int16_t)temperature;
@@ -928,7 +929,7 @@ uint32_t front_end_selftest(void) {
     int32_t drift[FRONT_END_OUTPUTS];
     uint32_t seed = UINT32_C(1592598103);
     uint32_t crc = 0;
-    if ((gru_is_sound() == 0u) || (front_end_tables_are_sound() == 0u) || (zd_tanh_is_sound() == 0u)) {
+    if ((gru_is_sound() == 0u) || (front_end_tables_are_sound() == 0u) || (zd_tanh_is_sound() == 0u) || (zd_sigmoid_is_sound() == 0u)) {
         return FRONT_END_FAULT_TABLES; /* nothing is proven of other numbers: they are not used */
     }
     for (uint32_t k = 0; k < 65u; k++) {

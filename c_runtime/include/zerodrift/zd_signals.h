@@ -7,7 +7,7 @@
 #ifndef ZD_SIGNALS_H
 #define ZD_SIGNALS_H
 
-#if ZD_RUNTIME_ID != 0x886ea6c6
+#if ZD_RUNTIME_ID != 0xf9abe6c9
 #error "zd_signals.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
@@ -20,9 +20,9 @@ static inline int64_t zd_lowpass_rest(int32_t x, int32_t c_q24) {
 static inline int32_t zd_lowpass(int64_t *v, int32_t x, int32_t c_q24, int32_t m_q31,
                                  unsigned shift) {
     const int64_t y = *v + ((int64_t)x * c_q24);
-    const int64_t gap =
-        zd_round_shift64(((int64_t)x * ((int32_t)1 << ZD_LOWPASS_FRACTION)) - y, 22);
-    *v += zd_round_shift64(gap * m_q31, shift);
+    const int32_t gap = (int32_t)zd_round_shift64(
+        ((int64_t)x * ((int32_t)1 << ZD_LOWPASS_FRACTION)) - y, 22); /* fits by proof */
+    *v += zd_round_shift64((int64_t)gap * m_q31, shift);
     return (int32_t)zd_round_shift64(y, ZD_LOWPASS_FRACTION);
 }
 
