@@ -28,6 +28,7 @@ from zerodrift.blocks.align_signals import (
     equal,
     pass_on,
 )
+from zerodrift.blocks.clips import share_clips
 from zerodrift.blocks.gru import align_layers, find_obstacle, refine
 from zerodrift.blocks.rounding import visit
 from zerodrift.export.integer_model import IntegerModel
@@ -68,6 +69,7 @@ def align(
     Raises:
         CheckError: they are not of one design, or do not fit its format; says what differs.
     """
+    models = share_clips(models, design)
     _require_alike([*models, design] if design is not None else list(models))
     coarser: list[dict[str, int]] = [{} for _ in models]
     aligned: list[list[IntegerNode]] = [[] for _ in models]

@@ -266,14 +266,14 @@ def _finish(
     if host is not None and scratch is not None:
         assert job.model is not None and job.code is not None and job.described is not None
         vectors = check_bits(host, job.dataset)
-        certificate = _certify(job, scratch)
+        certificate = _certify(design, job, scratch)
         _leave_out(design, job, compensator)
         judge = job.left_out
         if job.dataset.test or (judge is not None and judge.by_epochs):
             judge = None
         verdict, replay = judge_firmware(job.described, host, job.dataset, judge)
         if verdict.refused and design.force:
-            certificate = _mark_forced(job, [s.text for s in verdict.refused], scratch)
+            certificate = _mark_forced(design, job, [s.text for s in verdict.refused], scratch)
     figures = assess(job.trained, job.dataset, replay)
     result = SensorResult(
         sensor=job.sensor,
@@ -314,20 +314,25 @@ def _measure(design: Design, job: _Job, verdict: GateVerdict, replay: ChipReplay
     return render_sealed(to_dict(measured))
 
 
-def _mark_forced(job: _Job, reasons: Sequence[str], scratch: Path) -> str:
+def _mark_forced(design: Design, job: _Job, reasons: Sequence[str], scratch: Path) -> str:
     """Write into a sensor's model and C what the gate found against it; return the certificate."""
     assert job.model is not None
     job.model = replace(job.model, notes={**job.model.notes, FORCED: "\n".join(reasons)})
     job.code = generate(job.model)
-    return _certify(job, scratch)
+    return _certify(design, job, scratch)
 
 
-def _certify(job: _Job, scratch: Path) -> str:
+def _certify(design: Design, job: _Job, scratch: Path) -> str:
     """Return a sensor's certificate, derived again from the C.
+
+    With blocks it is empty: no sensor has C of its own then, and the certificate of the one program
+    holds for every block.
 
     Raises:
         CheckError: a claim does not hold.
     """
+    if design.config.block.in_block:
+        return ""
     assert job.model is not None and job.code is not None and job.bound is not None
     certificate, _, job.bound = certify_checked(job.model, job.code, job.bound, scratch)
     return certificate

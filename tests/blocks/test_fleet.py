@@ -1,5 +1,6 @@
 """`fleet` with blocks: one program, a block per unit."""
 
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -8,6 +9,7 @@ import pytest
 
 from tests.fleet.conftest import SENSORS, TOML, write_sensor
 from zerodrift.blocks.design import load_design
+from zerodrift.fleet import work
 
 BLOCK = '\n[firmware]\ncoefficients = "block"\ncalibrated = 2026-03-01\n'
 
@@ -44,6 +46,19 @@ def test_one_program_and_a_block_per_unit(fleet: Path, zerodrift) -> None:
     assert json.loads(again.out)["blocks"] == told["blocks"]  # kept results, the same program
     assert read_program(out) == source
     assert load_design(design).identity == told["blocks"]["design"]
+
+
+def test_the_certificate_is_that_of_the_one_program_alone(
+    fleet: Path, zerodrift, monkeypatch
+) -> None:
+    asked = []
+    monkeypatch.setattr(work, "certify_checked", lambda *all_of: asked.append(all_of))
+    assert zerodrift("fleet", "-C", fleet, "--jobs", 1, "--force").code == 0
+    assert not asked
+    program = fleet / "firmware" / "program"
+    certificate = json.loads((program / "certificate.json").read_text())
+    (source,) = (p for p in program.glob("*.c") if not p.name.startswith("zd_"))
+    assert hashlib.sha256(source.read_bytes()).hexdigest() in json.dumps(certificate)
 
 
 def test_a_unit_that_does_not_fit_the_program_is_told(fleet: Path, zerodrift) -> None:
