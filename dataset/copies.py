@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.dataset.read_runs import ReadRun, ReadRuns
 from zerodrift.dataset.resolution import (
     DIGITS,
-    find_steps,
     list_blocks,
     measure_step,
 )
@@ -231,8 +231,9 @@ def confirm(
     by_pair: dict[tuple[int, int], list[Alignment]] = {}
     for alignment in alignments:
         by_pair.setdefault((alignment.one, alignment.other), []).append(alignment)
+    runs = ReadRuns(read)
     for (one, other), alike in sorted(by_pair.items()):
-        ours, theirs = read(one), read(other)
+        ours, theirs = runs.take(one), runs.take(other)
         found: list[SharedRows] = []
         for alignment in alike[:MOST_ALIGNMENTS]:
             found += _compare(alignment, ours, theirs)
@@ -303,10 +304,9 @@ def _hash_windows(steps: Rows, salt: int) -> tuple[Codes, NDArray[np.bool_]]:
     return hashes, moves[WINDOW:] - moves[:-WINDOW] >= WINDOW // 3
 
 
-def _compare(
-    alignment: Alignment, ours: Sequence[Array], theirs: Sequence[Array]
-) -> list[SharedRows]:
+def _compare(alignment: Alignment, our_run: ReadRun, their_run: ReadRun) -> list[SharedRows]:
     """Return the stretches that agree in every column and that chance does not explain."""
+    ours, theirs = our_run.columns, their_run.columns
     size, other_size = ours[0].size, theirs[0].size
     first = max(0, -alignment.offset)
     last = min(size, other_size - alignment.offset)
@@ -317,10 +317,10 @@ def _compare(
     agree = np.ones(last - first, dtype=np.bool_)
     steps: list[float] = []
     limits: list[Array] = []
-    for one, other in zip(ours, theirs, strict=True):
+    for number, (one, other) in enumerate(zip(ours, theirs, strict=True)):
         apart = one[here] - other[there]
         blur = DIGITS * float(np.abs(one[here]).max())
-        ends = [find_steps(one[here]), find_steps(other[there])]
+        ends = [our_run.find_steps(number, here), their_run.find_steps(number, there)]
         steps.append(max(2 * blur, *(float(np.median(end)) for end in ends)))
         # The one was rounded from the other, so they differ by half of the coarser step at most.
         limit = 0.5001 * np.maximum(ends[0], ends[1]) + blur
@@ -331,11 +331,11 @@ def _compare(
             limit = 2 * limit
         limits.append(np.broadcast_to(limit, apart.shape))
         agree &= np.abs(apart) <= limit
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], agree, [False]])))
+        stretches = _find_stretches(agree)
+        if stretches.size == 0:  # most alignments by chance end with their first column
+            return []
     shared = []
-    for start, stop in edges.reshape(-1, 2):
-        if stop - start < LEAST_ROWS:
-            continue
+    for start, stop in stretches:
         rows = slice(first + int(start), first + int(stop))
         their_rows = slice(rows.start + alignment.offset, rows.stop + alignment.offset)
         bits = sum(
@@ -356,6 +356,12 @@ def _compare(
                 )
             )
     return shared
+
+
+def _find_stretches(agree: NDArray[np.bool_]) -> Rows:
+    """Return [m, 2] first row, and the one after the last, of stretches that are long enough."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], agree, [False]]))).reshape(-1, 2)
+    return edges[edges[:, 1] - edges[:, 0] >= LEAST_ROWS]
 
 
 def _count_chance(one: Array, other: Array, limit: Array) -> float:

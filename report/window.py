@@ -1,13 +1,15 @@
 """What part of a run is shown, and in which unit of time."""
 
 from dataclasses import dataclass, replace
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.time_units import is_unix, write_local
-from zerodrift.report.findings import Trace
+
+if TYPE_CHECKING:
+    from zerodrift.report.findings import Trace
 
 
 @dataclass(frozen=True)
@@ -50,15 +52,19 @@ CLOCKS = (TimeAxis("s", 1.0), TimeAxis("min", 60.0), HOURS)
 LONGEST_IN_UNITS = 300.0
 
 
-def choose_clock(trace: Trace) -> TimeAxis:
+def choose_clock(trace: "Trace") -> TimeAxis:
     """Return the unit in which a run's time reads best, and its zero."""
-    first_s = float(trace.time_s[0])
-    length_s = float(trace.time_s[-1]) - first_s
+    return choose_axis(float(trace.time_s[0]), float(trace.time_s[-1]))
+
+
+def choose_axis(first_s: float, last_s: float) -> TimeAxis:
+    """Return the unit in which a stretch of time reads best, and its zero."""
+    length_s = last_s - first_s
     axis = next((c for c in CLOCKS if length_s <= LONGEST_IN_UNITS * c.seconds), HOURS)
     return replace(axis, from_s=first_s) if is_unix(first_s) else axis
 
 
-def find_rows(trace: Trace, window: Window) -> tuple[int, int]:
+def find_rows(trace: "Trace", window: Window) -> tuple[int, int]:
     """Return the rows of the part that is shown, one more on each side."""
     if window.from_s is None or window.to_s is None:
         return 0, trace.time_s.size

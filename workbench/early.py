@@ -4,11 +4,16 @@ Only the standard library is needed, so that a page is there a fraction of a sec
 command. It comes again each second; the page itself then takes over its port.
 """
 
+import contextlib
 import glob
 import hmac
 import html
 import socket
+import subprocess
+import sys
+import tempfile
 import threading
+from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
@@ -17,10 +22,16 @@ from zerodrift.base.config import FILE_NAME, Config
 from zerodrift.base.errors import InputError
 from zerodrift.fleet.sensors import load_unit
 from zerodrift.workbench.address import PageAddress, find_address, keep_address
+from zerodrift.workbench.events import SENSOR
 
 HOST = "127.0.0.1"
+SKETCH = "zerodrift.app.sketch"
+"""Draws a first chart from one log, in a process of its own."""
 AGAIN_S = 1
 """After which the first page asks for the page again."""
+SKETCH_FILE = "first.svg"
+LONGEST_WAIT_S = 3.0
+"""For the first chart, with an answer that has nothing else to tell."""
 PATIENCE_S = 5.0
 """For a request that has begun."""
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; frame-ancestors 'none'"
@@ -35,6 +46,13 @@ PAGE = """<!doctype html>
 <style>
 body {{ font: 1rem/1.55 system-ui, sans-serif; max-width: 46rem; margin: 0 auto;
   padding: 2rem 1.2rem; color: #1b222a; background: #fbfbf9; overflow-wrap: anywhere; }}
+figure {{ margin: 1rem 0; }}
+svg {{ display: block; max-width: 100%; height: auto; font: 12px system-ui, sans-serif; }}
+svg text {{ fill: currentColor; }}
+svg path {{ fill: none; }}
+svg .grid {{ stroke: #8889; stroke-width: .5; }}
+svg .s-measured {{ stroke: #77818d; }}
+svg .s-driver {{ stroke: #3d8f6e; }}
 @media (prefers-color-scheme: dark) {{ body {{ color: #e8eaee; background: #14171c; }} }}
 </style>
 </head>
@@ -43,6 +61,7 @@ body {{ font: 1rem/1.55 system-ui, sans-serif; max-width: 46rem; margin: 0 auto;
 <h1>{name}</h1>
 <p role="status">{starting}</p>
 <ul>{facts}</ul>
+{chart}
 </main>
 </body>
 </html>
@@ -97,6 +116,8 @@ class EarlyPage:
             InputError: the port is taken.
         """
         self._directory, self._sensor = directory.resolve(), sensor
+        self._scratch: tempfile.TemporaryDirectory[str] | None = None
+        self._drawing: subprocess.Popen[bytes] | None = None
         known = find_address(self._directory)
         try:
             self.listener = _listen(port or known.port, is_wish=not port)
@@ -116,17 +137,36 @@ class EarlyPage:
         """Where the page is, with its token."""
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
-    def begin(self) -> None:
-        """Answer with the first page from now on, in a thread."""
-        page = PAGE.format(
-            again=AGAIN_S,
-            name=html.escape(self._directory.name),
-            starting=STARTING,
-            facts="".join(
-                f"<li>{html.escape(f)}</li>" for f in tell_project(self._directory, self._sensor)
-            ),
-        ).encode()
-        handler = _make_handler(page, self.token, self.port)
+    def begin(self, *options: str) -> None:
+        """Answer with the first page from now on, in a thread; draw a first chart meanwhile.
+
+        Args:
+            options: of the command that reads the log for it.
+        """
+        facts = tell_project(self._directory, self._sensor)
+        told = "".join(f"<li>{html.escape(fact)}</li>" for fact in facts)
+
+        asked = threading.Event()
+
+        def render() -> bytes:
+            drawing = self._drawing
+            if asked.is_set() and drawing is not None:
+                # The facts are in the window; what is asked for again is the chart.
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    drawing.wait(LONGEST_WAIT_S)
+            asked.set()
+            chart = self.read_sketch()
+            return PAGE.format(
+                again=AGAIN_S,
+                name=html.escape(self._directory.name),
+                starting=STARTING,
+                facts=told,
+                chart=f'<figure class="sketch">{chart}</figure>' if chart else "",
+            ).encode()
+
+        if facts:
+            self._begin_sketch(options)
+        handler = _make_handler(render, self.token, self.port)
         server = ThreadingHTTPServer((HOST, self.port), handler, bind_and_activate=False)
         server.socket.close()
         server.socket = self.listener
@@ -134,6 +174,26 @@ class EarlyPage:
         self._server = server
         self._thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
         self._thread.start()
+
+    def _begin_sketch(self, options: tuple[str, ...]) -> None:
+        self._scratch = tempfile.TemporaryDirectory(prefix="zerodrift-sketch-")
+        unit = () if self._sensor is None else (SENSOR, self._sensor)
+        target = str(Path(self._scratch.name) / SKETCH_FILE)
+        self._drawing = subprocess.Popen(
+            [sys.executable, "-P", "-m", SKETCH, str(self._directory), target, *options, *unit],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def read_sketch(self) -> str:
+        """Return the first chart, from one log alone; empty as long as there is none."""
+        if self._scratch is None:
+            return ""
+        try:
+            return (Path(self._scratch.name) / SKETCH_FILE).read_text(encoding="utf-8")
+        except OSError:
+            return ""
 
     def end(self) -> None:
         """Answer no longer; who asks meanwhile waits for the page."""
@@ -146,9 +206,17 @@ class EarlyPage:
         """Release the port."""
         self.end()
         self.listener.close()
+        if self._drawing is not None:
+            self._drawing.kill()
+            self._drawing.wait()
+        if self._scratch is not None:
+            self._scratch.cleanup()
+            self._scratch = None
 
 
-def _make_handler(page: bytes, token: str, port: int) -> type[BaseHTTPRequestHandler]:
+def _make_handler(
+    render: Callable[[], bytes], token: str, port: int
+) -> type[BaseHTTPRequestHandler]:
     hosts = {f"{HOST}:{port}", f"localhost:{port}"}
 
     class Handler(BaseHTTPRequestHandler):
@@ -160,7 +228,8 @@ def _make_handler(page: bytes, token: str, port: int) -> type[BaseHTTPRequestHan
             given = parse_qs(asked.query).get("token", [""])[0]
             is_owner = hmac.compare_digest(given.encode(), token.encode())
             is_known = self.headers.get("Host") in hosts and self.headers.get("Origin") is None
-            content = page if is_owner and is_known and asked.path == "/" else b""
+            is_page = is_owner and is_known and asked.path == "/"
+            content = render() if is_page else b""
             self.send_response(200 if content else 403)
             self.send_header("Content-Type", "text/html; charset=utf-8")
             self.send_header("Content-Length", str(len(content)))

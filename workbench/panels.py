@@ -218,13 +218,16 @@ def show_model(findings: Findings) -> list[Component]:
     ]
 
 
-def show_waiting(name: str, facts: Sequence[str], *, is_busy: bool) -> list[Component]:
+def show_waiting(
+    name: str, facts: Sequence[str], *, is_busy: bool, sketch: str = ""
+) -> list[Component]:
     """Return the page of a project of which nothing is known yet.
 
     Args:
         name: of its directory.
         facts: what is known without reading a log.
         is_busy: whether it is being looked at.
+        sketch: a first chart; empty where there is none.
     """
     words = (
         "Reading the logs and fitting; the page fills as soon as the errors are known."
@@ -236,6 +239,7 @@ def show_waiting(name: str, facts: Sequence[str], *, is_busy: bool) -> list[Comp
         html.H2(name, className="first"),
         html.P(words),
         html.Ul([html.Li(fact) for fact in facts]),
+        *([html.Figure(className="picture sketch", **{"data-picture": sketch})] if sketch else []),
     ]
 
 

@@ -60,6 +60,7 @@ class Workbench:
         except InputError:
             self.place.close()
             raise
+        self.place.read_sketch = self._early.read_sketch
         self.port, self.token = self._early.port, self._early.token
         app = make_app(self.place)
         guard(app.server, self.token, self.port)

@@ -60,7 +60,11 @@ def show_frame(place: Workplace) -> Shown:
         start = [html.Main(panels.show_start(logs, str(place.directory)))]
     elif place.findings is None:
         facts = tell_project(place.directory, place.sensor)
-        start = [html.Main(panels.show_waiting(place.directory.name, facts, is_busy=place.busy))]
+        sketch = place.read_sketch()
+        waiting = panels.show_waiting(
+            place.directory.name, facts, is_busy=place.busy, sketch=sketch
+        )
+        start = [html.Main(waiting)]
     message = place.message
     text = message.text if message is not None else ""
     kind = "message error" if message is not None and message.is_error else "message"

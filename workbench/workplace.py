@@ -9,7 +9,7 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -112,6 +112,8 @@ class Workplace:
         self._is_anew = False
         self._result: Path | None = None
         self._marks: Marks = {}
+        self.read_sketch: Callable[[], str] = str
+        """The chart that is shown until there are findings."""
         self.recordings = RecordingWatch(self.directory, sensor)
         self._read: dict[tuple[int, str, DriftDriver], Array] = {}
         self.findings: Findings | None = None

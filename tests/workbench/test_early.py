@@ -74,6 +74,39 @@ def test_only_the_owner_of_the_token_is_answered(project):
         early.close()
 
 
+def test_a_first_chart_comes_from_one_log_alone(project):
+    early = EarlyPage(project.directory)
+    assert early.read_sketch() == ""
+    early.begin()
+    try:
+        until = time.monotonic() + 60.0
+        while not early.read_sketch() and time.monotonic() < until:
+            time.sleep(0.05)
+        text = ask(early.port, f"/?token={early.token}")[1]
+        assert "Fz: drift as measured, N" in text and "temperature, degC" in text
+        assert text.count('<path class="line') == 2
+        assert "<script" not in text
+    finally:
+        early.close()
+    assert early.read_sketch() == ""
+
+
+def test_where_no_log_can_be_read_there_is_no_chart_and_the_facts_stay(project):
+    for log in (project.directory / "logs").glob("run_*.csv"):
+        log.write_text("nothing\n")
+    target = project.directory.parent / "first.svg"
+    words = ["-m", "zerodrift.app.sketch", str(project.directory), str(target)]
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", "")
+    assert not target.exists()
+
+
+def test_the_first_chart_loads_no_findings():
+    loaded = list_loaded("zerodrift.app.sketch")
+    assert not {name for name in loaded if name.startswith("zerodrift.diagnosis.")}
+    assert not loaded & set(LATER)
+
+
 def test_names_are_text(tmp_path):
     folder = tmp_path / "<b>cell"
     folder.mkdir()
@@ -128,7 +161,9 @@ def test_the_first_page_becomes_the_page(page, project):
     try:
         page.goto(url)
         expect(page.locator("#early, #start, #bench").first).to_be_attached()
+        page.wait_for_selector(f".sketch svg .line, {DRAWN}")
         page.wait_for_selector(DRAWN)
+        assert page.locator(".sketch:visible").count() == 0
         assert page.wrong == []
     finally:
         process.send_signal(signal.SIGINT)

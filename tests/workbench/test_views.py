@@ -63,9 +63,13 @@ def test_project_of_which_nothing_is_known_yet_is_no_empty_page(tmp_path, busy, 
         message=None,
         busy=busy,
         sensor=None,
+        read_sketch=lambda: "<svg>first chart</svg>",
     )
     start, start_hidden, bench_hidden, *_ = show_frame(place)
     assert words in str(start[0].to_plotly_json())
+    assert "<svg>first chart</svg>" in str(start[0].to_plotly_json())
+    place.read_sketch = str
+    assert "data-picture" not in str(show_frame(place)[0][0].to_plotly_json())
     assert (start_hidden, bench_hidden) == (False, True)
 
 

@@ -49,6 +49,7 @@ def command(
     require(PAGE, "zerodrift workbench")
     require(WORKBENCH, "zerodrift workbench")
     from zerodrift.workbench.early import EarlyPage
+    from zerodrift.workbench.events import SKIP_INVALID
     from zerodrift.workbench.hold import hold_directory, release_directory
 
     if sensor is not None:
@@ -57,7 +58,7 @@ def command(
     # Refused before a page is promised; the page itself holds the directory from then on.
     release_directory(hold_directory(directory.resolve()))
     early = EarlyPage(directory, port, sensor)
-    early.begin()
+    early.begin(*([SKIP_INVALID] if skip_invalid else []))
     click.echo(f"Workbench on {directory.resolve()}: {early.url}")
     click.echo("Ctrl-C ends it.")
     if not no_browser:
