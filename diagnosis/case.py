@@ -14,6 +14,7 @@ from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import check_terms
 from zerodrift.physics.live import leave_out_still
+from zerodrift.physics.run_offsets import NO_TREND, ClockTrend, follows_clock_alone
 from zerodrift.physics.signals import SignalPlan, plan_signals
 from zerodrift.physics.terms import Term, start_term
 
@@ -43,6 +44,14 @@ class Case:
     """What was left out of the data, and what `add` would refuse."""
     whole: Dataset | None = None
     """The logs as they were read, by which `add` judges; None: they are `dataset`."""
+    trend: ClockTrend = NO_TREND
+    """How the runs' offsets follow the clock, where they differ and nobody says why."""
+
+    @property
+    def follows_clock(self) -> bool:
+        """Whether the runs' offsets follow the clock, and the model has nothing that does."""
+        present = any(follows_clock_alone(term.effect) for term in self.terms)
+        return self.trend.is_real and not present
 
 
 def open_case(
@@ -70,16 +79,17 @@ def open_case(
     plan = plan_signals(dataset.train, dataset.outputs, dataset.full_scale)
     terms = tuple(start_term(catalogue, config) for config in effects)
     check_terms(terms, effects, plan)
-    campaign = lay_out_runs(dataset.train, plan, catalogue, terms)
+    layout = lay_out_runs(dataset.train, plan, catalogue, terms)
     return Case(
         dataset,
         catalogue,
         plan,
         terms,
-        campaign,
+        layout.campaign,
         np.maximum(floor, LEAST_SHARE * np.array(dataset.full_scale)),
         tuple(effects),
         advance,
         notes,
         read,
+        layout.trend,
     )

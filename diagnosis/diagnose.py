@@ -26,6 +26,7 @@ from zerodrift.diagnosis.rules import (
     SURE_UNITS,
     SURELY_THERE,
     Finding,
+    find_ageing,
     helps,
     is_at_floor,
     lead,
@@ -146,8 +147,13 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
     if is_pair:
         findings = find_pair(case, first)
         terms = findings[-1].judged.found.terms if findings else case.terms
+    if not findings and case.follows_clock:
+        # The offsets of all runs together tell more than the pieces of time one by one.
+        findings = find_ageing(case, first)
+        terms = findings[-1].judged.found.terms if findings else case.terms
     if not findings:
         complete = is_at_floor(first, first.fitted_ratio) and not wanders(case, first)
+        complete = complete and not case.follows_clock
         verdict = "complete" if complete else "unknown"
         return report(case, verdict, first, None, ()), terms
     # Fits with the noise that is left weigh anew: what one of them explained stays explained.

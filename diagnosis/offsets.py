@@ -1,7 +1,7 @@
 """Whether runs have offsets of their own, as tared logs have, or share one."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,12 @@ from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Feature
 from zerodrift.physics.fit import TARE_RATIO, flat_weights
 from zerodrift.physics.projection import list_coordinates, set_coordinates
+from zerodrift.physics.run_offsets import (
+    NO_TREND,
+    ClockTrend,
+    follows_clock_alone,
+    measure_clock_trend,
+)
 from zerodrift.physics.search import Found, grid, search
 from zerodrift.physics.signals import SignalPlan
 from zerodrift.physics.terms import Term
@@ -30,14 +36,23 @@ STILL_SCATTERED = 0.1
 """Share of the offsets' squares that the best of the missing effects may leave to be tried."""
 
 
+@dataclass(frozen=True)
+class Layout:
+    """The runs made ready, and what was seen of their offsets."""
+
+    campaign: Campaign
+    trend: ClockTrend = NO_TREND
+    """How the offsets follow the clock, where runs differ in them and nobody says why."""
+
+
 def lay_out_runs(
     runs: Sequence[Run], plan: SignalPlan, catalogue: Catalogue, terms: Sequence[Term]
-) -> Campaign:
+) -> Layout:
     """Return the runs made ready, with offsets of their own unless they share one.
 
     `[logs] tared` decides where it says so. Otherwise they share one if the model explains them
-    about as well that way; or if the model with one effect that it lacks does: ageing from run to
-    run looks like a tare until it is in the model.
+    about as well that way; if their offsets follow the clock; or if the model with one effect that
+    it lacks explains them: ageing from run to run looks like a tare until it is in the model.
 
     Args:
         runs: the training runs.
@@ -49,20 +64,23 @@ def lay_out_runs(
     common = Campaign(runs, plan, order, tared=False, set_aside=True)
     said = runs[0].tared
     if len(common.groups) == 1 or said is False:
-        return common
+        return Layout(common)
     tared = Campaign(runs, plan, order, set_aside=True)
     if said:
-        return tared
+        return Layout(tared)
     own = search(tared, terms, flat_weights(tared))
     shared = search(common, own.terms, flat_weights(common), vary=())
     if _compare(shared, own) < TARE_RATIO:
-        return common
+        return Layout(common)
+    trend = measure_clock_trend(tared, own)
+    if trend.is_real:
+        return Layout(common, trend)
     proposal = _find_explanation(tared, own, propose(catalogue, own.terms, tared)[0])
     if proposal is None:
-        return tared
+        return Layout(tared, trend)
     shared = search(common, proposal.terms, flat_weights(common), vary=(proposal.place,))
     own = search(tared, shared.terms, flat_weights(tared), vary=())
-    return common if _compare(shared, own) < TARE_RATIO else tared
+    return Layout(common if _compare(shared, own) < TARE_RATIO else tared, trend)
 
 
 def _compare(shared: Found, own: Found) -> float:
@@ -82,7 +100,7 @@ def _find_explanation(
     best, least = None, STILL_SCATTERED
     for proposal in proposals:
         free = [c for c in list_coordinates(proposal.terms) if c.term == proposal.place]
-        of_time = set(proposal.effect.needs) == {"clock"} and not free
+        of_time = follows_clock_alone(proposal.effect) and not free
         for u in grid(free) if free else [()]:
             terms = tuple(set_coordinates(proposal.terms, free, np.array(u)))
             new = [f for f in tared.build(terms) if f.name not in known]

@@ -8,6 +8,7 @@ from zerodrift.diagnosis.case import Case
 from zerodrift.diagnosis.evidence import SURE_NATS, compare_runs
 from zerodrift.diagnosis.examination import Examination, Judged
 from zerodrift.diagnosis.floor import DWELL
+from zerodrift.physics.run_offsets import follows_clock_alone
 
 SIGNIFICANT = 0.05
 """Largest p-value of an effect that is named, over all candidates together."""
@@ -108,6 +109,20 @@ def helps(judged: Judged, examination: Examination, *, beside: bool = False) -> 
     clear = judged.share >= CONCENTRATED and judged.positive_share >= ALL_GAIN
     clear = clear and not is_at_floor(examination, examination.fitted_ratio)
     return worthwhile and judged.gain > 0.0 and (sure or clear)
+
+
+def find_ageing(case: Case, examination: Examination) -> list[Finding]:
+    """Return the ageing that lowers the error of runs left out, where their offsets follow it.
+
+    That they do is known by a test of its own; see `measure_clock_trend`.
+    """
+    return [
+        Finding(examination, judged)
+        for judged in examination.judged
+        if follows_clock_alone(case.catalogue[judged.kind])
+        and judged.sound
+        and judged.rmse_ratio <= WORTHWHILE
+    ][:1]
 
 
 def stands_alone(finding: Finding) -> bool:

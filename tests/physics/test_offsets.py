@@ -45,7 +45,7 @@ def lay_out(effects, dataset) -> Campaign:
     plan = plan_signals(dataset.train, dataset.outputs, dataset.full_scale)
     catalogue = load_catalogue()
     terms = [start_term(catalogue, effect) for effect in effects]
-    return lay_out_runs(dataset.train, plan, catalogue, terms)
+    return lay_out_runs(dataset.train, plan, catalogue, terms).campaign
 
 
 def test_offsets_without_a_cause_are_a_tare(tempco):
