@@ -125,7 +125,7 @@ def are_sound(term: Term, span: LogSpan) -> bool:
     shown = all(shortest_s <= t <= max(longest_s, p.typical[1]) for p, t in times)
     apart = all(late > SAME * early for early, late in itertools.pairwise(sorted(times_s)))
     shared = all(abs(v) >= NO_SHARE for p, v in values if p.name.endswith("_share"))
-    wide = all(v >= span.least_slack.get(p.slack_in, 0.0) for p, v in values)
+    wide = all(v >= span.least_slack.get(p.slack_in, 0.0) for p, v in values if p.slack_in)
     return inside and shown and apart and shared and wide
 
 

@@ -214,6 +214,7 @@ def test_degenerate_values_are_no_finding(tempco):
         ({"time_constants": 2, "tau_s": 54.36, "slow_tau_s": 54.36, "slow_share": 0.3}, False),
         ({"time_constants": 2, "tau_s": 30.0, "slow_tau_s": 300.0, "slow_share": -1e-5}, False),
         ({"time_constants": 2, "tau_s": 30.0, "slow_tau_s": 300.0, "slow_share": 0.3}, True),
+        ({"time_constants": 2, "tau_s": 30.0, "slow_tau_s": 300.0, "slow_share": -0.3}, True),
     ],
 )
 def test_values_that_logs_of_1200_s_cannot_show_are_unsound(values, is_sound):
@@ -221,6 +222,20 @@ def test_values_that_logs_of_1200_s_cannot_show_are_unsound(values, is_sound):
     free = start_term(catalogue, EffectConfig("thermal_lag"))
     term = replace(free, values={**free.values, **values})
     assert are_sound(term, LogSpan(shortest_s=2.0, longest_s=1200.0)) is is_sound
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        ("clock_delay", {"delay_s": -3.0}),
+        ("clock_delay", {"delay_s": 3.0}),
+        ("span_tempco", {"calibrated_degC": -40.0}),
+    ],
+)
+def test_a_negative_value_is_as_sound_as_a_positive_one(kind, values):
+    term = start_term(load_catalogue(), EffectConfig(kind))
+    told = replace(term, values={**term.values, **values})
+    assert are_sound(told, LogSpan(2.0, 1200.0, {"load": 0.3, "temperature": 0.05}))
 
 
 @pytest.mark.parametrize(
