@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.bench_plan import LIMITS, LOOKED_AT, PERIOD_S, keep_outputs, record_plan
+from benchmarks.planned_sensors import LIMITS, LOOKED_AT, PERIOD_S, keep_outputs, record_plan
 from zerodrift.base.config import EffectConfig, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset

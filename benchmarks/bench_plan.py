@@ -9,38 +9,39 @@ The sensors are those of `lab/twin`, which shares no code with what plans. Each 
 a pair of look-alikes. *hours*: the twin's own chamber programme, an hour a run, against
 programmes planned before the first log within the same temperatures, loads and inputs, rests
 counted; right is that `diagnose` names the effect, and not the other one beside it. *probability*:
-plans of several hours for pairs, on sensors drawn anew; what they predict against how often it
-came. *time*: planning 8 hours with 6 open effects. Outcomes are appended to FILE, and those that
-it has are not run again. All logs here are simulated; bounds are one-sided, 95 %, Clopper-Pearson.
+plans of several hours for pairs, on sensors drawn anew whose effect is as large as the plan was
+told; what they predict against how often it came. *time*: planning 8 hours with 6 open effects.
+Outcomes are appended to FILE, and those that it has are not run again. All logs here are simulated;
+bounds are one-sided, 95 %, Clopper-Pearson.
 """
 
 import argparse
 import json
-import re
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.bench_conditions import bound
-from zerodrift.base.config import Config, EffectConfig, parse_config
+from benchmarks.planned_sensors import (
+    keep_outputs,
+    list_effects,
+    make_as_large,
+    make_config,
+    make_plan,
+    make_sensor,
+    record_plan,
+)
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json, to_dict
-from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.diagnose import diagnose
-from zerodrift.discovery.files import list_protocols
-from zerodrift.discovery.likely import expect_verdicts
+from zerodrift.discovery.likely import expect_verdicts, grow, outgrow, rise
 from zerodrift.discovery.plan import Planned, Question, plan_experiment
-from zerodrift.lab.twin.played import play_protocols
-from zerodrift.lab.twin.project import render_config, to_dataset, to_run
-from zerodrift.lab.twin.recipe import EffectChoice, Recipe
-from zerodrift.lab.twin.sensor import OUTPUTS, UNITS
-from zerodrift.lab.twin.simulate import Simulation, simulate
-from zerodrift.lab.twin.six_axis.protocol import parse_protocol
+from zerodrift.lab.twin.project import to_dataset
 from zerodrift.physics.catalogue import load_catalogue
 
 PAIRS = (
@@ -59,31 +60,7 @@ SIX = (
     *("thermal_gradient", "span_tempco"),
 )
 RIGHT_RATE = 0.8
-PERIOD_S = 2.0
-LOOKED_AT = ("Fz", "Mx")
-"""Outputs of the six that are logged, which saves time."""
 BUDGET_S = 20.0
-TARGET = 0.0001
-"""The twin's noise is about 0.01 % of full scale."""
-LIMITS = """
-[experiment]
-temperature_degC = [-20, 60]
-heating_K_per_min = 6
-cooling_K_per_min = 6
-start_degC = 23
-log_min = 10
-rest_min = 3
-noise_pct = 0.012
-
-[experiment.loads]
-Fz = { range = [-400, 400], change_s = 3, hold_s = 100 }
-Mx = { range = [-2.8, 2.8], change_s = 3, hold_s = 100 }
-
-[experiment.inputs]
-supply = { range = [4.75, 5.25], change_s = 2, hold_s = 150 }
-ambient_light = { range = [0, 900], change_s = 2, hold_s = 100 }
-humidity = { range = [15, 85], change_s = 90, hold_s = 400 }
-"""
 
 
 Key = tuple[str, tuple[str, ...], str, float, float, int]
@@ -91,11 +68,24 @@ Key = tuple[str, tuple[str, ...], str, float, float, int]
 
 
 @dataclass(frozen=True)
+class Expected:
+    """What a plan expects of one truth; all but the first are lists over its draws."""
+
+    probability: float
+    """Of the right verdict, the mean over the draws."""
+    grow: tuple[float, ...]
+    """What the probability is calculated from, see `discovery/likely.py`."""
+    rise: tuple[float, ...]
+    outgrow: tuple[float, ...]
+    beside: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Trial:
     """One sensor, one programme, one verdict."""
 
     arm: str
-    """default | planned."""
+    """default | planned | sized: planned, the sensor's effect as large as the plan was told."""
     pair: tuple[str, ...]
     truth: str
     hours: float
@@ -105,90 +95,29 @@ class Trial:
     verdict: str
     effect: str | None
     lookalikes: tuple[str, ...]
-    predicted: float
-    """NaN for the default; the mean over the plan's draws of this truth."""
-    gain: float
-    """Of the plan's truth and its nearest rival, means of logarithms, for the calibration."""
-    apart: float
+    expected: Expected | None
+    """None for the default."""
     runs: int
 
-
-def make_sensor(
-    pair: Sequence[str], truth: str, size: float, seed: int, hours: float
-) -> Simulation:
-    """Return a sensor that hides one effect, with so many hours of the default programme."""
-    told = [name for name in ("zero_tempco", "dark_current") if name not in pair]
-    if "zero_tempco" in pair:
-        told = ["zero_tempco"]
-    hidden = EffectChoice(truth)
-    recipe = Recipe(
-        seed=seed,
-        train=("chamber",) * max(1, round(hours)),
-        duration_s=3600.0 * min(1.0, hours),
-        test=(),
-        told=tuple(EffectChoice(name) for name in told if name != truth),
-        hidden=(hidden,),
-        size=size,
-        sample_period_s=PERIOD_S,
-    )
-    return simulate(recipe)
+    @property
+    def predicted(self) -> float:
+        """The plan's probability of this truth; NaN for the default."""
+        return float("nan") if self.expected is None else self.expected.probability
 
 
-def list_effects(pair: Sequence[str]) -> list[EffectConfig]:
-    """Return the model: straight zero shift, and dark current unless that is asked for."""
-    names = ["zero_tempco"] if "dark_current" in pair else ["zero_tempco", "dark_current"]
-    return [EffectConfig(name) for name in names]
+def expect(planned: Planned, truth: str) -> Expected:
+    """Return what a plan expects of one truth."""
+    told, m = planned.told, planned.kinds.index(truth)
 
+    def list_draws(x: NDArray[np.float64]) -> tuple[float, ...]:
+        return tuple(round(float(value), 4) for value in np.minimum(x[m], 1e6))
 
-@cache
-def make_config(pair: tuple[str, ...]) -> Config:
-    """Return the project of a pair before its first log."""
-    base = Recipe(seed=0, train=("chamber",), test=(), sample_period_s=PERIOD_S)
-    text = render_config(simulate(replace(base, duration_s=300.0)))
-    head = text.split("\n[[effect]]\n")[0] + "\n"
-    for name in set(OUTPUTS) - set(LOOKED_AT):
-        head = re.sub(rf"\[outputs\.{name}\]\n(.+\n)+", "", head)
-    effects = "".join(f'[[effect]]\nkind = "{e.kind}"\n' for e in list_effects(pair))
-    return parse_config(head + effects + LIMITS, Path("/bench/zerodrift.toml"))
-
-
-@cache
-def make_plan(pair: tuple[str, ...], hours: float, size: float, budget_s: float) -> Planned:
-    """Return a plan before the first log."""
-    question = Question(hours, pair, TARGET * size, budget_s)
-    return plan_experiment(make_config(pair), None, load_catalogue(), question)
-
-
-def record_plan(simulation: Simulation, planned: Planned) -> Dataset:
-    """Return the logs of a sensor to which a plan is done, with the dwell."""
-    units = dict(zip(OUTPUTS, UNITS, strict=True))
-    texts = list_protocols(planned.programme, planned.limits, units)
-    protocols = {
-        f"planned_{end.removesuffix('.txt')}": parse_protocol(text, f"plan_{end}", "planned")
-        for end, text in texts.items()
-    }
-    runs = play_protocols(simulation, protocols)
-    dataset = to_dataset(simulation)
-    return replace(dataset, train=tuple(to_run(run, simulation.recipe) for run in runs))
-
-
-def keep_outputs(dataset: Dataset) -> Dataset:
-    """Return the logs of those outputs alone that the bench looks at."""
-    kept = [OUTPUTS.index(name) for name in LOOKED_AT]
-
-    def take(runs: Sequence[Run]) -> tuple[Run, ...]:
-        return tuple(
-            replace(run, measured=run.measured[:, kept], reference=run.reference[:, kept])
-            for run in runs
-        )
-
-    return replace(
-        dataset,
-        train=take(dataset.train),
-        dwell=take(dataset.dwell),
-        outputs=LOOKED_AT,
-        units=tuple(dataset.units[k] for k in kept),
-        full_scale=tuple(dataset.full_scale[k] for k in kept),
+    return Expected(
+        float(expect_verdicts(told)[m].mean()),
+        list_draws(grow(told.apart.min(axis=2), told.gain)),
+        list_draws(rise(told.gain, told.runs)),
+        list_draws(outgrow(told.excess)),
+        list_draws(told.beside),
     )
 
 
@@ -202,20 +131,20 @@ def try_one(
     budget_s: float,
 ) -> Trial | None:
     """Return what `diagnose` makes of one sensor after one programme; None: it cannot be made."""
+    expected: Expected | None = None
     try:
-        told = hours if arm == "default" else 2.0
-        simulation = make_sensor(pair, truth, size, seed, told)
+        if arm == "default":
+            dataset = to_dataset(make_sensor(pair, truth, size, seed, hours))
+        else:
+            planned = make_plan(pair, hours, size, budget_s)
+            if arm == "sized":
+                simulation = make_as_large(pair, truth, size, seed, planned)
+            else:
+                simulation = make_sensor(pair, truth, size, seed, 2.0)
+            dataset = record_plan(simulation, planned)
+            expected = expect(planned, truth)
     except InputError:
         return None
-    predicted = gain = apart = float("nan")
-    dataset = to_dataset(simulation)
-    if arm == "planned":
-        planned = make_plan(pair, hours, size, budget_s)
-        dataset = record_plan(simulation, planned)
-        m = planned.kinds.index(truth)
-        predicted = float(expect_verdicts(planned.told)[m].mean())
-        gain = float(np.exp(np.log(planned.told.gain[m] + 1e-9).mean()))
-        apart = float(np.exp(np.log(planned.told.apart[m].min(axis=1) + 1e-9).mean()))
     found = diagnose(list_effects(pair), keep_outputs(dataset))
     rivals = set(pair) - {truth}
     right = found.effect == truth and not rivals & set(found.lookalikes)
@@ -230,31 +159,17 @@ def try_one(
         found.verdict,
         found.effect,
         found.lookalikes,
-        predicted,
-        gain,
-        apart,
+        expected,
         len(dataset.train),
     )
-
-
-MEASURED = ("predicted", "gain", "apart")
-"""Fields of a trial that are null in the file where there is no plan."""
 
 
 def read_trials(file: Path | None) -> list[Trial]:
     """Return the outcomes that a file has."""
     if file is None or not file.exists():
         return []
-    lines = (json.loads(line) for line in file.read_text(encoding="utf-8").splitlines())
-    nan = float("nan")
-    return [
-        from_json(
-            Trial,
-            {k: nan if v is None and k in MEASURED else v for k, v in line.items()},
-            str(file),
-        )
-        for line in lines
-    ]
+    lines = file.read_text(encoding="utf-8").splitlines()
+    return [from_json(Trial, json.loads(line), str(file)) for line in lines]
 
 
 def run_trials(
@@ -275,10 +190,8 @@ def run_trials(
             continue
         found.append(trial)
         if file is not None:
-            told = to_dict(trial)
-            told |= {k: None for k in MEASURED if np.isnan(getattr(trial, k))}
             with file.open("a", encoding="utf-8") as out:
-                out.write(json.dumps(told) + "\n")
+                out.write(json.dumps(to_dict(trial)) + "\n")
         mark = "right" if trial.right else f"{trial.verdict} {trial.effect} {trial.lookalikes}"
         print(
             f"  {trial.arm} {trial.truth} of {trial.pair} {trial.hours:g} h, size {trial.size:g}: "
@@ -317,7 +230,7 @@ def list_probability(seed: int, plans: int, draws: int) -> Iterator[Key]:
     for n in range(draws):
         for number, (pair, hours, size) in enumerate(drawn):
             place = seed + 7000 + 1000 * number + n
-            yield "planned", pair, choose_truth(pair, n), hours, size, place
+            yield "sized", pair, choose_truth(pair, n), hours, size, place
 
 
 def tell_hours(trials: Sequence[Trial], hours: Sequence[float]) -> None:

@@ -7,7 +7,7 @@ A rival is the same model at a grid of its shared values, its coefficients left 
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 
 NODES = {1: 7, 2: 4, 3: 3}
 """Values of each shared parameter of a rival, by how many it has."""
+CLOSE = {1: 25, 2: 7, 3: 4}
+"""The same for the programme that is taken."""
 MOST_FORMS = 2
 DRAWS = 6
 WIDE = 2.0
@@ -76,6 +78,8 @@ class Scene:
     contenders: tuple[Contender, ...]
     runs: int
     """Training runs that there are."""
+    outsiders: tuple[Contender, ...] = ()
+    """Effects that are not open but that `diagnose` will try too, without truths."""
 
 
 def describe_noise(full_scale: Sequence[float], share: float, period_s: float) -> Noise:
@@ -148,14 +152,41 @@ def refuse_unknown(
             )
 
 
-def _spread_nodes(terms: Sequence[Term], place: int) -> tuple[tuple[Term, ...], ...]:
+def look_closer(scene: Scene, catalogue: Catalogue) -> Scene:
+    """Return the scene with finer grids, and with all else of the catalogue that may be mistaken.
+
+    For the programme that is taken; the search would be slow with it.
+    """
+    open_kinds = {contender.kind for contender in scene.contenders}
+
+    def spread(kind: str) -> tuple[tuple[tuple[Term, ...], ...], ...]:
+        forms = list_forms(catalogue, scene.base, kind)
+        return tuple(_spread_nodes(terms, place, CLOSE) for terms, place in forms)
+
+    others = [
+        kind
+        for kind, effect in catalogue.items()
+        if kind not in open_kinds
+        and not find_placeable(effect, scene.plan)
+        and list_forms(catalogue, scene.base, kind)
+    ]
+    return replace(
+        scene,
+        contenders=tuple(replace(c, forms=spread(c.kind)) for c in scene.contenders),
+        outsiders=tuple(Contender(kind, (), spread(kind)) for kind in others),
+    )
+
+
+def _spread_nodes(
+    terms: Sequence[Term], place: int, nodes: Mapping[int, int] = NODES
+) -> tuple[tuple[Term, ...], ...]:
     """Return a form on a grid over a little more than its typical values."""
     coordinates = [
         c for c in list_coordinates(terms) if c.term == place and not c.parameter.is_setting
     ]
     if not coordinates:
         return (tuple(terms),)
-    count = NODES.get(len(coordinates), 2)
+    count = nodes.get(len(coordinates), 2)
     axes = []
     for c in coordinates:
         low, high = (c.encode(value) for value in c.parameter.typical)

@@ -46,8 +46,15 @@ class Staged:
     period_s: float
     whiten: Array
     """[P, R, n, K'] as [R, n] per output: octaves' coefficients over their noise."""
+    variance: Array
+    """[K', R] of each coefficient's noise."""
     weight: Array
     """[P] square root of how many logs each stands for."""
+
+    @property
+    def rows(self) -> float:
+        """Blocks of all logs."""
+        return float(np.sum(self.weight**2) * self.signals.elapsed_s.shape[1])
 
 
 @dataclass(frozen=True)
@@ -60,6 +67,11 @@ class Told:
     """[M, D, M] the same from each rival's best refit; infinite from itself."""
     runs: int
     """Logs in all."""
+    excess: Array
+    """[M, D, K'] mean square of what the model without it leaves of a truth, over the noise's."""
+    beside: Array
+    """[M, D] the squared distance from the nearest effect that is not among the open ones; infinite
+    where none was looked at."""
 
 
 class _Laid(NamedTuple):
@@ -84,8 +96,9 @@ class _Laid(NamedTuple):
         )
 
 
-def _whiten(scene: Scene, rows: int, block: int, outputs: Sequence[int]) -> Array:
-    """Return [K', R, n]: what turns n block means into white coefficients without the mean."""
+def _whiten(scene: Scene, rows: int, block: int, outputs: Sequence[int]) -> tuple[Array, Array]:
+    """Return [K', R, n], which turns n block means into white coefficients without the mean, and
+    the variances [K', R] of these before they were white."""
     octaves = cut_octaves(np.array([rows], dtype=np.int64), block)
     basis: Array = np.stack([octaves.transform(e) for e in np.eye(rows)], axis=1)
     keep = octaves.octave != MEANS
@@ -95,7 +108,7 @@ def _whiten(scene: Scene, rows: int, block: int, outputs: Sequence[int]) -> Arra
     floor = np.maximum(variance, 1e-30 + 1e-12 * variance.max(axis=0))
     each: Array = np.sqrt(block / floor)[np.searchsorted(numbers, levels)]
     whitened: Array = each.T[:, :, None] * basis[keep][None]
-    return whitened
+    return whitened, each.T**-2
 
 
 def _make_signals(
@@ -145,7 +158,8 @@ class Judge:
         self, scene: Scene, limits: Limits, before: Sequence[Run], outputs: Sequence[int]
     ) -> None:
         self.scene, self.limits, self.outputs = scene, limits, tuple(outputs)
-        self._white: dict[tuple[int, int], Array] = {}
+        self._white: dict[tuple[int, int], tuple[Array, Array]] = {}
+        self._floor = np.array(scene.noise.weights.sum(axis=0))[list(outputs)]
         self._before = self._look_back(before)
 
     def scale(self, logs: Sequence[Log], sizes: Array) -> Scene:
@@ -201,7 +215,7 @@ class Judge:
         stage = self.stage(logs, repeats[: len(logs)])
         return self._compare(stage, round(float(repeats.sum())))
 
-    def _whiten(self, rows: int, block: int) -> Array:
+    def _whiten(self, rows: int, block: int) -> tuple[Array, Array]:
         if (rows, block) not in self._white:
             self._white[rows, block] = _whiten(self.scene, rows, block, self.outputs)
         return self._white[rows, block]
@@ -214,7 +228,7 @@ class Judge:
         courses = [follow(log, self.limits, step_s, self.limits.start_degC) for log in logs]
         signals = _make_signals(self.scene, logs, courses)
         rows = signals.elapsed_s.shape[1]
-        return Staged(signals, step_s, self._whiten(rows, block), np.sqrt(repeats))
+        return Staged(signals, step_s, *self._whiten(rows, block), np.sqrt(repeats))
 
     def stage_run(self, run: Run) -> Staged:
         """Return a log that there is, its signals averaged over blocks."""
@@ -235,7 +249,7 @@ class Judge:
             channels={name: thin(x) for name, x in read.channels.items()},
         )
         period_s = block * self.scene.plan.sample_period_s
-        return Staged(signals, period_s, self._whiten(rows, block), np.ones(1))
+        return Staged(signals, period_s, *self._whiten(rows, block), np.ones(1))
 
     def list_seen(self, stage: Staged, terms: Sequence[Term]) -> list[list[int]]:
         """Return, per output, the indices of the features that it sees."""
@@ -284,16 +298,34 @@ class Judge:
         """Return, per output, what all models and truths are in a stage."""
         contenders = self.scene.contenders
         truths = [self._truth(stage, t) for c in contenders for t in c.truths]
-        models = [self.scene.base, *(m for c in contenders for form in c.forms for m in form)]
+        rivals = (*contenders, *self.scene.outsiders)
+        models = [self.scene.base, *(m for c in rivals for form in c.forms for m in form)]
         columns = [self.lay_columns(stage, terms) for terms in models]
         return [
             _Laid(np.stack([t[k] for t in truths], axis=1), [c[k] for c in columns])
             for k in range(len(self.outputs))
         ]
 
+    def _measure_excess(self, stage: Staged, laid: Sequence[_Laid]) -> Array:
+        """Return [M, K'] the mean square of what the base leaves of the truths, over the noise's.
+
+        In the mean over logs and time, as the error of runs left out is told.
+        """
+        found = []
+        for k, one in enumerate(laid):
+            rest = _rest(one.models[0][None], one.truths[None])[0]
+            each = np.tile(stage.variance[k], rest.shape[0] // stage.variance.shape[1])
+            found.append((rest**2).T @ each / stage.rows / self._floor[k])
+        return np.stack(found, axis=1)
+
     def _look_back(self, runs: Sequence[Run]) -> list[_Laid]:
         """Return the logs that there are, made as short as their sums of products allow."""
-        laid = [self._lay_out(self.stage_run(run)) for run in runs]
+        stages = [self.stage_run(run) for run in runs]
+        laid = [self._lay_out(stage) for stage in stages]
+        self._seen = [
+            (stage.rows * stage.period_s, self._measure_excess(stage, one))
+            for stage, one in zip(stages, laid, strict=True)
+        ]
         shortened = []
         for k in range(len(self.outputs) if laid else 0):
             truths = np.concatenate([one[k].truths for one in laid])
@@ -312,13 +344,14 @@ class Judge:
 
     def _compare(self, stage: Staged, logs: int) -> Told:
         contenders = self.scene.contenders
+        rivals = (*contenders, *self.scene.outsiders)
         draws = len(contenders[0].truths)
         count = len(contenders)
         scale = len(self.scene.plan.outputs) / len(self.outputs)
         laid = self._lay_out(stage)
         gain = np.zeros(count * draws)
-        apart = np.full((count * draws, count), np.inf)
-        nodes = [(r, f) for r, c in enumerate(contenders) for f in range(len(c.forms))]
+        apart = np.full((count * draws, len(rivals)), np.inf)
+        nodes = [(r, f) for r, c in enumerate(rivals) for f in range(len(c.forms))]
         left: dict[tuple[int, int], Array] = {}
         for k, one in enumerate(laid):
             before = self._before[k] if self._before else None
@@ -326,28 +359,37 @@ class Judge:
             gain += _leave(models, truths)[0]
             place = 1
             for r, f in nodes:
-                size = len(contenders[r].forms[f])
+                size = len(rivals[r].forms[f])
                 models, truths = one.join(before, place, place + size)
                 squares = _leave(models, truths)
                 left[r, f] = left[r, f] + squares if (r, f) in left else squares
                 place += size
-        for r in range(count):
+        for r in range(len(rivals)):
             # Values are shared by the outputs: the nearest one is chosen for all together.
             apart[:, r] = np.min([left[a, f].min(axis=0) for a, f in nodes if a == r], axis=0)
         apart[np.arange(count * draws), np.repeat(np.arange(count), draws)] = np.inf
+        seen = [*self._seen, (stage.rows * stage.period_s, self._measure_excess(stage, laid))]
+        lasts = sum(s for s, _ in seen)
+        excess = sum((s / lasts * each for s, each in seen), start=np.zeros((1, 1)))
         return Told(
             scale * gain.reshape(count, draws),
-            scale * apart.reshape(count, draws, count),
+            scale * apart[:, :count].reshape(count, draws, count),
             logs + self.scene.runs,
+            excess.reshape(count, draws, -1),
+            scale * apart[:, count:].min(axis=1, initial=np.inf).reshape(count, draws),
         )
 
 
 def _leave(models: Array, truths: Array) -> Array:
     """Return [N, M] what least squares on models [N, R, p] leaves of truths [N, R, M], squared."""
+    return np.asarray((_rest(models, truths) ** 2).sum(axis=1))
+
+
+def _rest(models: Array, truths: Array) -> Array:
+    """Return [N, R, M] what least squares on models [N, R, p] leaves of truths [N, R, M]."""
     norms = np.linalg.norm(models, axis=1, keepdims=True)
     scaled = models / np.where(norms > 0.0, norms, 1.0)
     q, r = np.linalg.qr(scaled)
     # A column that the others span adds nothing; without this it would add what rounding made.
     q = q * (np.abs(np.diagonal(r, axis1=-2, axis2=-1)) > NEGLIGIBLE)[:, None, :]
-    rest = truths - q @ (np.swapaxes(q, -1, -2) @ truths)
-    return np.asarray((rest**2).sum(axis=1))
+    return np.asarray(truths - q @ (np.swapaxes(q, -1, -2) @ truths))

@@ -1,29 +1,38 @@
 """From the expected figures of a programme to the probability of the right verdict.
 
-`diagnose` names an effect where its gain is sure, and alone where its rivals stay far enough
-behind. Both are logistic in the logarithm of the expected figures over what the rules ask for.
-Offsets and slopes are a maximum-likelihood fit to 125 verdicts on simulated sensors
-(`python -m benchmarks.bench_plan probability --seed 1 --plans 18 --draws 7 --budget 3`, whose
-simulator shares no code with this one), rounded.
+`diagnose` names an effect where its gain is sure and the error falls by enough, and alone where its
+rivals stay far enough behind. All are logistic in the logarithm of the expected figures over what
+the rules ask for. An effect that is not among the open ones is named instead where noise makes up
+for its expected distance, which spreads by twice its root (the log-likelihood ratio of two models
+of Gaussian noise is so distributed; Cox, JRSS B 24 (1962)).
+Offsets and slopes are a maximum-likelihood fit to 159 verdicts on simulated sensors (`python -m
+benchmarks.study_likely`, whose simulator shares no code with this one), rounded.
 """
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from zerodrift.diagnosis.rules import (
     ALIKE_UNITS,
     ALIKE_UNLESS_SURE,
     ENOUGH_RUNS,
     SURE_UNITS,
+    WORTHWHILE,
+    WORTHWHILE_ON_ONE,
 )
 from zerodrift.discovery.criterion import Told
 
 Array = NDArray[np.float64]
 
-APART = (-0.7, 1.5)
+APART = (-0.9, 2.2)
 """Offset and slope of being told from the nearest rival."""
-NAMED = (1.2, 3.9)
-"""Offset and slope of being named at all."""
+NAMED = (2.1, 2.6)
+"""Offset and slope of being named at all with enough runs, ..."""
+NAMED_OF_FEW = (-0.2, 2.6)
+"""... and with fewer, where SURE_UNITS are a limit and not only a sign."""
+WORTH = (0.6, 3.7)
+"""Offset and slope of lowering the error by enough."""
 FAINT_UNITS = 100.0
 """A gain that is sure with enough runs, noise units."""
 MOST = 0.98
@@ -41,25 +50,39 @@ def rise(gain: Array, runs: int) -> Array:
     return np.asarray(np.log((gain + 1e-9) / asked))
 
 
+def outgrow(excess: Array) -> Array:
+    """Return [M, D] the fall of the squared error over what is worth having, as a logarithm."""
+    overall = excess.mean(axis=2) / (WORTHWHILE**-2 - 1.0)
+    best = excess.max(axis=2) / (WORTHWHILE_ON_ONE**-2 - 1.0)
+    return np.asarray(np.log(np.maximum(overall, best) + 1e-9))
+
+
 def logistic(offset: float, slope: float, x: Array) -> Array:
     """Return 1 / (1 + exp(-(offset + slope x)))."""
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(offset + slope * x, -50.0, 50.0))))
+
+
+def _expect_naming(told: Told) -> Array:
+    """Return the probability [M, D] that each truth is named at all, before any other effect."""
+    sure = NAMED if told.runs >= ENOUGH_RUNS else NAMED_OF_FEW
+    named = logistic(*sure, rise(told.gain, told.runs))
+    worth = logistic(*WORTH, outgrow(told.excess))
+    return np.asarray(MOST * named * worth * ndtr(0.5 * np.sqrt(np.maximum(told.beside, 0.0))))
 
 
 def expect_verdicts(told: Told) -> Array:
     """Return the probability [M, D] that each truth is named, and alone."""
     nearest = told.apart.min(axis=2)
     alone = np.where(np.isfinite(nearest), logistic(*APART, grow(nearest, told.gain)), 1.0)
-    return MOST * alone * logistic(*NAMED, rise(told.gain, told.runs))
+    return np.asarray(alone * _expect_naming(told))
 
 
 def expect_pairs(told: Told) -> Array:
     """Return the probability [M, M] that a pair is told apart, whichever is true."""
-    named = logistic(*NAMED, rise(told.gain, told.runs))[:, :, None]
     apart = logistic(
         *APART, grow(np.where(np.isfinite(told.apart), told.apart, 1e30), told.gain[:, :, None])
     )
-    one_way = (MOST * named * apart).mean(axis=1)
+    one_way = (_expect_naming(told)[:, :, None] * apart).mean(axis=1)
     return np.asarray(0.5 * (one_way + one_way.T))
 
 
@@ -70,5 +93,12 @@ def weigh(told: Told) -> float:
     """
     p = expect_verdicts(told)
     nearest = np.minimum(told.apart.min(axis=2), 1e12)
-    further = np.tanh(0.1 * (grow(nearest, told.gain) + rise(told.gain, told.runs)))
+    further = np.tanh(
+        0.1
+        * (
+            grow(nearest, told.gain)
+            + rise(told.gain, told.runs)
+            + np.minimum(outgrow(told.excess), 0.0)
+        )
+    )
     return float(p.mean() + 0.02 * further.mean())

@@ -21,6 +21,7 @@ from zerodrift.discovery.contenders import (
     imagine,
     list_forms,
     look_back,
+    look_closer,
     refuse_unknown,
 )
 from zerodrift.discovery.criterion import Judge, Told
@@ -54,6 +55,10 @@ LINE = 2e-4
 """Of two programmes that tell as much, the one with fewer lines is taken."""
 
 
+class NothingLeftError(InputError):
+    """No experiment is needed, or none could show what is open."""
+
+
 @dataclass(frozen=True)
 class Question:
     """What is asked for."""
@@ -82,6 +87,8 @@ class Planned:
     scene: Scene
     programme: SetProgramme
     told: Told
+    sized: SetProgramme
+    """In which effects of which nothing is known were made as large as asked for."""
     best: Best
     notes: tuple[str, ...]
     cpu_s: float
@@ -98,7 +105,7 @@ def find_open(diagnosis: Diagnosis) -> tuple[tuple[str, ...], dict[str, str], st
     """Return what a diagnosis leaves open: effects, why some were not tested, and in words.
 
     Raises:
-        InputError: nothing is left to tell apart.
+        NothingLeftError: nothing is left to tell apart.
     """
     silent = {u.effect: u.why for u in diagnosis.not_testable if u.excitation is not None}
     if diagnosis.verdict == "missing" and diagnosis.effect is not None and diagnosis.lookalikes:
@@ -119,7 +126,7 @@ def find_open(diagnosis: Diagnosis) -> tuple[tuple[str, ...], dict[str, str], st
         if diagnosis.effect is not None
         else f"the verdict is {diagnosis.verdict}, and every effect that could be tested was"
     )
-    raise InputError(
+    raise NothingLeftError(
         f"plan: nothing is left to tell apart: {named}. Expected two open explanations or an "
         "effect that the logs could not test. Name what to compare by --between EFFECT EFFECT, or "
         "go on with `zerodrift add` or `zerodrift propose`."
@@ -163,8 +170,8 @@ def plan_experiment(
     spaces = choose_spaces(limits, question.hours, scene.runs)
     full_scale = np.array([output.full_scale for output in config.outputs])
     size = SIZE_IN_NOISE * floor if question.target is None else question.target * full_scale
-    everything = Judge(scene, limits, (), outputs)
-    scene = everything.scale(spaces[0].list_patterns(list_designs(spaces[0])[1]), size)
+    everything = list_designs(spaces[0])[1]
+    scene = Judge(scene, limits, (), outputs).scale(spaces[0].list_patterns(everything), size)
     judge = Judge(scene, limits, before, outputs)
     first_s = [0.0]
 
@@ -180,12 +187,14 @@ def plan_experiment(
     )
     if best.interrupted:
         notes.append("interrupted: the best programme until then")
+    closely = Judge(look_closer(scene, catalogue), limits, before, outputs)
     return Planned(
         question,
         limits,
         scene,
         best.space.build(best.point),
-        judge.judge(best.space, best.point),
+        closely.judge(best.space, best.point),
+        spaces[0].build(everything),
         best,
         tuple(notes),
         time.process_time() - begin,
@@ -211,7 +220,7 @@ def leave_alone(limits: Limits, kinds: Sequence[str], catalogue: Catalogue) -> L
 
 def _refuse_single(kinds: Sequence[str], said: str) -> None:
     if not kinds:
-        raise InputError(
+        raise NothingLeftError(
             f"plan: {said}; no effect is left that this experiment could show. Expected one at "
             "least. Allow loads or inputs under [experiment], or name effects by --between."
         )

@@ -5,13 +5,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from zerodrift.base.config import parse_config
-from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.diagnose import diagnose_config
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.discovery.files import list_protocols
 from zerodrift.discovery.likely import expect_verdicts
-from zerodrift.discovery.plan import Planned, Question, find_open, plan_experiment
+from zerodrift.discovery.plan import (
+    NothingLeftError,
+    Planned,
+    Question,
+    find_open,
+    plan_experiment,
+)
 from zerodrift.lab.twin.played import play_protocols
 from zerodrift.lab.twin.project import render_config, to_dataset, to_run
 from zerodrift.lab.twin.recipe import Recipe
@@ -110,9 +115,7 @@ def run_loop(
             find_open(found)
             question = Question(hours=min(ROUND_HOURS, left), budget_s=SEARCH_S)
             planned = plan_experiment(config, dataset, catalogue, question, say)
-        except InputError as error:
-            if "nothing is left" not in str(error) and "no effect is left" not in str(error):
-                raise
+        except NothingLeftError:
             return end("nothing left")
         predicted = float(expect_verdicts(planned.told).mean())
         dataset = extend(simulation, dataset, planned, len(rounds))

@@ -7,6 +7,7 @@ import pytest
 
 from tests.plan.projects import EXPERIMENT, read
 from zerodrift.base.errors import InputError
+from zerodrift.discovery.contenders import look_closer
 from zerodrift.discovery.criterion import Judge, Told
 from zerodrift.discovery.likely import expect_pairs, expect_verdicts
 from zerodrift.discovery.plan import Question, plan_experiment
@@ -73,8 +74,22 @@ def test_a_pure_ramp_cannot_tell_what_is_proportional_on_it():
     told = judge.judge_logs([half], np.array([1.0]))
     # 0.01 x 100 N for half of 1920 s, its mean taken off: 1920 x 0.5^2 over a variance of 4.
     assert told.gain[0, 0] == pytest.approx(1920 * 0.25 / 4.0, rel=0.02)
+    # Half of the time 50 N above the mean, half below: 0.5 squared over a variance of 4.
+    assert told.excess[0, 0] == pytest.approx([0.25 / 4.0], rel=0.02)
     twice = judge.judge_logs([half], np.array([2.0]))
+    assert twice.excess[0, 0] == pytest.approx(told.excess[0, 0], rel=1e-9)
     assert twice.gain[0, 0] == pytest.approx(2.0 * told.gain[0, 0], rel=1e-9)
+
+
+def test_effects_that_are_not_open_may_be_taken_for_one_that_is():
+    """A thermal lag of a short time constant is nearly the delay that it is mistaken for."""
+    planned = plan("clock_delay", "creep", hours=1.0)
+    place = planned.kinds.index("clock_delay")
+    outside = {contender.kind for contender in look_closer(planned.scene, CATALOGUE).outsiders}
+    assert {"thermal_lag", "thermal_gradient"} <= outside
+    assert not outside & set(planned.kinds)
+    assert np.isfinite(planned.told.beside).all()
+    assert (planned.told.beside[place] < planned.told.apart[place, :, 1 - place]).all()
 
 
 def test_an_effect_and_its_own_model_are_not_apart(planned):
@@ -92,18 +107,27 @@ def test_an_effect_and_its_own_model_are_not_apart(planned):
     assert told.apart[0, 0, 1] < 1e-6 * told.gain[0, 0]
 
 
+LARGE = np.full((2, 4, 1), 100.0)
+FAR = np.full((2, 4), np.inf)
+
+
 def test_probabilities_rise_with_what_is_told():
     gain = np.array([[50.0, 500.0, 5000.0, 5e5]] * 2)
     apart = np.full((2, 4, 2), np.inf)
     apart[0, :, 1] = apart[1, :, 0] = 0.5 * gain[0]
-    p = expect_verdicts(Told(gain, apart, 8))
+    p = expect_verdicts(Told(gain, apart, 8, LARGE, FAR))
     assert (np.diff(p[0]) > 0.0).all() and p.min() > 0.0 and p.max() < 1.0
     close = apart.copy()
     close[0, :, 1] = 0.001 * gain[0]
-    assert (expect_verdicts(Told(gain, close, 8))[0] < p[0]).all()
-    pairs = expect_pairs(Told(gain, apart, 8))
+    assert (expect_verdicts(Told(gain, close, 8, LARGE, FAR))[0] < p[0]).all()
+    # What lowers the error by 1 % is not named, however sure; nor what another effect does as well.
+    faint = expect_verdicts(Told(gain, apart, 8, np.full((2, 4, 1), 0.01), FAR))
+    assert (faint < 0.3 * p).all()
+    mistaken = expect_verdicts(Told(gain, apart, 8, LARGE, np.zeros((2, 4))))
+    assert mistaken == pytest.approx(0.5 * p)
+    pairs = expect_pairs(Told(gain, apart, 8, LARGE, FAR))
     assert pairs[0, 1] == pairs[1, 0]
-    assert (expect_verdicts(Told(gain, apart, 3)) <= p).all()
+    assert (expect_verdicts(Told(gain, apart, 3, LARGE, FAR)) <= p).all()
 
 
 def test_more_hours_tell_no_less():

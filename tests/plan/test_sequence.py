@@ -8,7 +8,8 @@ from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import OutlierCount
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis
-from zerodrift.discovery.plan import find_open
+from zerodrift.discovery.plan import NothingLeftError, find_open
+from zerodrift.lab.commands import loop
 from zerodrift.lab.commands.loop import describe_loop, run_loop
 from zerodrift.lab.twin.recipe import EffectChoice, Recipe
 
@@ -63,10 +64,21 @@ def test_with_an_unknown_what_explains_a_part_is_open():
 
 @pytest.mark.parametrize("verdict", ["missing", "complete"])
 def test_nothing_left_is_said_plainly(verdict):
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(NothingLeftError) as refused:
         find_open(find(verdict, "creep" if verdict == "missing" else None))
     told = str(refused.value)
     assert "nothing is left to tell apart" in told and "Expected" in told and "--between" in told
+
+
+def test_the_loop_takes_no_other_refusal_for_its_end(monkeypatch):
+    def refuse(*_):
+        raise InputError("plan: nothing is left of the chamber")
+
+    monkeypatch.setattr(loop, "plan_experiment", refuse)
+    monkeypatch.setattr(loop, "find_open", lambda found: None)
+    monkeypatch.setattr(loop, "diagnose_config", lambda *_: find("unknown"))
+    with pytest.raises(InputError, match="left of the chamber"):
+        run_loop(RECIPE, 4.0)
 
 
 def test_the_loop_ends_with_what_is_hidden():
