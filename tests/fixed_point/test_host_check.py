@@ -63,7 +63,7 @@ FAULTS = {
     "delay one step long": (r"= s->(\w+)_line\[s->\w+\];", r"= s->\1_line[0];"),
     "state zeroed on every call": (r"(    uint32_t flags = 0;\n)", r"\1    s->gru_h_q30[0] = 0;\n"),
     "relaxed once, not 64 times": (r"ZD_GRU_RELAX_STEPS", "1u"),
-    "rate flag off by one": (r"previous_temperature > 1000\)", "previous_temperature > 1001)"),
+    "rate flag off by one": (r"\+ 1000\) > 2000u\)", "+ 1001) > 2002u)"),
     "clamp flag forgotten": (r"if \(limited != wide\)", "if (0)"),
     "steps counted twice": (r"s->steps\+\+;", "s->steps += 2u;"),
     "head reads the state before the step": (
