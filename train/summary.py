@@ -67,7 +67,7 @@ class TriedNetwork:
     as_good: bool
     """Whether the error is within 5 % of the best."""
     why: str
-    """Why it was not trained, or nothing."""
+    """Why it was not trained; that its network found nothing and was left out; or nothing."""
 
 
 @dataclass(frozen=True)

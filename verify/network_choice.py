@@ -35,6 +35,8 @@ CANDIDATES = (
     *(("gru", 4), ("gru", 8), ("gru", 16), ("lstm", 8)),
 )
 """Kind, and hidden units; all of those with a state carry it from sample to sample."""
+LEFT_OUT = "left out"
+"""Of a network that found nothing: the linear part in front of it stays."""
 TOLERANCE = 1.05
 """Of the best error: what is not worse than this times it is as good."""
 
@@ -133,12 +135,14 @@ def train_or_choose(
         if name in failed:
             tried.append(TriedNetwork(name, None, None, None, None, None, False, failed[name]))
             continue
-        _, errors, cost = found[name]
+        one, errors, cost = found[name]
+        parts = one.compensator.network, one.compensator.bank
+        why = LEFT_OUT if name != "none" and parts == (None, None) else ""
         rmse = dict(zip(dataset.outputs, errors.compensated.tolist(), strict=True))
         ratio, within = ratios[name] / best, ratios[name] <= TOLERANCE * best
         tried.append(
             TriedNetwork(
-                name, rmse, ratio, cost.instructions, cost.flash_bytes, cost.products, within, ""
+                name, rmse, ratio, cost.instructions, cost.flash_bytes, cost.products, within, why
             )
         )
     units = dict(zip(dataset.outputs, dataset.units, strict=True))
@@ -214,7 +218,7 @@ def measure_cost(config: Config, dataset: Dataset, compensator: Compensator, fol
 def tabulate(choice: NetworkChoice) -> tuple[Sequence[str], list[tuple[str, ...]]]:
     """Return heads and rows of the table as it is printed."""
     outputs = [f"{name} [{unit}]" for name, unit in choice.units.items()]
-    heads = (*outputs, "times the best", "instructions", "flash B", "")
+    heads = (*outputs, "times the best", "instr.", "flash B", "")
     rows = []
     for one in choice.tried:
         if one.rmse_left_out is None:
@@ -223,5 +227,6 @@ def tabulate(choice: NetworkChoice) -> tuple[Sequence[str], list[tuple[str, ...]
         errors = (f"{one.rmse_left_out[name]:.4g}" for name in choice.units)
         cost = ("-" if n is None else str(n) for n in (one.instructions, one.flash_bytes))
         mark = "taken" if one.name == choice.taken else "as good" if one.as_good else ""
+        mark = ", ".join(word for word in (mark, one.why) if word)
         rows.append((one.name, *errors, f"{one.times_best:.3f}", *cost, mark))
     return heads, rows

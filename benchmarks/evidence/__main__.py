@@ -1,7 +1,7 @@
 """Public evidence: the diagnosis under named conditions, its probabilities, and the whole loop.
 
-    python -m benchmarks.evidence conditions [--simulator 1|2|3] [--condition NAME ...]
-                                             [--purpose one|complete|outside ...] [--count N]
+    python -m benchmarks.evidence conditions [--simulator 1|2|3] [--condition NAME]...
+                                             [--purpose one|complete|outside]... [--count N]
                                              [--effect NAME]
     python -m benchmarks.evidence drawn      [--simulator 1|2|3] [--count N]
     python -m benchmarks.evidence loop       [--simulator 1|3] [--count N]

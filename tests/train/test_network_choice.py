@@ -14,9 +14,10 @@ from zerodrift.base.errors import InputError
 from zerodrift.dataset.load import load_dataset
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.compensator import Compensator
+from zerodrift.train.summary import NetworkChoice, TriedNetwork
 from zerodrift.train.training import train, train_together
 from zerodrift.verify import network_choice
-from zerodrift.verify.network_choice import choose, tabulate, train_or_choose
+from zerodrift.verify.network_choice import LEFT_OUT, choose, tabulate, train_or_choose
 
 FEW = (("none", 16), ("lag_bank", 16), ("gru", 4))
 
@@ -52,8 +53,17 @@ def test_auto_takes_what_remembers_where_the_sensor_lags(
     assert none.instructions and bank.instructions and none.instructions < bank.instructions
     assert chosen.trained.compensator.bank is not None
     assert chosen.trained.scores.on_test_logs is tested, "test logs are told and decide nothing"
+    assert none.why == bank.why == ""
     heads, rows = tabulate(chosen.choice)
     assert len(rows) == 3 and all(len(row) == 1 + len(heads) for row in rows)
+
+
+def test_a_network_that_found_nothing_is_marked() -> None:
+    none = TriedNetwork("none", {"p": 1.0}, 2.0, 10, 20, 3, as_good=False, why="")
+    gru = TriedNetwork("gru 4", {"p": 0.5}, 1.0, 30, 40, 9, as_good=True, why=LEFT_OUT)
+    choice = NetworkChoice("gru 4", (none, gru), {"p": "N"}, "cortex-m4", "")
+    _, rows = tabulate(choice)
+    assert [row[-1] for row in rows] == ["", "taken, left out"]
 
 
 def test_commands_show_the_table_once_and_keep_the_result(
