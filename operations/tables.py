@@ -19,8 +19,8 @@ from zerodrift.operations.node import Writer
 Int32Array = NDArray[np.int32]
 
 TANH = RuntimePart("zd_network.h", "zd_tanh_is_sound")
-SIGMOID = RuntimePart("zd_network.h", "zd_sigmoid_is_sound")
-"""What recurrent layers read of it beside tanh."""
+CURVES = RuntimePart("zd_network.h", "zd_gates_are_sound")
+"""Of recurrent layers: tanh, and the sigmoid beside it."""
 
 NODES = 513
 NODE_BITS = 19

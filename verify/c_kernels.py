@@ -402,7 +402,7 @@ RULES: dict[str, Rule] = {
     "zd_crc32_word": typed("uint32_t, uint32_t", _crc_word, "uint32_t"),
     "zd_tables_are_sound": typed("", lambda machine: Value(1, 1), "uint32_t"),
     "zd_tanh_is_sound": typed("", lambda machine: Value(1, 1), "uint32_t"),
-    "zd_sigmoid_is_sound": typed("", lambda machine: Value(1, 1), "uint32_t"),
+    "zd_gates_are_sound": typed("", lambda machine: Value(1, 1), "uint32_t"),
     "zd_exp2_is_sound": typed("", lambda machine: Value(1, 1), "uint32_t"),
     "zd_save": _save,
     "zd_restore": _restore,

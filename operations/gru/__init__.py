@@ -25,7 +25,7 @@ from zerodrift.operations.intervals import Bound, Interval, Shift
 from zerodrift.operations.node import Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.recurrent import IntegerRecurrent, number_layers, prove_layers
 from zerodrift.operations.signals import Real
-from zerodrift.operations.tables import SIGMOID, TANH
+from zerodrift.operations.tables import CURVES
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class IntegerGruLayer(IntegerRecurrent):
     @property
     def parts(self) -> tuple[RuntimePart, ...]:
         """The table of tanh, and that of the sigmoid."""
-        return (TANH, SIGMOID)
+        return (CURVES,)
 
     def list_shifts(self) -> list[Shift]:
         """Return every right shift in the C."""

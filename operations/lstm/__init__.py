@@ -23,9 +23,8 @@ from zerodrift.operations.lstm.cell import (
 from zerodrift.operations.lstm.layouts import FILTERS
 from zerodrift.operations.node import Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.recurrent import IntegerRecurrent, number_layers, prove_layers
-from zerodrift.operations.tables import SIGMOID
 
-LSTM = RuntimePart("zd_lstm.h", "zd_tanh_is_sound")
+LSTM = RuntimePart("zd_lstm.h", "zd_gates_are_sound")
 
 
 @dataclass(frozen=True)
@@ -201,7 +200,7 @@ class IntegerLstmLayer(IntegerRecurrent):
     @property
     def parts(self) -> tuple[RuntimePart, ...]:
         """The kernel, and with it the tables of tanh and sigmoid."""
-        return (LSTM, SIGMOID)
+        return (LSTM,)
 
     def list_shifts(self) -> list[Shift]:
         """Return every right shift in the C."""

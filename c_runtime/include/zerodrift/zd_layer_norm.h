@@ -9,7 +9,7 @@
 
 #include "zd_network.h"
 
-#if ZD_RUNTIME_ID != 0xf9abe6c9
+#if ZD_RUNTIME_ID != 0x31dba63b
 #error "zd_layer_norm.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 

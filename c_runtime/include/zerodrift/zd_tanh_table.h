@@ -9,21 +9,21 @@
 
 #include "zd_runtime.h"
 
-#if ZD_RUNTIME_ID != 0xf9abe6c9
+#if ZD_RUNTIME_ID != 0x31dba63b
 #error "zd_tanh_table.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
 /* Names as the linker knows them, for assembly. */
-#define ZD_TANH_HALF_OFFSET_NAME "zd_tanh_half_offset_q30_f9abe6c9"
-#define ZD_TANH_HALF_SLOPE_NAME "zd_tanh_half_slope_q19_f9abe6c9"
-#define ZD_TANH_OFFSET_NAME "zd_tanh_offset_q30_f9abe6c9"
-#define ZD_TANH_SLOPE_NAME "zd_tanh_slope_q19_f9abe6c9"
-#define ZD_SIGMOID_OFFSET_NAME "zd_sigmoid_offset_q31_f9abe6c9"
-#define zd_tanh_half_offset_q30 zd_tanh_half_offset_q30_f9abe6c9
-#define zd_tanh_half_slope_q19 zd_tanh_half_slope_q19_f9abe6c9
-#define zd_tanh_offset_q30 zd_tanh_offset_q30_f9abe6c9
-#define zd_tanh_slope_q19 zd_tanh_slope_q19_f9abe6c9
-#define zd_sigmoid_offset_q31 zd_sigmoid_offset_q31_f9abe6c9
+#define ZD_TANH_HALF_OFFSET_NAME "zd_tanh_half_offset_q30_31dba63b"
+#define ZD_TANH_HALF_SLOPE_NAME "zd_tanh_half_slope_q19_31dba63b"
+#define ZD_TANH_OFFSET_NAME "zd_tanh_offset_q30_31dba63b"
+#define ZD_TANH_SLOPE_NAME "zd_tanh_slope_q19_31dba63b"
+#define ZD_SIGMOID_OFFSET_NAME "zd_sigmoid_offset_q31_31dba63b"
+#define zd_tanh_half_offset_q30 zd_tanh_half_offset_q30_31dba63b
+#define zd_tanh_half_slope_q19 zd_tanh_half_slope_q19_31dba63b
+#define zd_tanh_offset_q30 zd_tanh_offset_q30_31dba63b
+#define zd_tanh_slope_q19 zd_tanh_slope_q19_31dba63b
+#define zd_sigmoid_offset_q31 zd_sigmoid_offset_q31_31dba63b
 
 /* clang-format off */
 #if defined(ZD_SMALL)
@@ -285,13 +285,15 @@ static inline uint32_t zd_tanh_is_sound(void) {
     return (crc == ZD_TANH_CRC) ? 1u : 0u;
 }
 
-/* The same of what recurrent layers in assembly read beside it. */
-static inline uint32_t zd_sigmoid_is_sound(void) {
+/* The same with what recurrent layers in assembly read beside it. */
+static inline uint32_t zd_gates_are_sound(void) {
+    uint32_t sound = zd_tanh_is_sound();
 #if defined(ZD_SIGMOID_CRC)
-    return (zd_crc32_i32(0, zd_sigmoid_offset_q31, ZD_TANH_LINES) == ZD_SIGMOID_CRC) ? 1u : 0u;
-#else
-    return 1u;
+    if (zd_crc32_i32(0, zd_sigmoid_offset_q31, ZD_TANH_LINES) != ZD_SIGMOID_CRC) {
+        sound = 0u;
+    }
 #endif
+    return sound;
 }
 
 #endif /* ZD_TANH_TABLE_H */
