@@ -17,7 +17,7 @@ from zerodrift.diagnosis.remainder import RemainderPattern, describe_remainder, 
 from zerodrift.diagnosis.rules import ENOUGH_RUNS, Finding, list_lookalikes, wanders
 from zerodrift.physics.effect import FEWEST_RUNS
 from zerodrift.physics.fit import flat_weights
-from zerodrift.physics.run_offsets import BY_CHANCE
+from zerodrift.physics.run_offsets import TREND_BY_CHANCE
 from zerodrift.physics.search import Found, search
 from zerodrift.physics.signals import explain_missing
 from zerodrift.physics.terms import tidy_terms
@@ -229,8 +229,8 @@ def _tell_offsets(case: Case, first: Examination) -> str:
         return (
             "the runs' offsets follow the clock, so they count as drift: a line or a logarithm over"
             f" the clock leaves {100.0 * case.trend.share:.2g} % of their squares, and offsets at "
-            f"random leave as little in at most {100.0 * BY_CHANCE:g} % of all cases. Logs that are"
-            " zeroed one by one: set [logs] tared = true, and the offsets are taken off"
+            f"random leave as little in at most {100.0 * TREND_BY_CHANCE:g} % of all cases. Logs"
+            " that are zeroed one by one: set [logs] tared = true, and the offsets are taken off"
         )
     if not case.campaign.tared or len(case.campaign.groups) < 2:
         return ""

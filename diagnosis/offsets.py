@@ -17,6 +17,7 @@ from zerodrift.physics.fit import TARE_RATIO, flat_weights
 from zerodrift.physics.projection import list_coordinates, set_coordinates
 from zerodrift.physics.run_offsets import (
     NO_TREND,
+    STILL_SCATTERED,
     ClockTrend,
     follows_clock_alone,
     measure_clock_trend,
@@ -32,8 +33,6 @@ RUNS_PER_COLUMN = 3
 BY_CHANCE = 0.01
 """... unless they follow the clock alone, have nothing to be fitted beside their size, and chance
 alone leaves so little of the offsets with at most this probability."""
-STILL_SCATTERED = 0.1
-"""Share of the offsets' squares that the best of the missing effects may leave to be tried."""
 
 
 @dataclass(frozen=True)

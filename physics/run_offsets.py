@@ -17,8 +17,9 @@ FEWEST = 3
 BENDS = (0.03, 0.1, 0.3, 1.0)
 """A logarithmic drift turns from a line into a logarithm after these shares of the clock's span."""
 STILL_SCATTERED = 0.1
-"""Share of the offsets' squares that a line or a logarithm over the clock may leave, ..."""
-BY_CHANCE = 0.005
+"""Share of the offsets' squares that what explains them may leave: an effect that is missing, or a
+line or a logarithm over the clock, ..."""
+TREND_BY_CHANCE = 0.005
 """... so little being left by chance with at most this probability."""
 DRAWS = 4000
 """Normal offsets drawn to tell what chance leaves; as many orders of the runs, where there are
@@ -37,7 +38,7 @@ class ClockTrend:
     @property
     def is_real(self) -> bool:
         """Whether the offsets follow the clock by more than chance."""
-        return self.share <= STILL_SCATTERED and self.chance <= BY_CHANCE
+        return self.share <= STILL_SCATTERED and self.chance <= TREND_BY_CHANCE
 
 
 NO_TREND = ClockTrend(1.0, 1.0)

@@ -118,21 +118,22 @@ def _push_state(hidden: int, small: bool) -> Iterator[str]:
     if looped:
         yield from (f"add r12, r1, #{32 * eights}", "9:")
     for _ in range(1 if looped else eights):
-        yield from _push_units(8)
+        yield from _pack_units(8)
+        yield _push(4, 4)
     if looped:
         yield from ("cmp r1, r12", "bne 9b")
     if hidden % 8:
-        yield from _push_units(hidden % 8)
+        yield from _pack_units(hidden % 8)
+        yield _push(4, (hidden % 8 + 1) // 2)
 
 
-def _push_units(units: int) -> Iterator[str]:
+def _pack_units(units: int) -> Iterator[str]:
     yield f"ldm r1!, {{r4-r{3 + units}}}" if units > 1 else "ldr r4, [r1], #4"
     yield from (f"add r{k}, lr, r{k}, lsl #1" for k in range(4, 4 + units))
     for k in range(units // 2):
         yield f"pkhtb r{4 + k}, r{5 + 2 * k}, r{4 + 2 * k}, asr #16"
     if units % 2:
         yield f"lsr r{4 + units // 2}, r{3 + units}, #16"
-    yield _push(4, (units + 1) // 2)
 
 
 def _enter_gru(layer: LayerShape, frame: int) -> Iterator[str]:
@@ -335,9 +336,7 @@ def _pack_state(hidden: int, small: bool) -> Iterator[str]:
     if looped:
         yield from (f"add r2, r1, #{32 * eights}", "9:")
     for _ in range(1 if looped else eights):
-        yield "ldm r1!, {r4-r11}"
-        yield from (f"add r{k}, lr, r{k}, lsl #1" for k in range(4, 12))
-        yield from (f"pkhtb r{4 + k}, r{5 + 2 * k}, r{4 + 2 * k}, asr #16" for k in range(4))
+        yield from _pack_units(8)
         yield "stm r3!, {r4-r7}"
     if looped:
         yield from ("cmp r1, r2", "bne 9b")

@@ -112,7 +112,7 @@ class Workplace:
         self._is_anew = False
         self._result: Path | None = None
         self._marks: Marks = {}
-        self.read_sketch: Callable[[], str] = str
+        self.read_sketch: Callable[[], str] = lambda: ""
         """The chart that is shown until there are findings."""
         self.recordings = RecordingWatch(self.directory, sensor)
         self._read: dict[tuple[int, str, DriftDriver], Array] = {}

@@ -5,7 +5,7 @@
 #include "zd_runtime.h"
 #include "zd_network.h"
 
-#if FRONT_END_CODE_ID != 194964820
+#if FRONT_END_CODE_ID != 1200579455
 #error "front_end.h is not of the same generation as front_end.c: copy all files again"
 #endif
 #if ZD_RUNTIME_FORMAT != 3
@@ -887,10 +887,10 @@ uint32_t front_end_step(front_end_state_t *s, const front_end_input_t *in,
     if (s->steps < 5u) {
         flags |= FRONT_END_FLAG_WARMING_UP;
     }
+    /* one comparison for both ends: what lies below wraps around */
     if ((uint32_t)(temperature - (-12000)) > 24000u) {
         flags |= FRONT_END_FLAG_TEMPERATURE_RANGE;
     }
-    /* one comparison for both ends: what lies below wraps around */
     if ((uint32_t)(temperature - s->previous_temperature + 1000) > 2000u) {
         flags |= FRONT_END_FLAG_RATE_RANGE;
     }

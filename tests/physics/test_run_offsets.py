@@ -11,7 +11,7 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.physics.fit import fit
-from zerodrift.physics.run_offsets import BY_CHANCE, weigh_trend
+from zerodrift.physics.run_offsets import TREND_BY_CHANCE, weigh_trend
 
 DAYS = np.array([0.0, 2.1, 3.0, 5.5, 6.2, 9.0, 11.3, 12.0])
 
@@ -38,7 +38,7 @@ def test_offsets_by_a_law_of_the_clock_are_a_trend_in_their_order_alone(runs, la
 
 
 def test_chance_is_as_often_as_it_is_said():
-    """Offsets at random, normal or heavy-tailed, are a trend no more often than BY_CHANCE."""
+    """Offsets at random, normal or heavy-tailed, are a trend no more often than TREND_BY_CHANCE."""
     rng = np.random.default_rng(11)
     draws = 200
     for sample in (rng.normal, lambda size: rng.standard_t(2.0, size=size)):
@@ -47,8 +47,8 @@ def test_chance_is_as_often_as_it_is_said():
             runs = int(rng.integers(4, 13))
             days = np.cumsum(rng.uniform(0.3, 3.0, runs))
             found += weigh_trend(sample(size=(runs, 2)), days).is_real
-        # Were BY_CHANCE true, five or more of 200 would come in fewer than 1 of 250 trials.
-        assert found <= 4, (found, draws * BY_CHANCE)
+        # Were TREND_BY_CHANCE true, five or more of 200 would come in fewer than 1 of 250 trials.
+        assert found <= 4, (found, draws * TREND_BY_CHANCE)
 
 
 def test_one_run_that_is_off_and_a_step_are_no_trend():
