@@ -146,11 +146,6 @@ class HostModel:
         function.restype = ctypes.c_uint32
         return int(function(ctypes.c_void_p(self._block_at), ctypes.c_uint32(len(content))))
 
-    def force_block(self, content: bytes) -> None:
-        """Compute with a block without asking, for tests of what the check is for."""
-        self._hold_block(content)
-        self._lib[f"{self._symbols}zd_force_block"](ctypes.c_void_p(self._block_at))
-
     def choose_block(self, first: bytes, second: bytes) -> int | None:
         """Return which of two slots of equal length the C chooses, 0 or 1; None for neither."""
         slots = [ctypes.create_string_buffer(len(first) + 16) for _ in range(2)]

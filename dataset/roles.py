@@ -38,7 +38,6 @@ FLAG_WORDS = {"flag", "flags", "status", "state", "error", "battery", "mode", "h
 RAW_THERMOMETER_WORDS = {"ntc", "thermistor", "pt100", "pt1000", "rtd", "thermocouple"}
 VOLTS = ("V", "mV", "uV")
 CHIP_WORDS = {"chip", "tmp117", "board", "sensor", "die", "internal", "int"}
-NEAR_WORDS = {"oven", "chamber", "body", "dut", "block", "plate"}
 FAR_WORDS = {"ambient", "room", "air", "ext", "external", "outside", "lab"}
 #: Channel name that effects use -> pattern of columns that carry it.
 INPUT_PATTERNS = {

@@ -30,8 +30,6 @@ from zerodrift.dataset.times import (
 from zerodrift.dataset.units import normalise_unit, read_unit
 
 HEAD_ROWS = 1000
-MOST_VALUES = 32
-"""Different texts of a column that are kept."""
 SAMPLE_ROWS = 20_000
 """Rows, evenly spaced, by which columns are held against each other."""
 

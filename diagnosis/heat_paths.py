@@ -56,10 +56,6 @@ class Programme:
 
     coldest_degC: float
     hottest_degC: float
-    fastest_rate: float
-    """The 99th percentile of the rate's size, K/min."""
-    heating_share: float
-    """Share of the moving time in which the temperature rises."""
     varied: bool
     """Whether fast and slow ramps are both there."""
     longest_s: float
@@ -139,8 +135,8 @@ def describe_programme(runs: Sequence[Run]) -> Programme:
     ]
     rate = np.concatenate(rates) if rates else np.zeros(1)
     fastest = float(np.percentile(np.abs(rate), 99.0))
-    moving = rate[np.abs(rate) >= MOVING * fastest]
-    size = np.abs(moving)
+    size = np.abs(rate)
+    size = size[size >= MOVING * fastest]
     low, high = np.percentile(size, [25.0, 90.0]) if size.size else (1.0, 1.0)
     starts = {
         run.group: run.time_s[0] if run.start_s is None else run.start_s
@@ -150,8 +146,6 @@ def describe_programme(runs: Sequence[Run]) -> Programme:
     return Programme(
         coldest_degC=min(float(run.temperature_degC.min()) for run in runs),
         hottest_degC=max(float(run.temperature_degC.max()) for run in runs),
-        fastest_rate=fastest,
-        heating_share=float(np.mean(moving > 0.0)) if moving.size else 0.0,
         varied=bool(high >= VARIED * low),
         longest_s=max(len(run) for run in runs) * dt_s,
         power_ons=sum(bool(0.0 <= x <= max(POWER_ON_S, dt_s)) for x in starts.values()),

@@ -43,7 +43,6 @@ WIDE = 2.0
 """A rival's values reach beyond its typical range by this factor, or this share of the range."""
 MOST_SPREAD = 0.7
 """Largest standard deviation of a drawn value, in its own coordinate."""
-MOST_SHARED = 3
 
 
 @dataclass(frozen=True)

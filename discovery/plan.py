@@ -323,8 +323,3 @@ def _rank_outputs(scene: Scene, floor: Array) -> Array:
             if truth.known:
                 rank += np.abs(truth.coefficients[:, -1]) / floor
     return rank
-
-
-def describe_space(space: Space) -> str:
-    """Return how the time is cut into logs, in words."""
-    return f"{space.logs} logs of {space.log_s / 60.0:.0f} min"

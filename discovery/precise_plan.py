@@ -19,7 +19,6 @@ from zerodrift.physics.terms import Term
 
 Array = NDArray[np.float64]
 
-CRITERIA = ("discrimination", "precision", "error")
 HOURS = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
 """Hours that are tried for further units, shortest first."""
 NARROW = 0.05

@@ -26,7 +26,7 @@ from zerodrift.export.onnx_parts import (
     sigmoid,
 )
 from zerodrift.operations.gru.cell import FloatGru
-from zerodrift.operations.lstm.cell import FloatLstm
+from zerodrift.operations.lstm.cell import GATES, FloatLstm
 
 SPARE = 24
 """Samples beyond the unknowns."""
@@ -144,39 +144,38 @@ def _fit_gru(
     x: Array, h: Array, gates: Sequence[Array], bend: Array, out: Array
 ) -> FloatGru | None:
     """Return the GRU of a sample of its values, each [n, width]."""
-    one, (n_x, hidden) = np.ones((len(x), 1)), (x.shape[1], h.shape[1])
+    one, n_x = np.ones((len(x), 1)), x.shape[1]
     linear = [_solve(np.hstack([x, h, one]), a) for a in gates]
-    n = np.tanh(bend)
     for r_at, u_at in ((0, 1), (1, 0)):
-        r, u = sigmoid(gates[r_at]), sigmoid(gates[u_at])
-        sign = 1.0
-        if not agree(h + u * (n - h), out):
-            u, sign = 1.0 - u, -1.0
+        candidate = _fit_candidate(x, h, sigmoid(gates[r_at]), bend)
         rows_r, rows_u = linear[r_at], linear[u_at]
-        if rows_r is None or rows_u is None or not agree(h + u * (n - h), out):
+        if candidate is None or rows_r is None or rows_u is None:
             continue
-        rows_u = sign * rows_u
-        before = _solve(np.hstack([x, r * h, one]), bend)
-        inside = np.zeros(hidden)
-        if before is not None:
-            rows_n = before
-        else:
-            each = [
-                _solve(
-                    np.hstack([x, r[:, j : j + 1] * h, one, r[:, j : j + 1]]), bend[:, j : j + 1]
-                )
-                for j in range(hidden)
-            ]
-            solved = [e for e in each if e is not None]
-            if len(solved) < hidden:
-                continue
-            both = np.hstack(solved)
-            rows_n, inside = both[:-1], both[-1]
-        three = np.stack([rows_r.T, rows_u.T, rows_n.T])
-        bias = np.concatenate([three[:, :, -1], inside[None]])
-        reset = "before" if before is not None else "after"
-        return FloatGru(three[:, :, :n_x], three[:, :, n_x:-1], bias, reset)
+        rows_n, inside, reset = candidate
+        for sign in (1.0, -1.0):  # h moves by sigmoid(a), or by 1 - sigmoid(a) = sigmoid(-a)
+            three = np.stack([rows_r.T, sign * rows_u.T, rows_n.T])
+            bias = np.concatenate([three[:, :, -1], inside[None]])
+            gru = FloatGru(three[:, :, :n_x], three[:, :, n_x:-1], bias, reset)
+            if agree(gru.step(x, h), out):
+                return gru
     return None
+
+
+def _fit_candidate(x: Array, h: Array, r: Array, bend: Array) -> tuple[Array, Array, str] | None:
+    """Return the candidate's rows, its bias inside the reset product, and where the reset acts."""
+    one, hidden = np.ones((len(x), 1)), h.shape[1]
+    before = _solve(np.hstack([x, r * h, one]), bend)
+    if before is not None:
+        return before, np.zeros(hidden), "before"
+    each = []
+    for j in range(hidden):
+        r_j = r[:, j : j + 1]
+        each.append(_solve(np.hstack([x, r_j * h, one, r_j]), bend[:, j : j + 1]))
+    solved = [e for e in each if e is not None]
+    if len(solved) < hidden:
+        return None
+    both = np.hstack(solved)
+    return both[:-1], both[-1], "after"
 
 
 def _fit_lstm(
@@ -189,11 +188,12 @@ def _fit_lstm(
     sigmoids = [n.input[0] for n in part.nodes if n.op_type == "Sigmoid"]
     for g, after in itertools.permutations(tanhs):
         for i, f, o in itertools.permutations(sigmoids):
-            gates = [linear[name] for name in (i, f, g, o)]
-            rows = [gate.T for gate in gates if gate is not None]
-            moved = sigmoid(arguments[f]) * c + sigmoid(arguments[i]) * np.tanh(arguments[g])
-            shown = sigmoid(arguments[o]) * np.tanh(arguments[after])
-            if len(rows) == 4 and agree(moved, arguments[after]) and agree(shown, out):
-                four = np.stack(rows)
-                return FloatLstm(four[:, :, :n_x], four[:, :, n_x:-1], four[:, :, -1]), after
+            rows = [rows.T for name in (i, f, g, o) if (rows := linear[name]) is not None]
+            if len(rows) < len(GATES):
+                continue
+            four = np.stack(rows)
+            lstm = FloatLstm(four[:, :, :n_x], four[:, :, n_x:-1], four[:, :, -1])
+            shown, state = lstm.run(x[:, None], np.hstack([h, c]))
+            if agree(state[:, lstm.hidden :], arguments[after]) and agree(shown[:, 0], out):
+                return lstm, after
     return None

@@ -21,7 +21,6 @@ from zerodrift.export.onnx_parts import (
     is_constant,
     is_state,
     list_above,
-    sigmoid,
 )
 from zerodrift.operations.gru.cell import FloatGru
 
@@ -97,12 +96,11 @@ def _fit(graph: onnx.GraphProto, part: CellPart, opset: int) -> tuple[CellPart, 
     values = ask.draw(SAMPLES)
     h, out = values[part.states[0]], values[part.out]
     for gate, candidate in itertools.permutations(part.given):
-        for sign, bounded in itertools.product((1.0, -1.0), ("tanh", "sigmoid")):
-            b = values[candidate]
-            c = np.tanh(b) if bounded == "tanh" else sigmoid(b)
-            if agree(h + sigmoid(sign * values[gate]) * (c - h), out):
-                half = 1.0 if bounded == "tanh" else 0.5
-                cell = _make_gru(hidden, (sign, half))
+        arguments = np.concatenate([values[gate], values[candidate]], axis=1)
+        for sign, half in itertools.product((1.0, -1.0), (1.0, 0.5)):
+            cell = _make_gru(hidden, (sign, half))
+            moved = cell.step(arguments, (h - (1.0 - half)) / half)
+            if agree(half * moved + (1.0 - half), out):
                 own = CellPart(part.nodes, (gate, candidate), part.states, part.out)
                 return own, FoundCell(cell, "", ask.ranks, half, 1.0 - half)
     return None

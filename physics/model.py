@@ -231,8 +231,3 @@ class PhysicalModel:
             notes=record.notes,
             order=record.order,
         )
-
-
-def combine_offsets(offsets: Sequence[Array]) -> Array:
-    """Return the mean [K] of the runs' offsets, each run counting once."""
-    return np.asarray(np.mean(np.stack(offsets), axis=0))

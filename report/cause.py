@@ -160,9 +160,6 @@ def read_channel(findings: Findings, trace: Trace, channel: str) -> Array:
     return np.asarray(trace.inputs[names.index(channel)])
 
 
-Read = Callable[[Trace, DriftDriver], Array]
-
-
 def read_driven(findings: Findings, trace: Trace, driver: DriftDriver) -> Array:
     """Return a driver [n] of a run."""
     values = read_channel(findings, trace, driver.channel)

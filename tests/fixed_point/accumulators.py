@@ -19,7 +19,7 @@ from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.exp2 import OCTAVE_Q29, IntegerExp2
 from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.gru import IntegerGruLayer
-from zerodrift.operations.gru.cell import IntegerGru
+from zerodrift.operations.gru.cell import GATES, IntegerGru
 from zerodrift.operations.gru_stack import IntegerGruStack
 from zerodrift.operations.head import IntegerHead
 from zerodrift.operations.input import IntegerInput
@@ -31,7 +31,6 @@ from zerodrift.operations.play import IntegerPlay
 from zerodrift.operations.power import IntegerPower
 from zerodrift.operations.product import IntegerProduct
 from zerodrift.operations.sum import IntegerSum
-from zerodrift.operations.tables import sigmoid_q31
 from zerodrift.verify.vectors import draw_sequences
 
 Array = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
@@ -86,39 +85,33 @@ def record_sequences(model: IntegerModel, steps: int) -> Record:
 
 
 def recompute_gru(gru: IntegerGru, name: str, x: Array, h_q30: Array) -> dict[str, Array]:
-    """Return every accumulator of a GRU step from features x [B, I] and state h_q30 [B, H]."""
+    """Return every accumulator of a GRU step from features x [B, I] and state h_q30 [B, H].
+
+    What the gates are is the reference's; the sums that lead to them are added up here.
+    """
     out: dict[str, Array] = {}
+    gates = gru.gates(x, h_q30)
+    after = gru.reset == "after"
     h_q15 = (h_q30 + 2**14) >> 15
     assert np.abs(h_q15).max() <= 32767
-    bias = gru.bias.astype(np.int64)
-
-    def recurrent(gate: int, letter: str, vector: Array) -> Array:
-        product = vector @ gru.w_h[gate].astype(np.int64).T
-        if gru.multiplier is None:
-            return np.asarray(product)
-        shift = gru.multiplier_shift[gate]
-        scaled = product * gru.multiplier[gate] + (1 << shift >> 1)
+    for gate, letter in enumerate(GATES):
+        vector = gates.product if letter == "n" and not after else h_q15
+        total = vector @ gru.w_h[gate].astype(np.int64).T
+        if gru.multiplier is not None:
+            shift = gru.multiplier_shift[gate]
+            scaled = total * gru.multiplier[gate] + (1 << shift >> 1)
+            for j in range(gru.hidden):
+                out[f"{name}.{letter}[{j}].product"] = total[:, j]
+                out[f"{name}.{letter}[{j}].scaled"] = scaled[:, j]
+            total = scaled >> shift
+        if letter == "n" and after:
+            inside = total + gru.bias[3]
+            for j in range(gru.hidden):
+                out[f"{name}.n[{j}].inside"] = inside[:, j]
+            total = (inside * gates.r_q31.astype(np.int64) + 2**31) >> 32
+        total = total + x @ gru.w_x[gate].astype(np.int64).T + gru.bias[gate]
         for j in range(gru.hidden):
-            out[f"{name}.{letter}[{j}].product"] = product[:, j]
-            out[f"{name}.{letter}[{j}].scaled"] = scaled[:, j]
-        return np.asarray(scaled >> shift)
-
-    def from_x(gate: int) -> Array:
-        return np.asarray(x @ gru.w_x[gate].astype(np.int64).T)
-
-    a_r = bias[0] + from_x(0) + recurrent(0, "r", h_q15)
-    a_u = bias[1] + from_x(1) + recurrent(1, "u", h_q15)
-    r_q31 = sigmoid_q31(a_r >> gru.shift[0]).astype(np.int64)
-    if gru.reset == "after":
-        inside = bias[3] + recurrent(2, "n", h_q15)
-        a_n = bias[2] + from_x(2) + ((inside * r_q31 + 2**31) >> 32)
-        for j in range(gru.hidden):
-            out[f"{name}.n[{j}].inside"] = inside[:, j]
-    else:
-        a_n = bias[2] + from_x(2) + recurrent(2, "n", (h_q30 * r_q31 + 2**45) >> 46)
-    for letter, accumulator in (("r", a_r), ("u", a_u), ("n", a_n)):
-        for j in range(gru.hidden):
-            out[f"{name}.{letter}[{j}]"] = accumulator[:, j]
+            out[f"{name}.{letter}[{j}]"] = total[:, j]
     return out
 
 

@@ -40,7 +40,8 @@ def test_ctest_passes(compiler: Compiler, sanitize: str, tmp_path: Path) -> None
     run("cmake", "--build", tmp_path, "-j", "1")
     said = run("ctest", "--test-dir", tmp_path)
     assert "100% tests passed" in said
-    assert "tests passed out of 8" in said
+    programs = list((ROOT / "c_runtime" / "tests").glob("test_*.c"))
+    assert f"tests passed out of {len(programs) + 1}" in said  # sums also two at a time
 
 
 @pytest.mark.parametrize("compiler", find_compilers()[:1], ids=lambda compiler: compiler.name)

@@ -4,8 +4,9 @@
 
 A folder is entered where a function of a module in it is called after the logs were read and before
 the first file of the firmware is written; importing a module calls none. Without PROJECT, that of a
-simulated sensor with a lag bank and one effect. A folder within a stage, such as operations/gru, is
-counted beside its stage, and the stages are counted alone too.
+simulated sensor with a lag bank and one effect. A folder within a stage, such as train/lag_bank, is
+counted beside its stage. The folders of operations are counted apart: a model enters those of which
+it is made.
 """
 
 import sys
@@ -114,8 +115,8 @@ def main() -> None:
         found = trace_firmware(Path(given[0]) if given else write_project(Path(scratch)))
     for folder, functions in sorted(found.items()):
         print(f"{folder.as_posix():<28} {functions:5d} functions")
-    stages = {folder.parts[0] for folder in found}
-    print(f"folders: {len(found)}, in {len(stages)} of {len(FOLDERS)} stages")
+    own = sum(folder.parts[0] == "operations" and len(folder.parts) > 1 for folder in found)
+    print(f"folders: {len(found) - own}, and {own} of the model's operations")
 
 
 if __name__ == "__main__":

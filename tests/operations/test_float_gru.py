@@ -1,4 +1,4 @@
-"""The float GRU is the one that its equations say, written down a second time with PyTorch."""
+"""The float GRU is PyTorch's."""
 
 import numpy as np
 import pytest
@@ -23,5 +23,5 @@ def test_run_step_and_rest_are_those_of_the_equations(reset: str) -> None:
         np.testing.assert_allclose(found[:, t], expected.numpy(), atol=1e-12)
     at_rest = torch.zeros(3, 5, dtype=torch.float64)
     for _ in range(64):
-        at_rest = step_gru(cell, torch.from_numpy(x[:, 0]), at_rest, update=0.5)
+        at_rest = step_gru(cell, torch.from_numpy(x[:, 0]), at_rest, resting=True)
     np.testing.assert_allclose(gru.settle(x[:, 0]), at_rest.numpy(), atol=1e-12)

@@ -27,15 +27,25 @@ class Cell:
     reset: str
 
 
-def step_gru(cell: Cell | GruNetwork, x: Tensor, h: Tensor, update: float | None = None) -> Tensor:
-    """Return the next state [B, H] from features x [B, I]; `update` stands for the update gate."""
-    (a_r, a_u, a_n), (u_r, u_u, u_n) = cell.w_x @ x.T, cell.w_h
-    r = torch.sigmoid(a_r + u_r @ h.T + cell.bias[0][:, None])
-    u = torch.sigmoid(a_u + u_u @ h.T + cell.bias[1][:, None]) if update is None else update
-    after = cell.reset == "after"
-    inside = r * (u_n @ h.T + cell.bias[3][:, None]) if after else u_n @ (r * h.T)
-    n = torch.tanh(a_n + cell.bias[2][:, None] + inside)
-    return h + (u * (n - h.T)).T
+def step_gru(cell: Cell | GruNetwork, x: Tensor, h: Tensor, *, resting: bool = False) -> Tensor:
+    """Return the next state [B, H] from features x [B, I], by PyTorch's own GRU.
+
+    It keeps z = 1 - u. Resting moves by half of the distance. A reset before the product, which it
+    lacks, enters as further features: r * h.
+    """
+    three, _, width = cell.w_h.shape
+    w_x, w_h, bias = cell.w_x, cell.w_h, cell.bias
+    if cell.reset == "before":
+        r = torch.sigmoid(x @ w_x[0].T + h @ w_h[0].T + bias[0])
+        x = torch.cat([x, r * h], 1)
+        gates, candidate = w_h.split([2, 1])
+        w_x = torch.cat([w_x, torch.cat([torch.zeros_like(gates), candidate])], 2)
+        w_h = torch.cat([gates, torch.zeros_like(candidate)])
+        bias = torch.cat([bias[:3], torch.zeros_like(bias[3:])])
+    sign = x.new_tensor([1.0, 0.0 if resting else -1.0, 1.0])[:, None]
+    w_x, w_h = (w.flatten(0, 1) * sign.repeat_interleave(width, 0) for w in (w_x, w_h))
+    inside = torch.cat([x.new_zeros((three - 1) * width), bias[3]])
+    return torch.gru_cell(x, h, w_x, w_h, (bias[:3] * sign).flatten(), inside)
 
 
 def answer(network: Network, x: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
@@ -73,7 +83,7 @@ def rest(network: Network, x: Tensor) -> Tensor:
     h = x.new_zeros(len(x), network.width)
     with torch.no_grad():
         for _ in range(64):
-            h = step_gru(network, x, h, update=0.5)
+            h = step_gru(network, x, h, resting=True)
     return h
 
 
