@@ -33,17 +33,8 @@ from zerodrift.verify.prove_parts import (
 )
 from zerodrift.verify.prove_reader import preprocess
 from zerodrift.verify.prove_rules import Used, exact, make_rules
-from zerodrift.verify.prove_specification import (
-    CHECK,
-    DRIFT,
-    IDENTITY,
-    SLEPT,
-    STEPS,
-    TARED,
-    Outcome,
-    Specification,
-    State,
-)
+from zerodrift.verify.prove_specification import Outcome, Specification
+from zerodrift.verify.prove_state import CHECK, DRIFT, IDENTITY, SLEPT, STEPS, TARED, State
 from zerodrift.verify.prove_terms import UndecidedError, Whole
 
 

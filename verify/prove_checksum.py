@@ -9,7 +9,8 @@ from collections.abc import Iterator, Sequence
 
 from zerodrift.verify.prove_machine import TermMachine
 from zerodrift.verify.prove_memory import AddressOf, Number
-from zerodrift.verify.prove_specification import IDENTITY, STEPS, Specification
+from zerodrift.verify.prove_specification import Specification
+from zerodrift.verify.prove_state import IDENTITY, STEPS
 from zerodrift.verify.prove_terms import Terms, Whole
 
 LONG = 512

@@ -5,8 +5,7 @@ returns, each is a path of its own. What C does not define, and what has no rule
 Shares no code with what wrote the C.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 from zerodrift.verify.c_nodes import (
@@ -48,14 +47,12 @@ from zerodrift.verify.prove_memory import (
     Holder,
     Instance,
     Number,
-    Numbers,
     Spot,
-    list_positions,
 )
+from zerodrift.verify.prove_paths import PathMachine
 from zerodrift.verify.prove_terms import UndecidedError, Whole
 
 MOST_ROUNDS = 200_000
-MOST_PATHS = 64
 DEEPEST = 40
 SIZEOF = "sizeof"
 """The rule for sizes of structs."""
@@ -63,17 +60,7 @@ Rule: TypeAlias = "Callable[[TermMachine, list[Found]], Found]"
 """What a function does that is not run."""
 
 
-@dataclass
-class CPath:
-    """One way through the conditions that were not known."""
-
-    script: list[int]
-    made: list[tuple[int, int]] = field(default_factory=list)
-    assumed: dict[int, int] = field(default_factory=dict)
-    """Number of a truth -> what it is taken to be here."""
-
-
-class TermMachine(Numbers):
+class TermMachine(PathMachine):
     """Runs functions of a program."""
 
     def __init__(self, program: Program, rules: dict[str, Rule]) -> None:
@@ -85,15 +72,11 @@ class TermMachine(Numbers):
         """
         super().__init__()
         self.program, self.rules = program, rules
-        self.variables: dict[str, Holder] = {}
         self.globals: dict[str, Holder] = {}
-        self.path = CPath([])
         self.watch: dict[str, dict[str, Holder]] = {}
         """Function -> the variables that its last call ended with, of those asked for."""
         self.forking = False
         """Whether every condition that is not known is a path of its own."""
-        self._log: list[tuple[CellBlock, int, Cell]] = []
-        self._depth = 0
         self._at = 0
         self._returned: Found = None
         for variable in program.constants:
@@ -110,126 +93,7 @@ class TermMachine(Numbers):
         """Where in the C this stands."""
         return self.program.place(self._at)
 
-    # --- paths
-
-    def explore(self, run: Callable[[], None]) -> Iterator[CPath]:
-        """Go every way through something; yield after each."""
-        script: list[int] = []
-        for _ in range(MOST_PATHS):
-            self.path, self._depth, self._log, self.variables = CPath(script), 0, [], {}
-            run()
-            yield self.path
-            made = self.path.made
-            while made and made[-1][0] + 1 == made[-1][1]:
-                made.pop()
-            if not made:
-                return
-            script = [way for way, _ in made[:-1]] + [made[-1][0] + 1]
-        raise UndecidedError(f"more than {MOST_PATHS} paths")
-
-    def fork(self, ways: int) -> int:
-        """Return which way to go; all are gone, one after the other."""
-        made = self.path.made
-        way = self.path.script[len(made)] if len(made) < len(self.path.script) else 0
-        made.append((way, ways))
-        return way
-
-    def decide(self, truth: Whole) -> Whole:
-        """Return a truth as this path takes it."""
-        if truth.exact is not None or not self.path.assumed:
-            return truth
-        assumed = self.path.assumed
-        if truth.number in assumed:
-            return self.terms.constant(assumed[truth.number])
-        opposite = self.terms.negate(truth)
-        if opposite.number in assumed:
-            return self.terms.constant(1 - assumed[opposite.number])
-        for one, sign in ((truth, 0), (opposite, 1)):
-            if one.kind == "or":
-                members = [self.decide(self.terms.atom(n)) for n in one.inner]
-                found = self.terms.either(members)
-                if found is not one:
-                    found = self.decide(found) if found.exact is None else found
-                    return self.terms.negate(found) if sign else found
-        return truth
-
-    def suppose(self, truth: Whole, value: int) -> None:
-        """Take a truth to be 0 or 1 on this path."""
-        self.path.assumed[truth.number] = value
-        if truth.kind == "or" and value == 0:
-            for number in truth.inner:
-                self.suppose(self.terms.atom(number), 0)
-        opposite = self.terms.negate(truth)
-        if opposite.kind == "or" and value == 1:
-            self.suppose(opposite, 0)
-
     # --- memory
-
-    def write(self, block: CellBlock, at: int, cell: Cell) -> None:
-        """Write a cell."""
-        if block.constant:
-            raise UndecidedError(f"{block.name} is constant, and is written")
-        self._log.append((block, at, block.cells[at]))
-        block.cells[at] = cell
-
-    def load(self, place: Spot) -> Found:
-        """Return what a cell holds."""
-        cells = place.block.cells
-        at = place.at.exact
-        if at is not None:
-            if not 0 <= at < len(cells):
-                raise UndecidedError(f"element {at} of {place.block.name}, which has {len(cells)}")
-            return self._as_found(place.block, cells[at])
-        found: dict[int, Whole] = {}
-        for n in list_positions(place.at, self.terms, len(cells)):
-            cell = cells[n]
-            if not isinstance(cell, Whole):
-                raise UndecidedError(f"{place.block.name} is read before it is written")
-            found[n] = cell
-        return Number(self.terms.select(place.at, found), place.block.type)
-
-    def _as_found(self, block: CellBlock, cell: Cell) -> Found:
-        if cell is None:
-            raise UndecidedError(f"{block.name} is read before it is written")
-        if isinstance(cell, Whole) and block.type == "pointer":  # to nothing
-            return Number(cell, "int32_t")
-        return Number(cell, block.type) if isinstance(cell, Whole) else cell
-
-    def store(self, place: Spot, value: Found) -> None:
-        """Write a cell, wherever it may be."""
-        block = place.block
-        if isinstance(value, Spot | AddressOf):
-            cell: Cell = value
-        elif isinstance(value, Number) and block.type in TYPES:
-            cell = self.convert(value, block.type).term
-        else:
-            raise UndecidedError(f"{block.name} is given something else")
-        at = place.at.exact
-        if at is not None:
-            if not 0 <= at < len(block.cells):
-                raise UndecidedError(f"element {at} of {block.name}, which has {len(block.cells)}")
-            self.write(block, at, cell)
-            return
-        for n in list_positions(place.at, self.terms, len(block.cells)):
-            here, before = self.terms.equal(place.at, self.terms.constant(n)), block.cells[n]
-            if not isinstance(before, Whole) or not isinstance(cell, Whole):
-                raise UndecidedError(f"{block.name} is written in part")
-            self.write(block, n, self.terms.choose(here, cell, before))
-
-    def cells(self, place: Spot, count: int) -> list[Whole]:
-        """Return the numbers from a place on."""
-        first, found = place.at.exact, []
-        for k in range(count):
-            at = self.terms.add(place.at, self.terms.constant(k))
-            value = self.load(Spot(place.block, at, ())) if first is None else None
-            if first is not None:
-                if first + k >= len(place.block.cells) or first < 0:
-                    raise UndecidedError(f"{count} elements of {place.block.name} from {first} on")
-                value = self._as_found(place.block, place.block.cells[first + k])
-            if not isinstance(value, Number):
-                raise UndecidedError(f"{place.block.name} is no row of numbers")
-            found.append(value.term)
-        return found
 
     def make_instance(self, kind: str, name: str, zero: bool = False) -> Instance:
         """Return a struct, of zeros or with nothing written."""
@@ -250,7 +114,7 @@ class TermMachine(Numbers):
     def call(self, name: str, arguments: Sequence[Found]) -> Found:
         """Run a function."""
         function = self.program.functions.get(name)
-        if function is None or self._depth >= DEEPEST:
+        if function is None or self.depth >= DEEPEST:
             raise UndecidedError(f"there is no rule for {name}")
         if len(arguments) != len(function.parameters):
             raise UndecidedError(f"{name} of {len(arguments)} arguments")
@@ -258,11 +122,11 @@ class TermMachine(Numbers):
         self.variables, self._returned = {}, None
         for parameter, argument in zip(function.parameters, arguments, strict=True):
             self._bind(parameter, argument)
-        self._depth += 1
+        self.depth += 1
         ended = self._run_all(function.body.statements)
         if not ended and function.result != "void":
             raise UndecidedError(f"{name} may end without a result")
-        self._depth -= 1
+        self.depth -= 1
         result = self._returned
         if name in self.watch:
             self.watch[name] = dict(self.variables)
@@ -307,7 +171,7 @@ class TermMachine(Numbers):
                 outer = self.variables
                 self.variables = dict(outer)
                 ended = self._run_all(node.statements)
-                if self._depth and not ended:
+                if self.depth and not ended:
                     self.variables = outer
                 return ended
             case CReturn():
@@ -336,13 +200,13 @@ class TermMachine(Numbers):
         if truth.exact is not None:
             taken = node.then if truth.exact else node.other
             return self.run(taken) if taken is not None else False
-        outer, self._log = self._log, []
+        outer, self.log = self.log, []
         self.run(node.then)
-        first, self._log = self._undo(), []
+        first, self.log = self._undo(), []
         if node.other is not None:
             self.run(node.other)
         second = self._undo()
-        self._log = outer
+        self.log = outer
         for key in {**first, **second}:
             block, at = (first.get(key) or second[key])[:2]
             before = block.cells[at]
@@ -359,9 +223,9 @@ class TermMachine(Numbers):
     def _undo(self) -> dict[tuple[int, int], tuple[CellBlock, int, Cell]]:
         """Take back what was written; return it."""
         after: dict[tuple[int, int], tuple[CellBlock, int, Cell]] = {}
-        for block, at, _ in self._log:
+        for block, at, _ in self.log:
             after[id(block), at] = block, at, block.cells[at]
-        for block, at, before in reversed(self._log):
+        for block, at, before in reversed(self.log):
             block.cells[at] = before
         return after
 

@@ -32,9 +32,7 @@ from zerodrift.verify.prove_parts import (
     tell,
 )
 from zerodrift.verify.prove_rules import Used, make_assembly, make_rules
-from zerodrift.verify.prove_specification import (
-    Specification,
-)
+from zerodrift.verify.prove_specification import Specification
 
 INTRINSICS = ("zd_gru_pairs_t", "zd_gru_rows_t", "zd_gru_columns_t", "zd_lstm_rows_t")
 """Constants of kernels that have intrinsics, where they are not in assembly."""

@@ -9,7 +9,8 @@ from tests.golden.vectors import load
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.verify.prove_specification import Specification, State
+from zerodrift.verify.prove_specification import Specification
+from zerodrift.verify.prove_state import State
 from zerodrift.verify.prove_terms import Terms, Whole
 
 STEPS = 30
