@@ -12,7 +12,7 @@ from zerodrift.base.config import MAX_OUTPUTS
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import COLDEST_DEGC, HOTTEST_DEGC
 from zerodrift.dataset.guess_inputs import choose_codes, choose_inputs, write_column
-from zerodrift.dataset.guess_runs import LogFiles, SurveyedFile, choose_runs, find_runs
+from zerodrift.dataset.guess_runs import LogFiles, SurveyedFile, choose_runs, find_runs, pool_runs
 from zerodrift.dataset.join import propose_zone
 from zerodrift.dataset.roles import (
     INPUT,
@@ -32,7 +32,8 @@ from zerodrift.dataset.units import read_unit, strip_unit
 
 FULL_SCALE_STEPS = (1.0, 2.0, 5.0, 10.0)
 GENERIC_NAMES = re.compile(
-    r"(logs?|data|out|output|measurements?|values|runs?|train|training|tests?|records?|recordings?)?"
+    r"(logs?|data|out|output|measurements?|values|runs?|train|training|tests?|records?|recordings?"
+    r"|dwells?)?"
 )
 """Of files and folders: they name no sensor."""
 
@@ -83,7 +84,7 @@ class Guess:
     """Key of zerodrift.toml (time, temperature, sample_period_s, `outputs.NAME.unit`, ...) -> what
     else it may be."""
     seen: tuple[SeenColumn, ...] = ()
-    """Every column of the first run."""
+    """Every column of one run, with its range in all of them."""
     logs: tuple[LogFiles, ...] = ()
     """The runs that have these columns."""
     period_by_hand_s: float | None = None
@@ -112,7 +113,7 @@ def guess_project(
     """
     found, refused = find_runs(logs, period_s, directory or Path())
     first, runs, left = choose_runs(found, period_s)
-    files = first.files
+    files = pool_runs(first, runs)
     checks = [*refused, *first.left_out, *left]
     shared = set.intersection(*(run.names() for run in runs))
     if unlike := [

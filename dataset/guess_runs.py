@@ -1,7 +1,7 @@
 """Finds which files are the runs of a project, by their content, and what a run lacks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -167,9 +167,11 @@ def choose_runs(
     if not good:
         raise InputError(_explain_lacks(runs[0], period_s))
     wanted = {run.log: _list_key_columns(run) for run in good}
-    # The columns that the most runs share, in the order of the runs.
+    # The columns that the most runs share, seen where the most of them move: a dwell shows little.
     counts = [sum(wanted[run.log] <= other.names() for other in good) for run in good]
-    first = good[int(np.argmax(counts))]
+    first = max(zip(good, counts, strict=True), key=lambda each: (each[1], _count_moving(each[0])))[
+        0
+    ]
     alike = [run for run in good if wanted[first.log] <= run.names()]
     told = []
     others = [run for run in good if run not in alike]
@@ -195,6 +197,41 @@ def choose_runs(
         )
         told.append(f"runs that lack something are left out: {names}")
     return first, alike, told
+
+
+def pool_runs(first: FoundRun, runs: Sequence[FoundRun]) -> tuple[SurveyedFile, ...]:
+    """Return the first run's files, each column with its range in all runs and its role then.
+
+    What stands still in one run may move in others, or stand elsewhere there.
+    """
+    pooled = []
+    for place, file in enumerate(first.files):
+        beside = [run.files[place] for run in runs if len(run.files) == len(first.files)]
+        columns = []
+        for column in file.survey.columns:
+            alike = [
+                other
+                for each in beside
+                for other in each.survey.columns
+                if (other.name, other.unit) == (column.name, column.unit)
+            ]
+            columns.append(
+                replace(
+                    column,
+                    low=min(other.low for other in (column, *alike)),
+                    high=max(other.high for other in (column, *alike)),
+                    distinct=max(other.distinct for other in (column, *alike)),
+                    changes=max(other.changes for other in (column, *alike)),
+                )
+            )
+        survey = replace(file.survey, columns=tuple(columns))
+        pooled.append(SurveyedFile(survey, tuple(assign_roles(survey))))
+    return tuple(pooled)
+
+
+def _count_moving(run: FoundRun) -> int:
+    """Return how many columns of a run move."""
+    return sum(not column.is_constant for file in run.files for column in file.survey.columns)
 
 
 def _find_other_scale(runs: Sequence[FoundRun]) -> list[FoundRun]:

@@ -54,6 +54,9 @@ ORDINARY = 0.97
 """Share of the samples that shows a coarse converter's noise."""
 ROUNDS = 8
 """Of the robust regression."""
+FEW_ROWS = 50
+"""A window for each of the rows costs less than one that slides, where at most one in so many
+counts."""
 
 
 @dataclass(frozen=True)
@@ -140,21 +143,33 @@ def _measure_distance(x: Array, step: float) -> tuple[Array, Array]:
 
     A bend, a peak and the end of a trend are no outliers: one side's straight line leads there.
     """
-    from scipy.ndimage import median_filter
-
     middle = take_medians(x)
     distance = np.abs(x - middle)
     spread = _measure_spread(x, distance)
     if spread == 0.0:
         return np.ones_like(x), middle
-    nearby = OF_DISTANCE * median_filter(distance, min(NEARBY, x.size | 1), mode="mirror")
-    usual = np.maximum(nearby, max(spread, 0.5 * step))
-    far = distance / usual
+    least = max(spread, 0.5 * step)
+    far = distance / least
     light = np.flatnonzero(far > WHOLE)
     if light.size:
+        # What is near by the least spread is near by any larger one.
+        usual = np.maximum(OF_DISTANCE * _take_nearby(distance, light), least)
         off = np.minimum(_measure_beyond(x, light), _measure_beyond(x[::-1], x.size - 1 - light))
-        far[light] = np.minimum(far[light], off / usual[light])
+        far[light] = np.minimum(distance[light], off) / usual
     return _weigh(far), middle
+
+
+def _take_nearby(distance: Array, rows: IntArray) -> Array:
+    """Return the medians [m] of the distances [n] around some samples."""
+    from scipy.ndimage import median_filter
+
+    length = min(NEARBY, distance.size | 1)
+    if rows.size * FEW_ROWS > distance.size:
+        return np.asarray(median_filter(distance, length, mode="mirror")[rows])
+    half = length // 2
+    padded = np.pad(distance, half, mode="reflect")
+    windows = padded[rows[:, None] + np.arange(length)]
+    return np.asarray(np.partition(windows, half, axis=1)[:, half])
 
 
 def _measure_beyond(x: Array, rows: IntArray) -> Array:

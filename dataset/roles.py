@@ -20,6 +20,8 @@ COMPUTED_WORDS = {
     *("savitzky", "golay", "filtered", "filter", "smooth", "smoothed", "avg", "average", "mean"),
     *("moving", "fit", "fitted", "residual", "std", "stdev", "min", "max", "delta", "rate"),
 }
+RATE_UNITS = {"deg/s", "rad/s"}
+"""Of what a gyroscope measures: its rate is computed from nothing."""
 RELATIVE_WORDS = {"ppm", "ppb", "deviation", "dev", "error", "drift", "relative"}
 """A column so named may be another one, written relative to its start."""
 IGNORED_WORDS = {
@@ -170,7 +172,8 @@ def _set_aside(column: SurveyedColumn, has_names: bool) -> Role | None:
         return Role(column, UNUSED, "a setpoint, by its name")
     if named & DRIVE_WORDS and not _is_thermal(column):
         return Role(column, UNUSED, "a controller's drive, by its name")
-    if named & COMPUTED_WORDS:
+    computed = COMPUTED_WORDS - {"rate"} if column.unit in RATE_UNITS else COMPUTED_WORDS
+    if named & computed:
         return Role(column, UNUSED, "computed from others, by its name")
     if column.name.lower() in IGNORED_WORDS or (named & IGNORED_WORDS and column.rises):
         return Role(column, UNUSED, "counts rows")

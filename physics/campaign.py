@@ -33,7 +33,8 @@ FEWEST_ROWS = 8
 """Blocks of the shortest stretch."""
 FAST_ROWS = 3_000
 """Samples for which deviations within blocks are kept."""
-CACHED_COLUMNS = 400
+CACHED_COLUMNS = 1000
+"""Columns that are kept: those of one look at a model come back when values are refined."""
 FEWEST_PIECES = 8
 """As many pieces there are then, at least."""
 
@@ -110,7 +111,7 @@ class Campaign:
             self.reduction,
             plan.sample_period_s,
         )
-        self._cache: OrderedDict[tuple[int, bool], Column] = OrderedDict()
+        self._cache: OrderedDict[tuple[int, tuple[int, ...]], Column] = OrderedDict()
         self.set_aside = set_aside
         self._drifts = [self._reduce_drift(k, None) for k in range(len(plan.outputs))]
         self._offsets = self._make_offsets()
@@ -183,7 +184,7 @@ class Campaign:
         Raises:
             InputError: it is NaN or infinite somewhere.
         """
-        key = (id(node), self.rates.roughly)
+        key = (id(node), self.rates.find_fast(node))
         if key in self._cache:
             self._cache.move_to_end(key)
             return self._cache[key]

@@ -50,6 +50,7 @@ class Rates:
             for name in inputs[0]
         }
         self._full: dict[tuple[str, tuple[int, ...]], Array] = {}
+        self._fast: dict[tuple[int, bool], tuple[int, ...]] = {}
         self._curvature = {name: self._measure_curvature(name) for name in inputs[0]}
         self.roughly = False
         """Whether values are only searched for, so that block means may stand for more."""
@@ -77,10 +78,21 @@ class Rates:
         finally:
             self.roughly = before
 
+    def find_fast(self, node: Node) -> tuple[int, ...]:
+        """Return the tracks on which a node is computed sample by sample; what it is there and on
+        the others depends on nothing else."""
+        if self._reduction.block == 1:
+            return ()
+        key = (id(node), self.roughly)
+        if key not in self._fast:
+            sources = {n.source for n in list_nodes([node]) if n.op == "input"}
+            self._fast[key] = self._find_fast(sources)
+        return self._fast[key]
+
     def compute(self, node: Node) -> Column:
         """Return the coefficients of a node's values over all stretches."""
         sources = {n.source for n in list_nodes([node]) if n.op == "input"}
-        fast = self._find_fast(sources)
+        fast = self.find_fast(node)
         block = self._reduction.block
         block_rows = self._reduction.rows
         parts: list[tuple[Array, Array | None] | None] = [None] * len(block_rows)
@@ -102,7 +114,7 @@ class Rates:
 
     def _find_fast(self, sources: set[str]) -> tuple[int, ...]:
         """Return the tracks in which one of the signals is fast."""
-        if self._reduction.block == 1 or not sources:
+        if not sources:
             return ()
         limit = STRAIGHT_ENOUGH if self.roughly else STRAIGHT
         bent = np.max([self._curvature[name] for name in sources], axis=0)

@@ -20,6 +20,9 @@ from zerodrift.operations.operation import Operation
 from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import fit
 
+FEW_MOVES = 0.25
+"""Share of samples that differ from the one before, up to which the others are left out."""
+
 
 def play(x: Array, half_width: float) -> Array:
     """Return the play operator of half-width r: y[n] = min(max(y[n-1], x[n] - r), x[n] + r).
@@ -30,14 +33,36 @@ def play(x: Array, half_width: float) -> Array:
         x: [..., n], uninterrupted stretches along the last axis.
         half_width: r >= 0 in x's unit; 0 returns x.
 
-    Limits: takes about 3 sqrt(n) vector operations. A step maps y to its clip between x - r and
-    x + r, and clips compose to clips, so a stretch is cut into about sqrt(n) blocks, the blocks'
-    clips are composed side by side, and then run through once more from each block's start.
+    Limits: takes about 3 sqrt(n) vector operations; n counts samples that differ from the one
+    before, where these are few.
     """
     if half_width <= 0.0 or x.size == 0:
         return x.copy()
-    count = x.shape[-1]
-    stretches = x.reshape(-1, count)
+    stretches = x.reshape(-1, x.shape[-1])
+    moves = np.ones(stretches.shape, dtype=np.bool_)
+    np.not_equal(stretches[:, 1:], stretches[:, :-1], out=moves[:, 1:])
+    most = int(moves.sum(axis=1).max())
+    if most > FEW_MOVES * x.shape[-1]:
+        return _play(stretches, half_width).reshape(x.shape)
+    # Where x stands still y does too: a load's steps are few beside the samples of its plateaus.
+    places = [np.flatnonzero(row) for row in moves]
+    moving = np.repeat(stretches[:, -1:], most, axis=1)
+    for row, values, at in zip(moving, stretches, places, strict=True):
+        row[: at.size] = values[at]
+    y = np.empty_like(stretches)
+    for row, values, at in zip(y, _play(moving, half_width), places, strict=True):
+        row[:] = np.repeat(values[: at.size], np.diff(at, append=row.size))
+    return y.reshape(x.shape)
+
+
+def _play(stretches: Array, half_width: float) -> Array:
+    """Return the play of stretches [S, n].
+
+    A step maps y to its clip between x - r and x + r, and clips compose to clips, so a stretch is
+    cut into about sqrt(n) blocks, the blocks' clips are composed side by side, and then run
+    through once more from each block's start.
+    """
+    count = stretches.shape[-1]
     length = max(1, math.isqrt(count))
     blocks = -(-count // length)
     padded = np.empty((stretches.shape[0], blocks * length))
@@ -61,7 +86,7 @@ def play(x: Array, half_width: float) -> Array:
     y = low
     for i in range(length):
         present = _limit(present, low[i], high[i], out=y[i])
-    return np.asarray(y.transpose(2, 1, 0).reshape(-1, blocks * length)[:, :count].reshape(x.shape))
+    return np.asarray(y.transpose(2, 1, 0).reshape(-1, blocks * length)[:, :count])
 
 
 def _limit(x: Array, low: Array, high: Array, out: Array) -> Array:

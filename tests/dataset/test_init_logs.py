@@ -328,3 +328,35 @@ def test_logs_that_lack_something_are_told_what(init, folder, lacks):
     with pytest.raises(InputError) as caught:
         init(as_logged(folder))
     assert lacks in str(caught.value)
+
+
+def test_a_dwell_that_comes_first_hides_no_input_and_no_range(tmp_path, init):
+    still = np.zeros_like(TIME)
+    wave = np.sin(TIME / 40)
+    for name, moves in (("dwell", still), ("train_1", wave), ("train_2", 3 * wave)):
+        write(
+            tmp_path / "logs" / f"{name}.csv",
+            time_s=TIME,
+            temperature_degC=25 + 10 * moves + T / 1000,
+            mass_kg=8 * moves + T / 1000,
+            ref_mass_kg=8 * moves,
+            supply_V=5 + 0.01 * moves,
+            humidity_pct=45 + moves,
+        )
+    toml = init(tmp_path / "logs")[1]
+    assert set(toml["inputs"]) == {"supply", "humidity"}
+    assert toml["outputs"]["mass"]["full_scale"] == 50
+    assert toml["sensor"]["name"] == "mass"
+    assert toml["logs"]["dwell"] == ["logs/dwell.csv"]
+
+
+def test_an_input_that_stands_still_in_each_log_but_not_in_all_is_one(tmp_path, init):
+    for number in (1, 2, 3):
+        humidity = 40 + number + 0 * TIME
+        write(tmp_path / f"r{number}.csv", time_s=TIME, temp_c=T, V_mV=T, humidity=humidity)
+    assert set(init(*sorted(tmp_path.glob("*.csv")))[1]["inputs"]) == {"humidity"}
+
+
+def test_a_gyros_rate_is_measured_and_a_temperatures_is_computed(tmp_path, init):
+    log = write(tmp_path / "a.csv", time_s=TIME, temp_c=T, rate_z_dps=T**2, temp_rate=T**3)
+    assert list(init(log)[1]["outputs"]) == ["rate_z"]

@@ -12,6 +12,7 @@ from zerodrift.dataset.outliers import (
     ROUNDS,
     _follow,
     _prepare,
+    _take_nearby,
     weigh_samples,
 )
 from zerodrift.dataset.runs import Run, share_resolution, tell_outliers
@@ -96,6 +97,16 @@ def test_explained_drift_uncovers_outliers_at_jumps(run):
     beside = replace(bumpy, explained=run.drift + bumps + noise)
     assert spared == 1.0
     assert beside.weights[hit, 0] == 0.0
+
+
+@pytest.mark.parametrize("samples", [24, 128, 129, 700])
+def test_medians_around_few_rows_are_those_of_a_sliding_window(samples):
+    distance = np.abs(np.random.default_rng(3).normal(size=samples))
+    sliding = _take_nearby(distance, np.arange(samples))
+    for row in (0, 1, 12, samples - 2, samples - 1):
+        assert _take_nearby(distance, np.array([row])) == sliding[[row]]
+    few = np.arange(0, samples, 60)
+    assert (_take_nearby(distance, few) == sliding[few]).all()
 
 
 def test_regression_of_steps_is_that_with_all_rows_weighted():

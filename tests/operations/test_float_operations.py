@@ -78,6 +78,14 @@ def test_play_equals_its_definition(length, half_width, seed):
     assert (play(x, half_width) == walk_play(x, half_width)).all()
 
 
+@given(st.integers(1, 300), st.floats(0.01, 5.0), st.floats(0.0, 0.3), st.integers(0, 1000))
+def test_play_of_plateaus_equals_its_definition(length, half_width, share, seed):
+    random = np.random.default_rng(seed)
+    moves = random.normal(size=(3, length)) * (random.random((3, length)) < share)
+    x = moves.cumsum(axis=1)
+    assert (play(x, half_width) == np.stack([walk_play(row, half_width) for row in x])).all()
+
+
 def test_play_of_rows_is_that_of_each_row():
     x = np.random.default_rng(2).normal(size=(4, 101)).cumsum(axis=1)
     assert (play(x, 1.5) == np.stack([walk_play(row, 1.5) for row in x])).all()
