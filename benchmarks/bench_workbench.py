@@ -31,7 +31,7 @@ from zerodrift.workbench.server import Workbench
 from zerodrift.workbench.state import PictureWish
 from zerodrift.workbench.workplace import CHILD
 
-DRAWN = "#main svg .line"
+DRAWN = "#main .sheet svg .line"
 TWIN = ("twin", "--runs", "6", "--told", "zero_tempco", "--hidden", "thermal_lag", "--seed", "3")
 TOML = """\
 # SIMULATED
