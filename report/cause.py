@@ -35,6 +35,7 @@ from zerodrift.report.plot import (
     Picture,
     spread,
 )
+from zerodrift.report.svg import measure_legend
 from zerodrift.report.thin import pick_rows, pick_spread
 from zerodrift.report.window import TimeAxis, Window, choose_clock, find_rows
 
@@ -237,9 +238,13 @@ def draw_cause(
     for number, (key, (top, height)) in enumerate(zip(view.panes, place.panes, strict=True)):
         title, unit, drawn = _list_lines(view, k, key, compared, units, read)
         kept = [pick_rows(y, start, stop, max(int(2.0 * width), 100)) for _, y in drawn]
+        # A second line of the legend would lie under the page's own heading, which says the same.
+        is_long = measure_legend([c.name for c, _ in drawn]) > width
+        unsaid = title if is_long and view.heading else ""
+        names = ["" if c.name == unsaid else c.name for c, _ in drawn]
         lines = tuple(
-            Curve(clock.place(trace.time_s[r]), np.asarray(y[r]), c.ink, c.name, c.dash, c.width)
-            for (c, y), r in zip(drawn, kept, strict=True)
+            Curve(clock.place(trace.time_s[r]), np.asarray(y[r]), c.ink, name, c.dash, c.width)
+            for (c, y), r, name in zip(drawn, kept, names, strict=True)
         )
         floor = float(compared.outputs[view.output].noise_floor)
         levels = (Level(-floor), Level(floor)) if key == LEFT and floor > 0.0 else ()

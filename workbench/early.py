@@ -106,8 +106,14 @@ class ProjectHead:
     name: str
     """Of the sensor."""
     effects: str
+    """Their names."""
     logs: tuple[str, ...]
     """How many, how large; a line for each use."""
+
+    @property
+    def subtitle(self) -> str:
+        """What the model holds, and what is drawn of it."""
+        return f"Effects in the model: {self.effects}. What is left is being computed."
 
 
 def read_head(directory: Path, sensor: str | None = None) -> ProjectHead | None:
@@ -124,13 +130,13 @@ def read_head(directory: Path, sensor: str | None = None) -> ProjectHead | None:
         for use, patterns in (("to learn from", config.train_logs), ("to test", config.test_logs))
         if patterns
     )
-    return ProjectHead(config.sensor_name, f"Effects in the model: {effects}.", logs)
+    return ProjectHead(config.sensor_name, effects, logs)
 
 
 def write_frame(directory: Path, sensor: str | None = None) -> str:
     """Return the page's frame while nothing is found, as HTML; empty without a project."""
     head = read_head(directory, sensor)
-    return "" if head is None else write_skeleton(head.name, head.effects, head.logs)
+    return "" if head is None else write_skeleton(head.name, head.subtitle, head.logs)
 
 
 def read_style() -> str:
@@ -146,7 +152,7 @@ def tell_project(directory: Path, sensor: str | None = None) -> tuple[str, ...]:
     config = load_unit(directory, sensor)
     outputs = ", ".join(f"{one.name} in {one.unit}" for one in config.outputs)
     name = head.name if sensor is None else f"{head.name}, unit {sensor}"
-    return (f"Sensor {name}: {outputs}", head.effects.removesuffix("."), *head.logs)
+    return (f"Sensor {name}: {outputs}", f"Effects in the model: {head.effects}", *head.logs)
 
 
 def _tell_logs(config: Config, use: str, patterns: tuple[str, ...]) -> str:

@@ -26,7 +26,6 @@ CHOICES = (
 CAUSE = "The cause: measured, model, what is left, and what it follows"
 OTHER_STEPS = "Other steps: another effect, undo, redo, look again"
 READING = "Reading the logs and fitting the model."
-LEAVES = "What is left is what {} leave."
 STEPS = ("Compare", "Diagnose", "Add what is missing", "Firmware", "Verify", "Apply", "Report")
 TILES = 4
 WAITING = "waiting"

@@ -124,7 +124,7 @@ def _show_head(place: Workplace) -> Shown:
     return (
         ["Workbench "],
         head.name,
-        head.effects,
+        head.subtitle,
         "verdict none",
         panels.show_reading(head.logs),
         True,

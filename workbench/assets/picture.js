@@ -273,6 +273,7 @@
   function zoom() {
     if (!mark) { return; }
     Object.assign(wish, { from_s: mark[0], to_s: mark[1] });
+    mark = null; // all that is shown from now on; its colour would lie over everything
     ask();
   }
   document.addEventListener("keydown", (event) => {
