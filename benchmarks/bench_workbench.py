@@ -31,7 +31,7 @@ from zerodrift.workbench.server import Workbench
 from zerodrift.workbench.state import PictureWish
 from zerodrift.workbench.workplace import CHILD
 
-DRAWN = "#main svg .line"
+DRAWN = "#main .sheet svg .line"
 TWIN = ("twin", "--runs", "6", "--told", "zero_tempco", "--hidden", "thermal_lag", "--seed", "3")
 TOML = """\
 # SIMULATED
@@ -72,6 +72,12 @@ ASK = """(wish) => new Promise((resolve) => {
   window.zd.wish(wish);
 })"""
 """Asks for a picture as the page's lists do; resolves with the milliseconds until it is there."""
+
+
+def keep_bytecode(folder: Path) -> None:
+    """Have every process keep its compiled modules there, as those of an installed package are."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = str(folder)
 
 
 def run_command(*arguments: str) -> dict[str, float]:
@@ -297,6 +303,7 @@ def main(quick: bool) -> None:
     path = shutil.which("chromium") or shutil.which("google-chrome")
     options = ["--no-sandbox"] if os.geteuid() == 0 else []
     with tempfile.TemporaryDirectory() as name, sync_playwright() as driver:
+        keep_bytecode(Path(name) / "bytecode")
         browser = driver.chromium.launch(executable_path=path, args=options)
         for case, hidden in CASES.items():
             told[case] = measure_cause(Path(name) / case, browser, hidden)

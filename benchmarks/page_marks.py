@@ -23,8 +23,8 @@ LIMITS = {
     "axe_serious": 0,
 }
 """Mark -> the most that is accepted."""
-DRAWN = "#main svg .line"
-FIRST = "#early, #start h2, #main svg .line"
+DRAWN = "#main .sheet svg .line"
+FIRST = "#early, #start h2, #bench:not([hidden])"
 SEEN = """(effect) => {
   const svg = document.querySelector('#main svg');
   if (!svg || !svg.textContent.includes(effect + ' would explain')) { return false; }
@@ -115,7 +115,7 @@ def count_faults(bench: Workbench, browser: Any) -> dict[str, object]:
         page = browser.new_page(viewport={"width": width, "height": 1000}, color_scheme=scheme)
         page.set_default_timeout(120_000)
         page.goto(bench.url)
-        page.wait_for_selector("#main svg .line")
+        page.wait_for_selector("#main .sheet svg .line")
         page.wait_for_selector("#verdict-sentence")
         page.wait_for_timeout(1500)
         violations = axe.run(page).response["violations"]

@@ -4,6 +4,7 @@ The first pass only parses: what is no number becomes NaN. Only when a check fai
 a second time, by `zerodrift.dataset.locate`, for the line and the text of the offending row.
 """
 
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -37,6 +38,8 @@ _LONGEST_HEAD_BYTES = 1 << 21
 """More is read of a file whose first lines are longer, up to a header of so many bytes."""
 _SAMPLE_BYTES = 1 << 16
 _SHOWN_NAMES = 12
+MOST_SNIFFED = 256
+"""Logs of which it is kept how they are written."""
 
 
 @dataclass(frozen=True)
@@ -210,8 +213,21 @@ def open_source(path: Path, label: str, where: Mapping[str, str]) -> Source:
         return Source(path, label, _read_names(path, label), where)
     if head.startswith(b"PAR1"):
         raise InputError(f"{label}: holds Parquet; expected CSV text. Name it {path.stem}.parquet.")
-    text = sniff_text(head, label, is_whole=len(head) >= path.stat().st_size)
+    text = _sniff_once(head, label, is_whole=len(head) >= path.stat().st_size)
     return _open_text(Source(path, label, text.names, where, text, notes=text.notes))
+
+
+def _sniff_once(head: bytes, label: str, is_whole: bool) -> TextFormat:
+    """Return what `sniff_text` finds; a log that is opened again is not sniffed again."""
+    key = (hashlib.sha256(head).digest(), label, is_whole)
+    if key not in _SNIFFED:
+        while len(_SNIFFED) >= MOST_SNIFFED:
+            del _SNIFFED[next(iter(_SNIFFED))]
+        _SNIFFED[key] = sniff_text(head, label, is_whole)
+    return _SNIFFED[key]
+
+
+_SNIFFED: dict[tuple[bytes, str, bool], TextFormat] = {}
 
 
 def _open_text(source: Source) -> Source:

@@ -35,6 +35,7 @@ _TIME = re.compile(
 _DATE_THEN_TIME = re.compile(
     r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4})[ \t]+(\d\d?:\d)"
 )
+_BLANK = re.compile(r"\s")
 _UNIT = re.compile(r"[\[(<]?\s*[A-Za-z0-9%°µμ/*^²³·.\- ]{0,12}\s*[\])>]?")
 _MISSING = ("", "na", "n/a", "nan", "null", "none", "-", "--", "---")
 
@@ -115,7 +116,8 @@ def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
     head_lines = rows[first][0] if first < len(rows) else rows[-1][0] + 1
     is_padded = separator != SPACES and any(
         field != field.strip() and _is_value(field.strip(), comma)
-        for each in fields[first:]
+        for each, (_, line) in zip(fields[first:], rows[first:], strict=True)
+        if _BLANK.search(line)
         for field in each
     )
     found = TextFormat(
@@ -204,6 +206,8 @@ def _find_separator(lines: Sequence[str]) -> str:
     """Return the character that splits the lines most evenly, the header included."""
     best, best_share = ",", 0.0
     for separator in DELIMITERS:
+        if separator != SPACES and not any(separator in line for line in lines):
+            continue
         counts = [len(split_fields(line, separator)) for line in lines]
         body = counts[1:] or counts
         width = _usual(body)
@@ -223,8 +227,11 @@ def _usual(counts: Sequence[int]) -> int:
 
 def _has_decimal_comma(fields: Sequence[Sequence[str]], separator: str) -> bool:
     """Tell whether numbers are written with a comma; a point in one speaks against it."""
+    held = [field.strip() for row in fields for field in row if "," in field]
+    commas = sum(_COMMA_NUMBER.fullmatch(value) is not None for value in held)
+    if not commas:
+        return False
     values = [field.strip() for row in fields for field in row]
-    commas = sum(_COMMA_NUMBER.fullmatch(value) is not None for value in values)
     points = sum("." in value and _NUMBER.fullmatch(value) is not None for value in values)
     if separator == ",":
         # Quoted fields alone can hold one: a file in which one does is more likely a mistake.

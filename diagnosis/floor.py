@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.remember import remember_last
 from zerodrift.dataset.runs import Dataset, share_resolution
 from zerodrift.diagnosis.noise import describe_noise, measure_noise
 from zerodrift.diagnosis.unexplained import Unexplained
@@ -77,6 +78,7 @@ class NoiseFloor:
         )
 
 
+@remember_last
 def measure_floor(dataset: Dataset) -> NoiseFloor:
     """Return the floor from the dwell logs, or from the training runs where there are none.
 

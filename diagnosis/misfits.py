@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.data_notes import DataNote
+from zerodrift.operations.recursion import filter_recursively
 
 Array = NDArray[np.float64]
 
@@ -89,8 +90,6 @@ def _average(x: Array, blocks: int) -> Array:
 
 def _build(course: _Course, scales: Array) -> tuple[Array, Array, Array]:
     """Return basis [b, J], measured [b, K] and reference [b, K] of a run, its means taken off."""
-    from scipy.signal import lfilter
-
     run = course.run
     step_s = run.sample_period_s
     warm = (course.temperature - 25.0) / 30.0
@@ -98,7 +97,8 @@ def _build(course: _Course, scales: Array) -> tuple[Array, Array, Array]:
     columns = [warm, warm**2, warm**3, 2.0 ** (3.0 * np.clip(warm, -5.0, 5.0))]
     for tau_s in LAGS_S:
         share = -np.expm1(-step_s / tau_s)
-        lagged = lfilter([share], [1.0, share - 1.0], warm, zi=[(1.0 - share) * warm[0]])[0]
+        state = np.array([(1.0 - share) * warm[0]])
+        lagged = filter_recursively([share], [1.0, share - 1.0], warm, state)
         columns += [lagged, np.exp(-elapsed / (4.0 * tau_s))]
     load = course.reference / scales
     columns += [*load.T, *(load * warm[:, None]).T, *(load**2).T]

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zerodrift.base.config import Config
+from zerodrift.base.remember import remember_last
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.data_notes import DataNote, name_columns
 from zerodrift.diagnosis.misfits import (
@@ -33,6 +34,7 @@ def review_logs(config: Config, dataset: Dataset) -> tuple[DataNote, ...]:
     return name_columns(review(dataset), config)
 
 
+@remember_last
 def review(dataset: Dataset) -> tuple[DataNote, ...]:
     """Return what looks wrong with the logs of a data set.
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.operations.recursion import filter_recursively
 from zerodrift.physics.projection import invert_scaled
 
 Array = NDArray[np.float64]
@@ -112,10 +113,8 @@ def _find_scale(parts: Sequence[Array]) -> tuple[float, float]:
 
 def _lag(x: Array, tau: float) -> Array:
     """Return a signal [n] behind a first-order lag of `tau` samples, at rest at the start."""
-    from scipy.signal import lfilter
-
     a = float(np.exp(-1.0 / tau))
-    return np.asarray(x[0] + lfilter([1.0 - a], [1.0, -a], x - x[0]), dtype=np.float64)
+    return np.asarray(x[0] + filter_recursively([1.0 - a], [1.0, -a], x - x[0]))
 
 
 def _step(x: Array) -> Array:

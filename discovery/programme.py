@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.discovery.limits import Limits
+from zerodrift.operations.recursion import filter_recursively
 
 Array = NDArray[np.float64]
 
@@ -88,14 +89,12 @@ def follow(log: Log, limits: Limits, step_s: float, start_degC: float) -> Planne
         step_s: seconds between samples.
         start_degC: where the log begins, at rest.
     """
-    from scipy.signal import lfilter
-
     count = max(2, int(np.floor(log.lasts_s / step_s + 1e-9)))
     time_s: Array = (np.arange(count, dtype=np.float64) + 0.5) * step_s
     times, levels = list_set_points(log, start_degC)
     chamber: Array = np.asarray(np.interp(time_s, times, levels), dtype=np.float64)
     decay = float(np.exp(-step_s / limits.follows_s))
-    away, _ = lfilter([1.0 - decay], [1.0, -decay], chamber - start_degC, zi=np.zeros(1))
+    away = filter_recursively([1.0 - decay], [1.0, -decay], chamber - start_degC)
     begins = np.array([setting.from_s for setting in log.settings])
 
     def ramp(values: list[float], change_s: float) -> Array:

@@ -11,6 +11,7 @@ from scipy.special import stdtrit
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.physics import known_fits
 from zerodrift.physics.arrivals import note_arrivals
 from zerodrift.physics.campaign import Campaign, Sums
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
@@ -94,12 +95,19 @@ def fit(
         start: an earlier fit to start from, which saves the search over typical ranges.
     """
     catalogue = catalogue or load_catalogue()
+    question = known_fits.ask(effects, runs, (outputs, units, full_scale), catalogue)
+    known = known_fits.recall(question) if start is None else None
+    if known is not None:
+        return known
     plan = plan_signals(runs, outputs, full_scale)
     terms = [start_term(catalogue, config) for config in effects]
     check_terms(terms, effects, plan)
     if start is not None:
         terms = _take_values(terms, start)
-    return fit_terms(terms, runs, plan, units, list(catalogue), search_starts=start is None)
+    model = fit_terms(terms, runs, plan, units, list(catalogue), search_starts=start is None)
+    if start is None:
+        known_fits.keep(question, model)
+    return model
 
 
 def check_terms(terms: Sequence[Term], effects: Sequence[EffectConfig], plan: SignalPlan) -> None:

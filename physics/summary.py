@@ -79,6 +79,10 @@ def _finite(value: float | None) -> float | None:
     return value if value is not None and np.isfinite(value) else None
 
 
+ROUNDING = 1e-12
+"""Of a feature's largest coefficient: what is left of zero for an output it does not act on."""
+
+
 def describe_coefficients(
     model: PhysicalModel, fitted: FittedTerm
 ) -> tuple[FittedCoefficient, ...]:
@@ -88,7 +92,9 @@ def describe_coefficients(
         if not feature.startswith(f"{fitted.term.name}: "):
             continue
         for k, (output, unit) in enumerate(zip(model.outputs, model.units, strict=True)):
-            if model.coefficients[j, k] == 0.0 and model.std_errors[j, k] == 0.0:
+            largest = float(np.abs(model.coefficients[j]).max())
+            is_none = abs(model.coefficients[j, k]) <= ROUNDING * largest
+            if is_none and model.std_errors[j, k] == 0.0:
                 continue
             per = "" if model.feature_units[j] == "1" else f"/{model.feature_units[j]}"
             described.append(

@@ -14,6 +14,7 @@ from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.diagnosis.drivers import (
     LAG,
     RATE,
+    TAU_S,
     TEMPERATURE,
     TIME,
     VALUE,
@@ -22,6 +23,7 @@ from zerodrift.diagnosis.drivers import (
     read_driver,
     suspect,
 )
+from zerodrift.report.cause_place import MARGIN_LEFT, lay_out_cause
 from zerodrift.report.findings import MOVING_SHARE, Findings, Trace, find_threshold
 from zerodrift.report.plot import (
     AxisScale,
@@ -33,6 +35,7 @@ from zerodrift.report.plot import (
     Picture,
     spread,
 )
+from zerodrift.report.svg import measure_legend
 from zerodrift.report.thin import pick_rows, pick_spread
 from zerodrift.report.window import TimeAxis, Window, choose_clock, find_rows
 
@@ -45,17 +48,6 @@ ROWS_READ = 600
 """Samples that can be read under the cursor."""
 ROWS_OF_CLOUD = 1200
 ROWS_OF_MEANS = 40_000
-MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 62.0, 12.0, 26.0, 42.0
-GAP = 27.0
-"""Pixels between panes, for their headings."""
-TALL, LOW = 128.0, 74.0
-"""Pixels of a pane of drift, and of one of a channel."""
-WIDE = 860.0
-"""Pixels from which on the scatter stands beside the panes and not below."""
-SHARE_OF_PANES = 0.6
-NARROW = 560.0
-"""Pixels below which a pane's title stands above its legend."""
-STACKED = 17.0
 SHAPES = 10
 """Marks of a branch that tell it without its colour."""
 
@@ -184,9 +176,20 @@ def find_suspects(findings: Findings, effect: str, output: str) -> tuple[DriftDr
     return suspect(declared.needs, fitted, list(list_channels(findings)), output)
 
 
-def choose_panes(suspects: Sequence[DriftDriver], channels: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the panes at first: drift, what is left, temperature, and what is suspected."""
-    wanted = [*suspects, DriftDriver(TEMPERATURE, RATE), *(DriftDriver(name) for name in channels)]
+def choose_panes(
+    suspects: Sequence[DriftDriver], channels: Mapping[str, str], *, fills: bool = False
+) -> tuple[str, ...]:
+    """Return the panes at first: drift, what is left, temperature, and what is suspected.
+
+    Args:
+        suspects: what the effect follows.
+        channels: what can be drawn, with units.
+        fills: whether `PANES` are shown whatever is suspected, so that none comes later.
+    """
+    further = [DriftDriver(name) for name in channels]
+    wanted = [*suspects, DriftDriver(TEMPERATURE, RATE), *further]
+    if fills:
+        wanted.append(DriftDriver(TEMPERATURE, LAG, TAU_S))
     keys = [
         d.key for d in wanted if d.key != DriftDriver(TEMPERATURE).key and d.channel in channels
     ]
@@ -195,7 +198,7 @@ def choose_panes(suspects: Sequence[DriftDriver], channels: Mapping[str, str]) -
         DRIFT,
         LEFT,
         DriftDriver(TEMPERATURE).key,
-        *keys[: max(1, min(len(suspects), PANES - 3))],
+        *keys[: PANES - 3 if fills else max(1, min(len(suspects), PANES - 3))],
     )
 
 
@@ -220,9 +223,8 @@ def draw_cause(
     """
     trace, k = view.trace, list(compared.outputs).index(view.output)
     start, stop = find_rows(trace, view.window)
-    is_wide = view.width >= WIDE
-    room = SHARE_OF_PANES * view.width if is_wide else view.width
-    width = room - MARGIN_LEFT - MARGIN_RIGHT
+    place = lay_out_cause([key in (DRIFT, LEFT, EFFECT) for key in view.panes], view.width)
+    width = place.width
     clock = choose_clock(trace)
     first, last = float(trace.time_s[start]), float(trace.time_s[stop - 1])
     if view.window.from_s is not None and view.window.to_s is not None:
@@ -230,16 +232,16 @@ def draw_cause(
     bands = _list_bands(view, compared, clock)
     rows = start + pick_spread(stop - start, ROWS_READ)
     panels, places, curves = [], [], []
-    is_narrow = width < NARROW
-    gap = GAP + (STACKED if is_narrow else 0.0)
-    top = MARGIN_TOP + (STACKED if is_narrow else 0.0)
-    for number, key in enumerate(view.panes):
-        height = TALL if key in (DRIFT, LEFT, EFFECT) else LOW
+    for number, (key, (top, height)) in enumerate(zip(view.panes, place.panes, strict=True)):
         title, unit, drawn = _list_lines(view, k, key, compared, units, read)
         kept = [pick_rows(y, start, stop, max(int(2.0 * width), 100)) for _, y in drawn]
+        # A second line of the legend would lie under the page's own heading, which says the same.
+        is_long = measure_legend([c.name for c, _ in drawn]) > width
+        unsaid = title if is_long and view.heading else ""
+        names = ["" if c.name == unsaid else c.name for c, _ in drawn]
         lines = tuple(
-            Curve(clock.place(trace.time_s[r]), np.asarray(y[r]), c.ink, c.name, c.dash, c.width)
-            for (c, y), r in zip(drawn, kept, strict=True)
+            Curve(clock.place(trace.time_s[r]), np.asarray(y[r]), c.ink, name, c.dash, c.width)
+            for (c, y), r, name in zip(drawn, kept, names, strict=True)
         )
         floor = float(compared.outputs[view.output].noise_floor)
         levels = (Level(-floor), Level(floor)) if key == LEFT and floor > 0.0 else ()
@@ -263,29 +265,20 @@ def draw_cause(
                 curves=lines,
                 bands=bands,
                 levels=levels,
-                legend_at=0.0 if is_narrow else view.heading,
-                stacked=is_narrow,
+                legend_at=0.0 if place.is_narrow else view.heading,
+                stacked=place.is_narrow,
             )
         )
         places.append(PanePlace(key, top, height))
         curves += [ReadCurve(c.name or title, unit, _tell(y[rows])) for c, y in drawn]
-        top += height + gap
-    bottom = top - gap + MARGIN_BOTTOM
     against = read(view.against)
     scatter, extent = _draw_scatter(view, k, compared, units, (start, stop), against)
-    if is_wide:
-        left, side = room + MARGIN_LEFT, view.width - room - MARGIN_LEFT - MARGIN_RIGHT
-        above = MARGIN_TOP + 2.0 * STACKED
-        place = (left, above, side, bottom - MARGIN_BOTTOM - above)
-    else:
-        place = (MARGIN_LEFT, bottom + GAP + 2.0 * STACKED, width, max(0.62 * width, 200.0))
-        bottom = place[1] + place[3] + MARGIN_BOTTOM
     panels.append(
         Panel(
-            left=place[0],
-            top=place[1],
-            width=place[2],
-            height=place[3],
+            left=place.scatter[0],
+            top=place.scatter[1],
+            width=place.scatter[2],
+            height=place.scatter[3],
             x=scatter.x,
             y=scatter.y,
             title=scatter.title,
@@ -302,7 +295,7 @@ def draw_cause(
         f"one time axis; beside them what is left against {view.against.describe()}."
     )
     return CausePicture(
-        picture=Picture(view.width, bottom, tuple(panels), label, f"{view.output}_cause"),
+        picture=Picture(view.width, place.bottom, tuple(panels), label, f"{view.output}_cause"),
         panes=tuple(places),
         left=MARGIN_LEFT,
         width=width,
@@ -310,7 +303,7 @@ def draw_cause(
         to_s=last,
         times_s=_tell(trace.time_s[rows], 8),
         curves=tuple(curves),
-        scatter=ScatterPlace(*place, *extent, _tell(against[rows])),
+        scatter=ScatterPlace(*place.scatter, *extent, _tell(against[rows])),
     )
 
 

@@ -1,6 +1,7 @@
 """Pictures as SVG: no scripting, no browser; colours by class, for light and dark ground."""
 
 import math
+from collections.abc import Sequence
 from html import escape
 
 import numpy as np
@@ -284,6 +285,11 @@ def _draw_heading(panel: Panel) -> str:
             x += KEY + LETTER * len(item.name)
         y += LINE
     return "".join(parts)
+
+
+def measure_legend(names: Sequence[str]) -> float:
+    """Return the pixels that a legend of these names takes in one line."""
+    return sum(KEY + LETTER * len(name) for name in names if name)
 
 
 def _break_legend(panel: Panel, items: list[Curve | Cloud]) -> list[list[Curve | Cloud]]:

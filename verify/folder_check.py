@@ -28,7 +28,8 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.behaviour import check_behaviour, compare_behaviour
 from zerodrift.verify.expected import Expected
-from zerodrift.verify.header import HeaderFinding, add_questions, check_header, has_avx2
+from zerodrift.verify.header import add_questions, check_header, has_avx2
+from zerodrift.verify.header_finding import HeaderFinding
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.manifest import NotChecked
 from zerodrift.verify.onnx_check import check_onnx

@@ -6,7 +6,6 @@ is what an application gets, whatever the text looks like.
 """
 
 import ctypes
-from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.codegen.generate import GeneratedCode
@@ -23,6 +22,7 @@ from zerodrift.export.integer_model import (
     FORMAT,
     IntegerModel,
 )
+from zerodrift.verify.header_finding import HeaderFinding
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 
 FLAGS = {
@@ -38,20 +38,6 @@ _MISSING = -(2**63)
 _SAVED_EXTRA_BYTES = 16
 _LONGEST_TEXT = 256
 _TEXTS = ("MODEL_HASH", "MANIFEST")
-
-
-@dataclass(frozen=True)
-class HeaderFinding:
-    """A name in the header whose value is not the model's."""
-
-    name: str
-    found: int | str | None
-    """None where there is no such name."""
-    expected: int | str
-
-    def __str__(self) -> str:
-        found = "is missing" if self.found is None else f"is {self.found}"
-        return f"{self.name} {found}; the model gives {self.expected}"
 
 
 def list_expected(

@@ -28,7 +28,7 @@ from zerodrift.verify.folder_certificate import (
     check_folder_certificate,
 )
 from zerodrift.verify.folder_check import SANITIZER, FolderCheck, check_folder
-from zerodrift.verify.header import HeaderFinding
+from zerodrift.verify.header_finding import HeaderFinding
 from zerodrift.verify.manifest import ManifestCheck, ManifestFinding, NotChecked, check_manifest
 from zerodrift.verify.mismatch import find_mismatch
 from zerodrift.verify.records import check_records

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from zerodrift.base.records import OPTIONAL
 from zerodrift.base.shown import Shown
-from zerodrift.verify.header import HeaderFinding
+from zerodrift.verify.header_finding import HeaderFinding
 from zerodrift.verify.manifest import ManifestFinding, NotChecked
 
 ByOutput = Mapping[str, float]

@@ -6,14 +6,28 @@ from dash import Dash, Input, Output, State
 from zerodrift.report.page import read_asset
 from zerodrift.report.svg import write_style
 from zerodrift.workbench import views
+from zerodrift.workbench.early import write_frame
 from zerodrift.workbench.first import CHART, CHOICES, FRAME, TOP, Places, lay_out_first
 from zerodrift.workbench.layout import EARLY, PAGE
 from zerodrift.workbench.workplace import Workplace
 
 
+class _Page(Dash):  # type: ignore[misc,unused-ignore]
+    """The page, with its frame shown until its scripts have drawn it."""
+
+    place: Workplace
+
+    def interpolate_index(self, **parts: str) -> str:
+        """Return the page's HTML."""
+        if self.place.has_project and (self.place.busy or self.place.findings is not None):
+            frame = write_frame(self.place.directory, self.place.sensor)
+            parts["app_entry"] = f'<div id="skeleton">{frame}</div>{parts["app_entry"]}'
+        return str(super().interpolate_index(**parts))
+
+
 def make_app(workplace: Workplace) -> Dash:
     """Return the page of a project; all of its scripts and styles come from this machine."""
-    app = Dash(
+    app = _Page(
         "zerodrift.workbench",
         title=f"{workplace.directory.name}: zerodrift workbench",
         update_title="",
@@ -21,6 +35,7 @@ def make_app(workplace: Workplace) -> Dash:
         assets_ignore=r"_worker\.js$",  # no script of the page: it runs in a thread of its own
         suppress_callback_exceptions=True,
     )
+    app.place = workplace
     app.index_string = PAGE.replace("EARLY", EARLY).replace(
         "STYLE", read_asset("page.css") + write_style()
     )

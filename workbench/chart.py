@@ -13,6 +13,7 @@ from zerodrift.report.plot import Picture
 from zerodrift.report.svg import render_svg
 from zerodrift.report.thin import pick_spread
 from zerodrift.report.window import Window, choose_clock, find_rows
+from zerodrift.workbench.first_look import HEADING, NARROWEST, WIDEST
 from zerodrift.workbench.state import DrawnPicture, PageChoice, PictureWish, Sheet
 from zerodrift.workbench.workplace import Workplace
 
@@ -25,10 +26,6 @@ MOVES = ("earlier", "later", "closer", "wider", "whole")
 CLOSER = 0.5
 STEP = 0.5
 """Of the width that is shown, for one press of earlier or later."""
-NARROWEST, WIDEST = 240.0, 2400.0
-"""Pixels of a picture."""
-HEADING = 236.0
-"""Pixels that the page's list of a pane is wide."""
 
 
 def draw_wish(place: Workplace, wish: PictureWish, *, hides: bool) -> DrawnPicture:
@@ -64,7 +61,7 @@ def draw_wish(place: Workplace, wish: PictureWish, *, hides: bool) -> DrawnPictu
         trace=trace,
         output=output,
         window=choose_window(trace, wish),
-        panes=wish.panes or cause.choose_panes(suspects, channels),
+        panes=wish.panes or cause.choose_panes(suspects, channels, fills=True),
         against=against,
         effect=effect if curve is not None else "",
         contribution=None if curve is None else curve[findings.outputs.index(output)],

@@ -1,90 +1,158 @@
-"""The first page, at once: what zerodrift.toml says, while all else is still being loaded.
+"""The first page, at once: the page's frame and what zerodrift.toml says, while all else is loaded.
 
 Only the standard library is needed, so that a page is there a fraction of a second after the
-command. It comes again each second; the page itself then takes over its port.
+command. Its script asks for the first chart; the page itself then takes over its port.
 """
 
-import contextlib
+import base64
 import glob
+import hashlib
 import hmac
 import html
+import json
 import socket
 import subprocess
 import sys
 import tempfile
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
+from zerodrift import report
 from zerodrift.base.config import FILE_NAME, Config
 from zerodrift.base.errors import InputError
 from zerodrift.fleet.sensors import load_unit
 from zerodrift.workbench.address import PageAddress, find_address, keep_address
 from zerodrift.workbench.events import SENSOR
+from zerodrift.workbench.skeleton import write_skeleton
 
 HOST = "127.0.0.1"
+STYLES = (
+    Path(report.__file__).parent / "templates" / "page.css",
+    Path(__file__).parent / "assets" / "workbench.css",
+)
+WIDTH = 1000.0
+"""Pixels of a picture where none are told, ..."""
+LARGEST = 1e5
+"""... or more than any window has."""
 SKETCH = "zerodrift.app.sketch"
-"""Draws a first chart from one log, in a process of its own."""
+"""Reads what a first chart shows from one log, in a process of its own."""
+SKETCH_FILE = "first.json"
 AGAIN_S = 1
-"""After which the first page asks for the page again."""
-SKETCH_FILE = "first.svg"
-LONGEST_WAIT_S = 3.0
-"""For the first chart, with an answer that has nothing else to tell."""
+"""After which a browser without scripts asks for the page again."""
 PATIENCE_S = 5.0
 """For a request that has begun."""
-POLICY = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; frame-ancestors 'none'"
 STARTING = "Starting. The logs are read next; the page fills as soon as the errors are known."
+SCRIPT = """
+(function () {
+  const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+  document.documentElement.dataset.theme = dark ? "dark" : "light";
+  const token = encodeURIComponent(new URLSearchParams(location.search).get("token"));
+  let shown = "";
+  async function look() {
+    const main = document.getElementById("main");
+    try {
+      const wish = encodeURIComponent(JSON.stringify({ width: main ? main.clientWidth : 1000 }));
+      const answer = await fetch("/picture?token=" + token + "&wish=" + wish);
+      const told = answer.ok ? await answer.json() : null;
+      if (!told || !told.early) { location.reload(); return; }
+      if (main && told.svg !== shown) {
+        shown = told.svg;
+        document.getElementById("inks").textContent = told.style;
+        main.innerHTML = '<div class="sketch">' + told.svg + "</div>";
+        main.style.minHeight = told.height + "px";
+      }
+    } catch (error) { /* the page is taking over, or has ended: asked again */ }
+    setTimeout(look, 250);
+  }
+  document.addEventListener("DOMContentLoaded", look);
+})();
+"""
+"""Puts the first chart in its place, and asks for the page as soon as that answers."""
+_HASH = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
+POLICY = (
+    f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{_HASH}'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
 PAGE = """<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="refresh" content="{again}">
-<title>{name}: zerodrift workbench</title>
-<style>
-body {{ font: 1rem/1.55 system-ui, sans-serif; max-width: 46rem; margin: 0 auto;
-  padding: 2rem 1.2rem; color: #1b222a; background: #fbfbf9; overflow-wrap: anywhere; }}
-figure {{ margin: 1rem 0; }}
-svg {{ display: block; max-width: 100%; height: auto; font: 12px system-ui, sans-serif; }}
-svg text {{ fill: currentColor; }}
-svg path {{ fill: none; }}
-svg .grid {{ stroke: #8889; stroke-width: .5; }}
-svg .s-measured {{ stroke: #77818d; }}
-svg .s-driver {{ stroke: #3d8f6e; }}
-@media (prefers-color-scheme: dark) {{ body {{ color: #e8eaee; background: #14171c; }} }}
-</style>
+<noscript><meta http-equiv="refresh" content="{again}"></noscript>
+<title>{title}: zerodrift workbench</title>
+<script>{script}</script>
+<style>{style}</style>
+<style id="inks"></style>
 </head>
 <body>
-<main id="early">
-<h1>{name}</h1>
-<p role="status">{starting}</p>
-<ul>{facts}</ul>
-{chart}
-</main>
+<div id="early">{frame}</div>
 </body>
 </html>
 """
+START = (
+    '<div class="layout single"><main><h2 class="first">{name}</h2><p>{starting}</p></main></div>'
+)
+"""Where there is no project yet."""
+
+
+@dataclass(frozen=True)
+class ProjectHead:
+    """What zerodrift.toml says of a project, for the head of the page."""
+
+    name: str
+    """Of the sensor."""
+    effects: str
+    """Their names."""
+    logs: tuple[str, ...]
+    """How many, how large; a line for each use."""
+
+    @property
+    def subtitle(self) -> str:
+        """What the model holds, and what is drawn of it."""
+        return f"Effects in the model: {self.effects}. What is left is being computed."
+
+
+def read_head(directory: Path, sensor: str | None = None) -> ProjectHead | None:
+    """Return what zerodrift.toml and the names of its logs say; None where it is wrong."""
+    if not (directory / FILE_NAME).is_file():
+        return None
+    try:
+        config = load_unit(directory, sensor)
+    except InputError:
+        return None
+    effects = ", ".join(effect.kind for effect in config.effects) or "a constant only"
+    logs = tuple(
+        _tell_logs(config, use, patterns)
+        for use, patterns in (("to learn from", config.train_logs), ("to test", config.test_logs))
+        if patterns
+    )
+    return ProjectHead(config.sensor_name, effects, logs)
+
+
+def write_frame(directory: Path, sensor: str | None = None) -> str:
+    """Return the page's frame while nothing is found, as HTML; empty without a project."""
+    head = read_head(directory, sensor)
+    return "" if head is None else write_skeleton(head.name, head.subtitle, head.logs)
+
+
+def read_style() -> str:
+    """Return the style of the page, but for its pictures' colours."""
+    return "".join(path.read_text(encoding="utf-8") for path in STYLES)
 
 
 def tell_project(directory: Path, sensor: str | None = None) -> tuple[str, ...]:
     """Return what zerodrift.toml and the names of its logs say; nothing where it is wrong."""
-    if not (directory / FILE_NAME).is_file():
+    head = read_head(directory, sensor)
+    if head is None:
         return ()
-    try:
-        config = load_unit(directory, sensor)
-    except InputError:
-        return ()
+    config = load_unit(directory, sensor)
     outputs = ", ".join(f"{one.name} in {one.unit}" for one in config.outputs)
-    effects = ", ".join(effect.kind for effect in config.effects) or "a constant only"
-    logs = [
-        _tell_logs(config, use, patterns)
-        for use, patterns in (("to learn from", config.train_logs), ("to test", config.test_logs))
-        if patterns
-    ]
-    name = config.sensor_name if sensor is None else f"{config.sensor_name}, unit {sensor}"
-    return (f"Sensor {name}: {outputs}", f"Effects in the model: {effects}", *logs)
+    name = head.name if sensor is None else f"{head.name}, unit {sensor}"
+    return (f"Sensor {name}: {outputs}", f"Effects in the model: {head.effects}", *head.logs)
 
 
 def _tell_logs(config: Config, use: str, patterns: tuple[str, ...]) -> str:
@@ -143,30 +211,17 @@ class EarlyPage:
         Args:
             options: of the command that reads the log for it.
         """
-        facts = tell_project(self._directory, self._sensor)
-        told = "".join(f"<li>{html.escape(fact)}</li>" for fact in facts)
-
-        asked = threading.Event()
-
-        def render() -> bytes:
-            drawing = self._drawing
-            if asked.is_set() and drawing is not None:
-                # The facts are in the window; what is asked for again is the chart.
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    drawing.wait(LONGEST_WAIT_S)
-            asked.set()
-            chart = self.read_sketch()
-            return PAGE.format(
-                again=AGAIN_S,
-                name=html.escape(self._directory.name),
-                starting=STARTING,
-                facts=told,
-                chart=f'<figure class="sketch">{chart}</figure>' if chart else "",
-            ).encode()
-
-        if facts:
+        frame, name = write_frame(self._directory, self._sensor), self._directory.name
+        page = PAGE.format(
+            again=AGAIN_S,
+            title=html.escape(name),
+            script=SCRIPT,
+            style=read_style(),
+            frame=frame or START.format(name=html.escape(name), starting=STARTING),
+        ).encode()
+        if frame:
             self._begin_sketch(options)
-        handler = _make_handler(render, self.token, self.port)
+        handler = _make_handler(page, self._draw, self.token, self.port)
         server = ThreadingHTTPServer((HOST, self.port), handler, bind_and_activate=False)
         server.socket.close()
         server.socket = self.listener
@@ -187,13 +242,27 @@ class EarlyPage:
         )
 
     def read_sketch(self) -> str:
-        """Return the first chart, from one log alone; empty as long as there is none."""
+        """Return what is to be seen of one log alone; empty as long as there is nothing."""
         if self._scratch is None:
             return ""
         try:
             return (Path(self._scratch.name) / SKETCH_FILE).read_text(encoding="utf-8")
         except OSError:
             return ""
+
+    def _draw(self, wish: str) -> bytes:
+        """Return the chart's place as it is now, for a window of the wished width."""
+        # Loaded with the first request, beside what the page itself needs of the same.
+        from zerodrift.base.records import to_json
+        from zerodrift.workbench.first_look import draw_waiting, read_look
+
+        try:
+            width = float(json.loads(wish)["width"])
+        except (ValueError, KeyError, TypeError, RecursionError):
+            width = WIDTH
+        width = width if 0.0 < width < LARGEST else WIDTH
+        drawn = draw_waiting(read_look(self.read_sketch()), width, is_early=True)
+        return json.dumps(to_json(drawn)).encode()
 
     def end(self) -> None:
         """Answer no longer; who asks meanwhile waits for the page."""
@@ -215,7 +284,7 @@ class EarlyPage:
 
 
 def _make_handler(
-    render: Callable[[], bytes], token: str, port: int
+    page: bytes, draw: Callable[[str], bytes], token: str, port: int
 ) -> type[BaseHTTPRequestHandler]:
     hosts = {f"{HOST}:{port}", f"localhost:{port}"}
 
@@ -225,13 +294,17 @@ def _make_handler(
         def do_GET(self) -> None:
             """Answer the owner of the token, and nobody else."""
             asked = urlsplit(self.path)
-            given = parse_qs(asked.query).get("token", [""])[0]
+            told = parse_qs(asked.query)
+            given = told.get("token", [""])[0]
             is_owner = hmac.compare_digest(given.encode(), token.encode())
             is_known = self.headers.get("Host") in hosts and self.headers.get("Origin") is None
-            is_page = is_owner and is_known and asked.path == "/"
-            content = render() if is_page else b""
+            content, kind = b"", "text/html; charset=utf-8"
+            if is_owner and is_known and asked.path == "/":
+                content = page
+            elif is_owner and is_known and asked.path == "/picture":
+                content, kind = draw(told.get("wish", [""])[0]), "application/json"
             self.send_response(200 if content else 403)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.send_header("Content-Type", kind)
             self.send_header("Content-Length", str(len(content)))
             self.send_header("Content-Security-Policy", POLICY)
             self.send_header("Cache-Control", "no-store")

@@ -3,17 +3,9 @@
 from dash import dcc, html
 from dash.development.base_component import Component
 
+from zerodrift.workbench.skeleton import CAUSE, CONTENTS, OTHER_STEPS
+
 POLL_MS = 500
-CONTENTS = (
-    ("top", "Verdict"),
-    ("measured", "Measured and model"),
-    ("candidates-section", "What is missing"),
-    ("staircase-section", "Staircase"),
-    ("errors-section", "Errors"),
-    ("model-section", "Effects"),
-    ("firmware-section", "Firmware"),
-    ("chip-section", "The chip's own C"),
-)
 MOVES = (
     ("earlier", "← Earlier"),
     ("later", "Later →"),
@@ -31,10 +23,22 @@ window.zdFirst = (function () {
   const wish = JSON.stringify({ width: Math.max(width - 15, 240) });
   return fetch("/picture?wish=" + encodeURIComponent(wish))
     .then((answer) => (answer.ok ? answer.json() : null))
+    .then((told) => {
+      const main = document.querySelector("#skeleton #main");
+      if (told?.svg && main) { main.innerHTML = '<div class="sketch">' + told.svg + "</div>"; }
+      return told;
+    })
     .catch(() => null);
 })();
+new MutationObserver((changes, observer) => {
+  if (document.querySelector("#react-entry-point main")) {
+    document.getElementById("skeleton")?.remove();
+    observer.disconnect();
+  }
+}).observe(document.documentElement, { childList: true, subtree: true });
 """
-"""Asks for the chart while the page's other scripts are still being read."""
+"""Asks for the chart while the page's other scripts are still being read, and takes the frame away
+in the very moment in which the page stands in its place."""
 PAGE = """<!doctype html>
 <html lang="en">
 <head>
@@ -131,7 +135,7 @@ def _lay_out_top() -> list[Component]:
         html.Section(id="way", **{"aria-label": "The way from logs to a report"}),
         html.Details(
             [
-                html.Summary("Other steps: another effect, undo, redo, look again"),
+                html.Summary(OTHER_STEPS),
                 html.Div(
                     [
                         html.Div(
@@ -186,7 +190,7 @@ def _lay_out_sections() -> list[Component]:
     return [
         _section(
             "measured",
-            "The cause: measured, model, what is left, and what it follows",
+            CAUSE,
             html.Div(choices, className="choices"),
             html.Figure(chart),
             html.Div(

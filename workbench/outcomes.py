@@ -1,6 +1,6 @@
 """What a command that leaves the model as it is found: training, firmware, formula, report."""
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from dash import html
 from dash.development.base_component import Component
@@ -148,6 +148,7 @@ def _show_delivery(firmware: FirmwareSummary) -> list[Component]:
     """Return the download, what to add to a build, and the lines that call it."""
     sources = [name for name in firmware.files if name.endswith(".c")]
     headers = [name for name in firmware.files if name.endswith(".h")]
+    folders = dict.fromkeys(str(PurePosixPath(name).parent) for name in headers)
     download = html.A(
         "Download the firmware (zip)",
         href="/firmware.zip",
@@ -159,9 +160,10 @@ def _show_delivery(firmware: FirmwareSummary) -> list[Component]:
         html.P([download]),
         html.P(
             f"To flash: add {', '.join(sources)} to the build of your own program, with the "
-            f"folder of {', '.join(headers)} on its include path (C99, no heap, no libm). It needs "
-            f"{firmware.flash_bytes} B of flash, {firmware.ram_bytes} B of RAM for each sensor and "
-            f"{firmware.stack_bytes} B of stack on {firmware.core}."
+            f"folder {', '.join(folders)} and its {len(headers)} headers on the include path. It "
+            f"is C99 without heap or libm, and needs {firmware.flash_bytes} B of flash, "
+            f"{firmware.ram_bytes} B of RAM for each sensor and {firmware.stack_bytes} B of stack "
+            f"on {firmware.core}."
         ),
         html.Div(
             [

@@ -25,6 +25,7 @@ from zerodrift.report.results import (
 )
 from zerodrift.report.svg import render_svg
 from zerodrift.report.tables import Table
+from zerodrift.workbench.skeleton import READING, TILES
 from zerodrift.workbench.state import RunPart
 
 
@@ -218,29 +219,33 @@ def show_model(findings: Findings) -> list[Component]:
     ]
 
 
-def show_waiting(
-    name: str, facts: Sequence[str], *, is_busy: bool, sketch: str = ""
-) -> list[Component]:
-    """Return the page of a project of which nothing is known yet.
+def show_unknown(name: str, facts: Sequence[str]) -> list[Component]:
+    """Return the page of a project of which nothing could be found out.
 
     Args:
         name: of its directory.
         facts: what is known without reading a log.
-        is_busy: whether it is being looked at.
-        sketch: a first chart; empty where there is none.
     """
     words = (
-        "Reading the logs and fitting; the page fills as soon as the errors are known."
-        if is_busy
-        else "Nothing could be found out yet; the message above says why. The page looks again as "
+        "Nothing could be found out yet; the message above says why. The page looks again as "
         "soon as zerodrift.toml or a log changes."
     )
     return [
         html.H2(name, className="first"),
         html.P(words),
         html.Ul([html.Li(fact) for fact in facts]),
-        *([html.Figure(className="picture sketch", **{"data-picture": sketch})] if sketch else []),
     ]
+
+
+def show_reading(facts: Sequence[str]) -> list[Component]:
+    """Return what stands in the verdict's place while the logs are read."""
+    told = [html.P(fact, className="note") for fact in facts]
+    return [html.P(READING, className="sentence", role="status"), *told]
+
+
+def show_empty_tiles() -> list[Component]:
+    """Return the places of the few figures that come first."""
+    return [html.Div([html.B("…"), html.Span("")], className="tile") for _ in range(TILES)]
 
 
 def show_start(logs: Sequence[str], directory: str) -> list[Component]:

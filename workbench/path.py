@@ -1,7 +1,7 @@
 """The way from logs to a report: what is done, and the one next step with its reason."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from zerodrift.diagnosis.explained import ExplainedDiagnosis
 from zerodrift.diagnosis.strength import WEAK, rate_strength
@@ -19,6 +19,7 @@ TITLES = {
 }
 """Step -> its name; training is the first part of building firmware."""
 RUNS = {
+    "compare": "compare",
     "look": "diagnose",
     "add": "add",
     "remove": "add",
@@ -96,7 +97,9 @@ def find_path(standing: ProjectStanding) -> ProjectWay:
     """Return what is done, and the next step with its reason."""
     findings = standing.findings
     if findings is None:
-        return ProjectWay(_list_steps("compare", standing, {}), None, "The logs are being read.")
+        # A look compares first; that it diagnoses then is said once it does.
+        busy = replace(standing, job="compare" if standing.job == "look" else standing.job)
+        return ProjectWay(_list_steps("compare", busy, {}), None, "The logs are being read.")
     explained = findings.diagnosed
     found = _tell_found(findings, standing)
     if explained is None:

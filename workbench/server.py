@@ -9,12 +9,13 @@ from flask import Flask, Response, jsonify, request, send_file
 from werkzeug.serving import WSGIRequestHandler, make_server
 
 from zerodrift.base.errors import InputError
-from zerodrift.base.records import from_json, to_dict
+from zerodrift.base.records import from_json, to_dict, to_json
 from zerodrift.workbench.actions import press
 from zerodrift.workbench.app import make_app
 from zerodrift.workbench.chart import draw_wish
 from zerodrift.workbench.chip import LONGEST_TEXT, WASM, name_answers
 from zerodrift.workbench.early import HOST, EarlyPage
+from zerodrift.workbench.first_look import draw_waiting
 from zerodrift.workbench.packing import pack_files
 from zerodrift.workbench.security import guard
 from zerodrift.workbench.state import PictureWish
@@ -150,10 +151,10 @@ def add_routes(server: Flask, place: Workplace) -> None:
         return jsonify({}), 200
 
     def picture() -> tuple[Response, int]:
-        if place.findings is None:  # the page asks again as soon as there is something
-            return jsonify(None), 200
         try:
             wish = from_json(PictureWish, json.loads(request.args.get("wish", "{}")))
+            if place.findings is None:  # the page asks again as soon as there is something
+                return jsonify(to_json(draw_waiting(place.look_first(), wish.width))), 200
             drawn = draw_wish(place, wish, hides=hides(place, bool(request.args.get("told"))))
         except (ValueError, RecursionError, InputError) as error:
             return jsonify({"error": str(error)}), 400

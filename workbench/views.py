@@ -12,7 +12,8 @@ from zerodrift.diagnosis.timeline import find_timeline
 from zerodrift.report.cause import name_effect
 from zerodrift.workbench import outcomes, panels, recordings, verdicts, way
 from zerodrift.workbench.chart import choose_first
-from zerodrift.workbench.early import tell_project
+from zerodrift.workbench.early import read_head, tell_project
+from zerodrift.workbench.skeleton import WAITING
 from zerodrift.workbench.uploads import list_logs
 from zerodrift.workbench.workplace import Workplace
 
@@ -54,21 +55,18 @@ def show_recordings(place: Workplace, told: str | None) -> Shown:
 def show_frame(place: Workplace) -> Shown:
     """Return the start page where there is no project, and the message."""
     is_new = not place.has_project and place.findings is None
+    is_stuck = not is_new and place.findings is None and not place.busy
     start: list[Component] = []
     if is_new:
         logs = list_logs(place.directory)
         start = [html.Main(panels.show_start(logs, str(place.directory)))]
-    elif place.findings is None:
+    elif is_stuck:
         facts = tell_project(place.directory, place.sensor)
-        sketch = place.read_sketch()
-        waiting = panels.show_waiting(
-            place.directory.name, facts, is_busy=place.busy, sketch=sketch
-        )
-        start = [html.Main(waiting)]
+        start = [html.Main(panels.show_unknown(place.directory.name, facts))]
     message = place.message
     text = message.text if message is not None else ""
     kind = "message error" if message is not None and message.is_error else "message"
-    return start, not start, place.findings is None, text, message is None, kind
+    return start, not start, bool(start), text, message is None, kind
 
 
 def hides(place: Workplace, told: bool | None) -> bool:
@@ -84,7 +82,7 @@ def show_top(place: Workplace, told: bool | None, picks: Mapping[str, str] | Non
     findings, guess = place.findings, (picks or {}).get("guess-choice")
     revision = place.revision
     if findings is None:
-        return tuple([no_update] * 16)
+        return _show_head(place)
     waits = hides(place, told)
     kind, parts = verdicts.show_verdict(findings, diagnosing=place.diagnosing, hides=waits)
     addable = list(findings.diagnosed.named) if findings.diagnosed is not None else []
@@ -118,6 +116,31 @@ def show_top(place: Workplace, told: bool | None, picks: Mapping[str, str] | Non
     )
 
 
+def _show_head(place: Workplace) -> Shown:
+    """Return the head of the page while nothing is found: its frame, and what is being done."""
+    head = read_head(place.directory, place.sensor)
+    if head is None:
+        return tuple([no_update] * 16)
+    return (
+        ["Workbench "],
+        head.name,
+        head.subtitle,
+        "verdict none",
+        panels.show_reading(head.logs),
+        True,
+        no_update,
+        "",
+        False,
+        way.show_way(place),
+        True,
+        True,
+        WAITING,
+        panels.show_empty_tiles(),
+        [],
+        True,
+    )
+
+
 def list_choices(place: Workplace, told: bool | None) -> Shown:
     """Return what can be chosen of output, run, ghost, effect and present, each as JSON.
 
@@ -144,7 +167,7 @@ def show_chart(place: Workplace, told: bool | None) -> Shown:
     """Return what the chart is of, so that the page's script asks for it anew; and the segments."""
     findings = place.findings
     if findings is None:
-        return no_update, no_update
+        return WAITING if place.busy else no_update, no_update
     effect = name_effect(findings)
     mark = f"{place.shown} {effect} {' '.join(place.previews)}"
     return mark, panels.show_segments(findings, hides=hides(place, told))

@@ -50,6 +50,7 @@ from zerodrift.workbench.events import (
     SURVEYED,
     name_preview,
 )
+from zerodrift.workbench.first_look import FirstLook, read_look
 from zerodrift.workbench.hold import hold_directory
 from zerodrift.workbench.jobs import Job
 from zerodrift.workbench.marks import Marks, mark_files
@@ -113,7 +114,7 @@ class Workplace:
         self._result: Path | None = None
         self._marks: Marks = {}
         self.read_sketch: Callable[[], str] = lambda: ""
-        """The chart that is shown until there are findings."""
+        """What was read of one log, until there are findings; see `look_first`."""
         self.recordings = RecordingWatch(self.directory, sensor)
         self._read: dict[tuple[int, str, DriftDriver], Array] = {}
         self.findings: Findings | None = None
@@ -180,6 +181,10 @@ class Workplace:
                 return None
             path = name_preview(self._result, effect, run)
         return np.load(path, mmap_mode="r", allow_pickle=False) if path.exists() else None
+
+    def look_first(self) -> FirstLook | None:
+        """Return what can be shown of one log before anything is found."""
+        return read_look(self.read_sketch())
 
     def read(self, trace: Trace, driver: DriftDriver) -> Array:
         """Return a driver [n] of a run; the last few are kept, since each zoom asks again."""

@@ -19,6 +19,7 @@ from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.lowpass_after import make_lowpass_after
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation
+from zerodrift.operations.recursion import filter_recursively
 from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import fit
 
@@ -48,8 +49,6 @@ def lowpass(x: Array, sample_period_s: float, tau_s: float) -> Array:
         sample_period_s: seconds between samples.
         tau_s: time constant, seconds; 0 or less returns x.
     """
-    from scipy.signal import lfilter
-
     if tau_s <= 0.0 or x.size == 0:
         return x.copy()
     a, b0, b1 = lowpass_coefficients(sample_period_s, tau_s)
@@ -58,7 +57,7 @@ def lowpass(x: Array, sample_period_s: float, tau_s: float) -> Array:
     if x.shape[-1] > 1:
         # With y = x at the first sample the state of the direct form II transposed is this.
         state = (b1 + a) * x[..., :1]
-        y[..., 1:] = lfilter([b0, b1], [1.0, -a], x[..., 1:], zi=state)[0]
+        y[..., 1:] = filter_recursively([b0, b1], [1.0, -a], x[..., 1:], state)
     return y
 
 

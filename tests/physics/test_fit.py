@@ -25,6 +25,7 @@ from zerodrift.physics.model import PhysicalModel
 from zerodrift.physics.model_record import ModelRecord
 from zerodrift.physics.search import search
 from zerodrift.physics.signals import graph_inputs, plan_signals, read_signals
+from zerodrift.physics.summary import describe_coefficients
 from zerodrift.physics.terms import start_term
 
 
@@ -235,3 +236,16 @@ def test_a_rough_search_ends_near_the_optimum():
     assert without - rough.cost > 0.99 * (without - best.cost)
     assert rough.terms[1].values["tau_s"] == pytest.approx(best.terms[1].values["tau_s"], rel=0.1)
     assert rough.cost > best.cost
+
+
+def test_an_output_that_a_feature_does_not_act_on_has_no_coefficient_of_rounding():
+    model = fit_dataset(make_dataset(linear, runs=3, length=300), "zero_tempco")
+    fitted = model.terms[0]
+    every = describe_coefficients(model, fitted)
+    coefficients, errors = model.coefficients.copy(), model.std_errors.copy()
+    coefficients[1, 0], errors[1, 0] = 1e-14 * coefficients[1, 1], 0.0
+    rounded = replace(model, coefficients=coefficients, std_errors=errors)
+    left = describe_coefficients(rounded, fitted)
+    assert left == tuple(one for one in every if one.output != OUTPUTS[0])
+    errors[1, 0] = 1e-9
+    assert len(describe_coefficients(replace(rounded, std_errors=errors), fitted)) == len(every)

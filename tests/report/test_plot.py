@@ -12,6 +12,7 @@ from zerodrift.diagnosis.comparison_summary import WorstSegment
 from zerodrift.diagnosis.drivers import DriftDriver
 from zerodrift.diagnosis.history import Step
 from zerodrift.report.cause import (
+    PANES,
     CauseView,
     choose_against,
     choose_panes,
@@ -19,6 +20,7 @@ from zerodrift.report.cause import (
     list_channels,
     read_driven,
 )
+from zerodrift.report.cause_place import lay_out_cause
 from zerodrift.report.pictures import draw_stairs
 from zerodrift.report.plot import (
     INKS,
@@ -32,6 +34,7 @@ from zerodrift.report.plot import (
 from zerodrift.report.svg import render_svg, write_style
 from zerodrift.report.tables import tabulate_worst
 from zerodrift.report.window import Window, choose_clock
+from zerodrift.workbench.first_look import HEADING, TALL, FirstLook, LoggedLine, draw_waiting
 
 
 def draw_one(curve, x=None, y=None):
@@ -218,3 +221,35 @@ def test_a_clock_of_dates_is_told_from_the_runs_first_row(begin_s, title, first)
     assert table.headings[4:6] == (("from", "to") if dated else ("from, s", "to, s"))
     ends = ("2026-03-01 08:00:00", "2026-03-01 08:01:00")
     assert table.rows[0][4:6] == (ends if dated else (f"{begin_s:g}", f"{begin_s + 60.0:g}"))
+
+
+def test_page_shows_five_panes_whatever_is_suspected():
+    channels = {"temperature": "degC", "time": "min"}
+    none, lag = (), (DriftDriver("temperature", "lag", 50.0),)
+    for suspects in (none, lag):
+        for known in (channels, {**channels, "load Fz": "N", "supply": "V"}):
+            panes = choose_panes(suspects, known, fills=True)
+            assert len(panes) == len(set(panes)) == PANES
+            assert panes[3:4] == tuple(driver.key for driver in suspects) or not suspects
+
+
+@pytest.mark.parametrize("width", [340.0, 700.0, 1048.0])
+def test_frame_that_waits_has_the_places_of_the_chart(long_run, width):
+    keys = choose_panes((), list_channels(long_run), fills=True)
+    drawn = view_of(long_run, panes=keys, width=width, heading=HEADING)
+    waiting = draw_waiting(None, width)
+    look = FirstLook("Fz", "N", "a.csv", *2 * (LoggedLine((0.0, 9.0), (1.0, 2.0)),), 0.0, 9.0)
+    assert waiting.height == draw_waiting(look, width).height == drawn.picture.height
+    places = [(pane.top, pane.height) for pane in drawn.panes]
+    assert list(lay_out_cause(TALL, width).panes) == places
+    assert not waiting.is_drawn and draw_waiting(look, width).svg.count('class="line') == 2
+
+
+def test_narrow_legend_does_not_lie_over_the_pages_heading(long_run):
+    curve = np.zeros(200_000)
+    given = {"effect": "thermal_lag", "contribution": curve, "heading": HEADING}
+    for width, names in ((340.0, ["", "thermal_lag would explain"]), (1048.0, None)):
+        drawn = view_of(long_run, width=width, **given)
+        told = [curve.name for curve in drawn.picture.panels[1].curves]
+        assert told == (names or ["what is left", "thermal_lag would explain"])
+        assert "what is left" in [read.name for read in drawn.curves]

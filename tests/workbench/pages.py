@@ -4,7 +4,7 @@ from importlib import import_module
 
 from tests.workbench.test_workplace import settle
 
-DRAWN = "#main svg .line"
+DRAWN = "#main .sheet svg .line"
 """The chart, drawn and listening."""
 
 

@@ -156,7 +156,8 @@ def test_marked_stretch_lights_up_everywhere_and_is_zoomed_to(page, bench, keep)
     low, high = read_window(page)
     assert low == pytest.approx(first + 0.4 * (last - first), abs=0.02 * (last - first))
     assert high == pytest.approx(first + 0.6 * (last - first), abs=0.02 * (last - first))
-    assert page.locator("#main .over .lit").get_attribute("d").count("M") > lit.count("M")
+    assert page.locator("#main .over .lit").count() == 0  # nothing lies over what is zoomed to
+    assert page.locator("#to-mark").is_disabled()
     page.dblclick("#main svg", position={"x": 300, "y": 80})
     wait_for_window(page, lambda low, high: (low, high) == (first, last))
 
@@ -462,8 +463,8 @@ def test_page_is_dark_where_the_reader_wants_it(page, bench, keep):
     open_page(page, bench)
     ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert sum(int(part) for part in re.findall(r"\d+", ground)[:3]) < 150
-    tick = page.locator("#main svg text").first
-    ink = tick.evaluate("t => getComputedStyle(t).fill")
+    # In one step: a chart that is drawn anew leaves a text behind that has no style any more.
+    ink = page.evaluate("getComputedStyle(document.querySelector('#main .sheet svg text')).fill")
     assert sum(int(part) for part in re.findall(r"\d+", ink)[:3]) > 450
     keep(page, "8_dark")
     page.click("#theme")

@@ -1,20 +1,23 @@
 """The first page is there before anything is loaded, and the page takes over its port."""
 
 import http.client
+import json
 import re
 import signal
 import subprocess
 import sys
 import threading
 import time
+from urllib.parse import quote
 
 import pytest
 from tests.workbench.pages import DRAWN, expect
 
 from zerodrift.base.errors import InputError
-from zerodrift.workbench.early import STARTING, EarlyPage, tell_project
+from zerodrift.workbench.early import EarlyPage, tell_project
 from zerodrift.workbench.hold import hold_directory, release_directory
 from zerodrift.workbench.server import Workbench
+from zerodrift.workbench.skeleton import READING
 
 LATER = ("scipy.stats", "scipy.signal", "scipy.ndimage", "scipy.optimize", "torch")
 """What takes long to load, and no page needs to begin."""
@@ -27,6 +30,12 @@ def ask(port, path, **headers):
     text = answer.read().decode()
     connection.close()
     return answer, text
+
+
+def draw(early, wish):
+    answer, text = ask(early.port, f"/picture?token={early.token}&wish={quote(wish)}")
+    assert answer.status == 200
+    return json.loads(text)
 
 
 def list_loaded(module):
@@ -59,11 +68,16 @@ def test_only_the_owner_of_the_token_is_answered(project):
     early.begin()
     try:
         answer, text = ask(early.port, f"/?token={early.token}")
-        assert answer.status == 200 and STARTING in text and "zero_tempco" in text
-        assert answer.getheader("Content-Security-Policy").startswith("default-src 'none'")
+        assert answer.status == 200 and READING in text and "zero_tempco" in text
+        policy = answer.getheader("Content-Security-Policy")
+        assert (
+            policy.startswith("default-src 'none'") and "'unsafe-inline'; script-src 'sha" in policy
+        )
+        assert ask(early.port, f"/picture?token={early.token}")[0].status == 200
         for path, headers in (
             ("/", {}),
             ("/?token=x", {}),
+            ("/picture?token=x", {}),
             (f"/alive?token={early.token}", {}),
             (f"/?token={early.token}", {"Host": "example.org"}),
             (f"/?token={early.token}", {"Origin": "http://example.org"}),
@@ -82,10 +96,13 @@ def test_a_first_chart_comes_from_one_log_alone(project):
         until = time.monotonic() + 60.0
         while not early.read_sketch() and time.monotonic() < until:
             time.sleep(0.05)
-        text = ask(early.port, f"/?token={early.token}")[1]
-        assert "Fz: drift as measured, N" in text and "temperature, degC" in text
-        assert text.count('<path class="line') == 2
-        assert "<script" not in text
+        told = draw(early, '{"width": 900}')
+        assert told["is_drawn"] and told["early"] and told["width"] == 900.0
+        assert "drift of Fz as measured, N" in told["svg"] and "temperature, degC" in told["svg"]
+        assert told["svg"].count('<path class="line') == 2
+        assert "<script" not in told["svg"]
+        for odd in ("", "[]", '{"width": NaN}', '{"width": 1e9}', '{"width": "x"}', "[" * 9999):
+            assert draw(early, odd)["width"] == 1000.0
     finally:
         early.close()
     assert early.read_sketch() == ""
@@ -94,7 +111,7 @@ def test_a_first_chart_comes_from_one_log_alone(project):
 def test_where_no_log_can_be_read_there_is_no_chart_and_the_facts_stay(project):
     for log in (project.directory / "logs").glob("run_*.csv"):
         log.write_text("nothing\n")
-    target = project.directory.parent / "first.svg"
+    target = project.directory.parent / "first.json"
     words = ["-m", "zerodrift.app.sketch", str(project.directory), str(target)]
     done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (2, "", "")
@@ -114,7 +131,7 @@ def test_names_are_text(tmp_path):
     early.begin()
     try:
         text = ask(early.port, f"/?token={early.token}")[1]
-        assert "&lt;b&gt;cell" in text and "<b>" not in text
+        assert "&lt;b&gt;cell" in text and "<b>cell" not in text
     finally:
         early.close()
 

@@ -15,8 +15,10 @@ from zerodrift.diagnosis.comparison_summary import WorstSegment
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.description import describe_effect
 from zerodrift.physics.summary import EffectSummary, ModelSummary
+from zerodrift.workbench.first import TOP
+from zerodrift.workbench.skeleton import READING, TILES, WAITING
 from zerodrift.workbench.state import JobState, PageState
-from zerodrift.workbench.views import list_choices, poll, show_chart, show_frame
+from zerodrift.workbench.views import list_choices, poll, show_chart, show_frame, show_top
 
 
 @pytest.fixture
@@ -54,23 +56,29 @@ def test_nothing_is_drawn_over_before_the_guess(place):
     ]
 
 
-@pytest.mark.parametrize(("busy", "words"), [(True, "Reading the logs"), (False, "says why")])
-def test_project_of_which_nothing_is_known_yet_is_no_empty_page(tmp_path, busy, words):
+@pytest.mark.parametrize("busy", [True, False])
+def test_project_of_which_nothing_is_known_yet_is_no_empty_page(project, busy):
     place = SimpleNamespace(
         has_project=True,
         findings=None,
-        directory=tmp_path,
+        revision=None,
+        directory=project.directory,
         message=None,
         busy=busy,
+        job=None,
         sensor=None,
-        read_sketch=lambda: "<svg>first chart</svg>",
+        refused={},
+        done=set(),
     )
     start, start_hidden, bench_hidden, *_ = show_frame(place)
-    assert words in str(start[0].to_plotly_json())
-    assert "<svg>first chart</svg>" in str(start[0].to_plotly_json())
-    place.read_sketch = str
-    assert "data-picture" not in str(show_frame(place)[0][0].to_plotly_json())
-    assert (start_hidden, bench_hidden) == (False, True)
+    assert (start_hidden, bench_hidden) == (busy, not busy)
+    if busy:
+        head = dict(zip((name for name, _ in TOP), show_top(place, None, None), strict=False))
+        assert head["sensor"] == "cell" and READING in str(head["verdict"])
+        assert len(head["tiles"]) == TILES
+        assert show_chart(place, None)[0] == WAITING
+    else:
+        assert "says why" in str(start[0].to_plotly_json())
 
 
 def test_progress_is_told_while_something_runs():

@@ -26,19 +26,30 @@
       do {
         waiting = false;
         let told = null;
+        if (!place().clientWidth) { setTimeout(ask, 60); break; } // still hidden: of no width yet
         if (early) {
           told = await early;
           early = null;
-          const is_fit = told && Math.abs(told.cause.picture.width - room()) < 3;
+          const is_fit = told && !told.waiting && Math.abs(told.cause.picture.width - room()) < 3;
           const is_plain = !moves.length && !wish.output && wish.from_s === null;
           if (!is_fit || !is_plain) { told = null; }
         }
         told = told || (await request(moves.shift()));
-        if (told) { draw(told); }
+        if (told?.waiting) { wait(told); } else if (told) { draw(told); }
       } while (waiting || moves.length);
     } catch (error) { zd.lost?.(); } finally { busy = false; }
   }
   zd.ask = ask;
+  // Nothing is found yet: the frame of the chart, of its size, with what one log shows.
+  function wait(told) {
+    now = null;
+    const sketch = document.createElement("div");
+    sketch.className = "sketch";
+    sketch.innerHTML = told.svg;
+    place().replaceChildren(sketch);
+    place().style.minHeight = told.height + "px";
+    if (!told.is_drawn) { setTimeout(ask, 300); }
+  }
   zd.wish = function (more) {
     if (("output" in more && more.output !== wish.output) || ("run" in more && more.run !== wish.run)) {
       const run = "run" in more ? more.run : wish.run;
@@ -262,6 +273,7 @@
   function zoom() {
     if (!mark) { return; }
     Object.assign(wish, { from_s: mark[0], to_s: mark[1] });
+    mark = null; // all that is shown from now on; its colour would lie over everything
     ask();
   }
   document.addEventListener("keydown", (event) => {
@@ -291,7 +303,10 @@
   let timer = null;
   window.addEventListener("resize", () => {
     clearTimeout(timer);
-    timer = setTimeout(() => { if (now && Math.abs(now.cause.picture.width - room()) > 2) { ask(); } }, 150);
+    timer = setTimeout(() => {
+      const is_other = now ? Math.abs(now.cause.picture.width - room()) > 2 : place()?.dataset.shown;
+      if (is_other) { ask(); }
+    }, 150);
   });
   new MutationObserver((changes) => {
     if (changes.some((one) => one.type === "attributes" ? one.target.id === "main" : Array.from(one.addedNodes).some((n) => n.nodeType === 1 && (n.id === "main" || n.querySelector("#main"))))) {

@@ -19,7 +19,7 @@
       waitForChart: async function (version) {
         const begun = performance.now();
         while (performance.now() - begun < 5000) {
-          if (document.querySelector("#main svg .line")) { break; }
+          if (document.querySelector("#main .sheet svg .line")) { break; }
           await new Promise((resolve) => setTimeout(resolve, 30));
         }
         return version;

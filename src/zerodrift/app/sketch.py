@@ -1,33 +1,31 @@
-"""A first chart, drawn from one log alone while the others are still being read.
+"""What a first chart shows, read from one log alone while the others are still being read.
 
 python -m zerodrift.app.sketch PROJECT FILE [--skip-invalid] [--sensor NAME]
 
-Writes the SVG of the first output's measured drift, and of the temperature, in the first training
-run. Nothing is written where the log cannot be read: the survey then says why.
+Writes the first output's measured drift, and the temperature, of the first training run as JSON.
+Nothing is written where the log cannot be read: the survey then says why.
 """
 
 import sys
-from html import escape
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zerodrift.base.errors import ZerodriftError
 from zerodrift.dataset.open_log import open_log
 from zerodrift.dataset.selectors import expand_selectors
 from zerodrift.fleet.sensors import load_unit
-from zerodrift.report.plot import AxisScale, Curve, Panel, Picture, spread
-from zerodrift.report.svg import render_svg
 from zerodrift.report.thin import pick_rows
-from zerodrift.report.window import choose_axis
 from zerodrift.workbench.events import SENSOR, SKIP_INVALID
+from zerodrift.workbench.first_look import FirstLook, LoggedLine, write_look
 
-WIDTH, LEFT, RIGHT, BETWEEN = 690.0, 62.0, 12.0, 30.0
-TOP, TALL, LOW, BOTTOM = 26.0, 190.0, 90.0, 42.0
+Array = NDArray[np.float64]
+MOST_ROWS = 2400
 
 
-def sketch(directory: Path, skip_invalid: bool, sensor: str | None) -> str:
-    """Return the chart as SVG text.
+def sketch(directory: Path, skip_invalid: bool, sensor: str | None) -> FirstLook:
+    """Return what is to be seen of the first training run.
 
     Raises:
         InputError: zerodrift.toml is wrong, or the log is missing or damaged.
@@ -51,42 +49,31 @@ def sketch(directory: Path, skip_invalid: bool, sensor: str | None) -> str:
     known = (
         table.columns[reference][start:stop] if isinstance(reference, str) else (reference or 0.0)
     )
-    clock = choose_axis(float(time_s[0]), float(time_s[-1]))
-    width = WIDTH - LEFT - RIGHT
-    panels, top = [], TOP
-    lines = (
-        (f"{output.name}: drift as measured, {output.unit}", measured - known, "measured", TALL),
-        ("temperature, degC", temperature, "driver", LOW),
+    of = f"{selection.path.name}{f', run {run}' if run else ''}"
+    return FirstLook(
+        output=output.name,
+        unit=output.unit,
+        of=of,
+        drift=_thin(time_s, measured - known),
+        temperature=_thin(time_s, temperature),
+        first_s=float(time_s[0]),
+        last_s=float(time_s[-1]),
     )
-    for number, (title, values, ink, height) in enumerate(lines):
-        filled = np.where(np.isfinite(values), values, np.nanmedian(values))
-        rows = pick_rows(filled, 0, filled.size, int(2.0 * width))
-        x = clock.place(time_s[[0, -1]])
-        panels.append(
-            Panel(
-                left=LEFT,
-                top=top,
-                width=width,
-                height=height,
-                x=AxisScale(float(x[0]), float(x[1]), clock.title, hidden=number == 0),
-                y=AxisScale(*spread(filled[rows])),
-                title=title,
-                curves=(Curve(clock.place(time_s[rows]), filled[rows], ink),),
-            )
-        )
-        top += height + BETWEEN
-    name = f"{selection.path.name}{f', run {run}' if run else ''}"
-    label = f"{output.name} in {name}: drift as measured, and the temperature."
-    svg = render_svg(Picture(WIDTH, top - BETWEEN + BOTTOM, tuple(panels), label))
-    return f"<figcaption>First look, from {escape(name)} alone.</figcaption>{svg}"
+
+
+def _thin(time_s: Array, values: Array) -> LoggedLine:
+    """Return a column with its least and largest values; what is no number is its median."""
+    filled = np.where(np.isfinite(values), values, np.nanmedian(values))
+    rows = pick_rows(filled, 0, filled.size, MOST_ROWS)
+    return LoggedLine(tuple(time_s[rows].tolist()), tuple(filled[rows].tolist()))
 
 
 def main() -> None:
-    """Write the chart, whole or not at all."""
+    """Write it, whole or not at all."""
     directory, path, options = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:]
     sensor = options[options.index(SENSOR) + 1] if SENSOR in options else None
     try:
-        text = sketch(directory, SKIP_INVALID in options, sensor)
+        text = write_look(sketch(directory, SKIP_INVALID in options, sensor))
         part = path.with_suffix(".part")
         part.write_text(text, encoding="utf-8")
         part.replace(path)
