@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner, Result
 from tests.field.conftest import BEGIN_S, DAY, write_log
 
-from zerodrift.app import monitor
+from zerodrift.app import monitored_log
 from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.log_steps import read_log_steps
@@ -185,7 +185,7 @@ def test_a_log_that_the_system_refuses_is_no_log_without_a_true_value(
             mend_source(source, OSError(24, "Too many open files"))
         return told.value
 
-    monkeypatch.setattr(monitor, "read_log_steps", refuse)
+    monkeypatch.setattr(monitored_log, "read_log_steps", refuse)
     result = watch(unit, tmp_path, log)
     assert len(asked) == 1
     assert "a.csv: cannot be read to its end (Too many open files)" in str(result.exception)
