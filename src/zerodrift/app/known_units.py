@@ -8,13 +8,11 @@ from zerodrift.app.whose import KnownUnit
 from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import InputError
 from zerodrift.blocks.block import apply, decode
-from zerodrift.blocks.design import FILE_NAME as DESIGN
-from zerodrift.blocks.design import load_design
+from zerodrift.blocks.design import find_design, load_design
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import open_registry
-from zerodrift.fleet.blocks import PROGRAM
 from zerodrift.fleet.sensors import FOLDER, find_sensors
 
 SHOWN = 3
@@ -77,8 +75,7 @@ def _list_registry(
         return
     with open_registry(path) as registry:
         blocks = registry.list_blocks(config.sensor_name)
-    places = (config.firmware_out / DESIGN, config.firmware_out / PROGRAM / DESIGN)
-    place = next((place for place in places if place.is_file()), None)
+    place = find_design(config.firmware_out)
     if place is None or not blocks:
         return
     design = load_design(place)
