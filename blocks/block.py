@@ -155,7 +155,10 @@ def decode(design: BlockDesign, content: bytes, where: str) -> UnitBlock:
             " that was made for this program, or flash the program that belongs to it."
         )
     if header.size != find_size(design):
-        raise InputError(f"{where}: {header.size} bytes, expected {find_size(design)}.")
+        raise InputError(
+            f"{where}: {header.size} bytes, expected {find_size(design)}. Make the block again with"
+            " `zerodrift firmware`."
+        )
     numbers, at = {}, HEADER_BYTES
     for field in design.fields:
         place = field.place
@@ -170,7 +173,10 @@ def decode(design: BlockDesign, content: bytes, where: str) -> UnitBlock:
                 " again with `zerodrift firmware`."
             )
     if any(content[at:-4]):
-        raise InputError(f"{where}: the bytes between numbers and CRC are not 0.")
+        raise InputError(
+            f"{where}: the bytes between numbers and CRC are not 0. Make the block again"
+            " with `zerodrift firmware`."
+        )
     return UnitBlock(header.notes, header.answers, numbers, header.crc, header.size)
 
 
@@ -183,7 +189,7 @@ def decode_header(content: bytes, where: str) -> BlockHeader:
     if len(content) < HEADER_BYTES + 4:
         raise InputError(
             f"{where}: {len(content)} bytes are no block; its header alone has {HEADER_BYTES}."
-            " It was cut, or is another file."
+            " It was cut, or is another file: copy it again, or name the block's."
         )
     serial = content[32 : 32 + SERIAL_BYTES].rstrip(b"\0").decode(errors="replace")
     crc = int.from_bytes(content[-4:], "little")
@@ -196,7 +202,10 @@ def decode_header(content: bytes, where: str) -> BlockHeader:
             " Swap the bytes back in what copied it."
         )
     if header.magic != MAGIC:
-        raise InputError(f"{where}: begins with {content[:4]!r}; a block begins with b'ZDBK'.")
+        raise InputError(
+            f"{where}: begins with {content[:4]!r}; a block begins with b'ZDBK'. Name the block's"
+            " file, or make it again with `zerodrift firmware`."
+        )
     if header.format != FORMAT_OF_BLOCK:
         age = "an older" if header.format < FORMAT_OF_BLOCK else "a newer"
         raise InputError(
@@ -206,12 +215,12 @@ def decode_header(content: bytes, where: str) -> BlockHeader:
     if header.size != len(content):
         raise InputError(
             f"{where}: {len(content)} bytes, its header says {header.size}: it was cut or has"
-            " something behind it."
+            " something behind it. Copy it again, as many bytes as the header says."
         )
     if zlib.crc32(content[:-4]) != crc:
         raise InputError(
             f"{where}: its CRC is {zlib.crc32(content[:-4]):08x}, it says {crc:08x}: it was"
-            " damaged or edited."
+            " damaged or edited. Copy it again, or make it again with `zerodrift firmware`."
         )
     return header
 

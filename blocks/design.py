@@ -34,6 +34,8 @@ from zerodrift.operations.play import IntegerPlay
 from zerodrift.operations.sum import IntegerSum
 
 FILE_NAME = "design.json"
+PROGRAM = "program"
+"""Folder of a fleet's one program, below that of the C."""
 FORMAT_OF_FILE = 1
 FORMAT_OF_BLOCK = 1
 """Of a block's layout; the chip refuses any other."""
@@ -145,6 +147,12 @@ def find_outside(field: BlockField, numbers: Numbers) -> str:
     return ""
 
 
+def find_design(firmware: Path) -> Path | None:
+    """Return the design's file in a firmware's folder, that of a unit or of a fleet, if any."""
+    places = (firmware / FILE_NAME, firmware / PROGRAM / FILE_NAME)
+    return next((place for place in places if place.is_file()), None)
+
+
 def load_design(path: Path) -> BlockDesign:
     """Return a design from its file.
 
@@ -156,7 +164,10 @@ def load_design(path: Path) -> BlockDesign:
         claims = from_json(_DesignFile, told, str(path))
         design = BlockDesign(parse_model(f"{path}: model", dict(told).get("model")), claims.fields)
     except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: no design of zerodrift ({error})") from error
+        raise InputError(
+            f"{path}: no design of zerodrift ({error}); expected what `firmware` or `fleet` wrote."
+            " Take it from a backup: a new one is a new program."
+        ) from error
     if claims.design != FORMAT_OF_FILE or claims.identity != design.identity:
         raise InputError(
             f"{path}: identity {claims.identity[:12]} does not belong to its content, or another"

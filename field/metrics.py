@@ -61,6 +61,13 @@ def _list_families(
     ):
         if values:
             yield name, "gauge", told, values
+    named = [
+        (_label(sensor=r.sensor, serial=r.other_unit.named), "1")
+        for r in results
+        if r.other_unit is not None and r.other_unit.named
+    ]
+    if named:
+        yield "other_unit", "gauge", "1 for the unit that is in its place.", named
     yield (
         *("steps_total", "counter", "Steps of the firmware that were read."),
         [(labels, str(r.steps_in_all)) for labels, r in units],

@@ -230,6 +230,16 @@ class Registry:
                 (serial, output, state, told, _now()),
             )
 
+    def list_blocks(self, design: str) -> dict[str, bytes]:
+        """Return serial number -> the block that was entered last, of the units of a design."""
+        rows = self._read(
+            "SELECT u.serial, b.content FROM unit u JOIN block b ON b.rowid ="
+            " (SELECT max(rowid) FROM block WHERE serial = u.serial)"
+            " WHERE u.design = :s ORDER BY u.serial",
+            design,
+        )
+        return {str(serial): bytes(content) for serial, content in rows}  # type: ignore[call-overload]  # a blob
+
     def knows(self, serial: str) -> bool:
         """Return whether a unit is entered."""
         return bool(self._read("SELECT 1 FROM unit WHERE serial = :s", serial))

@@ -60,6 +60,32 @@ def keep_output(
 
 
 @dataclass(frozen=True)
+class SearchedOutput:
+    """One output's means since another unit is in place, and what each known unit would leave."""
+
+    place: tuple[int, ...]
+    count: tuple[float, ...]
+    temperature: tuple[float, ...]
+    own: tuple[float, ...]
+    """Of the unit that should be there."""
+    others: Mapping[str, tuple[float, ...]]
+    """Serial number -> the same of another unit."""
+
+
+@dataclass(frozen=True)
+class UnitSearch:
+    """Which other unit is in place, as far as it is known."""
+
+    models: Mapping[str, str]
+    """Serial number -> hash of the model that was tried."""
+    outputs: Mapping[str, SearchedOutput]
+    possible: tuple[str, ...] | None = None
+    """Units that are not ruled out; null before enough was seen."""
+    named: str = ""
+    """Once named, a unit stays so."""
+
+
+@dataclass(frozen=True)
 class LogSeen:
     """A log that was read."""
 
@@ -82,6 +108,7 @@ class MonitorState:
     flags: Mapping[str, int] = field(default_factory=dict)
     outputs: Mapping[str, OutputState] = field(default_factory=dict)
     logs: tuple[LogSeen, ...] = ()
+    sought: UnitSearch | None = None
 
 
 def load_state(path: Path) -> MonitorState | None:

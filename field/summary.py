@@ -48,6 +48,27 @@ class OutputWatched:
     """What to do, in a sentence."""
 
 
+NAMED, POSSIBLE, NONE, TOO_LITTLE = ("named", "possible", "none", "too little")
+
+
+@dataclass(frozen=True)
+class UnitSought:
+    """Which other unit of the design is in place, after an alarm that it is another."""
+
+    state: str
+    """named | possible (not ruled out, and not sure) | none (fits) | too little (was seen yet)."""
+    named: str
+    """Serial number of the unit that is in place; "" where none is named."""
+    possible: tuple[str, ...]
+    """Units that are not ruled out, the likeliest first."""
+    known: int
+    """Other units whose models were tried."""
+    false_name: float
+    """Chance of a name although another unit is in place, at most; however many are known."""
+    text: str
+    """The same in a sentence."""
+
+
 @dataclass(frozen=True)
 class RangeUsed:
     """One input over the last call's logs, in its unit."""
@@ -88,6 +109,8 @@ class MonitorResult:
     last_s: float | None
     """Time of the last step, in seconds from 1970 or on the log's own clock; null without one."""
     notes: tuple[str, ...]
+    other_unit: UnitSought | None = None
+    """Null without an alarm that another unit is in place, and where no other unit is known."""
 
 
 @dataclass(frozen=True)

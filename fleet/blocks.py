@@ -10,7 +10,7 @@ from zerodrift.base.files import make_directory
 from zerodrift.base.journal import write_all
 from zerodrift.base.ownership import MANIFEST, list_own, refuse_foreign, render_manifest
 from zerodrift.blocks.block import BlockNotes, encode
-from zerodrift.blocks.design import FILE_NAME, BlockDesign, load_design, make_design
+from zerodrift.blocks.design import FILE_NAME, PROGRAM, BlockDesign, load_design, make_design
 from zerodrift.blocks.files import refuse_same_serials, render_block
 from zerodrift.c_runtime.host import HostModel, render_sources
 from zerodrift.codegen.generate import GeneratedCode, compute_answers, generate_design
@@ -24,8 +24,8 @@ from zerodrift.verify.firmware import recheck
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.vectors import draw_sequences
 
-PROGRAM, BLOCKS = "program", "blocks"
-"""Folders below that of the C."""
+BLOCKS = "blocks"
+"""Folder of the blocks, below that of the C."""
 RANDOM_STEPS = 2000
 """Drawn inputs over which each unit's block is held against the reference, from rest and cold."""
 

@@ -42,6 +42,10 @@ COLD_STEPS = 200
 BEYOND = ("cortex-m55",)
 """Cores whose kernel runs lane by lane on the host only: nothing installed here emulates them."""
 AGAIN = "Run `zerodrift firmware` again."
+LACKING = (
+    "What was checked agrees. Install what is missing (`zerodrift doctor` names it), or leave it"
+    " out of --require."
+)
 GOLDEN, ONNX = "golden.npz", "integer.onnx"
 MADE_AGAIN = NotChecked(
     f"{GOLDEN}, {ONNX}",
@@ -116,6 +120,8 @@ class Replay:
         lines = [*self.problems, *missing]
         if not lines:
             return self
+        if not self.problems:
+            raise CheckError("\n  ".join(["required, and not checked:", *missing]) + f"\n{LACKING}")
         if any(f.is_stale for f in self.findings) and len(lines) == len(self.findings):
             head = "the firmware is stale"
         else:
@@ -132,6 +138,8 @@ class Replay:
 
     def _why(self, name: str) -> str:
         found = [n.why for n in self.not_checked if n.what == name]
+        if not found and name in BEYOND:
+            return "no emulator of it is used here"
         return found[0] if found else "it did not get that far"
 
 

@@ -8,9 +8,10 @@ import pytest
 from click.testing import CliRunner, Result
 from tests.field.conftest import BEGIN_S, DAY, write_log
 
-from zerodrift.app import monitor
+from zerodrift.app import monitored_log
 from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
+from zerodrift.base.lock import LOCK, WAIT_VARIABLE, find_state, try_lock
 from zerodrift.dataset.log_steps import read_log_steps
 from zerodrift.dataset.sources import open_sources
 from zerodrift.dataset.tables import mend_source
@@ -167,6 +168,20 @@ def test_a_state_that_was_edited_or_begun_otherwise_is_refused(unit, tmp_path) -
     assert "its hash is not its own" in str(watch(unit, tmp_path, log).exception)
 
 
+def test_a_second_monitor_of_one_state_is_told_to_wait(unit, tmp_path, monkeypatch) -> None:
+    log = write_log(tmp_path / "a.csv", 47, 1, begin_s=BEGIN_S)
+    monkeypatch.setenv(WAIT_VARIABLE, "0")
+    find_state(tmp_path).mkdir(parents=True)
+    release = try_lock(find_state(tmp_path) / LOCK)
+    assert release is not None
+    result = watch(unit, tmp_path, log)
+    assert f"{tmp_path}: is being changed by " in str(result.exception)
+    assert "Run this again when that is done" in str(result.exception)
+    assert not (tmp_path / "s.json").exists()
+    release()
+    assert watch(unit, tmp_path, log).exit_code == 0
+
+
 def test_a_log_that_the_system_refuses_is_no_log_without_a_true_value(
     unit, tmp_path, monkeypatch
 ) -> None:
@@ -185,7 +200,7 @@ def test_a_log_that_the_system_refuses_is_no_log_without_a_true_value(
             mend_source(source, OSError(24, "Too many open files"))
         return told.value
 
-    monkeypatch.setattr(monitor, "read_log_steps", refuse)
+    monkeypatch.setattr(monitored_log, "read_log_steps", refuse)
     result = watch(unit, tmp_path, log)
     assert len(asked) == 1
     assert "a.csv: cannot be read to its end (Too many open files)" in str(result.exception)

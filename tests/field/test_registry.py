@@ -7,10 +7,13 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from tests.blocks.test_blocks import find_design, list_units, make_block
 from tests.field.conftest import BEGIN_S, write_log
 
 from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
+from zerodrift.blocks.block import seal
+from zerodrift.blocks.files import render_block
 from zerodrift.field.registry import open_registry
 
 WRITERS, UNITS = 6, 15
@@ -81,21 +84,70 @@ def test_a_serial_number_is_entered_once(file) -> None:
         registry.add_calibration("SN1", "ft80", "a" * 64)
 
 
-def test_a_block_is_on_its_own_unit_alone(file, tmp_path) -> None:
-    for number, content in enumerate((b"one", b"two")):
-        (tmp_path / f"{number}.bin").write_bytes(content)
+@pytest.fixture(scope="module")
+def blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a design and the files of the blocks of SN0 and SN1."""
+    folder = tmp_path_factory.mktemp("blocks")
+    design = find_design(network=False)
+    (folder / "design.json").write_text(design.to_text(), encoding="utf-8")
+    for number in (0, 1):
+        serial = f"SN{number}"
+        content = make_block(design, design.fit(list_units(False)[number]), number + 1, serial)
+        for name, text in render_block(design, content, serial, 0).items():
+            (folder / name).write_bytes(text)
+    return folder
+
+
+def test_a_block_is_on_its_own_unit_alone(file, blocks) -> None:
+    for number in (0, 1):
         assert call(file, "add", f"SN{number}", "--design", "ft40").exit_code == 0
-    assert call(file, "block", "SN0", tmp_path / "0.bin", "--loaded").exit_code == 0
-    twice = call(file, "block", "SN1", tmp_path / "0.bin")
-    assert "is of SN0; expected one of SN1" in str(twice.exception)
-    assert call(file, "block", "SN1", tmp_path / "1.bin").exit_code == 0
+    assert call(file, "block", "SN0", blocks / "SN0.bin", "--loaded").exit_code == 0
+    assert call(file, "block", "SN0", blocks / "SN0.hex").exit_code == 0  # the same bytes
+    twice = call(file, "block", "SN1", blocks / "SN0.bin")
+    assert "SN0.bin: is the block of 'SN0'; expected that of SN1" in str(twice.exception)
+    assert call(file, "block", "SN1", blocks / "SN1.json").exit_code == 0
     units = json.loads(call(file, "list", "--json").stdout)["units"]
-    blocks = {unit["serial"]: unit["block"] for unit in units}
-    assert blocks["SN0"] and not blocks["SN1"]
-    wrong = call(file, "loaded", "SN1", blocks["SN0"][:8])
+    loaded = {unit["serial"]: unit["block"] for unit in units}
+    assert loaded["SN0"] and not loaded["SN1"]
+    wrong = call(file, "loaded", "SN1", loaded["SN0"][:8])
     assert "would compensate another" in str(wrong.exception)
     events = json.loads(call(file, "history", "SN0", "--json").stdout)["events"]
     assert [event["kind"] for event in events] == ["added", "block", "loaded"]
+    with open_registry(file) as registry, pytest.raises(InputError, match="expected one of SN1"):
+        registry.add_block("SN1", (blocks / "SN0.bin").read_bytes())
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda c: b"", "0 bytes are no block"),
+        (lambda c: c[:-8], "it was cut"),
+        (lambda c: c[:4] + b"\0" + c[5:], "an older format, 0"),
+        (lambda c: b"".join(c[k : k + 4][::-1] for k in range(0, len(c), 4)), "highest byte first"),
+        (lambda c: c[:90] + bytes([c[90] ^ 1]) + c[91:], "damaged or edited"),
+        (lambda c: seal(c[:12] + b"\1" + c[13:-4]), "a block of design"),
+        (lambda c: b"time_s,y_N\n" * 20, "a block begins with b'ZDBK'"),
+    ],
+)
+def test_a_block_that_no_chip_would_take_is_not_entered(
+    file, blocks, tmp_path, change, told: str
+) -> None:
+    assert call(file, "add", "SN0", "--design", "ft40").exit_code == 0
+    bad = tmp_path / "bad.bin"
+    bad.write_bytes(change((blocks / "SN0.bin").read_bytes()))
+    (tmp_path / "design.json").write_bytes((blocks / "design.json").read_bytes())
+    message = str(call(file, "block", "SN0", bad, "--loaded").exception)
+    assert message.startswith(f"{bad}: ")
+    assert told in message
+    assert any(word in message for word in ("again", "back", "Take", "Name"))  # what to do
+    with open_registry(file) as registry:
+        assert [event.kind for event in registry.tell_history("SN0")] == ["added"]
+
+
+def test_a_folder_in_the_place_of_a_block_is_told(file, tmp_path) -> None:
+    assert call(file, "add", "SN0", "--design", "ft40").exit_code == 0
+    message = str(call(file, "block", "SN0", tmp_path).exception)
+    assert message.startswith(f"{tmp_path}: cannot be read")
 
 
 def test_what_fails_leaves_nothing(file) -> None:

@@ -355,6 +355,8 @@ def test_compiler_without_sanitizers_is_told_and_required_fails(
     monkeypatch.setattr(folder_check, "can_sanitize", lambda *_: False)
     outcome = Outcome(project, "--require", "sanitizer")
     assert outcome.code == 1 and "sanitizer: is required and was not checked" in outcome.told
+    assert "required, and not checked:" in outcome.told and "leave it out of" in outcome.told
+    assert "not what was built" not in outcome.told
     assert "sanitizer" in [n["what"] for n in outcome.json["not_checked"]]
 
 

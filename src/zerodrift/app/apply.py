@@ -43,14 +43,21 @@ PredictFloat = Callable[[Run], Array]
 
 
 class Chip:
-    """The integer model: its C on this host, or the reference where there is no compiler."""
+    """The integer model: its C on this host, or the reference where there is no compiler.
 
-    def __init__(self, model: IntegerModel) -> None:
+    Args:
+        model: the integer model.
+        host: its C, where it is built already.
+    """
+
+    def __init__(self, model: IntegerModel, host: HostModel | None = None) -> None:
         self.model = model
         self.note = ""
-        self._host: HostModel | None = None
+        self._host = host
         self._reference = Reference(model)
         self._state: ModelState | None = None
+        if host is not None:
+            return
         try:
             with tempfile.TemporaryDirectory(prefix="zerodrift-") as scratch:
                 self._host = HostModel(model, generate(model), Path(scratch), observe=False)

@@ -1,8 +1,7 @@
 """The deployed model against new logs: flags, range used, residual, and the sequential test."""
 
-import hashlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -10,13 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.app.applied_rows import FLAG_NAMES
-from zerodrift.app.apply import Chip, answer
-from zerodrift.base.config import Config
+from zerodrift.app.apply import Chip
+from zerodrift.app.monitored_log import (
+    Deployed,
+    Left,
+    MonitoredLog,
+    apply_to,
+    hash_log,
+    open_log,
+)
+from zerodrift.app.whose import KnownUnit, LogPart, seek_unit, tell_sought, wants_name
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.code_format import MEASURED
-from zerodrift.dataset.log_steps import LogSteps, find_column, name_columns, read_log_steps
-from zerodrift.dataset.selectors import list_files
-from zerodrift.export.integer_model import FLAG_NO_READING, IntegerModel
+from zerodrift.export.integer_model import FLAG_NO_READING
 from zerodrift.field.blocks import join_blocks, make_blocks
 from zerodrift.field.state import LogSeen, MonitorState, OutputState, keep_output
 from zerodrift.field.summary import (
@@ -28,6 +32,7 @@ from zerodrift.field.summary import (
     MonitorResult,
     OutputWatched,
     RangeUsed,
+    UnitSought,
 )
 from zerodrift.field.watch import (
     AGEING,
@@ -39,8 +44,6 @@ from zerodrift.field.watch import (
     Rules,
     follow,
 )
-from zerodrift.verify.manifest import hash_file
-from zerodrift.verify.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 
@@ -48,34 +51,6 @@ ABSOLUTE_S = 1e8
 """Times from here on are dates: 1973 and later; smaller ones count from the log's begin."""
 DAY_S = 86_400.0
 UNDECIDED = "undecided"
-
-
-@dataclass(frozen=True)
-class Deployed:
-    """A unit in use, and how it is monitored."""
-
-    sensor: str
-    config: Config
-    model: IntegerModel
-    uncertainty: Uncertainty | None
-    loads: Mapping[str, float]
-    """Output -> its true value in the logs, in its unit, where it is known without a column."""
-    when: tuple[str, float] | None = None
-    """(column, value) of the rows at which the load is known; None: all."""
-
-
-@dataclass(frozen=True)
-class _Read:
-    """The content of one log, step by step."""
-
-    time_s: Array
-    flags: NDArray[np.uint32]
-    channels: Array
-    """[n, C]"""
-    temperature: Array
-    residuals: Mapping[str, Array]
-    """Output -> [n] measured less drift less true value, in its unit; NaN where that is unknown."""
-    notes: tuple[str, ...]
 
 
 class Monitor:
@@ -90,6 +65,7 @@ class Monitor:
         self._logs: list[str] = []
         self._steps = 0
         self._notes: list[str] = [self._chip.note] if self._chip.note else []
+        self._parts: list[LogPart] = []
 
     def read(self, log: Path, *, skip_invalid: bool = False, overlap: bool = False) -> None:
         """Read a log.
@@ -106,9 +82,10 @@ class Monitor:
         if any(seen.sha256 == digest for seen in self.state.logs):
             self._notes.append(f"{log}: was read before; it is passed over")
             return
-        told = self._answer(log, skip_invalid)
-        self._notes += told.notes
-        time_s = self._place(told.time_s, log, overlap)
+        opened = open_log(self.deployed, log, skip_invalid)
+        told = apply_to(self._chip, self.deployed.config, opened)
+        self._notes += [*opened.notes, *told.notes]
+        time_s = self._place(opened.time_s, log, overlap)
         new = np.ones(time_s.size, dtype=np.bool_)
         if self.state.last_s is not None:
             new = time_s > self.state.last_s
@@ -119,12 +96,15 @@ class Monitor:
                 )
         if not new.any():
             return
-        self._count(told, new)
+        self._count(opened, told, new)
+        self._parts.append(
+            LogPart(log, skip_invalid, float(time_s[0] - opened.time_s[0]), self.state.last_s)
+        )
         outputs = dict(self.state.outputs)
         for name, residual in told.residuals.items():
             usable = new & (told.flags == 0) & np.isfinite(residual)
             blocks = make_blocks(
-                time_s[usable], residual[usable], told.temperature[usable], self.state.block_s
+                time_s[usable], residual[usable], opened.temperature[usable], self.state.block_s
             )
             before = outputs.get(name, OutputState())
             joined = join_blocks(before.blocks, blocks)
@@ -160,62 +140,7 @@ class Monitor:
         )
         return time_s + shift
 
-    def _answer(self, log: Path, skip_invalid: bool) -> _Read:
-        """Return a log's flags, channels and residuals with the model applied."""
-        deployed, config, model = self.deployed, self.deployed.config, self.deployed.model
-        wanted = [c.source or c.name for c in model.channels]
-        wanted += [f"{MEASURED}{output.name}" for output in model.outputs]
-        columns = name_columns(config, wanted)
-        if deployed.when is not None:
-            columns.setdefault(deployed.when[0], "--when")
-        known = dict.fromkeys(
-            o.reference
-            for o in config.outputs
-            if isinstance(o.reference, str) and o.name not in deployed.loads
-        )
-        notes: list[str] = []
-        try:
-            asked = {**columns, **dict.fromkeys(known, "[outputs] reference")}
-            steps = read_log_steps(config, log, asked, skip_invalid)
-        except InputError as error:
-            if not known or isinstance(error.__cause__, OSError):
-                raise
-            steps = read_log_steps(config, log, columns, skip_invalid)
-            notes.append(f"{log}: no true value is read ({str(error).split(';')[0]})")
-            known = {}
-        answers = answer(self._chip, config, steps, with_range=False)
-        notes += [*steps.notes, *answers.notes]
-        residuals = {}
-        here = np.ones(steps.steps, dtype=np.bool_)
-        if deployed.when is not None:
-            column, value = deployed.when
-            here = _resample(steps, column) == value
-        for k, output in enumerate(model.outputs):
-            stated = next(o for o in config.outputs if o.name == output.name)
-            if output.name in deployed.loads:
-                true: Array | float = deployed.loads[output.name]
-            elif stated.reference in known:
-                true = _resample(steps, str(stated.reference))
-            else:
-                continue
-            measured = _resample(steps, stated.measured)
-            drift = answers.drift[:, k] / float(output.lsb_per_unit)
-            residuals[output.name] = np.where(here, measured - drift - true, np.nan)
-        channels = np.column_stack(
-            [_resample(steps, find_column(config, c.source or c.name)) for c in model.channels]
-        )
-        guards = model.guards
-        thermometer = model.channels[guards.temperature_channel]
-        low, high = (
-            thermometer.offset + code * thermometer.lsb
-            for code in (guards.temperature_low, guards.temperature_high)
-        )
-        warm = channels[:, guards.temperature_channel]
-        share = (warm - 0.5 * (low + high)) / max(0.5 * (high - low), 1e-9)
-        time_s = np.concatenate([one.stretch.time_s for one in steps.stretches])
-        return _Read(time_s, answers.flags, channels, share, residuals, tuple(notes))
-
-    def _count(self, told: _Read, new: NDArray[np.bool_]) -> None:
+    def _count(self, log: MonitoredLog, told: Left, new: NDArray[np.bool_]) -> None:
         """Count flags and the ranges that the inputs used."""
         model = self.deployed.model
         flags, told_flags = told.flags[new], dict(self.state.flags)
@@ -229,7 +154,7 @@ class Monitor:
         first = (guards.temperature_channel, guards.temperature_low, guards.temperature_high)
         for index, low, high in (first, *guards.ranges):
             channel = model.channels[index]
-            values = told.channels[new, index]
+            values = log.channels[new, index]
             values = values[np.isfinite(values) & (flags & FLAG_NO_READING == 0)]
             if not values.size:
                 continue
@@ -305,22 +230,20 @@ class Monitor:
             notes=tuple(dict.fromkeys(self._notes)),
         )
 
+    @property
+    def wants_name(self) -> bool:
+        """Whether another unit is in place, so that `seek` may say which."""
+        return wants_name(self.state)
 
-def hash_log(log: Path) -> str:
-    """Return the SHA-256 of a log's files.
+    def seek(self, units: Sequence[KnownUnit]) -> UnitSought | None:
+        """Return which of the other units of the design is in place, by the logs read so far.
 
-    Raises:
-        InputError: one cannot be read.
-    """
-    digest = hashlib.sha256()
-    for path in list_files(log):
-        digest.update(hash_file(path).encode())
-    return digest.hexdigest()
-
-
-def _resample(steps: LogSteps, column: str) -> Array:
-    """Return a column [n] at all steps of a log."""
-    return np.concatenate([steps.resample(column, one) for one in steps.stretches])
+        Args:
+            units: those that are known; none gives None.
+        """
+        parts, self._parts = self._parts, []
+        self.state = seek_unit(self.deployed, self._chip, self.state, parts, units)
+        return tell_sought(self.state)
 
 
 def _whole_blocks(blocks: BlockMeans, period_s: float, rules: Rules) -> BlockMeans:

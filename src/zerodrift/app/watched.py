@@ -11,7 +11,7 @@ from typing import IO, Protocol
 
 from zerodrift.app.applied_model import open_applied
 from zerodrift.app.commands.project import open_config
-from zerodrift.app.monitor import Deployed
+from zerodrift.app.monitored_log import Deployed
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
 from zerodrift.dataset.runs import Dataset
@@ -19,6 +19,7 @@ from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import open_registry
 from zerodrift.field.state import FILE_NAME, LogSeen, MonitorState, load_state
 from zerodrift.field.summary import MonitorResult
+from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT
 from zerodrift.verify.manifest import check_manifest
 
 OVERLAP_S = 7200.0
@@ -182,7 +183,13 @@ def enter(directory: Path, told: MonitorResult, logs: Sequence[LogSeen]) -> tupl
         registry.add_logs(told.sensor, tuple((log.sha256, log.name) for log in logs))
         for name, output in told.outputs.items():
             if output.verdict.cause:
-                registry.add_finding(told.sensor, name, output.verdict.cause, output.text)
+                text = output.text
+                if told.other_unit is not None and output.verdict.cause in (
+                    OTHER_UNIT,
+                    OTHER_MODEL,
+                ):
+                    text += f"; {told.other_unit.text}"
+                registry.add_finding(told.sensor, name, output.verdict.cause, text)
     return ()
 
 

@@ -1,6 +1,6 @@
 """`zerodrift monitor`: the deployed model against new logs, and whether it still holds."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -121,6 +121,7 @@ def command(
 
     Exit code 1: an alarm stands. The state goes on from call to call; another model begins anew.
     """
+    from zerodrift.app.known_units import find_known
     from zerodrift.app.monitor import Monitor
     from zerodrift.app.watched import enter, live_chunks, open_deployed, open_state
     from zerodrift.base.lock import lock_project
@@ -138,6 +139,10 @@ def command(
         def look() -> "MonitorResult":
             with show_progress("testing") as say:
                 told = monitor.judge(say)
+                if monitor.wants_name:
+                    say("trying the other units of the design")
+                    known, more = find_known(directory, deployed, in_fleet=bool(options.sensor))
+                    told = replace(told, other_unit=monitor.seek(known), notes=(*told.notes, *more))
             save_state(place, monitor.state)
             if options.metrics is not None:
                 write_metrics(options.metrics, (told,))
@@ -164,13 +169,17 @@ def command(
         _print(told)
     if told.alarm:
         texts = [o.text for o in told.outputs.values() if o.verdict.cause]
+        if told.other_unit is not None:
+            texts.append(told.other_unit.text)
         raise CheckError("; ".join(texts) + ".")
 
 
 def _tell_live(told: "MonitorResult") -> None:
     """Print the present state of a live source on stderr."""
-    texts = "; ".join(f"{name}: {o.text}" for name, o in told.outputs.items())
-    click.echo(f"{told.steps_in_all} steps; {texts}", err=True)
+    texts = [f"{name}: {o.text}" for name, o in told.outputs.items()]
+    if told.other_unit is not None:
+        texts.append(told.other_unit.text)
+    click.echo(f"{told.steps_in_all} steps; {'; '.join(texts)}", err=True)
 
 
 def _print(told: "MonitorResult") -> None:
@@ -197,3 +206,5 @@ def _print(told: "MonitorResult") -> None:
         console.print(f"flag at {count} of {told.steps} steps: {text}")
     for name, o in told.outputs.items():
         console.print(f"{name}: {o.text}")
+    if told.other_unit is not None:
+        console.print(f"{told.sensor}: {told.other_unit.text}")

@@ -39,6 +39,39 @@ def find_file(directory: Path, file: Path | None) -> Path:
     return file if file is not None else directory / FILE_NAME
 
 
+def read_own_block(directory: Path, file: Path, serial: str) -> bytes:
+    """Return the bytes of a unit's block.
+
+    Args:
+        directory: of zerodrift.toml, whose firmware may hold the design.
+        file: of the block.
+        serial: of the unit.
+
+    Raises:
+        InputError: it is no sound block, or not of this unit.
+    """
+    from zerodrift.base.config import FILE_NAME, load_config
+    from zerodrift.base.errors import InputError
+    from zerodrift.blocks.block import decode, decode_header
+    from zerodrift.blocks.design import find_design, load_design
+    from zerodrift.blocks.files import find_design_file, read_block_file
+
+    design = find_design_file(file)
+    if design is None and (directory / FILE_NAME).is_file():
+        place = find_design(load_config(directory).firmware_out)
+        design = load_design(place) if place is not None else None
+    content = read_block_file(file, design)
+    header = decode_header(content, str(file))
+    if design is not None:
+        decode(design, content, str(file))
+    if header.serial != serial:
+        raise InputError(
+            f"{file}: is the block of '{header.serial}'; expected that of {serial}. On {serial} it"
+            " would compensate another sensor: name the right file, or the right unit."
+        )
+    return content
+
+
 @click.group("registry")
 def command() -> None:
     """Units of a design: their calibrations, blocks and logs, and which block is on which unit.
@@ -82,10 +115,15 @@ def add(serial: str, design: str | None, directory: Path, file: Path | None) -> 
 def block(
     serial: str, file_of_block: Path, loaded: bool, directory: Path, file: Path | None
 ) -> None:
-    """Enter a unit's block of coefficients, and that it was loaded into it."""
+    """Enter a unit's block of coefficients (.bin, .hex or .json), and that it was loaded into it.
+
+    Refused is what no chip would take: a block that was cut, damaged, of another format or
+    endianness, and, where its design.json lies beside FILE, above it or in the firmware's folder,
+    one of another design. So is a block that names another unit.
+    """
     from zerodrift.field.registry import open_registry
 
-    content = file_of_block.read_bytes()
+    content = read_own_block(directory, file_of_block, serial)
     with open_registry(find_file(directory, file)) as registry:
         sha256 = registry.add_block(serial, content)
         if loaded:

@@ -1,0 +1,115 @@
+"""Which unit is in place: means of simulated units, which share no code with the test."""
+
+import numpy as np
+import pytest
+
+from zerodrift.field.noise import BlockNoise
+from zerodrift.field.watch import BlockMeans, Learned, Rules
+from zerodrift.field.whose import (
+    FALSE_NAME,
+    Before,
+    Foretold,
+    UnitsWeighed,
+    choose,
+    count_fewest,
+    find_whose,
+)
+
+RULES = Rules(0.01, 14_400.0, 0.1)
+SAMPLES, NOISE = 240.0, 1.0
+OLD, NEW = 84, 12
+SPREAD = np.array([40.0, 20.0])
+"""Of slope and curvature between units."""
+
+
+def draw_means(rng: np.random.Generator, first: int, n: int, drift: np.ndarray) -> BlockMeans:
+    """Return means of a drift [3] over temperature, and noise; the zero is any."""
+    place = np.arange(first, first + n)
+    warm = 0.8 * np.sin(2 * np.pi * place / 6) + 0.2 * np.cos(2 * np.pi * place / 31)
+    residual = 5.0 + np.stack([warm, warm**2], axis=1) @ drift
+    residual += rng.normal(size=n) * NOISE / np.sqrt(SAMPLES)
+    return BlockMeans(place, np.full(n, SAMPLES), residual, warm)
+
+
+def draw_case(seed: int, units: int, mounted: int | None, *, twin: bool = False, old: int = OLD):
+    """Return what the naming is given: `mounted` of the known units, or one that nobody knows."""
+    rng = np.random.default_rng(seed)
+    known = rng.normal(size=(units, 2)) * SPREAD
+    if twin:
+        known[1] = known[0]
+    true = known[mounted] if mounted is not None else rng.normal(size=2) * SPREAD
+    noise = BlockNoise(NOISE**2, 1e-9, (0.0, 0.0, 0.0), RULES.block_s)
+    new = draw_means(rng, OLD, NEW, true)
+    terms = np.stack([new.temperature, new.temperature**2], axis=1)
+    wrong = rng.normal(size=(units, 2)) * RULES.calibrated * np.array([1.0, 1.0])
+    left = new.residual - (known + wrong) @ terms.T
+    learned = Learned(old, (noise,)) if old else None
+    before = draw_means(rng, 0, old, np.zeros(2))
+    return {"y": (Foretold(new, left), Before(before, learned, RULES))}
+
+
+@pytest.mark.parametrize("units", [1, 12, 60])
+def test_the_unit_that_is_mounted_is_named(units: int) -> None:
+    told = [find_whose(draw_case(seed, units, units - 1), units) for seed in range(20)]
+    assert sum(one.named == units - 1 for one in told) >= 16
+    assert all(units - 1 in one.possible for one in told)
+
+
+@pytest.mark.parametrize("units", [1, 12, 60])
+def test_a_unit_that_nobody_knows_gets_no_name_more_often_than_stated(units: int) -> None:
+    told = [find_whose(draw_case(100 + seed, units, None), units) for seed in range(60)]
+    assert sum(one.named is not None for one in told) <= 5  # 1 in 29 where 5 % were the chance
+    assert sum(not one.possible for one in told) >= 40
+
+
+def test_two_units_that_cannot_be_told_apart_are_both_possible() -> None:
+    for seed in range(10):
+        told = find_whose(draw_case(seed, 12, 0, twin=True), 12)
+        assert told.named is None
+        assert set(told.possible) == {0, 1}
+
+
+def test_a_unit_that_was_there_from_the_first_sample_is_named_without_a_sound_time() -> None:
+    told = [find_whose(draw_case(seed, 12, 3, old=0), 12) for seed in range(10)]
+    assert [one.named for one in told].count(3) >= 8
+
+
+def test_less_than_a_day_names_nobody() -> None:
+    case = draw_case(0, 12, 3)
+    foretold, before = case["y"]
+    few = count_fewest(RULES.block_s) - 1
+    short = Foretold(foretold.blocks.first(few), foretold.residual[:, :few])
+    assert find_whose({"y": (short, before)}, 12) is None
+    assert count_fewest(3600.0) == 24
+
+
+def test_a_model_that_leaves_more_than_the_noise_is_not_possible_however_bad_the_others() -> None:
+    (foretold, before) = draw_case(0, 1, 0)["y"]
+    rough = np.where(np.arange(NEW) % 2, 1.0, -1.0)
+    blocks = BlockMeans(
+        foretold.blocks.place,
+        foretold.blocks.count,
+        foretold.blocks.residual + rough,
+        foretold.blocks.temperature,
+    )
+    told = find_whose({"y": (Foretold(blocks, foretold.residual + rough), before)}, 1)
+    assert told.named is None and not told.possible
+
+
+def weigh(own: list[float], unknown: float) -> UnitsWeighed:
+    return UnitsWeighed(np.array(own), np.full(len(own), unknown), np.ones(len(own), dtype=bool))
+
+
+def test_the_ratio_that_a_name_needs_grows_with_the_units() -> None:
+    one = np.log(1 / FALSE_NAME)
+    assert choose([weigh([one + 0.01, -50.0], 0.0)], 1).named == 0
+    assert choose([weigh([one - 0.01, -50.0], 0.0)], 1).named is None
+    many = [-50.0] * 100
+    assert choose([weigh([one + np.log(100) + 0.01, *many], 0.0)], 100).named == 0
+    assert choose([weigh([one + np.log(100) - 0.01, *many], 0.0)], 100).named is None
+
+
+def test_an_output_that_speaks_against_a_name_takes_it_away() -> None:
+    sure = weigh([20.0, -50.0, -50.0], 0.0)
+    assert choose([sure, weigh([0.0, 0.0, -50.0], 0.0)], 2).named == 0
+    assert choose([sure, weigh([-9.0, 0.0, -50.0], 0.0)], 2).named is None
