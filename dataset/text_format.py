@@ -23,6 +23,8 @@ COMMENTS = ("#", "%", "//")
 SPACES = " "
 """Stands for one or more spaces or tabs between fields."""
 SAMPLE_LINES = 400
+LONGEST_FIELD = csv.field_size_limit()
+"""Of the csv module, which refuses a longer one."""
 UNNAMED = "\0"
 """Begins the names of columns that have none, which no config can hold."""
 _UTF16 = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
@@ -135,11 +137,26 @@ def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
 def split_fields(line: str, separator: str) -> list[str]:
     """Return the fields of one line; none when it cannot be split."""
     if separator == SPACES:
-        return _DATE_THEN_TIME.sub(r"\1T\2", line.strip()).split()
+        bare = line.strip()
+        return (_DATE_THEN_TIME.sub(r"\1T\2", bare) if ":" in bare else bare).split()
+    if _is_unquoted(line):
+        return line.split(separator) if line else []
     try:
         return next(csv.reader([line], delimiter=separator), [])
     except csv.Error:
         return []
+
+
+def _count_fields(line: str, separator: str) -> int:
+    """Return how many fields `split_fields` finds."""
+    if separator != SPACES and line and _is_unquoted(line):
+        return line.count(separator) + 1
+    return len(split_fields(line, separator))
+
+
+def _is_unquoted(line: str) -> bool:
+    """Tell whether nothing in a line has a meaning for the csv module but the separator."""
+    return '"' not in line and "\r" not in line and len(line) <= LONGEST_FIELD
 
 
 def clean_unit(text: str) -> str:
@@ -196,7 +213,8 @@ def _decode(head: bytes, is_whole: bool) -> tuple[str, str]:
 
 def _find_comment(lines: Sequence[str]) -> str:
     """Return what comment lines begin with, or nothing."""
-    starts = Counter(mark for line in lines for mark in COMMENTS if line.startswith(mark))
+    marked = [line for line in lines if line.startswith(COMMENTS)]
+    starts = Counter(mark for line in marked for mark in COMMENTS if line.startswith(mark))
     return starts.most_common(1)[0][0] if starts else ""
 
 
@@ -204,7 +222,7 @@ def _find_separator(lines: Sequence[str]) -> str:
     """Return the character that splits the lines most evenly, the header included."""
     best, best_share = ",", 0.0
     for separator in DELIMITERS:
-        counts = [len(split_fields(line, separator)) for line in lines]
+        counts = [_count_fields(line, separator) for line in lines]
         body = counts[1:] or counts
         width = _usual(body)
         if width < 2:
@@ -224,7 +242,9 @@ def _usual(counts: Sequence[int]) -> int:
 def _has_decimal_comma(fields: Sequence[Sequence[str]], separator: str) -> bool:
     """Tell whether numbers are written with a comma; a point in one speaks against it."""
     values = [field.strip() for row in fields for field in row]
-    commas = sum(_COMMA_NUMBER.fullmatch(value) is not None for value in values)
+    commas = sum("," in value and _COMMA_NUMBER.fullmatch(value) is not None for value in values)
+    if commas == 0:
+        return False
     points = sum("." in value and _NUMBER.fullmatch(value) is not None for value in values)
     if separator == ",":
         # Quoted fields alone can hold one: a file in which one does is more likely a mistake.
