@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import count
+from operator import ne
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
@@ -84,7 +85,7 @@ def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
         InputError: it has no line of text, or names a column twice.
     """
     encoding, text = _decode(head, is_whole)
-    lines = re.split(r"\r\n|\n", text) if "\n" in text else text.split("\r")
+    lines = text.replace("\r\n", "\n").split("\n") if "\n" in text else text.split("\r")
     if not is_whole and len(lines) > 1:
         lines.pop()
     comment = _find_comment(lines)
@@ -118,6 +119,7 @@ def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
     is_padded = separator != SPACES and any(
         field != field.strip() and _is_value(field.strip(), comma)
         for each in fields[first:]
+        if any(map(ne, each, map(str.strip, each)))
         for field in each
     )
     found = TextFormat(
