@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,8 @@ from zerodrift.dataset.units import are_alike, read_unit
 
 SMALL_SPAN_K = 2.0
 """Train logs that span less than this are noted: little can be learnt from them."""
+MOST_KEPT = 1 << 20
+"""Values of small logs that are kept, 8 MB, so that they need not be read again."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
     selections = {use: expand_selectors(config, use) for use in USES}
     files = {selection.path.resolve() for use in USES for selection in selections[use]}
     known: list[KnownRun] = []
+    kept = _KeptTables()
     pieces: dict[str, list[_Piece]] = {}
     for use in USES:
         pieces[use] = []
@@ -69,6 +72,7 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
                 of_log += planned
                 if len(files) > 1 or len(table.runs) > 1:
                     known.append(KnownRun.mark(use, planned[0].key, selection, table, rows, config))
+            kept.keep(selection, table)
             # Resampled column by column, to keep the memory low.
             _fill(config, table, of_log)
             pieces[use] += of_log
@@ -78,7 +82,9 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
     known.sort(key=lambda run: (USES.index(run.use), _order(run.key, config.directory)))
     repeats = find_repeats(
         known,
-        lambda selection: open_log(config, selection, skip_invalid, [])[0],
+        lambda selection: (
+            kept.tables.get(selection) or open_log(config, selection, skip_invalid, [])[0]
+        ),
         config.time_column,
     )
     notes += repeats.notes
@@ -99,6 +105,19 @@ def load_dataset(config: Config, skip_invalid: bool = False) -> Dataset:
         full_scale=tuple(output.full_scale for output in config.outputs),
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+@dataclass(frozen=True)
+class _KeptTables:
+    """Logs that are small enough to be kept as they are until copies have been looked for."""
+
+    tables: dict[Selection, LogTable] = field(default_factory=dict)
+
+    def keep(self, selection: Selection, table: LogTable) -> None:
+        """Keep a log's columns beside those that are taken out of the table, if there is room."""
+        tables = (*self.tables.values(), table)
+        if sum(len(each) * len(each.columns) for each in tables) <= MOST_KEPT:
+            self.tables[selection] = replace(table, columns=dict(table.columns))
 
 
 def _plan_run(

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import count
+from operator import ne
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
@@ -23,6 +24,8 @@ COMMENTS = ("#", "%", "//")
 SPACES = " "
 """Stands for one or more spaces or tabs between fields."""
 SAMPLE_LINES = 400
+LONGEST_FIELD = csv.field_size_limit()
+"""Of the csv module, which refuses a longer one."""
 UNNAMED = "\0"
 """Begins the names of columns that have none, which no config can hold."""
 _UTF16 = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
@@ -83,7 +86,7 @@ def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
         InputError: it has no line of text, or names a column twice.
     """
     encoding, text = _decode(head, is_whole)
-    lines = re.split(r"\r\n|\n", text) if "\n" in text else text.split("\r")
+    lines = text.replace("\r\n", "\n").split("\n") if "\n" in text else text.split("\r")
     if not is_whole and len(lines) > 1:
         lines.pop()
     comment = _find_comment(lines)
@@ -137,11 +140,26 @@ def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
 def split_fields(line: str, separator: str) -> list[str]:
     """Return the fields of one line; none when it cannot be split."""
     if separator == SPACES:
-        return _DATE_THEN_TIME.sub(r"\1T\2", line.strip()).split()
+        bare = line.strip()
+        return (_DATE_THEN_TIME.sub(r"\1T\2", bare) if ":" in bare else bare).split()
+    if _is_unquoted(line):
+        return line.split(separator) if line else []
     try:
         return next(csv.reader([line], delimiter=separator), [])
     except csv.Error:
         return []
+
+
+def _count_fields(line: str, separator: str) -> int:
+    """Return how many fields `split_fields` finds."""
+    if separator != SPACES and line and _is_unquoted(line):
+        return line.count(separator) + 1
+    return len(split_fields(line, separator))
+
+
+def _is_unquoted(line: str) -> bool:
+    """Tell whether nothing in a line has a meaning for the csv module but the separator."""
+    return '"' not in line and "\r" not in line and len(line) <= LONGEST_FIELD
 
 
 def clean_unit(text: str) -> str:
@@ -198,7 +216,8 @@ def _decode(head: bytes, is_whole: bool) -> tuple[str, str]:
 
 def _find_comment(lines: Sequence[str]) -> str:
     """Return what comment lines begin with, or nothing."""
-    starts = Counter(mark for line in lines for mark in COMMENTS if line.startswith(mark))
+    marked = [line for line in lines if line.startswith(COMMENTS)]
+    starts = Counter(mark for line in marked for mark in COMMENTS if line.startswith(mark))
     return starts.most_common(1)[0][0] if starts else ""
 
 
@@ -208,7 +227,7 @@ def _find_separator(lines: Sequence[str]) -> str:
     for separator in DELIMITERS:
         if separator != SPACES and not any(separator in line for line in lines):
             continue
-        counts = [len(split_fields(line, separator)) for line in lines]
+        counts = [_count_fields(line, separator) for line in lines]
         body = counts[1:] or counts
         width = _usual(body)
         if width < 2:

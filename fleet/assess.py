@@ -1,6 +1,7 @@
 """One sensor's errors held out, beside its noise floor, and the values it is compared by."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,27 +57,41 @@ def assess(
             for p in (predictions, zeros)
         )
         method = held_out.explain()
+    outputs = {
+        name: OutputResult(
+            dataset.units[k], float(none[k]), float(rmse[k]), None, float(floor.rms[k])
+        )
+        for k, name in enumerate(dataset.outputs)
+    }
+    if replay is not None:
+        outputs = add_firmware(outputs, compensator, dataset, replay)
+    return Figures(outputs, method, floor.source)
+
+
+def add_firmware(
+    outputs: Mapping[str, OutputResult],
+    compensator: Compensator,
+    dataset: Dataset,
+    replay: ChipReplay,
+) -> dict[str, OutputResult]:
+    """Return the errors of a sensor with those of its firmware beside them.
+
+    Args:
+        outputs: by name, without firmware.
+        compensator: the sensor's.
+        dataset: its logs.
+        replay: the firmware over the test runs, or the training runs where there are none.
+    """
     of_integer: list[float | None] = [None] * len(dataset.outputs)
-    if replay is not None and dataset.test:
+    if dataset.test:
         integer = {replayed.run.name: replayed.chip for replayed in replay.runs}
+        tared, usable = compensator.tared, compensator.physics.find_usable
         errors = collect_errors(dataset.test, integer, tared, usable)
         of_integer = [float(x) for x in pool_rmse(list(errors.values()))]
-    split = [None] * len(dataset.outputs) if replay is None else list(replay.split())
-    return Figures(
-        {
-            name: OutputResult(
-                dataset.units[k],
-                float(none[k]),
-                float(rmse[k]),
-                of_integer[k],
-                float(floor.rms[k]),
-                asdict(causes) if (causes := split[k]) is not None else None,
-            )
-            for k, name in enumerate(dataset.outputs)
-        },
-        method,
-        floor.source,
-    )
+    return {
+        name: replace(outputs[name], rmse_integer=own, chip_error=asdict(causes))
+        for name, own, causes in zip(dataset.outputs, of_integer, replay.split(), strict=True)
+    }
 
 
 def _hold_out(compensator: Compensator, dataset: Dataset) -> HeldOut | None:

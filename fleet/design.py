@@ -29,11 +29,18 @@ class Design:
     """Whether a unit's firmware is written although the gate refuses it."""
     uncertainty: bool = True
     """Whether models leave training runs out for it; without firmware there is none."""
+    spool: Path | None = None
+    """With blocks: a folder for what a second pass would have to read or compute again."""
 
     @property
     def directory(self) -> Path:
         """Where zerodrift.toml lies."""
         return self.config.directory
+
+    @property
+    def in_block(self) -> bool:
+        """Whether one program serves all sensors, each with a block of its own."""
+        return self.firmware and self.config.block.in_block
 
     @property
     def build(self) -> Path:

@@ -7,12 +7,15 @@ from collections.abc import Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from types import ModuleType
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.threads import BLAS
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import SensorOutcome
+
+if TYPE_CHECKING:
+    from zerodrift.fleet.block_work import BlockRun
 
 Batch = tuple[str, ...]
 ONE_THREAD = (*BLAS, "POLARS_MAX_THREADS")
@@ -23,38 +26,55 @@ class Executor(Protocol):
     """What works on batches of sensors."""
 
     def run(
-        self, design: Design, batches: Sequence[Batch]
+        self, design: "Design | BlockRun", batches: Sequence[Batch]
     ) -> Generator[list[SensorOutcome], None, None]:
-        """Yield the outcomes of each batch as it is done, in any order."""
+        """Yield the outcomes of each batch as it is done, in any order.
+
+        Args:
+            design: the first pass; or the second, in which blocks are tried in the one program.
+            batches: sensors' names.
+        """
+        ...
+
+    def close(self) -> None:
+        """End what was kept for another run."""
         ...
 
 
-def _work_on(design: Design, sensors: Batch) -> list[SensorOutcome]:
+def _work_on(run: "Design | BlockRun", sensors: Batch) -> list[SensorOutcome]:
     """Work on a batch; what that takes is loaded only where it is done."""
-    from zerodrift.fleet.work import work_on
+    if isinstance(run, Design):
+        from zerodrift.fleet.work import work_on
 
-    return work_on(design, sensors)
+        return work_on(run, sensors)
+    from zerodrift.fleet.block_work import try_units
+
+    return try_units(run, sensors)
 
 
 class Serial:
     """In this process, one batch after the other."""
 
     def run(
-        self, design: Design, batches: Sequence[Batch]
+        self, design: "Design | BlockRun", batches: Sequence[Batch]
     ) -> Generator[list[SensorOutcome], None, None]:
         """Yield the outcomes batch by batch."""
         for batch in batches:
             yield _work_on(design, batch)
 
+    def close(self) -> None:
+        """Nothing was kept."""
+
 
 class Processes:
-    """In processes of this machine."""
+    """In processes of this machine, which are kept for another run until they are closed."""
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
+        self._pool: ProcessPoolExecutor | None = None
 
     def run(
-        self, design: Design, batches: Sequence[Batch]
+        self, design: "Design | BlockRun", batches: Sequence[Batch]
     ) -> Generator[list[SensorOutcome], None, None]:
         """Yield the outcomes batch by batch; leaving the loop ends the processes.
 
@@ -65,14 +85,19 @@ class Processes:
         os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
         # A fork would take along threads of Polars and PyTorch that no longer run.
         context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(self._jobs, context, initializer=_ignore_interrupts)
+        pool = self._pool or ProcessPoolExecutor(
+            self._jobs, context, initializer=_ignore_interrupts
+        )
+        self._pool = pool
         pending: set[Future[list[SensorOutcome]]] = set()
+        is_whole = False
         try:
             pending = {pool.submit(_work_on, design, batch) for batch in batches}
             while pending:
                 done, pending = wait(pending, return_when=FIRST_COMPLETED)
                 for future in done:
                     yield future.result()
+            is_whole = True
         except BrokenProcessPool as error:
             raise CheckError(
                 "a worker process ended unexpectedly, most likely for want of memory. Sensors that"
@@ -83,12 +108,19 @@ class Processes:
             for process in list((getattr(pool, "_processes", None) or {}).values()):
                 if pending:  # left early: what has begun need not be finished
                     process.terminate()
-            pool.shutdown(wait=True, cancel_futures=True)
+            if not is_whole:
+                self.close()
             for name, value in before.items():
                 if value is None:
                     os.environ.pop(name, None)
                 else:
                     os.environ[name] = value
+
+    def close(self) -> None:
+        """End the processes."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
 
 
 def _ignore_interrupts() -> None:
@@ -109,7 +141,7 @@ class OverRay:
         self._address, self._jobs = address, jobs
 
     def run(
-        self, design: Design, batches: Sequence[Batch]
+        self, design: "Design | BlockRun", batches: Sequence[Batch]
     ) -> Generator[list[SensorOutcome], None, None]:
         """Yield the outcomes batch by batch.
 
@@ -134,6 +166,9 @@ class OverRay:
             ) from error
         finally:
             ray.shutdown()
+
+    def close(self) -> None:
+        """Nothing was kept."""
 
     def _connect(self, ray: ModuleType) -> None:
         options: dict[str, object] = {"log_to_driver": False, "logging_level": "ERROR"}

@@ -12,7 +12,7 @@ from zerodrift.base.journal import write_all
 from zerodrift.base.records import MEASURED, from_json, to_dict
 from zerodrift.base.sealed import read_sealed, render_sealed
 
-FORMAT = 3
+FORMAT = 4
 """Of result.json; another one is computed anew."""
 RESULT = "result.json"
 
@@ -84,8 +84,22 @@ class SensorResult:
     """Whether it was written nevertheless."""
     warnings: tuple[str, ...] = ()
     """What else the gate says: runs beyond the calibrated ranges, what was not judged."""
+    program: str = ""
+    """With blocks: the identity of the program with which it was tried; empty before that."""
+    block: str = ""
+    """With blocks: SHA-256 of its block; empty where it has none."""
     files: Mapping[str, str] = field(default_factory=dict)
     """Files written, relative to the project -> SHA-256."""
+
+
+@dataclass(frozen=True)
+class TriedBlock:
+    """What became of a unit in the one program of a fleet."""
+
+    content: bytes = b""
+    """Its block; empty where there is none."""
+    why_none: str = ""
+    """In what it does not fit the program's design."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +112,8 @@ class SensorOutcome:
     """Why there is no result."""
     kept: bool = False
     """Whether an earlier run had done it."""
+    tried: TriedBlock | None = None
+    """With blocks, once it was tried in the one program."""
 
 
 def save_result(
@@ -112,7 +128,7 @@ def save_result(
         folder: the sensor's own folder below build/.
         project: the folder of zerodrift.toml, which the names in the result are relative to; held
             by the command whose worker this is.
-        result: what to write.
+        result: what to write; the files that it names already stay named.
         files: the sensor's other files.
 
     Raises:
@@ -123,7 +139,7 @@ def save_result(
         for path, content in files.items()
         if content is not None
     }
-    whole = replace(result, files=hashes)
+    whole = replace(result, files={**result.files, **hashes})
     contents = {**files, folder / RESULT: render_sealed({"format": FORMAT, **to_dict(whole)})}
     write_all(project, contents, durable=False, under_lock=True)
     return whole

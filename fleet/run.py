@@ -72,14 +72,19 @@ def run_fleet(
             outcomes[sensor] = SensorOutcome(sensor, kept, kept=True)
             tell()
     left = [sensor for sensor in sensors if sensor not in outcomes]
-    size = batch or max(1, min(BATCH, -(-len(left) // jobs)))
-    batches: list[Batch] = [tuple(left[i : i + size]) for i in range(0, len(left), size)]
+    batches = cut_batches(left, jobs, batch)
     if batches:
         with closing(executor.run(design, batches)) as found:
             for part in found:
                 outcomes |= {outcome.sensor: outcome for outcome in part}
                 tell()
     return tuple(outcomes[sensor] for sensor in sensors)
+
+
+def cut_batches(sensors: Sequence[str], jobs: int, batch: int | None) -> list[Batch]:
+    """Return the sensors in batches, as many in each as are worth it unless that is told."""
+    size = batch or max(1, min(BATCH, -(-len(sensors) // jobs)))
+    return [tuple(sensors[i : i + size]) for i in range(0, len(sensors), size)]
 
 
 def refuse_equal_prefixes(design: Design, sensors: Sequence[str]) -> None:
@@ -116,7 +121,7 @@ def find_kept(design: Design, sensor: str) -> SensorResult | None:
             return kept
         if kept.refused and kept.forced != design.force:
             return None
-        if (kept.refused and not kept.forced) or design.config.block.in_block:
+        if (kept.refused and not kept.forced) or design.in_block:
             return kept
         place = design.firmware_folder(sensor)  # logs and design are in the mark
         check = check_manifest(config, folder=place, build=folder, wants_inputs=False)

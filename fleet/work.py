@@ -3,17 +3,13 @@ others."""
 
 import json
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
-
-import numpy as np
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, ZerodriftError
-from zerodrift.base.files import explain_refusal
 from zerodrift.base.fleet_config import SHARED_RUNTIME
 from zerodrift.base.ownership import refuse_foreign
 from zerodrift.base.records import to_dict
@@ -30,9 +26,11 @@ from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.fleet.assess import assess, describe_parameters
+from zerodrift.fleet.batch import UnitBatch, check_bits, explain_unforeseen
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import SensorOutcome, SensorResult, save_result
 from zerodrift.fleet.sensors import configure_sensor
+from zerodrift.fleet.spool import Spooled, leave_out_quickly, spool
 from zerodrift.fleet.summary import EffectValues, SensorConfiguration
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.model import PhysicalModel
@@ -43,24 +41,15 @@ from zerodrift.train.tasks import Handling
 from zerodrift.train.training import train_together
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.chip_error import ChipReplay
-from zerodrift.verify.firmware import certify_checked, list_sequences
+from zerodrift.verify.firmware import certify_checked
 from zerodrift.verify.gate import GateVerdict, judge_firmware
-from zerodrift.verify.host_check import check_host, check_starts
-from zerodrift.verify.left_out import LeftOut, leave_out, leave_out_together, takes_epochs
+from zerodrift.verify.left_out import LeftOut, leave_out_together, takes_epochs
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import write_manifest
 from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
 from zerodrift.verify.uncertainty import measure_firmware
 
-UNFORESEEN = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
-"""What a sensor's logs might raise that nobody thought of: told in its name, others go on."""
-RANDOM_STEPS = 5000
-"""Drawn inputs beside the logs: noise, jumps, the rails, a walk, a dwell."""
-START_STEPS = 4
-"""Each sequence is begun on its own for these steps, from rest and from cold; then all of them run
-one after the other, which gives the state jumps to live through as well."""
-PARAMETERS = "parameters.json"
-T = TypeVar("T")
+PARAMETERS, MODEL = "parameters.json", "model.json"
 
 
 @dataclass
@@ -80,38 +69,6 @@ class _Job:
     notes: list[str] = field(default_factory=list)
 
 
-class _Batch:
-    """The sensors of a batch; one that fails leaves it with its message."""
-
-    def __init__(self, sensors: Sequence[str]) -> None:
-        self.sensors = sensors
-        self.outcomes: dict[str, SensorOutcome] = {}
-
-    def attempt(self, sensor: str, work: Callable[[], T]) -> T | None:
-        """Return what `work` returns, or None once its failure is noted."""
-        try:
-            return work()
-        except ZerodriftError as error:
-            self.fail(sensor, str(error))
-        except UNFORESEEN as error:
-            self.fail(sensor, explain_unforeseen(error))
-        return None
-
-    def fail(self, sensor: str, message: str) -> None:
-        """Note why a sensor has no result."""
-        self.outcomes[sensor] = SensorOutcome(sensor, None, message)
-
-    def list(self) -> list[SensorOutcome]:
-        """Return the outcomes in the sensors' order."""
-        return [self.outcomes[sensor] for sensor in self.sensors]
-
-
-def explain_unforeseen(error: Exception) -> str:
-    """Return the message for an error that is none of zerodrift's own."""
-    told = explain_refusal(error) if isinstance(error, OSError) else None
-    return told or f"unforeseen {type(error).__name__}: {error}. Please report it."
-
-
 def work_on(design: Design, sensors: Sequence[str]) -> list[SensorOutcome]:
     """Return the outcomes of these sensors; each one's files are written when it is complete.
 
@@ -120,7 +77,7 @@ def work_on(design: Design, sensors: Sequence[str]) -> list[SensorOutcome]:
         sensors: their names.
     """
     catalogue = load_catalogue(design.config.plugin_files)
-    batch = _Batch(sensors)
+    batch = UnitBatch(sensors)
     jobs = []
     for sensor in sensors:
         job = batch.attempt(sensor, lambda s=sensor: _open(design, s))  # type: ignore[misc]  # the default binds the loop's value
@@ -142,7 +99,9 @@ def _open(design: Design, sensor: str) -> _Job:
     return _Job(sensor, config, design.mark_sensor(config), dataset, notes=list(dataset.notes))
 
 
-def _train(design: Design, jobs: Sequence[_Job], batch: _Batch, catalogue: Catalogue) -> list[_Job]:
+def _train(
+    design: Design, jobs: Sequence[_Job], batch: UnitBatch, catalogue: Catalogue
+) -> list[_Job]:
     """Fit and train all sensors; networks of the same kind together."""
     problems = [(design.place(job.config, job.sensor), job.dataset) for job in jobs]
     done = []
@@ -158,12 +117,16 @@ def _train(design: Design, jobs: Sequence[_Job], batch: _Batch, catalogue: Catal
     return done
 
 
-def _build(design: Design, jobs: Sequence[_Job], batch: _Batch) -> None:
+def _build(design: Design, jobs: Sequence[_Job], batch: UnitBatch) -> None:
     """Quantize, generate, compile all at once, check each, and write those that hold."""
     ready = [j for j in jobs if batch.attempt(j.sensor, lambda j=j: _generate(design, j))]  # type: ignore[misc]
     if not ready:
         return
     _train_again(design, ready)
+    if design.in_block:
+        for job in ready:
+            batch.attempt(job.sensor, lambda j=job: _set_aside(design, j, batch))  # type: ignore[misc]
+        return
     with tempfile.TemporaryDirectory(prefix="zerodrift-fleet-") as scratch:
         hosts = _compile(ready, Path(scratch), batch)
         for job, host in hosts:
@@ -171,6 +134,14 @@ def _build(design: Design, jobs: Sequence[_Job], batch: _Batch) -> None:
                 job.sensor,
                 lambda j=job, h=host: _finish(design, j, batch, h, Path(scratch)),  # type: ignore[misc]
             )
+
+
+def _set_aside(design: Design, job: _Job, batch: UnitBatch) -> None:
+    """Write what does not need the one program; `block_work` goes on once there is one."""
+    assert job.trained is not None
+    _leave_out(design, job, job.trained.compensator)
+    _finish(design, job, batch, None)
+    spool(design.spool, job.sensor, Spooled(job.mark, job.dataset, job.left_out))
 
 
 def _train_again(design: Design, jobs: Sequence[_Job]) -> None:
@@ -188,13 +159,9 @@ def _train_again(design: Design, jobs: Sequence[_Job]) -> None:
 
 
 def _leave_out(design: Design, job: _Job, compensator: Compensator) -> None:
-    """Note what models say of the training runs that they did not learn from, where it is quick.
-
-    The gate asks for it where there are no test logs.
-    """
+    """Note what models say of the training runs that they did not learn from, where it is quick."""
     if not takes_epochs(compensator):
-        wanted = replace(job.dataset, test=()) if design.uncertainty else job.dataset
-        job.left_out = leave_out(job.config, wanted, compensator)
+        job.left_out = leave_out_quickly(design, job.config, job.dataset, compensator)
 
 
 def _generate(design: Design, job: _Job) -> bool:
@@ -204,12 +171,14 @@ def _generate(design: Design, job: _Job) -> bool:
     job.described = describe_compensator(job.trained.compensator, place, runs)
     tuned = load_or_tune(job.described, place, runs)
     quantized = compose_quantized(tuned, place, job.dataset)
-    job.model, job.bound = quantized.model, bound_errors(quantized)
-    job.code = generate(job.model)
+    job.model = quantized.model
+    if not design.in_block:  # with blocks no sensor has C of its own
+        job.bound = bound_errors(quantized)
+        job.code = generate(job.model)
     return True
 
 
-def _compile(jobs: Sequence[_Job], scratch: Path, batch: _Batch) -> list[tuple[_Job, HostModel]]:
+def _compile(jobs: Sequence[_Job], scratch: Path, batch: UnitBatch) -> list[tuple[_Job, HostModel]]:
     """Return the jobs with their host builds; should they not compile together, then apart."""
     models = [job.model for job in jobs if job.model is not None]
     codes = [job.code for job in jobs if job.code is not None]
@@ -229,33 +198,8 @@ def _compile(jobs: Sequence[_Job], scratch: Path, batch: _Batch) -> list[tuple[_
     return list(zip(jobs, hosts, strict=True))
 
 
-def check_bits(host: HostModel, dataset: Dataset) -> int:
-    """Return the steps at which the C was equal to the reference: drift, flags and states.
-
-    Raises:
-        CheckError: they differ, or the model's own self-test fails.
-    """
-    sequences = list_sequences(host.model, dataset, random_steps=RANDOM_STEPS)
-    everything = np.concatenate(list(sequences.values()))
-    vectors = 0
-    for outcome in (
-        check_starts(host, sequences, START_STEPS, settled=True),
-        check_starts(host, sequences, START_STEPS, settled=False),
-        check_host(host, everything, settled=True),
-    ):
-        if outcome.mismatch is not None:
-            raise CheckError(
-                f"the C differs from the reference: {outcome.mismatch}."
-                " Nothing written for this sensor."
-            )
-        vectors += outcome.steps
-    if host.selftest() != 0:
-        raise CheckError("the generated self-test fails on this host. Nothing written.")
-    return vectors
-
-
 def _finish(
-    design: Design, job: _Job, batch: _Batch, host: HostModel | None, scratch: Path | None = None
+    design: Design, job: _Job, batch: UnitBatch, host: HostModel | None, scratch: Path | None = None
 ) -> None:
     """Check one sensor's C, measure its errors, and write its files; the result comes last."""
     assert job.trained is not None
@@ -266,14 +210,14 @@ def _finish(
     if host is not None and scratch is not None:
         assert job.model is not None and job.code is not None and job.described is not None
         vectors = check_bits(host, job.dataset)
-        certificate = _certify(design, job, scratch)
+        certificate = _certify(job, scratch)
         _leave_out(design, job, compensator)
         judge = job.left_out
         if job.dataset.test or (judge is not None and judge.by_epochs):
             judge = None
         verdict, replay = judge_firmware(job.described, host, job.dataset, judge)
         if verdict.refused and design.force:
-            certificate = _mark_forced(design, job, [s.text for s in verdict.refused], scratch)
+            certificate = _mark_forced(job, [s.text for s in verdict.refused], scratch)
     figures = assess(job.trained, job.dataset, replay)
     result = SensorResult(
         sensor=job.sensor,
@@ -295,44 +239,41 @@ def _finish(
     is_written = result.forced or not result.refused
     if verdict is not None and replay is not None and is_written:
         files[design.build_folder(job.sensor) / UNCERTAINTY] = _measure(
-            design, job, verdict, replay
+            design, job, verdict, replay, [o.noise_floor for o in result.outputs.values()]
         )
     batch.outcomes[job.sensor] = SensorOutcome(
         job.sensor, save_result(design.build_folder(job.sensor), design.directory, result, files)
     )
 
 
-def _measure(design: Design, job: _Job, verdict: GateVerdict, replay: ChipReplay) -> bytes | None:
+def _measure(
+    design: Design, job: _Job, verdict: GateVerdict, replay: ChipReplay, floor: Sequence[float]
+) -> bytes | None:
     """Return what is kept of the uncertainty of a sensor's compensated values, if it is known."""
     if job.left_out is None or not design.uncertainty:
         return None
     assert job.described is not None and job.model is not None
     rounding = [error.rounding for error in verdict.chip_error]
     measured = measure_firmware(
-        job.described, job.model, job.dataset, job.left_out, rounding, replay
+        job.described, job.model, job.dataset, job.left_out, rounding, replay, floor
     )
     return render_sealed(to_dict(measured))
 
 
-def _mark_forced(design: Design, job: _Job, reasons: Sequence[str], scratch: Path) -> str:
+def _mark_forced(job: _Job, reasons: Sequence[str], scratch: Path) -> str:
     """Write into a sensor's model and C what the gate found against it; return the certificate."""
     assert job.model is not None
     job.model = replace(job.model, notes={**job.model.notes, FORCED: "\n".join(reasons)})
     job.code = generate(job.model)
-    return _certify(design, job, scratch)
+    return _certify(job, scratch)
 
 
-def _certify(design: Design, job: _Job, scratch: Path) -> str:
+def _certify(job: _Job, scratch: Path) -> str:
     """Return a sensor's certificate, derived again from the C.
-
-    With blocks it is empty: no sensor has C of its own then, and the certificate of the one program
-    holds for every block.
 
     Raises:
         CheckError: a claim does not hold.
     """
-    if design.config.block.in_block:
-        return ""
     assert job.model is not None and job.code is not None and job.bound is not None
     certificate, _, job.bound = certify_checked(job.model, job.code, job.bound, scratch)
     return certificate
@@ -356,11 +297,10 @@ def _render(
     text = json.dumps(to_dict(described), indent=1) + "\n"
     files[build / PARAMETERS] = text.encode()
     is_written = result.forced or not result.refused
+    if job.model is not None and is_written:
+        files[build / MODEL] = job.model.to_text().encode()
     if job.code is not None and job.model is not None and is_written:
         out = design.firmware_folder(job.sensor)
-        files[build / "model.json"] = job.model.to_text().encode()
-        if design.config.block.in_block:  # one program for all, and a block of each, come after
-            return files
         firmware = {
             PARAMETERS: text.encode(),
             job.code.header_name: job.code.header.encode(),
@@ -370,7 +310,7 @@ def _render(
         refuse_foreign((out / name for name in (*firmware, MANIFEST)), out)
         files |= {out / name: content for name, content in firmware.items()}
         shared = {f"../{SHARED_RUNTIME}/{path.name}": path.read_bytes() for path in RUNTIME_FILES}
-        own = {name: content for name in ("model.json",) if (content := files[build / name])}
+        own = {name: content for name in (MODEL,) if (content := files[build / name])}
         files[out / MANIFEST] = write_manifest(
             job.config,
             job.model.hash,

@@ -119,6 +119,7 @@ def measure_uncertainty(
     model_hash: str,
     rounding: Sequence[float],
     span: Sequence[float],
+    floor: Sequence[float] | None = None,
 ) -> Uncertainty:
     """Return the uncertainty of each output.
 
@@ -129,6 +130,7 @@ def measure_uncertainty(
         model_hash: of the integer model.
         rounding: [K] RMS of integer less float model, in each output's unit.
         span: [K] of the drift over the calibrated range, likewise.
+        floor: [K] RMS of the noise floor, likewise, where it is known; None: measured here.
     """
     runs = dataset.train
     covered = dict(zip((r.name for r in runs), left_out.covered, strict=True))
@@ -140,7 +142,7 @@ def measure_uncertainty(
     others = dict(zip((r.name for r in runs), left_out.floating, strict=True))
     errors = collect_errors(runs, others, model.tared, find_counted)
     moved = _measure_moves(errors, fitted, others)
-    floor = measure_floor(dataset)
+    noises = measure_floor(dataset).rms if floor is None else floor
     pieces = [(e.error, e.usable) for e in errors.values()]
     if len(pieces) == 1:
         pieces = list(zip(*(np.array_split(x, BLOCKS) for x in pieces[0]), strict=True))
@@ -150,7 +152,7 @@ def measure_uncertainty(
     outputs = {}
     for k, name in enumerate(dataset.outputs):
         total = float(weights[:, k] @ squares[:, k])
-        noise = min(float(floor.rms[k]) ** 2, total)
+        noise = min(float(noises[k]) ** 2, total)
         parameters = min(float(moved[k]), total - noise)
         outputs[name] = OutputUncertainty(
             unit=dataset.units[k],
@@ -174,6 +176,7 @@ def measure_firmware(
     left_out: LeftOut,
     rounding: Sequence[float],
     replay: ChipReplay,
+    floor: Sequence[float] | None = None,
 ) -> Uncertainty:
     """Return the uncertainty of a firmware's values, checked on the test runs where there are any.
 
@@ -184,6 +187,7 @@ def measure_firmware(
         left_out: what models say of training runs that they did not learn from.
         rounding: [K] RMS of integer less float model, in each output's unit.
         replay: the test runs as the chip answers them.
+        floor: [K] RMS of the noise floor, in each output's unit, where it is known.
     """
     scale = [output.lsb_per_unit for output in model.outputs]
     limits = zip(model.drift.low, model.drift.high, scale, strict=True)
@@ -194,6 +198,7 @@ def measure_firmware(
         model_hash=model.hash,
         rounding=rounding,
         span=[(high - low) / lsb / (1.0 + 2.0 * RANGE_MARGIN) for low, high, lsb in limits],
+        floor=floor,
     )
     return check_coverage(measured, described, replay) if dataset.test else measured
 

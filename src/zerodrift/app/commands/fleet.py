@@ -2,8 +2,9 @@
 
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +22,7 @@ from zerodrift.app.commands.common import (
 
 if TYPE_CHECKING:
     from zerodrift.fleet.blocks import FleetBlocks
+    from zerodrift.fleet.design import Design
     from zerodrift.fleet.report import FleetReport
     from zerodrift.fleet.run import FleetProgress
 
@@ -146,31 +148,33 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
             err=True,
         )
     state = _RunState()
+    blocks, no_program = None, None
     try:
-        with _show_progress(state) as tell:
+        with _show_progress(state) as tell, _open_spool(design) as design, closing(executor):
             outcomes = run_fleet(
-                design,
-                executor,
-                jobs=jobs,
-                batch=options.batch,
-                fresh=options.fresh,
-                report=tell,
+                design, executor, jobs=jobs, batch=options.batch, fresh=options.fresh, report=tell
             )
+            if design.in_block:
+                from zerodrift.fleet.blocks import NoProgramError, write_blocks
+
+                try:
+                    outcomes, blocks = write_blocks(
+                        design, executor, outcomes, jobs=jobs, batch=options.batch, report=tell
+                    )
+                except NoProgramError as error:
+                    outcomes, no_program = error.outcomes, error
     except (KeyboardInterrupt, CheckError):
         click.echo(state.explain_stop(), err=True)
         raise
-    enter_fleet(design, outcomes)
+    if no_program is None:
+        enter_fleet(design, outcomes)
     report = judge_fleet(design, outcomes)
     paths = write_report(design, report)
-    blocks = None
-    if config.block.in_block and options.with_firmware:
-        from zerodrift.fleet.blocks import write_blocks
-        from zerodrift.fleet.summary import BlocksSummary
-
-        blocks = write_blocks(design, outcomes)
     if as_json:
         summary = summarise_report(report)
         if blocks is not None:
+            from zerodrift.fleet.summary import BlocksSummary
+
             told = BlocksSummary(
                 blocks.program, blocks.bytes, len(blocks.units), blocks.vectors, blocks.refused
             )
@@ -180,6 +184,8 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
         _print(report, [str(path) for path in paths], config.directory)
         if blocks is not None:
             _print_blocks(blocks)
+    if no_program is not None:
+        raise no_program
     if report.count(ERROR) or report.count(FAIL) or (blocks is not None and blocks.refused):
         sys.exit(CheckError.exit_code)
 
@@ -213,6 +219,16 @@ def choose_device(device: str, needed: bool) -> str:
             " on the CPU."
         )
     return "cuda" if there else "cpu"
+
+
+@contextmanager
+def _open_spool(design: "Design") -> "Iterator[Design]":
+    """Yield the design with a folder for what its second pass needs, where it has one."""
+    if not design.in_block:
+        yield design
+        return
+    with tempfile.TemporaryDirectory(prefix="zerodrift-fleet-") as folder:
+        yield replace(design, spool=Path(folder))
 
 
 class _RunState:

@@ -1,0 +1,202 @@
+"""A few units in the one program, each with its block, in one process: bits, gate, uncertainty."""
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from zerodrift.base.config import Config
+from zerodrift.base.errors import CheckError
+from zerodrift.base.records import to_dict
+from zerodrift.base.sealed import render_sealed
+from zerodrift.blocks.block import BlockNotes, encode
+from zerodrift.blocks.design import BlockDesign
+from zerodrift.c_runtime.host import HostModel
+from zerodrift.codegen.generate import GeneratedCode, compute_answers
+from zerodrift.dataset.runs import Dataset
+from zerodrift.export.compose import describe_compensator
+from zerodrift.export.integer_model import FORCED, IntegerModel
+from zerodrift.export.model_files import load_model
+from zerodrift.fleet.assess import add_firmware
+from zerodrift.fleet.batch import UnitBatch, check_bits
+from zerodrift.fleet.design import Design
+from zerodrift.fleet.result import (
+    RESULT,
+    SensorOutcome,
+    SensorResult,
+    TriedBlock,
+    read_result,
+    save_result,
+)
+from zerodrift.fleet.sensors import configure_sensor
+from zerodrift.fleet.spool import unspool
+from zerodrift.fleet.work import MODEL, PARAMETERS, describe_sensor
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.train.compensator import Compensator
+from zerodrift.verify.gate import judge_firmware
+from zerodrift.verify.host_check import check_host
+from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
+from zerodrift.verify.uncertainty import measure_firmware
+from zerodrift.verify.vectors import draw_sequences
+
+COLD_STEPS = 2000
+"""Drawn inputs that program and block live through from cold, beside all those from rest."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """The one program of a fleet, as the processes that try blocks in it are given it."""
+
+    common: BlockDesign
+    code: GeneratedCode
+    library: Path
+    """Its host build; where this does not exist, as on another machine, it is built again."""
+
+
+@dataclass(frozen=True)
+class BlockRun:
+    """The second pass over a fleet with blocks."""
+
+    design: Design
+    program: Program
+
+
+@dataclass(frozen=True)
+class _Unit:
+    """One unit that the first pass has fitted."""
+
+    sensor: str
+    config: Config
+    result: SensorResult
+    own: IntegerModel
+    """In its own format."""
+    compensator: Compensator
+
+
+def try_units(run: BlockRun, sensors: Sequence[str]) -> list[SensorOutcome]:
+    """Return the outcomes of these units with program and block; each one's files are written.
+
+    Args:
+        run: what they share.
+        sensors: units with a result of the first pass.
+    """
+    batch = UnitBatch(sensors)
+    catalogue = load_catalogue(run.design.config.plugin_files)
+    with tempfile.TemporaryDirectory(prefix="zerodrift-program-") as scratch:
+        host = _open_host(run.program, Path(scratch))
+        for sensor in sensors:
+
+            def work(sensor: str = sensor) -> SensorOutcome:
+                return _try(run, host, _load(run.design, sensor, catalogue))
+
+            outcome = batch.attempt(sensor, work)
+            if outcome is not None:
+                batch.outcomes[sensor] = outcome
+    return batch.list()
+
+
+def _open_host(program: Program, scratch: Path) -> HostModel:
+    model, prefix = program.common.model, program.code.prefix
+    if program.library.is_file():
+        return HostModel.attach(model, prefix, program.library, "", observe=False)
+    return HostModel(model, program.code, scratch, observe=False)
+
+
+def _load(design: Design, sensor: str, catalogue: Catalogue) -> _Unit:
+    folder = design.build_folder(sensor)
+    return _Unit(
+        sensor,
+        configure_sensor(design.config, sensor),
+        read_result((folder / RESULT).read_bytes()),
+        load_model(folder / MODEL),
+        Compensator.load(folder, catalogue),
+    )
+
+
+def _try(run: BlockRun, host: HostModel, unit: _Unit) -> SensorOutcome:
+    """Return a unit's outcome: compared bit for bit, judged by the gate, and written."""
+    design, common = run.design, run.program.common
+    tried = replace(unit.result, program=common.identity)
+    try:
+        fitted = common.fit(unit.own)
+    except CheckError as error:
+        result = save_result(design.build_folder(unit.sensor), design.directory, tried, {})
+        return SensorOutcome(unit.sensor, result, tried=TriedBlock(why_none=str(error)))
+    notes = note_block(design, unit.sensor)
+    content = encode(common, fitted, notes, compute_answers(common, fitted))
+    kept = unspool(design, unit.config, unit.sensor, unit.compensator, unit.result.mark)
+    tried = replace(tried, vectors=compare_block(host, fitted, content, kept.dataset))
+    judge = kept.left_out
+    if kept.dataset.test or (judge is not None and judge.by_epochs):
+        judge = None
+    place = design.place(unit.config, unit.sensor)
+    described = describe_compensator(unit.compensator, place, kept.dataset.train)
+    verdict, replay = judge_firmware(described, host, kept.dataset, judge)
+    refused = tuple(statement.text for statement in verdict.refused)
+    is_written = verdict.passes or design.force
+    tried = replace(
+        tried,
+        outputs=add_firmware(tried.outputs, unit.compensator, kept.dataset, replay),
+        refused=refused,
+        forced=not verdict.passes and design.force,
+        warnings=tuple(statement.text for statement in verdict.warnings),
+        block=hashlib.sha256(content).hexdigest() if is_written else "",
+    )
+    files: dict[str, bytes] = {}
+    described_unit = describe_sensor(design, tried, unit.compensator.physics)
+    files[PARAMETERS] = (json.dumps(to_dict(described_unit), indent=1) + "\n").encode()
+    if tried.forced:
+        forced = replace(unit.own, notes={**unit.own.notes, FORCED: "\n".join(refused)})
+        files[MODEL] = forced.to_text().encode()
+    if is_written and kept.left_out is not None and design.uncertainty:
+        rounding = [error.rounding for error in verdict.chip_error]
+        measured = measure_firmware(
+            described,
+            unit.own,
+            kept.dataset,
+            kept.left_out,
+            rounding,
+            replay,
+            [output.noise_floor for output in tried.outputs.values()],
+        )
+        files[UNCERTAINTY] = render_sealed(to_dict(measured))
+    folder = design.build_folder(unit.sensor)
+    contents = {folder / name: file for name, file in files.items()}
+    result = save_result(folder, design.directory, tried, contents)
+    block = TriedBlock(content) if is_written else TriedBlock()
+    return SensorOutcome(unit.sensor, result, tried=block)
+
+
+def note_block(design: Design, sensor: str) -> BlockNotes:
+    """Return what a unit's block says of itself; its name stands for a serial number."""
+    return BlockNotes(sensor, design.config.block.calibrated, design.config.block.number)
+
+
+def compare_block(host: HostModel, fitted: IntegerModel, content: bytes, dataset: Dataset) -> int:
+    """Return the steps at which program and block gave the bits of a unit's reference.
+
+    Args:
+        host: the program as it is flashed.
+        fitted: the unit's model in the program's format.
+        content: its block.
+        dataset: its logs, all of which are gone through, and drawn inputs from rest and from cold.
+
+    Raises:
+        CheckError: the chip's test refuses the block, its self-test fails, or a bit differs.
+    """
+    if (wrong := host.use_block(content)) or (wrong := host.selftest()):
+        raise CheckError(f"the program refuses its block ({wrong}). Nothing written for this unit.")
+    host.model = fitted
+    vectors = check_bits(host, dataset)
+    codes = np.concatenate(list(draw_sequences(fitted, COLD_STEPS).values()))
+    check = check_host(host, codes, settled=False)
+    if check.mismatch is not None:
+        raise CheckError(
+            f"program and block differ from the reference: {check.mismatch}. Nothing written for"
+            " this unit."
+        )
+    return vectors + check.steps
