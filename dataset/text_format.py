@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import count
-from operator import ne
 from pathlib import Path
 
 from zerodrift.base.errors import InputError

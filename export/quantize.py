@@ -190,7 +190,8 @@ def _lower_network(
     features = describe_features(taps, model.whitening, model.tap_mean, exponents)
     if isinstance(network, FloatLayeredNetwork):
         scales = append_layered(lowering, network, exponents, weights, model.window)
-        return scales.head, describe_layered(scales, lowering.nodes, features), scales
+        heads = describe_layered(network, scales, lowering.nodes, features)
+        return scales.head, heads, scales
     read_out = append_network(lowering, network, exponents, weights, model.window)
     return read_out.head_exponents, describe_network(network, features, read_out), None
 

@@ -7,9 +7,11 @@ from numpy.typing import NDArray
 
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.layered_network import FloatLayeredNetwork
 from zerodrift.export.quantize_layered import LayeredScales
 from zerodrift.export.quantize_layers import ReadOut
 from zerodrift.operations.dense import COPY_BITS, FloatDense, FloatFeedForward
+from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.recurrent import IntegerRecurrent
 from zerodrift.operations.signals import Signal, constant
@@ -72,18 +74,37 @@ def _describe_states(network: FloatNetwork, features: Sequence[Signal]) -> list[
 
 
 def describe_layered(
-    scales: LayeredScales, nodes: Sequence[IntegerNode], features: Sequence[Signal]
+    network: FloatLayeredNetwork,
+    scales: LayeredScales,
+    nodes: Sequence[IntegerNode],
+    features: Sequence[Signal],
 ) -> list[Signal]:
     """Return the head's signals [K] of a network whose layers may read several others.
 
-    They stand on a recurrent layer, which carries errors on: no more is said of them.
+    Where it is more than one LSTM over the features, no more is said of it than that it carries
+    errors on.
     """
     recurrent = next(node for node in nodes if isinstance(node, IntegerRecurrent))
     state = Signal(recurrent.name, 2.0**-STATE_BITS).standing_for("recurrent", features)
-    heads = (
-        Signal("head", 2.0 ** -int(exponent), index=k) for k, exponent in enumerate(scales.head)
-    )
-    return [head.standing_for("linear", (state,), 1.0) for head in heads]
+    states, gains = [state], [[1.0]] * len(network.head)
+    only = network.layers[0] if network.reads == (1,) and len(network.layers) == 1 else None
+    if only is not None and isinstance(only.cell, FloatLstm) and only.reads == (0,):
+        states, gains = _describe_lstm(recurrent.name, only.cell, features), network.head.tolist()
+    heads = []
+    for k, row in enumerate(gains):
+        head = Signal("head", 2.0 ** -int(scales.head[k]), index=k)
+        heads.append(head.standing_for("linear", states, *row))
+    return heads
+
+
+def _describe_lstm(name: str, lstm: FloatLstm, features: Sequence[Signal]) -> list[Signal]:
+    """Return the signals of an LSTM's output over the features."""
+    states = []
+    for j in range(lstm.hidden):
+        row = [*lstm.bias[:, j], *lstm.w_x[:, j].ravel(), *lstm.w_h[:, j].ravel()]
+        state = Signal(name, 2.0**-STATE_BITS, index=j)
+        states.append(state.standing_for("lstm", features, *map(float, row)))
+    return states
 
 
 def _describe_dense(

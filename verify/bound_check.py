@@ -14,13 +14,16 @@ from zerodrift.verify import bound_numbers as numbers
 from zerodrift.verify.bound_claims import ErrorClaim, FloatLine, Place, read_bound
 from zerodrift.verify.bound_conversion import ConversionCheck
 from zerodrift.verify.bound_forms import CODE, LOAD, NodeForm, find_list, read_forms
-from zerodrift.verify.bound_gru import FeatureRange, bound_gru
+from zerodrift.verify.bound_gru import bound_gru
+from zerodrift.verify.bound_lstm import bound_lstm
+from zerodrift.verify.bound_sums import FeatureRange
 from zerodrift.verify.c_model import Model
 from zerodrift.verify.c_values import Block, NotUnderstoodError, Pointer, Struct
 
 HALF = Fraction(1, 2)
 COPY = 15
 EXPONENT_BITS, RING_BITS, LOWPASS_BITS, TABLE_BITS = 24, 31, 24, 16
+RECURRENT = ("gru_after", "gru_before", "lstm")
 DIGITS = 200
 """Bits that a fraction is shortened to, upwards."""
 
@@ -129,7 +132,7 @@ class _BoundCheck:
         raise NotUnderstoodError(f"{line.node}: its range is not known")
 
     def _derive(self, line: FloatLine, inputs: list[Has]) -> Has:
-        if line.operation in ("gru_after", "gru_before"):
+        if line.operation in RECURRENT:
             return self._state(line, inputs)
         vector = line.node in ("features", "head") or line.node.startswith("dense_")
         if line.node == "drift":
@@ -397,16 +400,23 @@ class _BoundCheck:
         return Has(line, -most, most, line.scale, _up(errors[line.index]))
 
     def _find_states(self, line: FloatLine, inputs: list[Has]) -> list[Fraction]:
-        layer = self._model.grus.get(line.node)
         rows = [x for x in self._lines if x.node == line.node]
         alike = all((x.operation, x.of) == (line.operation, line.of) for x in rows)
-        if layer is None or not alike or [x.index for x in rows] != list(range(len(rows))):
+        if not alike or [x.index for x in rows] != list(range(len(rows))):
             raise NotUnderstoodError(f"{line.node}: its units are not listed one by one")
-        if layer.after != (line.operation == "gru_after"):
-            raise NotUnderstoodError(f"{line.node}: the reset gate acts elsewhere")
         features = [FeatureRange(x.low, x.high, x.scale, x.error) for x in inputs]
         given = [[_given(number) for number in x.numbers] for x in rows]
-        return bound_gru(layer, given, features, tuple(self._model.tanh_lines))
+        lines = tuple(self._model.tanh_lines)
+        if line.operation == "lstm":
+            if line.node not in self._model.lstms:
+                raise NotUnderstoodError(f"{line.node} is no LSTM")
+            return bound_lstm(self._model.lstms[line.node], given, features, lines)
+        if line.node not in self._model.grus:
+            raise NotUnderstoodError(f"{line.node} is no GRU")
+        layer = self._model.grus[line.node]
+        if layer.after != (line.operation == "gru_after"):
+            raise NotUnderstoodError(f"{line.node}: the reset gate acts elsewhere")
+        return bound_gru(layer, given, features, lines)
 
     def _weights(self, name: str, row: int, count: int) -> list[int]:
         cells = self._cells(name)

@@ -10,44 +10,27 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from zerodrift.verify import bound_numbers as numbers
+from zerodrift.verify.bound_sums import (
+    NO_CONTRACTION,
+    NONE,
+    ONE,
+    FeatureRange,
+    GateSum,
+    LinearError,
+    Lines,
+    RowSums,
+    apply,
+    eliminate,
+    enclose_sigmoid,
+    enclose_tanh,
+    ends_of,
+    steepest,
+)
 from zerodrift.verify.c_values import GruNumbers, NotUnderstoodError
 
-NONE, ONE = Fraction(0), Fraction(1)
-COPY_MOST = 32767
-T_LOWEST, T_HIGHEST = -(1 << 19), (1 << 19) - 1
 SMALL = Fraction(1, 4)
 ROUNDS = 60
 MORE = 1.0 + 2.0**-30
-Lines = tuple[tuple[int, int], ...]
-Ends = tuple[Fraction, Fraction]
-
-
-@dataclass(frozen=True)
-class FeatureRange:
-    """A feature: its integers, what one counts, how far it is off."""
-
-    low: int
-    high: int
-    scale: Fraction
-    error: Fraction
-
-
-@dataclass(frozen=True)
-class LinearError:
-    """own + sum of share times the states' errors."""
-
-    own: Fraction
-    shares: tuple[Fraction, ...]
-
-
-@dataclass(frozen=True)
-class GateSum:
-    """A gate's argument: how far the chip's is off, and where both are."""
-
-    off: LinearError
-    real: Ends
-    chip: tuple[int, int]
-    """The table's argument t."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +50,7 @@ class UnitRule:
         Raises:
             NotUnderstoodError: too far for the rule.
         """
-        d = _apply(self.update, errors)
+        d = apply(self.update, errors)
         s = self.share + self.factor * d * (1 + 2 * d)
         if d > SMALL or s > SMALL:
             raise NotUnderstoodError("a state may be far off: the update gate's argument is")
@@ -83,7 +66,7 @@ class UnitRule:
         _, s = self.slips(errors)
         t = self.rest * (1 + s)
         of_update = 2 * self.half * (t + s * (s + t)) + s * self.half
-        return _apply(self.candidate, errors) + of_update + self.rounding
+        return apply(self.candidate, errors) + of_update + self.rounding
 
 
 def bound_gru(
@@ -104,14 +87,11 @@ def bound_gru(
     Raises:
         NotUnderstoodError: the numbers do not fit, or no contraction is shown.
     """
-    width = 4 + 3 * (c.inputs + c.hidden)
-    if len(features) != c.inputs or [len(row) for row in rows] != [width] * c.hidden:
-        raise NotUnderstoodError("the float layer has another size than the C's")
     check = _GruCheck(c, rows, features, lines)
     return _close([check.unit(j) for j in range(c.hidden)])
 
 
-class _GruCheck:
+class _GruCheck(RowSums):
     def __init__(
         self,
         c: GruNumbers,
@@ -119,93 +99,29 @@ class _GruCheck:
         features: Sequence[FeatureRange],
         lines: Lines,
     ) -> None:
-        self._c, self._rows, self._features, self._lines = c, rows, features, lines
-        self._tanh = numbers.cached_tanh_error(lines) / (1 << 30)
+        super().__init__(c, rows, features, lines, 3)
+        self._gru = c
         self._resets = [self._reset(j) for j in range(c.hidden)]
-
-    def _w_x(self, j: int, g: int) -> Sequence[Fraction]:
-        first = 4 + g * self._c.inputs
-        return self._rows[j][first : first + self._c.inputs]
-
-    def _w_h(self, j: int, g: int) -> Sequence[Fraction]:
-        first = 4 + 3 * self._c.inputs + g * self._c.hidden
-        return self._rows[j][first : first + self._c.hidden]
-
-    def _look_up(self, t: int) -> int:
-        """Return 2**30 tanh as the table has it."""
-        place = min(max(t, T_LOWEST), T_HIGHEST) - T_LOWEST
-        first, last = self._lines[place >> 11]
-        return first + (last - first) // 2047 * (place & 2047)
-
-    # --- sums
-
-    def _of_features(self, j: int, g: int, count: Fraction) -> tuple[Fraction, int, int, Ends]:
-        """Return what the features' sum and the bias are off by, their integers, and real ends."""
-        c, shift = self._c, self._c.shifts[g]
-        row = 3 * j + g
-        whole = c.w_x[row * c.inputs : (row + 1) * c.inputs]
-        bias = c.bias[4 * j + g]
-        low = high = bias
-        gap_low = gap_high = (bias - (1 << shift >> 1)) * count - self._rows[j][g]
-        off, real = NONE, [self._rows[j][g]] * 2
-        for w, real_w, x in zip(whole, self._w_x(j, g), self._features, strict=True):
-            ends = sorted((w * x.low, w * x.high))
-            low, high = low + ends[0], high + ends[1]
-            gap = w * count - real_w * x.scale
-            gaps = sorted((gap * x.low, gap * x.high))
-            gap_low, gap_high = gap_low + gaps[0], gap_high + gaps[1]
-            off += abs(real_w) * x.error
-            around = (x.low * x.scale - x.error, x.high * x.scale + x.error)
-            products = sorted(real_w * end for end in around)
-            real = [real[0] + products[0], real[1] + products[1]]
-        return off + max(abs(gap_low), abs(gap_high)), low, high, (real[0], real[1])
-
-    def _of_states(self, j: int, g: int, count: Fraction) -> tuple[Fraction, int]:
-        """Return what the states' sum is off by but for their own errors, and its largest size."""
-        c, row = self._c, 3 * j + g
-        whole = c.w_h[row * c.hidden : (row + 1) * c.hidden]
-        size = sum(map(abs, whole)) * COPY_MOST
-        each, off = count, NONE
-        if c.multipliers:
-            multiplier, shift = c.multipliers[row], c.multiplier_shifts[g]
-            each = count * multiplier / (1 << shift)
-            size = (size * abs(multiplier) + (1 << shift >> 1) >> shift) + 1
-            off = count / 2 if shift else NONE
-        for w, real_w in zip(whole, self._w_h(j, g), strict=True):
-            off += abs(w * each - real_w / 32768) * COPY_MOST + abs(real_w) / 65536
-        return off, size
-
-    def _argument(self, j: int, g: int) -> GateSum:
-        """Return the argument of r or u, in units of the table's twice."""
-        shift = self._c.shifts[g]
-        count = Fraction(1, 1 << (15 + shift))
-        own, low, high, real = self._of_features(j, g, count)
-        of_states, size = self._of_states(j, g, count)
-        own += of_states + (Fraction(1, 65536) if shift else NONE)
-        shares = tuple(map(abs, self._w_h(j, g)))
-        most = sum(shares, NONE)
-        chip = (low - size >> shift, high + size >> shift)
-        return GateSum(LinearError(own, shares), (real[0] - most, real[1] + most), chip)
 
     def _reset(self, j: int) -> tuple[Fraction, int, LinearError]:
         """Return the largest r of both, of the chip in 2**-31, and how far r is off."""
-        a = self._argument(j, 0)
-        ends = _reach(a, 15)
-        slope = _slope(ends[0] / 2, ends[1] / 2) / 4
-        own = slope * a.off.own + self._tanh / 2
-        chip = (1 << 30) + self._look_up(a.chip[1])
-        most = min(max(_sigmoid(a.real[1])[1], Fraction(chip, 1 << 31)), ONE)
+        a = self.argument(j, 0, 15)
+        ends = ends_of(a, 15)
+        slope = steepest(ends[0] / 2, ends[1] / 2) / 4
+        own = slope * a.off.own + self.tanh_off / 2
+        chip = (1 << 30) + self.look_up(a.chip[1])
+        most = min(max(enclose_sigmoid(a.real[1])[1], Fraction(chip, 1 << 31)), ONE)
         return most, chip, LinearError(own, tuple(slope * share for share in a.off.shares))
 
     def _candidate(self, j: int) -> GateSum:
-        c, shift = self._c, self._c.shifts[2]
+        c, shift = self._gru, self._gru.shifts[2]
         count = Fraction(1, 1 << (16 + shift))
-        own, low, high, real = self._of_features(j, 2, count)
+        own, low, high, real = self.of_features(j, 2, count)
         own += Fraction(1, 1 << 17) if shift else NONE
-        weights = self._w_h(j, 2)
+        weights = self.w_h(j, 2)
         most = sum(map(abs, weights), NONE)
         if not c.after:
-            of_states, size = self._of_states(j, 2, count)
+            of_states, size = self.of_states(j, 2, count)
             own += of_states
             shares = [NONE] * c.hidden
             for k, (weight, (r, _, off)) in enumerate(zip(weights, self._resets, strict=True)):
@@ -216,7 +132,7 @@ class _GruCheck:
             chip = (low - size >> shift, high + size >> shift)
             return GateSum(LinearError(own, tuple(shares)), (real[0] - most, real[1] + most), chip)
         r, r_chip, off = self._resets[j]
-        of_states, size = self._of_states(j, 2, count / 2)
+        of_states, size = self.of_states(j, 2, count / 2)
         bias, real_bias = c.bias[4 * j + 3], self._rows[j][3]
         # of the bias by its own sign: the sum of the states may have either
         of_states += abs(bias * count / 2 - real_bias)
@@ -236,18 +152,18 @@ class _GruCheck:
 
     def unit(self, j: int) -> UnitRule:
         """Return what bounds the next error of a unit."""
-        u, n = self._argument(j, 1), self._candidate(j)
-        ends = _reach(n, 16)
-        slope = _slope(*ends)
-        real = [_tanh(end) for end in n.real]
+        u, n = self.argument(j, 1, 15), self._candidate(j)
+        ends = ends_of(n, 16)
+        slope = steepest(*ends)
+        real = [enclose_tanh(end) for end in n.real]
         half = (max(real[1][1], NONE) - min(real[0][0], NONE)) / 2
-        reach = _reach(u, 15)
+        reach = ends_of(u, 15)
         t_low, t_high = reach[0] * 32768 // 1, -(-reach[1] * 32768 // 1)
         share, rest = numbers.sigmoid_error(self._lines, int(t_low), int(t_high))
-        slowest = Fraction((1 << 30) + self._look_up(u.chip[0]), 1 << 31)
+        slowest = Fraction((1 << 30) + self.look_up(u.chip[0]), 1 << 31)
         return UnitRule(
             LinearError(
-                slope * n.off.own + self._tanh,
+                slope * n.off.own + self.tanh_off,
                 tuple(slope * part for part in n.off.shares),
             ),
             u.off,
@@ -256,35 +172,6 @@ class _GruCheck:
             half,
             Fraction(1, 1 << 30) / min(slowest, Fraction(1, 2)),
         )
-
-
-def _apply(off: LinearError, errors: Sequence[Fraction]) -> Fraction:
-    return off.own + sum((a * e for a, e in zip(off.shares, errors, strict=True)), NONE)
-
-
-def _reach(a: GateSum, bits: int) -> Ends:
-    """Return where both arguments are, the table's t counting 2**-bits."""
-    chip = [Fraction(t, 1 << bits) for t in a.chip]
-    return min(a.real[0], chip[0]), max(a.real[1], chip[1])
-
-
-def _sigmoid(x: Fraction) -> Ends:
-    e = numbers.exp(-min(max(x, Fraction(-100)), Fraction(100)))
-    if abs(x) > 100:
-        return (NONE, 1 / (1 + e[0])) if x < 0 else (1 / (1 + e[1]), ONE)
-    return 1 / (1 + e[1]), 1 / (1 + e[0])
-
-
-def _tanh(x: Fraction) -> Ends:
-    low, high = _sigmoid(2 * x)
-    return 2 * low - 1, 2 * high - 1
-
-
-def _slope(low: Fraction, high: Fraction) -> Fraction:
-    """Return the largest slope of tanh from low to high."""
-    nearest = NONE if low <= 0 <= high else min(abs(low), abs(high), Fraction(32))
-    e = numbers.exp(2 * nearest)[0] if nearest else ONE
-    return 4 * e / (1 + e) ** 2
 
 
 def _close(units: Sequence[UnitRule]) -> list[Fraction]:
@@ -298,7 +185,7 @@ def _close(units: Sequence[UnitRule]) -> list[Fraction]:
             return errors
         slips = [unit.slips(errors) for unit in units]
         d, s = [slip[0] for slip in slips], [slip[1] for slip in slips]
-    raise NotUnderstoodError("no contraction of the recurrent layer is shown")
+    raise NotUnderstoodError(NO_CONTRACTION)
 
 
 def _solve(units: Sequence[UnitRule], d: Sequence[Fraction], s: Sequence[Fraction]) -> list[float]:
@@ -313,12 +200,4 @@ def _solve(units: Sequence[UnitRule], d: Sequence[Fraction], s: Sequence[Fractio
         rest = float(2 * unit.half * unit.rest * (1 + s_i) ** 2)
         own = float(unit.candidate.own + unit.rounding) + rest
         rows.append([*row, own + weight * float(unit.share) + slope * float(unit.update.own)])
-    for i, pivot in enumerate(rows):  # of a matrix whose diagonal outweighs: no exchange needed
-        if pivot[i] <= 0.0:
-            raise NotUnderstoodError("no contraction of the recurrent layer is shown")
-        for row in rows:
-            if row is not pivot and row[i]:
-                factor = row[i] / pivot[i]
-                for k in range(i, len(row)):
-                    row[k] -= factor * pivot[k]
-    return [row[-1] / row[i] for i, row in enumerate(rows)]
+    return eliminate(rows)

@@ -412,9 +412,9 @@ def _gru(machine: IntervalMachine, layer: Struct, weights: Weights, step: GruSte
         shifts,
         multiplier,
         multiplier_shifts if multiplier else [],
-        weights.after,
         n_x,
         n_h,
+        weights.after,
     )
     most = machine.tanh_max + machine.h_limit
     machine.note(f"{name}.state_step", -most, most, 32)

@@ -34,6 +34,7 @@ from zerodrift.verify.c_values import (
     Found,
     GruNumbers,
     Holder,
+    LstmNumbers,
     Pointer,
     Struct,
     Value,
@@ -73,6 +74,7 @@ class IntervalMachine(Statements):
         self.recurrent: set[tuple[str, tuple[Value, ...]]] = set()
         """The GRUs that were stepped, and under which features."""
         self.grus: dict[str, GruNumbers] = {}
+        self.lstms: dict[str, LstmNumbers] = {}
         """Their numbers."""
         self.stepped: set[tuple[str, tuple[Value, ...]]] = set()
         """The LSTMs that were."""

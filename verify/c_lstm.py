@@ -18,7 +18,7 @@ from zerodrift.verify.c_gru import (
     unpack_rows,
 )
 from zerodrift.verify.c_intervals import IntervalMachine
-from zerodrift.verify.c_values import FaultError, Pointer, Struct, Value
+from zerodrift.verify.c_values import FaultError, LstmNumbers, Pointer, Struct, Value
 
 CELL = 1 << 30
 SLOWEST = 15
@@ -46,7 +46,7 @@ def run_lstm(
     w_x, w_16, w_8, multiplier, bias = (machine.table_of(layer, n) for n in names)
     if bool(w_16) == bool(w_8) or bool(multiplier) != bool(w_8):
         raise FaultError(f"{layer.name}: weights of 16 bits, or of 8 bits and their multipliers")
-    weights = LstmNumbers((w_x, w_16 or w_8, bias), multiplier)
+    weights = LstmRows((w_x, w_16 or w_8, bias), multiplier)
     _step(machine, layer, weights, step, (inputs.low, hidden.low))
 
 
@@ -68,7 +68,7 @@ def run_lstm_rows(
     except (IndexError, ValueError) as error:
         raise FaultError(f"{layer.name}: its table is short or not filled up: {error}") from None
     scaled = found[3] if len(found) == 4 else []
-    weights = LstmNumbers((found[0], found[1], found[2]), scaled)
+    weights = LstmRows((found[0], found[1], found[2]), scaled)
     _step(machine, layer, weights, step, (n_x, units))
 
 
@@ -92,7 +92,7 @@ def _name_arguments(given: tuple[Pointer | Value, ...], scratch: int) -> "LstmSt
 
 
 @dataclass(frozen=True)
-class LstmNumbers:
+class LstmRows:
     """The numbers of a layer."""
 
     rows: Rows
@@ -127,7 +127,7 @@ def step_lstm(machine: IntervalMachine, layer: Struct, step: LstmStep) -> None:
     words = -(-inputs // 2) + (-(-hidden // 4) + 1 if multiplier else -(-hidden // 2))
     if len(stream) != hidden * (4 + 4 * words):
         raise FaultError(f"{layer.name}: its table is longer than its layer")
-    _step(machine, layer, LstmNumbers(rows, multiplier), step, (inputs, hidden))
+    _step(machine, layer, LstmRows(rows, multiplier), step, (inputs, hidden))
 
 
 def unpack_lstm_rows(
@@ -164,7 +164,7 @@ def unpack_lstm_bytes(stream: list[int], inputs: int, hidden: int) -> Scaled:
 def _step(
     machine: IntervalMachine,
     layer: Struct,
-    weights: LstmNumbers,
+    weights: LstmRows,
     step: LstmStep,
     sizes: tuple[int, int],
 ) -> None:
@@ -185,6 +185,18 @@ def _step(
     largest = [max(abs(v.low), abs(v.high)) for v in x]
     _note_gates(machine, layer, weights, name, largest, count)
     _note_cell(machine, layer, name)
+    machine.lstms[name] = LstmNumbers(
+        *weights.rows,
+        [layer.fields["shift"].value(g).low for g in range(4)],
+        weights.multiplier,
+        [
+            layer.fields["multiplier_shift"].value(g).low
+            for g in range(4 if weights.multiplier else 0)
+        ],
+        n_x,
+        count,
+        layer.fields["cell_bits"].value(0).low,
+    )
     machine.shift = None
     machine.stepped.add((name, x))
 
@@ -192,7 +204,7 @@ def _step(
 def _note_gates(
     machine: IntervalMachine,
     layer: Struct,
-    weights: LstmNumbers,
+    weights: LstmRows,
     name: str,
     sizes: list[int],
     units: int,

@@ -203,19 +203,32 @@ def anything(kind: str) -> Value:
 
 
 @dataclass(frozen=True)
-class GruNumbers:
-    """A layer as the C has it, for the check of the error bound."""
+class LayerNumbers:
+    """A recurrent layer of G gates as the C has it, for the check of the error bound."""
 
     w_x: list[int]
-    """[H][3][I]."""
+    """[H][G][I]."""
     w_h: list[int]
-    """[H][3][H]."""
+    """[H][G][H]."""
     bias: list[int]
-    """[H][4]: r, u, n, n inside the reset product."""
+    """[H][4]: of a GRU r, u, n, n inside the reset product; of an LSTM i, f, g, o."""
     shifts: list[int]
     multipliers: list[int]
-    """[H][3] of 8-bit recurrent weights; else empty."""
+    """[H][G] of 8-bit recurrent weights; else empty."""
     multiplier_shifts: list[int]
-    after: bool
     inputs: int
     hidden: int
+
+
+@dataclass(frozen=True)
+class GruNumbers(LayerNumbers):
+    """A GRU."""
+
+    after: bool
+
+
+@dataclass(frozen=True)
+class LstmNumbers(LayerNumbers):
+    """An LSTM."""
+
+    cell_bits: int

@@ -40,11 +40,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.base.errors import NoRuleError
-from zerodrift.operations.enclosure import shorten
-from zerodrift.operations.errors import HALF, ZERO, Error, Known, SumTerm, bound_sum
+from zerodrift.operations.errors import HALF, ZERO, Error, Known
+from zerodrift.operations.gate_sums import GateArgument, GateSums, RealUnit, propose_errors, weigh
 from zerodrift.operations.gru.cell import IntegerGru
 from zerodrift.operations.table_error import (
     SigmoidError,
@@ -55,58 +54,10 @@ from zerodrift.operations.table_error import (
 )
 from zerodrift.operations.tables import T_MIN, sigmoid_q31
 
-Array = NDArray[np.float64]
-
-COPY = Fraction(1, 1 << 15)
-"""What a count of a state's int16 copy stands for."""
 STEP = Fraction(1, 1 << 30)
 """A step's rounding: half a count of the move, doubled."""
 QUARTER = Fraction(1, 4)
 TRIES = 40
-SPARE = 2.0**-10
-"""By which the errors are taken larger than found: the second derivation goes another way."""
-
-
-@dataclass(frozen=True)
-class RealUnit:
-    """One unit of the float GRU, gates in the order r, u, n."""
-
-    bias: tuple[Fraction, ...]
-    """r, u, n outside the reset product, n inside it."""
-    w_x: tuple[tuple[Fraction, ...], ...]
-    """[3][I]."""
-    w_h: tuple[tuple[Fraction, ...], ...]
-    """[3][H]."""
-
-    @classmethod
-    def of(cls, numbers: Sequence[float], inputs: int, hidden: int) -> "RealUnit":
-        """Return the unit of a row as `Real` has it: four biases, w_x of r, u, n, then w_h."""
-        given = tuple(map(Fraction, numbers))
-        if len(given) != 4 + 3 * (inputs + hidden):
-            raise NoRuleError("a unit of a recurrent layer with another number of weights")
-        first = 4 + 3 * inputs
-        return cls(
-            given[:4],
-            tuple(given[4 + g * inputs : 4 + (g + 1) * inputs] for g in range(3)),
-            tuple(given[first + g * hidden : first + (g + 1) * hidden] for g in range(3)),
-        )
-
-
-@dataclass(frozen=True)
-class GateArgument:
-    """What a gate's activation is of: how far off by itself, how much by the states, its range."""
-
-    error: Error
-    gains: tuple[Fraction, ...]
-    """[H] how much of each state's error is added."""
-    low: Fraction
-    high: Fraction
-    """Of chip and real arithmetic."""
-
-    @property
-    def size(self) -> Fraction:
-        """The largest absolute value."""
-        return max(abs(self.low), abs(self.high))
 
 
 @dataclass(frozen=True)
@@ -130,14 +81,14 @@ class Growth:
 
     def move(self, errors: Sequence[Fraction]) -> "UpdateMove":
         """Return d and s."""
-        d = self.update.error.total + _weigh(self.update.gains, errors)
+        d = self.update.error.total + weigh(self.update.gains, errors)
         return UpdateMove(d, self.table.share + self.factor * d * (1 + 2 * d))
 
     def grow(self, errors: Sequence[Fraction]) -> Fraction:
         """Return F(e)."""
         s = self.move(errors).s
         of_update = s * (1 + 2 * s) + 2 * self.table.rest * (1 + s) ** 2
-        return self.fixed.total + _weigh(self.gains, errors) + self.half * of_update
+        return self.fixed.total + weigh(self.gains, errors) + self.half * of_update
 
 
 @dataclass(frozen=True)
@@ -161,22 +112,21 @@ def bound_states(
     Raises:
         NoRuleError: no contraction is shown.
     """
-    units = [RealUnit.of(row, gru.inputs, gru.hidden) for row in numbers]
+    units = [RealUnit.of(row, gru.inputs, gru.hidden, 3) for row in numbers]
     rules = _Rules(gru, units, features)
     return _solve([rules.bound_growth(i) for i in range(gru.hidden)])
 
 
-class _Rules:
+class _Rules(GateSums):
     """The error rules of one layer."""
 
     def __init__(
         self, gru: IntegerGru, units: Sequence[RealUnit], features: Sequence[Known]
     ) -> None:
-        self._gru, self._units, self._features = gru, units, features
+        super().__init__(gru, units, features)
+        self._gru = gru
         self._zero = (ZERO,) * gru.hidden
         self._after = gru.reset == "after"
-        copied = Error(rounding=COPY / 2)
-        self._copies = [Known(-32767, 32767, COPY, ZERO, copied) for _ in units]
         self._tanh = bound_tanh() / (1 << 30)
         self._reset = [self._bound_reset(i) for i in range(gru.hidden)]
 
@@ -207,16 +157,6 @@ class _Rules:
         gains = tuple(slope * gain for gain in a.gains)
         most = min(bound_sigmoid(a.high).high + self._tanh / 2, Fraction(1))
         return most, GateArgument(error, gains, ZERO, most)
-
-    def _bound_argument(self, g: int, i: int) -> GateArgument:
-        """Return the argument of a sigmoid: everything is in one sum."""
-        gru, unit = self._gru, self._units[i]
-        count = Fraction(1, 1 << (15 + gru.shift[g]))
-        constant = self._read_bias(g, i) * count - unit.bias[g]
-        error = self._sum_features(g, i, count, constant)
-        error += self._sum_states(g, i, count, ZERO)
-        error += self._round_shift(g, Fraction(1, 1 << 15))
-        return self._enclose(error, tuple(map(abs, unit.w_h[g])), self._reach(g, i))
 
     def _bound_candidate(self, i: int) -> GateArgument:
         gru, unit = self._gru, self._units[i]
@@ -249,56 +189,6 @@ class _Rules:
             gains = tuple(gain + size * (a + b) for gain, a, b in both)
         return self._enclose(error, gains, (low - most, high + most))
 
-    def _read_bias(self, g: int, i: int) -> Fraction:
-        """Return a bias less the rounding half that is folded in."""
-        return Fraction(int(self._gru.bias[g, i]) - (1 << self._gru.shift[g] >> 1))
-
-    def _round_shift(self, g: int, scale: Fraction) -> Error:
-        return Error(rounding=scale * HALF if self._gru.shift[g] else ZERO)
-
-    def _sum_features(self, g: int, i: int, count: Fraction, constant: Fraction) -> Error:
-        terms = [
-            SumTerm(gain, ("features", k), x)
-            for k, (gain, x) in enumerate(zip(self._units[i].w_x[g], self._features, strict=True))
-        ]
-        chip = {("features", k): int(w) * count for k, w in enumerate(self._gru.w_x[g, i])}
-        return bound_sum(terms, chip, constant, "weights")
-
-    def _sum_states(self, g: int, i: int, count: Fraction, constant: Fraction) -> Error:
-        """Return the error of w_h . h but for that of the states themselves."""
-        gru, rounded = self._gru, ZERO
-        of_row = count
-        if gru.multiplier is not None:
-            of_row *= Fraction(int(gru.multiplier[g, i]), 1 << gru.multiplier_shift[g])
-            rounded = count / 2 if gru.multiplier_shift[g] else ZERO
-        terms = [
-            SumTerm(gain, ("h", j), x)
-            for j, (gain, x) in enumerate(zip(self._units[i].w_h[g], self._copies, strict=True))
-        ]
-        chip = {("h", j): int(w) * of_row for j, w in enumerate(gru.w_h[g, i])}
-        return bound_sum(terms, chip, constant, "weights") + Error(rounding=rounded)
-
-    def _reach_of_features(self, g: int, i: int) -> tuple[Fraction, Fraction]:
-        low = high = self._units[i].bias[g]
-        for w, x in zip(self._units[i].w_x[g], self._features, strict=True):
-            off = x.error.total
-            ends = (w * (x.ends[0] - off), w * (x.ends[1] + off))
-            low, high = low + min(ends), high + max(ends)
-        return low, high
-
-    def _reach(self, g: int, i: int) -> tuple[Fraction, Fraction]:
-        low, high = self._reach_of_features(g, i)
-        most = sum(map(abs, self._units[i].w_h[g]), ZERO)
-        return low - most, high + most
-
-    @staticmethod
-    def _enclose(
-        error: Error, gains: tuple[Fraction, ...], ends: tuple[Fraction, Fraction]
-    ) -> GateArgument:
-        """Return an argument whose range covers the chip: the same states, but for the error."""
-        off = error.total
-        return GateArgument(error, gains, ends[0] - off, ends[1] + off)
-
 
 def _solve(growths: Sequence[Growth]) -> list[Error]:
     """Return errors e >= F(e).
@@ -323,10 +213,6 @@ def _solve(growths: Sequence[Growth]) -> list[Error]:
     raise NoRuleError("a recurrent layer carries errors on, and they were not shown to stay small")
 
 
-def _weigh(gains: Sequence[Fraction], errors: Sequence[Fraction]) -> Fraction:
-    return sum((gain * e for gain, e in zip(gains, errors, strict=True)), ZERO)
-
-
 def _propose(growths: Sequence[Growth], moves: Sequence[UpdateMove]) -> list[Error]:
     """Return e = F(e) and a little more, F being straight with the given d and s, cause by cause.
 
@@ -344,13 +230,4 @@ def _propose(growths: Sequence[Growth], moves: Sequence[UpdateMove]) -> list[Err
         error = growth.fixed + Error(table=table)
         parts = zip(error.parts(), growth.update.error.parts(), strict=True)
         fixed.append([float(part) + of_d * float(own) for part, own in parts])
-    radius = float(np.abs(np.linalg.eigvals(np.array(rows))).max())
-    if radius >= 1.0:
-        raise NoRuleError(
-            "a recurrent layer carries errors on, and no contraction is shown: by the sizes of its "
-            f"weights an error may grow {radius:.3g} times; [network] contracting = true trains one"
-            " that forgets"
-        )
-    found = np.linalg.solve(np.eye(len(rows)) - np.array(rows), np.array(fixed))
-    taken = (1 + SPARE) * np.maximum(found, 0.0)
-    return [Error(*(shorten(Fraction(part)) for part in row)) for row in taken.tolist()]
+    return propose_errors(rows, fixed)

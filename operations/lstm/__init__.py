@@ -10,6 +10,7 @@ from zerodrift.base.config import LONGEST_WINDOW
 from zerodrift.operations.arithmetic import IntArray, round_shift
 from zerodrift.operations.c_text import RuntimePart, StateField, list_ring
 from zerodrift.operations.dense import COPY_BITS
+from zerodrift.operations.errors import Error, Known
 from zerodrift.operations.gru.cell import H_LIMIT_Q30
 from zerodrift.operations.intervals import Bound, Interval, Shift
 from zerodrift.operations.lstm.cell import (
@@ -20,9 +21,11 @@ from zerodrift.operations.lstm.cell import (
     write_lstm_step,
     write_relaxed,
 )
+from zerodrift.operations.lstm.error import bound_states
 from zerodrift.operations.lstm.layouts import FILTERS
 from zerodrift.operations.node import Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.recurrent import IntegerRecurrent, number_layers, prove_layers
+from zerodrift.operations.signals import Real
 
 LSTM = RuntimePart("zd_lstm.h", "zd_gates_are_sound")
 
@@ -187,6 +190,12 @@ class IntegerLstmLayer(IntegerRecurrent):
             return {"h_q30": states[0][0], "cell": states[0][1]}
         h_q30, cell = (w.op("Concat", *part, axis=1) for part in zip(*states, strict=True))
         return {"h_q30": h_q30, "cell": cell}
+
+    def bound_states(self, rows: Sequence[Real], inputs: Sequence[Known]) -> list[Error]:
+        """Return the error of every output where the layer is alone and forgets; see `error`."""
+        if len(self.layers) > 1 or any(row.operation != "lstm" for row in rows):
+            return super().bound_states(rows, inputs)
+        return bound_states(self.layers[0], [row.numbers for row in rows], inputs)
 
     def list_state(self) -> tuple[StateField, ...]:
         """Return the fields of the state in C, in the order of their names."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.layered_network import FloatLayeredNetwork
 from zerodrift.export.quantize import Quantized
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.operations.dense import FloatFeedForward
@@ -22,6 +23,7 @@ from zerodrift.operations.signals import Signal
 Array = NDArray[np.float64]
 START_PASSES, MOST_ROUNDS = 4, 100
 COUNTER_LIMIT = 2**27
+LAYERS = ("drift", "head", "dense", "gru", "lstm")
 
 
 def answer(
@@ -131,6 +133,8 @@ class _Held:
         network = described.network
         if isinstance(network, FloatFeedForward):
             return network.run(x)
+        if isinstance(network, FloatLayeredNetwork):
+            return np.stack([network.answer(run, described.window) for run in x])
         assert isinstance(network, FloatNetwork)
         if described.window:
             return np.stack([network.run_windows(run, described.window) for run in x])
@@ -145,9 +149,7 @@ def _list_features(quantized: Quantized) -> Sequence[Signal]:
         signal = stack.pop()
         if signal.node == "features":
             found[signal.index] = signal
-        elif (
-            signal.node.startswith(("drift", "head", "dense", "gru")) and signal.meaning is not None
-        ):
+        elif signal.node.startswith(LAYERS) and signal.meaning is not None:
             first = signal.meaning.inputs
             stack.extend(first)
     return [found[i] for i in sorted(found)]

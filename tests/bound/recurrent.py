@@ -10,8 +10,10 @@ from tests.bound.cases import Case
 from tests.bound.planted import BATCH, FINE, PERIOD_S
 from tests.effects_on_chip.random_graphs import LSBS, describe_graph, draw_codes
 from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.lstm.cell import FloatLstm
 
 Array = NDArray[np.float64]
 STEPS = 400
@@ -74,13 +76,23 @@ def make_recurrent(kind: Forgetful) -> Case:
     rng = np.random.default_rng(kind.seed + 17)
     head = 0.3 * rng.normal(size=(2, kind.hidden))
     case = make_case(draw_gru(kind), head, kind.weights, kind.window)
-    return replace(case, codes=_draw_codes(case.calibration.code_limits, rng, STEPS))
+    return replace(case, codes=draw_all_codes(case.calibration.code_limits, rng, STEPS))
 
 
 def make_case(
-    gru: FloatGru, head: Array, weights: str = "int16", window: int = 0, feature_max: float = 1.0
+    cell: FloatGru | FloatLstm,
+    head: Array,
+    weights: str = "int16",
+    window: int = 0,
+    feature_max: float = 1.0,
 ) -> Case:
-    """Return a model of two features, a GRU and a head [2, H], without codes."""
+    """Return a model of two features, a GRU or LSTM and a head [2, H], without codes."""
+    bias = np.array([0.11, -0.07])
+    network: FloatNetwork | FloatLayeredNetwork
+    if isinstance(cell, FloatGru):
+        network = FloatNetwork(cell, head, bias)
+    else:
+        network = FloatLayeredNetwork(2, (FloatLayer(cell, (0,)),), (1,), head, bias)
     ops = GraphOperations(PERIOD_S)
     x = ops.affine(ops.input("x0"), 1.0 / 47.0, 0.0)
     nodes = [x, ops.affine(ops.input("x1"), 1.0 / 9.0, 0.13)]
@@ -94,7 +106,7 @@ def make_case(
         coefficients=np.zeros((0, 2)),
         tap_mean=np.array([0.11, -0.07]),
         whitening=np.array([[0.7, 0.21], [-0.3, 0.9]]),
-        network=FloatNetwork(gru, head, np.array([0.11, -0.07])),
+        network=network,
         window=window,
     )
     ends = np.full(2, 2.0)
@@ -103,7 +115,7 @@ def make_case(
     return Case.of(described, calibration, weights)
 
 
-def _draw_codes(
+def draw_all_codes(
     limits: tuple[tuple[int, int], ...], rng: np.random.Generator, steps: int
 ) -> NDArray[np.int64]:
     """Return noise, bang-bang at several rates, rests and walks [B, steps, C]."""
@@ -171,7 +183,7 @@ def make_probe(name: str) -> Case:
     case = make_case(draw_probe(name), head, feature_max=0.25)
     steps = MEMORY if name == "slow" else STEPS
     rng = np.random.default_rng(3)
-    return replace(case, codes=_draw_codes(case.calibration.code_limits, rng, steps))
+    return replace(case, codes=draw_all_codes(case.calibration.code_limits, rng, steps))
 
 
 @cache

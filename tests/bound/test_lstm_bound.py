@@ -1,0 +1,159 @@
+"""The error bound of LSTMs: no input exceeds it, unsound rules are found, the check derives it."""
+
+import json
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.bound.lstms import REACH, Forgetful, draw_lstm, make_lstm, measure_lstm
+from tests.bound.recurrent import make_case
+from tests.certificate.test_check import list_texts
+from zerodrift.codegen.generate import generate
+from zerodrift.export.error_bound import round_up
+from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
+from zerodrift.operations.errors import Known
+from zerodrift.operations.gate_sums import RealUnit
+from zerodrift.operations.lstm import IntegerLstmLayer, error
+from zerodrift.verify.certificate import certify
+from zerodrift.verify.certificate_check import compare
+
+KINDS = (
+    Forgetful(),
+    Forgetful(hidden=4, forget=1.0),
+    Forgetful(hidden=4, forget=3.0, window=10),
+    Forgetful(hidden=8, coupling=0.5, forget=-1.0, seed=5),
+    Forgetful(hidden=8, forget=2.0, weights="int8"),
+    Forgetful(hidden=5, weights="int8", window=6, seed=2),
+    Forgetful(hidden=6, forget=4.5, of_gates=0.05, seed=4),
+    Forgetful(hidden=3, coupling=0.0, of_gates=0.4, seed=6),
+)
+MANY = tuple(
+    replace(kind, seed=seed, forget=forget, of_gates=0.05 if forget > 2.0 else kind.of_gates)
+    for kind in KINDS
+    for seed in (21, 22, 23)
+    for forget in (-2.0, 1.0, 4.0)
+)
+Told = dict[str, Any]
+
+
+def _hold(kinds: tuple[Forgetful, ...]) -> None:
+    for kind in kinds:
+        bound = make_lstm(kind).bound()
+        assert bound.outputs, (kind, bound.why)
+        largest = [round_up(error.total) for error in bound.outputs]
+        assert (np.array(measure_lstm(kind)) <= largest).all(), kind
+        assert (10.0**3 * np.array(measure_lstm(kind)) > largest).all(), kind
+
+
+def test_no_drawn_input_exceeds_the_bound_of_an_lstm() -> None:
+    _hold(KINDS)
+
+
+@pytest.mark.slow
+def test_no_drawn_input_exceeds_the_bound_of_many_lstms() -> None:
+    _hold(MANY)
+
+
+@pytest.mark.parametrize(
+    ("of_states", "of_forget", "said"),
+    [
+        (16.0, 0.0, "no contraction is shown"),
+        (1.0, 7.5, "cell state may go beyond"),
+        (1.0, 14.0, "forget gate comes so near to 1"),
+    ],
+)
+def test_an_lstm_that_does_not_forget_has_no_bound_and_it_is_said_why(
+    of_states: float, of_forget: float, said: str
+) -> None:
+    lstm = draw_lstm(Forgetful(hidden=4, coupling=0.8))
+    bias = lstm.bias + np.array([0.0, of_forget, 0.0, 0.0])[:, None]
+    case = make_case(replace(lstm, w_h=of_states * lstm.w_h, bias=bias), np.ones((2, 4)))
+    bound = case.bound()
+    assert bound.outputs == ()
+    assert said in bound.why and "no contraction" in bound.why and "contracting = true" in bound.why
+
+
+def test_lstms_on_top_of_each_other_have_no_bound() -> None:
+    case = make_lstm(KINDS[1])
+    network = case.described.network
+    assert isinstance(network, FloatLayeredNetwork)
+    upper = replace(draw_lstm(KINDS[1]), w_x=np.zeros((4, 4, 4)))
+    layers = (*network.layers, FloatLayer(upper, (1,)))
+    described = replace(case.described, network=replace(network, layers=layers, reads=(2,)))
+    bound = type(case).of(described, case.calibration).bound()
+    assert bound.outputs == () and "no contraction is shown" in bound.why
+
+
+@pytest.mark.parametrize("kind", KINDS[:2], ids=str)
+def test_the_way_to_rest_ends_as_near_as_is_said(kind: Forgetful) -> None:
+    """Of float LSTMs under constant features, beside ones that settle several times as long."""
+    lstm = draw_lstm(kind)
+    (node,) = (n for n in make_lstm(kind).quantized.model.nodes if isinstance(n, IntegerLstmLayer))
+    rows = [
+        [*lstm.bias[:, j], *lstm.w_x[:, j].ravel(), *lstm.w_h[:, j].ravel()]
+        for j in range(kind.hidden)
+    ]
+    units = [RealUnit.of(row, 2, kind.hidden, 4) for row in rows]
+    count = Fraction(1, 1 << 13)
+    features = [Known(-32768, 32767, count, Fraction(0))] * 2
+    rules = error._LstmRules(node.layers[0], units, features)
+    growths = [rules.bound_growth(j) for j in range(kind.hidden)]
+    left = error._settle(growths, [e.total for e in error._solve(growths)])
+    x = np.random.default_rng(1).uniform(-REACH, REACH, size=(500, 2))
+    once = lstm.settle(x)
+    state = once
+    for _ in range(20):
+        state = lstm._run(np.repeat(x[:, None], 64, axis=1), state, relaxing=True)[1]
+    far = np.abs(once - state).max(axis=0)
+    allowed = [float(h) for _, h in left] + [float(c) for c, _ in left]
+    assert (far <= np.array(allowed) + 1e-15).all()
+    assert max(allowed) < 1e-4
+
+
+def _certify(kind: Forgetful) -> tuple[Told, dict[str, str]]:
+    case = make_lstm(kind)
+    code = generate(case.quantized.model)
+    return json.loads(certify(case.quantized.model, code, case.bound())), list_texts(code)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful) -> None:
+    told, texts = _certify(kind)
+    assert not compare(told, texts).failures
+    for claim in told["error_bound"]:
+        claim["bound"] *= 1.0 - 5e-3
+    assert len(compare(told, texts).failures) == len(told["error_bound"])
+
+
+def test_a_change_of_a_weight_of_the_float_layer_is_noticed() -> None:
+    """One number of a unit a tenth more, in turn: the biases, weights of each gate."""
+    told, texts = _certify(KINDS[1])
+    rows = [line for line in told["float_model"] if line["operation"] == "lstm"]
+    assert len(rows) == 4
+    noticed = tried = 0
+    for place in (0, 1, 2, 3, 4, 6, 8, 10, 12, 17, 20, 25):
+        changed = json.loads(json.dumps(told))
+        line = changed["float_model"][told["float_model"].index(rows[1])]
+        line["numbers"][place] *= 1.1
+        tried += 1
+        noticed += bool(compare(changed, texts).failures)
+    assert noticed >= 0.9 * tried
+
+
+@pytest.mark.parametrize("change", ["operation", "order", "short", "reads"])
+def test_a_float_layer_that_is_not_the_cs_is_refused(change: str) -> None:
+    told, texts = _certify(KINDS[1])
+    rows = [line for line in told["float_model"] if line["operation"] == "lstm"]
+    for line in rows:
+        if change == "operation":
+            line["operation"] = "gru_after"
+        if change == "order":
+            line["index"] = 3 - line["index"]
+        if change == "short":
+            line["numbers"] = line["numbers"][:-1]
+        if change == "reads":
+            line["of"] = line["of"][::-1]
+    assert not compare(told, texts).understood
