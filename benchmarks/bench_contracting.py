@@ -1,7 +1,7 @@
-"""GRUs trained freely and with `[network] contracting = true`: error bounds, and what they cost.
+"""GRUs and LSTMs trained freely and with `[network] contracting = true`: bounds, and their cost.
 
     python -m benchmarks bench_contracting [--quick]
-    python -m benchmarks.bench_contracting --first 700 --seeds 20
+    python -m benchmarks.bench_contracting --first 700 --seeds 20 [--kind lstm]
 
 Specimens of the six-axis twin, all simulated: four chamber cycles to train on, a chamber cycle,
 heating, cooling and a walk as tests, which training does not see; each specimen is one seed, for
@@ -24,6 +24,7 @@ from zerodrift.base.config import Config
 from zerodrift.dataset.runs import Dataset
 from zerodrift.export.compose import calibrate, describe_compensator
 from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.layered_network import FloatLayeredNetwork
 from zerodrift.lab.twin.six_axis import draw_sensor, load_protocol, record, to_config, to_dataset
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.scores import Trained
@@ -39,7 +40,7 @@ MARK_PERCENT, MARK_SHARES, MARK_RATIO, MARK_COST = 0.5, (0.5, 0.95), 20.0, 1.05
 
 @dataclass(frozen=True)
 class Bounded:
-    """A trained GRU."""
+    """A trained network."""
 
     error: float
     """On the tests, in shares of full scale."""
@@ -52,12 +53,12 @@ class Bounded:
 def main(quick: bool) -> None:
     """Train and search; few and short ones if `quick`."""
     if not measure(
-        FIRST, 2 if quick else SEEDS, 4 if quick else ROUNDS, SIZES[: 1 if quick else 3]
+        FIRST, 2 if quick else SEEDS, 4 if quick else ROUNDS, SIZES[: 1 if quick else 3], "gru"
     ):
         raise SystemExit(1)
 
 
-def measure(first: int, seeds: int, rounds: int, sizes: Sequence[int]) -> bool:
+def measure(first: int, seeds: int, rounds: int, sizes: Sequence[int], kind: str) -> bool:
     """Print a line per size, and the marks; return whether all bounds hold.
 
     Args:
@@ -65,12 +66,13 @@ def measure(first: int, seeds: int, rounds: int, sizes: Sequence[int]) -> bool:
         seeds: specimens.
         rounds: of the search.
         sizes: hidden units.
+        kind: of the network, "gru" or "lstm".
     """
     free, kept, costs = list[Bounded](), list[Bounded](), list[float]()
     projects = [make_project(number) for number in range(first, first + seeds)]
     for hidden in sizes:
         pair = [
-            train_all(projects, hidden, first, rounds, contracting=contracting)
+            train_all(projects, (kind, hidden), first, rounds, contracting=contracting)
             for contracting in (False, True)
         ]
         both = [(a, b) for a, b in zip(*pair, strict=True) if a is not None and b is not None]
@@ -129,18 +131,19 @@ def make_project(number: int) -> tuple[Config, Dataset]:
 
 def train_all(
     projects: Sequence[tuple[Config, Dataset]],
-    hidden: int,
+    network: tuple[str, int],
     seed: int,
     rounds: int,
     *,
     contracting: bool,
 ) -> list[Bounded | None]:
-    """Return every specimen's GRU; None where training left it out."""
+    """Return every specimen's network of a kind and size; None where training left it out."""
+    kind, hidden = network
     options = {"contracting": True} if contracting else {}
     given = []
     for k, (config, dataset) in enumerate(projects):
-        network = replace(config.network, kind="gru", hidden=hidden, seed=seed + k, options=options)
-        given.append((replace(config, network=network), dataset))
+        own = replace(config.network, kind=kind, hidden=hidden, seed=seed + k, options=options)
+        given.append((replace(config, network=own), dataset))
     answers = train_together(given, load_catalogue())
     found: list[Bounded | None] = []
     for (config, dataset), answer in zip(given, answers, strict=True):
@@ -152,11 +155,11 @@ def train_all(
 
 
 def bound(config: Config, dataset: Dataset, trained: Trained, seed: int, rounds: int) -> Bounded:
-    """Return a GRU's error and bound, searched for the worst input."""
+    """Return a network's error and bound, searched for the worst input."""
     full_scale = np.array(trained.scores.full_scale)
     error = float(np.sqrt(np.mean((trained.scores.held_out.compensated / full_scale) ** 2)))
     described = describe_compensator(trained.compensator, config, dataset.train)
-    assert isinstance(described.network, FloatNetwork)
+    assert isinstance(described.network, FloatNetwork | FloatLayeredNetwork)
     case = Case.of(described, calibrate(described, dataset.train))
     proven = case.bound().outputs
     if not proven:
@@ -173,6 +176,7 @@ if __name__ == "__main__":
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
+    parser.add_argument("--kind", choices=("gru", "lstm"), default="gru")
     given = parser.parse_args()
-    if not measure(given.first, given.seeds, given.rounds, given.sizes):
+    if not measure(given.first, given.seeds, given.rounds, given.sizes, given.kind):
         raise SystemExit(1)

@@ -1,6 +1,6 @@
-"""Recurrent weights of GRUs so small that an error of the state shrinks, whatever the features are.
+"""Recurrent weights so small that an error of the state shrinks, whatever the features are.
 
-What is bounded here is, unit by unit, what the proof of the error bound adds up
+What is bounded here of GRUs is, unit by unit, what the proof of the error bound adds up
 (`zerodrift.operations.gru.error`), for features of any value that the chip can hold: with the reset
 after the product
 
@@ -9,6 +9,11 @@ after the product
 and, before it, sum |Un| (1 + max sum |Ur| / 4) + sum |Uu| <= GROWTH. The argument of the update
 gate stays at -SLOWEST or above, where the table of the sigmoid is fine.
 
+Of LSTMs (`zerodrift.operations.lstm.error`), the arguments of whose input and forget gate the
+features move by up to SPREAD, with q = i / (1 - f) at the largest i and f,
+
+    q <= RATIO      q (sum |Ug| + sum |Ui| / 4 + sum |Uf|) <= GROWTH / 4      sum |Uo| <= GROWTH.
+
 Source: Bonassi, Farina and Scattolini, "On the stability properties of gated recurrent units neural
 networks", 2021, arXiv 2011.06806: such a condition, there kept by a penalty.
 """
@@ -16,6 +21,7 @@ networks", 2021, arXiv 2011.06806: such a condition, there kept by a penalty.
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -30,6 +36,11 @@ LEAST_ROOM = 1.0
 """Of that, what is left to the features and states that the update gate reads."""
 HEADROOM = 2.0
 """The chip holds features up to this multiple of their largest, rounded up to a power of two."""
+SPREAD = 1.0
+RATIO = 8.0
+"""A cell state can go up to this, an error of what is added to it grow by as much."""
+FINE_GRID = 2.0**-12
+"""As `GRID`, of the LSTM's, which are smaller."""
 TINY = 1e-9
 GRID = 2.0**-10
 """What the trained recurrent weights are rounded to. They are small beside the weights of the
@@ -46,6 +57,11 @@ def measure_reach(sequences: Sequence[Sequence32]) -> list[float]:
 def round_weights(w_h: Array) -> Array:
     """Return recurrent weights as they leave the training."""
     return np.asarray(np.round(w_h / GRID) * GRID)
+
+
+def trim_weights(w_h: Array) -> Array:
+    """Return an LSTM's recurrent weights as they leave the training, none of them larger."""
+    return np.asarray(np.trunc(w_h / FINE_GRID) * FINE_GRID)
 
 
 def contract(w_x: Tensor, w_h: Tensor, bias: Tensor, reset: str, reach: Tensor) -> None:
@@ -72,6 +88,29 @@ def contract(w_x: Tensor, w_h: Tensor, bias: Tensor, reset: str, reach: Tensor) 
     factor = _shrink(SLOWEST + bias[:, 1], lowered)[..., None]
     w_x[:, 1] *= factor
     w_h[:, 1] *= factor
+
+
+def contract_lstm(w_x: Tensor, w_h: Tensor, bias: Tensor, reach: Tensor) -> None:
+    """Shrink the weights of S LSTMs where they are too large; in place.
+
+    Args:
+        w_x: [S, 4, H, I], gates in the order i, f, g, o.
+        w_h: [S, 4, H, H].
+        bias: [S, 4, H].
+        reach: [S, I] largest absolute values of the features.
+    """
+    most = GROWTH * torch.tensor([1.0, 0.25, 0.25, 1.0], device=w_h.device)[:, None]
+    w_h *= _shrink(most, w_h.abs().sum(dim=3))[..., None]
+    moved = (w_x[:, :2].abs() * reach[:, None, None]).sum(dim=3)
+    w_x[:, :2] *= _shrink(SPREAD, moved)[..., None]
+    moved = moved.clamp(max=SPREAD) + w_h[:, :2].abs().sum(dim=3)
+    bias[:, 1] = torch.minimum(bias[:, 1], SLOWEST - moved[:, 1])
+    slow = 1.0 + torch.exp(bias[:, 1] + moved[:, 1])
+    allowed = torch.logit((RATIO / slow).clamp(max=1.0 - TINY), eps=TINY)
+    bias[:, 0] = torch.minimum(bias[:, 0], allowed - moved[:, 0])
+    ratio = slow * torch.sigmoid(bias[:, 0] + moved[:, 0])
+    i, f, g, _ = w_h.abs().sum(dim=3).unbind(dim=1)
+    w_h[:, :3] *= _shrink(0.25 * GROWTH, ratio * (g + 0.25 * i + f))[:, None, :, None]
 
 
 def _shrink(most: float | Tensor, found: Tensor) -> Tensor:

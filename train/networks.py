@@ -19,7 +19,7 @@ from zerodrift.base.config import NetworkConfig
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.lstm.cell import FloatLstm
-from zerodrift.train.contraction import contract, round_weights
+from zerodrift.train.contraction import contract, contract_lstm, round_weights, trim_weights
 from zerodrift.train.lstm_recurrence import LstmWeights, run_lstm, settle_lstm
 from zerodrift.train.recurrence import GruWeights, run_gru, settle
 
@@ -164,8 +164,11 @@ class GruNetwork(Network):
 class LstmNetwork(Network):
     """A long short-term memory and a linear head; the state is h beside c."""
 
-    def __init__(self, features: int, hidden: int, outputs: int) -> None:
+    def __init__(
+        self, features: int, hidden: int, outputs: int, *, contracting: bool = False
+    ) -> None:
         super().__init__()
+        self.contracting = contracting
         self.w_x = torch.nn.Parameter(torch.zeros(4, hidden, features))
         self.w_h = torch.nn.Parameter(torch.zeros(4, hidden, hidden))
         self.bias = torch.nn.Parameter(torch.zeros(4, hidden))
@@ -204,13 +207,20 @@ class LstmNetwork(Network):
         drift = torch.matmul(parameters["head"], shown) + parameters["head_bias"][..., None]
         return drift, states
 
+    def constrain_many(self, parameters: Parameters, reach: Tensor) -> None:
+        """Shrink weights until an error of the state shrinks, if that is asked for."""
+        if self.contracting:
+            w_x, w_h, bias = (parameters[name] for name in ("w_x", "w_h", "bias"))
+            contract_lstm(w_x, w_h, bias, reach)
+
     def rest_many(self, parameters: Parameters, x: Tensor) -> Tensor:
         """Return the states at rest [S, 2 H, B], by the relaxation of the chip's `settle`."""
         return settle_lstm(x, self._gather(parameters))
 
     def to_float(self) -> FloatLstm:
         """Return the recurrence's weights in the form that simulation and export use."""
-        return FloatLstm(*(read_array(w) for w in (self.w_x, self.w_h, self.bias)))
+        w_x, w_h, bias = (read_array(w) for w in (self.w_x, self.w_h, self.bias))
+        return FloatLstm(w_x, trim_weights(w_h) if self.contracting else w_h, bias)
 
 
 class FeedForwardNetwork(Network):
@@ -378,13 +388,13 @@ def build_network(
 ) -> GruNetwork | LstmNetwork | MlpNetwork | TcnNetwork:
     """Return the untrained network of a project, its weights drawn from `generator`."""
     network: GruNetwork | LstmNetwork | MlpNetwork | TcnNetwork
+    forgets = bool(config.options.get("contracting", False))
     match config.kind:
         case "gru":
             form = str(config.options.get("form", "reset_after"))
-            forgets = bool(config.options.get("contracting", False))
             network = GruNetwork(features, config.hidden, outputs, form, contracting=forgets)
         case "lstm":
-            network = LstmNetwork(features, config.hidden, outputs)
+            network = LstmNetwork(features, config.hidden, outputs, contracting=forgets)
         case "tcn":
             network = TcnNetwork(features, config.hidden, outputs, int(config.memory))
         case _:

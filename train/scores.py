@@ -45,7 +45,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class ContractingCost:
-    """What `[network] contracting = true` costs: errors beside those of a GRU trained freely.
+    """What `[network] contracting = true` costs: errors beside those of a network trained freely.
 
     In multiples of what physics leaves, on the training runs that were left out, which also chose
     the epoch of both; where none could be, in training.
@@ -62,8 +62,8 @@ class ContractingCost:
         """Return it in a sentence."""
         where = "on the runs left out" if self.left_out else "in training"
         return (
-            f"[network] contracting = true: {where} the error is {self.ratio:.3f} times that of a"
-            " GRU trained without it"
+            f"[network] contracting = true: {where} the error is {self.ratio:.3f} times that of"
+            " the same network trained without it"
         )
 
 

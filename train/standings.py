@@ -15,7 +15,7 @@ from zerodrift.base.lock import tell
 from zerodrift.base.records import Json, from_json
 from zerodrift.train.attempts import Attempt, Problem, Standing, Stored
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from zerodrift.train.networks import GruNetwork
+from zerodrift.train.networks import GruNetwork, LstmNetwork
 
 NUMBERS = ("epoch", "best_epoch", "best_rmse", "last_rmse", "rmse_without")
 MOMENTS = ("weights", "exp_avg", "exp_avg_sq")
@@ -75,7 +75,7 @@ def _mark(problem: Problem) -> str:
     network = problem.build(torch.Generator().manual_seed(0))
     for name, p in network.named_parameters():
         digest.update(f"{name} {tuple(p.shape)}".encode())
-    if isinstance(network, GruNetwork) and network.contracting:
+    if isinstance(network, GruNetwork | LstmNetwork) and network.contracting:
         digest.update(b"contracting")
     for use in (problem.sequences, problem.held_out):
         for s in use:

@@ -15,7 +15,17 @@ from tests.train.test_lstm import write_lagging_logs
 from zerodrift.app.cli import cli
 from zerodrift.base.config import NetworkConfig, parse_config
 from zerodrift.base.errors import InputError
-from zerodrift.train.contraction import GRID, GROWTH, SLOWEST, contract, measure_reach
+from zerodrift.train.contraction import (
+    FINE_GRID,
+    GRID,
+    GROWTH,
+    RATIO,
+    SLOWEST,
+    SPREAD,
+    contract,
+    contract_lstm,
+    measure_reach,
+)
 from zerodrift.train.engine import Problem, Result, train_networks
 from zerodrift.train.networks import build_network
 from zerodrift.train.standings import mark_problems
@@ -59,6 +69,47 @@ def test_weights_of_any_size_are_brought_to_the_conditions_and_then_stay(reset):
         torch.testing.assert_close(a, b)
 
 
+def assert_lstm_forgets(w_x, w_h, bias, reach):
+    """Hold one LSTM against its conditions, in plain sums; gates i, f, g, o."""
+    moved, sums = np.abs(w_x) @ reach, np.abs(w_h).sum(axis=2)
+    most = bias + moved + sums
+    ratio = (1.0 + np.exp(most[1])) / (1.0 + np.exp(-most[0]))
+    assert moved[:2].max() <= SPREAD * (1.0 + 1e-5)
+    assert ratio.max() <= RATIO * (1.0 + 1e-4)
+    through_cell = ratio * (sums[2] + sums[0] / 4.0 + sums[1])
+    assert through_cell.max() <= 0.25 * GROWTH * (1.0 + 1e-4)
+    assert sums[3].max() <= GROWTH * (1.0 + 1e-5)
+
+
+def test_weights_of_an_lstm_are_brought_to_the_conditions_and_then_stay():
+    generator = torch.Generator().manual_seed(4)
+    shapes = ((6, 4, 5, 2), (6, 4, 5, 5), (6, 4, 5))
+    arrays = [3.0 * torch.randn(shape, generator=generator) for shape in shapes]
+    arrays[1][0] *= 1e-4  # small enough already
+    reach = torch.tensor([2.0, 4.0]).expand(6, 2)
+    output_gate = arrays[1][0, 3].clone()
+    for k in (1, 2):
+        with pytest.raises(AssertionError):
+            assert_lstm_forgets(*(a[k].double().numpy() for a in arrays), np.array([2.0, 4.0]))
+    contract_lstm(*arrays, reach)
+    for k in range(6):
+        assert_lstm_forgets(*(a[k].double().numpy() for a in arrays), np.array([2.0, 4.0]))
+    assert torch.equal(arrays[1][0, 3], output_gate)
+    again = [a.clone() for a in arrays]
+    contract_lstm(*again, reach)
+    for a, b in zip(again, arrays, strict=True):
+        torch.testing.assert_close(a, b)
+
+
+def test_recurrent_weights_of_an_lstm_are_rounded_towards_nothing():
+    config = NetworkConfig(kind="lstm", hidden=5, options={"contracting": True})
+    network = build_network(config, 2, 2, torch.Generator().manual_seed(1))
+    trained, left = network.w_h.detach().double().numpy(), network.to_float().w_h
+    assert (left == np.round(left / FINE_GRID) * FINE_GRID).all()
+    assert (np.abs(left) <= np.abs(trained)).all()
+    assert 0.0 < np.abs(left - trained).max() < FINE_GRID
+
+
 def pose(options, seed=5):
     sequences = draw_sequences(np.random.default_rng(seed), (80, 60), 2)
     config = NetworkConfig(kind="gru", hidden=5, options=options)
@@ -100,10 +151,13 @@ def test_a_checkpoint_of_a_free_training_is_not_taken_up():
     assert mark_problems([pose({"contracting": False})]) in marks
 
 
-def test_only_a_gru_takes_it():
-    text = TOML + NETWORK.replace('"gru"', '"lstm"')
-    with pytest.raises(InputError, match="only a GRU"):
+def test_only_a_gru_or_lstm_takes_it():
+    text = TOML + NETWORK.replace('"gru"', '"mlp"')
+    with pytest.raises(InputError, match="only a GRU or LSTM"):
         parse_config(text, Path("/project/zerodrift.toml"))
+    text = TOML + NETWORK.replace('"gru"', '"lstm"')
+    config = parse_config(text, Path("/project/zerodrift.toml"))
+    assert config.network.options["contracting"] is True
     config = parse_config(TOML + NETWORK, Path("/project/zerodrift.toml"))
     assert config.network.options["contracting"] is True
     without = NETWORK.replace("contracting = true\n", "")
@@ -112,11 +166,13 @@ def test_only_a_gru_takes_it():
         assert "contracting" not in config.network.options
 
 
-@pytest.mark.parametrize("weights", ["int16", "int8"])
-def test_the_firmware_of_one_has_a_bound_and_training_says_what_it_costs(weights, tmp_path):
+@pytest.mark.parametrize(
+    ("kind", "weights"), [("gru", "int16"), ("gru", "int8"), ("lstm", "int16")]
+)
+def test_the_firmware_of_one_has_a_bound_and_training_says_what_it_costs(kind, weights, tmp_path):
     write_lagging_logs(tmp_path / "logs")
-    quantization = f'\n[quantization]\nweights = "{weights}"\n'
-    (tmp_path / "zerodrift.toml").write_text(TOML + NETWORK + quantization)
+    network = NETWORK.replace("gru", kind) + f'\n[quantization]\nweights = "{weights}"\n'
+    (tmp_path / "zerodrift.toml").write_text(TOML + network)
     result = CliRunner().invoke(cli, ["train", "-C", str(tmp_path), "--json"])
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)

@@ -432,11 +432,11 @@ def _read_network(table: TomlTable) -> NetworkConfig:
         if key in table.values:
             raise table.error(key, f'kind = "auto" chooses that by itself; leave `{key}` out.')
     if table.flag("contracting"):
-        if kind != "gru":
+        if kind not in RECURRENT_KINDS:
             raise table.error(
                 "contracting",
-                f"only a GRU is trained so that it forgets, and `kind` is '{kind}'; leave it out,"
-                ' or write kind = "gru".',
+                f"only a GRU or LSTM is trained so that it forgets, and `kind` is '{kind}';"
+                ' leave it out, or write kind = "gru".',
             )
         options["contracting"] = True
     if kind in WINDOWED_KINDS and memory == "stream":
