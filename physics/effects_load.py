@@ -87,13 +87,22 @@ def build_creep(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[
 
     A logarithmic creep is the mean of lowpasses a factor of 4 apart. A rate that depends on the
     temperature is taken to first order: with a rate 1 + b (T - T0), the creep is x + b x1, and x1
-    is the lowpass of (T - T0)(load - x).
+    is the lowpass of (T - T0)(load - x). Where the sensor was calibrated once it had crept, the
+    load itself is taken off.
     """
+
+    def creep(name: str, tau_s: float, respond: Callable[[S, float], S]) -> list[Feature[S]]:
+        def make(_: str, load: S) -> S:
+            crept = respond(load, tau_s)
+            return ops.difference(crept, load) if p["settled"] else crept
+
+        return [*of_each_load(signals, p, name, "load", make)]
+
     if p["logarithmic"]:
-        return of_each_load(
-            signals, p, "log creep {}", "load", lambda _, x: _creep_logarithmically(ops, x, p)
+        return creep(
+            "log creep {}", p["tau_s"], lambda x, tau_s: _creep_logarithmically(ops, x, tau_s)
         )
-    fast = of_each_load(signals, p, "creep {}", "load", lambda _, x: ops.lowpass(x, p["tau_s"]))
+    features = creep("creep {}", p["tau_s"], ops.lowpass)
     if p["of_temperature"]:
         rise = ops.affine(signals.temperature_degC, 1.0, -signals.reference_temperature_degC)
 
@@ -101,20 +110,17 @@ def build_creep(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[
             open_yet = ops.difference(load, ops.lowpass(load, p["tau_s"]))
             return ops.lowpass(ops.product(rise, open_yet), p["tau_s"])
 
-        fast += of_each_load(signals, p, "creep rate {}", "K x load", hasten)
-    if p["time_constants"] == 1:
-        return fast
-    slow_tau_s = p["slow_tau_s"]
-    return fast + of_each_load(
-        signals, p, "slow creep {}", "load", lambda _, x: ops.lowpass(x, slow_tau_s)
-    )
+        features += of_each_load(signals, p, "creep rate {}", "K x load", hasten)
+    if p["time_constants"] == 2:
+        features += creep("slow creep {}", p["slow_tau_s"], ops.lowpass)
+    return features
 
 
-def _creep_logarithmically(ops: Operations[S], load: S, p: Values) -> S:
+def _creep_logarithmically(ops: Operations[S], load: S, tau_s: float) -> S:
     """Return the mean of lowpasses whose time constants lie a factor of 4 apart."""
-    total = ops.lowpass(load, p["tau_s"])
+    total = ops.lowpass(load, tau_s)
     for n in range(1, LOG_CREEP_PARTS):
-        total = ops.total(total, ops.lowpass(load, 4.0**n * p["tau_s"]))
+        total = ops.total(total, ops.lowpass(load, 4.0**n * tau_s))
     return ops.affine(total, 1.0 / LOG_CREEP_PARTS, 0.0)
 
 
@@ -184,20 +190,33 @@ register(
                 choices=(0, 1),
                 meaning="1: warm, the load creeps faster; to first order in T - T0",
             ),
+            Parameter(
+                "settled",
+                "1",
+                0,
+                1,
+                (0, 1),
+                scale="linear",
+                default=0,
+                choices=(0, 1),
+                meaning="1: calibrated once the load had crept, so that its first moments are off",
+            ),
         ),
         needs=("load",),
         physics="Adhesive, gauge carrier and polymer bodies yield slowly under load and recover "
         "slowly when it is gone, as springs and dampers side by side (Kelvin-Voigt).",
         equation="drift = k LP(load, tau)  [+ k2 LP(load, slow_tau)]  "
         "[+ kT LP((T-T0)(load - LP(load, tau)), tau)]; "
-        "logarithmic: mean of LP(load, 4^n tau), n = 0..4",
-        fingerprint="After a step of load an exponential approach over minutes; after its removal "
-        "the mirror image; independent of temperature's course.",
+        "logarithmic: mean of LP(load, 4^n tau), n = 0..4;  settled: LP(load, tau) - load",
+        fingerprint="After a step of load an exponential approach over minutes, away from the true "
+        "value or, calibrated when settled, towards it; after its removal the mirror image; "
+        "independent of temperature's course.",
         provoke="Step the load on, hold it for half an hour, take it off, wait as long.",
         cure="Creep-matched gauges (end-loop length), metal instead of polymer.",
         source="OIML R 60: creep at 30 min in % of the applied load; Kelvin-Voigt model",
         variants=(
             {"time_constants": 1, "cross_axes": 0},
+            {"time_constants": 1, "cross_axes": 0, "settled": 1},
             {"time_constants": 2, "cross_axes": 0},
             {"time_constants": 1, "cross_axes": 1},
             {"logarithmic": 1},

@@ -290,6 +290,20 @@ def test_creep_that_follows_the_temperature_is_right_to_first_order():
     assert beyond == pytest.approx(hasten * changed, abs=0.05 * np.abs(hasten * changed).max())
 
 
+@pytest.mark.parametrize("form", [{}, {"logarithmic": 1}, {"time_constants": 2}])
+def test_settled_creep_is_wrong_at_first_and_right_in_the_end(form):
+    effect = load_catalogue()["creep"]
+    signals = replace(draw_signals(6000), load={"Fz": np.ones(6000)}, outputs=("Fz",))
+    signals.load["Fz"][0] = 0.0
+    ops = NumpyOperations(1.0, (6000,))
+    held = {"tau_s": 5.0, "slow_tau_s": 200.0, "settled": 1, **form}
+    held = {k: v for k, v in held.items() if k != "slow_tau_s" or "time_constants" in form}
+    term = start_term(load_catalogue(), EffectConfig("creep", held))
+    for feature in effect.build(ops, signals, term.values):
+        assert feature.signal[1] < -0.85
+        assert abs(feature.signal[-1]) < 0.01
+
+
 def test_logarithmic_creep_goes_on_with_the_logarithm_of_time():
     effect = load_catalogue()["creep"]
     term = start_term(load_catalogue(), EffectConfig("creep", {"tau_s": 10.0, "logarithmic": 1}))
