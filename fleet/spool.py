@@ -25,9 +25,14 @@ class Spooled:
 
 
 def spool(folder: Path | None, sensor: str, content: Spooled) -> None:
-    """Keep what the second pass needs, if this process can reach the place for it."""
-    if folder is not None and folder.is_dir():
-        (folder / f"{sensor}.pickle").write_bytes(pickle.dumps(content, protocol=5))
+    """Keep what the second pass needs, if this process can reach a place with room for it."""
+    if folder is None or not folder.is_dir():
+        return
+    path = folder / f"{sensor}.pickle"
+    try:
+        path.write_bytes(pickle.dumps(content, protocol=5))
+    except OSError:  # the second pass reads the logs again
+        path.unlink(missing_ok=True)
 
 
 def unspool(

@@ -1,10 +1,12 @@
 """`fleet` with blocks: one program, a block per unit."""
 
+import errno
 import hashlib
 import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import pytest
 
@@ -12,8 +14,10 @@ from tests.fleet.conftest import SENSORS, TOML, write_sensor
 from tests.fleet.test_refused_units import spoil
 from zerodrift.blocks.design import load_design
 from zerodrift.blocks.fields import put, read
+from zerodrift.dataset.runs import Dataset
 from zerodrift.fleet import block_work, work
 from zerodrift.fleet.batch import RANDOM_STEPS
+from zerodrift.fleet.spool import Spooled, spool
 
 BLOCK = '\n[firmware]\ncoefficients = "block"\ncalibrated = 2026-03-01\n'
 
@@ -203,3 +207,16 @@ def test_a_process_that_reaches_neither_spool_nor_library_gives_the_same(
     monkeypatch.setattr(block_work, "try_units", keep)
     assert zerodrift("fleet", "-C", fleet, "--jobs", 1, "--force", "--fresh").code == 0
     assert runs and all(here == there for here, there in runs)
+
+
+def test_a_spool_without_room_is_left_empty(tmp_path: Path, monkeypatch) -> None:
+    def write_part(path: Path, content: bytes) -> int:
+        path.open("wb").write(content[:10])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    content = Spooled("mark", cast(Dataset, None), None)
+    spool(tmp_path, "SN01", content)
+    assert (tmp_path / "SN01.pickle").is_file()
+    monkeypatch.setattr(Path, "write_bytes", write_part)
+    spool(tmp_path, "SN01", content)
+    assert not list(tmp_path.iterdir())
