@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zerodrift.diagnosis.candidates import AT_AN_END, AT_AN_END_UNITS
 from zerodrift.discovery.contenders import (
     Contender,
-    Form,
+    RivalForm,
     Scene,
     find_placeable,
     list_forms,
@@ -41,7 +41,7 @@ def look_closer(scene: Scene, catalogue: Catalogue) -> Scene:
     mistaken."""
     open_kinds = {contender.kind for contender in scene.contenders}
 
-    def spread(kind: str) -> tuple[Form, ...]:
+    def spread(kind: str) -> tuple[RivalForm, ...]:
         forms = list_forms(catalogue, scene.base, kind, len(catalogue[kind].variants))
         return tuple(spread_nodes(form, CLOSE) for form in forms)
 
@@ -90,7 +90,7 @@ def _refine(scene: Scene, told: Told, left: Sequence[Array], share: float) -> Sc
     nearest = np.minimum(told.apart.min(axis=2), told.beside).ravel()
     draws = told.gain.shape[1]
 
-    def refine(form: Form, own: int, squares: Array) -> Form:
+    def refine(form: RivalForm, own: int, squares: Array) -> RivalForm:
         coordinates, ends = list_own(form)
         if not coordinates:
             return form
@@ -118,7 +118,7 @@ def _add_ends(scene: Scene, told: Told, left: Sequence[Array]) -> Scene:
     """Return the scene with the best node for each truth, [M D], and below these the same with each
     value at one end of all that it may be, at the other end, and so for the next value."""
 
-    def extend(form: Form, own: int, squares: Array) -> Form:
+    def extend(form: RivalForm, own: int, squares: Array) -> RivalForm:
         coordinates, _ = list_own(form)
         best = squares.argmin(axis=0).tolist()
         points = [get_coordinates(form.models[node], coordinates) for node in best]
@@ -131,7 +131,7 @@ def _add_ends(scene: Scene, told: Told, left: Sequence[Array]) -> Scene:
 
 
 def _change(
-    scene: Scene, change: Callable[[Form, int, Array], Form], left: Sequence[Array]
+    scene: Scene, change: Callable[[RivalForm, int, Array], RivalForm], left: Sequence[Array]
 ) -> Scene:
     """Return the scene with changed forms; `change` is given a form, the number of its contender,
     or -1 of an outsider, and what its nodes leave."""

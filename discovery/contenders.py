@@ -57,7 +57,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Form:
+class RivalForm:
     """One form of a rival, refitted to every truth."""
 
     models: tuple[tuple[Term, ...], ...]
@@ -74,7 +74,7 @@ class Contender:
 
     kind: str
     truths: tuple[Truth, ...]
-    forms: tuple[Form, ...]
+    forms: tuple[RivalForm, ...]
 
     @property
     def effect(self) -> Effect:
@@ -121,7 +121,7 @@ def find_placeable(effect: Effect, plan: SignalPlan) -> str:
 
 def list_forms(
     catalogue: Catalogue, base: Sequence[Term], kind: str, most: int = MOST_FORMS
-) -> list[Form]:
+) -> list[RivalForm]:
     """Return the whole models that have an effect in its plain forms, simplest first.
 
     Args:
@@ -133,14 +133,14 @@ def list_forms(
     effect = catalogue[kind]
     place = next((i for i, term in enumerate(base) if term.effect.kind == kind), len(base))
 
-    def build(choices: Values, fewest_runs: int) -> list[Form]:
+    def build(choices: Values, fewest_runs: int) -> list[RivalForm]:
         if place < len(base):
             own = base[place]
             richer = any(own.values.get(name) != value for name, value in choices.items())
             if not richer or any(own.values[n] > v for n, v in choices.items()):
                 return []
         term = start_term(catalogue, EffectConfig(kind), choices)
-        return [Form(((*base[:place], term, *base[place + 1 :]),), place, fewest_runs)]
+        return [RivalForm(((*base[:place], term, *base[place + 1 :]),), place, fewest_runs)]
 
     plain = [form for choices in effect.variants for form in build(choices, 0)]
     more = [form for choices in effect.run_variants for form in build(choices, FEWEST_RUNS)]
@@ -174,7 +174,7 @@ def refuse_unknown(
             )
 
 
-def list_own(form: Form) -> tuple[list[Coordinate], Array]:
+def list_own(form: RivalForm) -> tuple[list[Coordinate], Array]:
     """Return a form's own shared values, and their ends [P, 2] as `diagnose` holds plausible."""
     coordinates = [
         c
@@ -189,7 +189,7 @@ def list_own(form: Form) -> tuple[list[Coordinate], Array]:
     return coordinates, np.array(ends).reshape(-1, 2)
 
 
-def spread_nodes(form: Form, nodes: Mapping[int, int] = NODES) -> Form:
+def spread_nodes(form: RivalForm, nodes: Mapping[int, int] = NODES) -> RivalForm:
     """Return a form on a grid over all values that are plausible."""
     coordinates, ends = list_own(form)
     if not coordinates:
@@ -200,8 +200,8 @@ def spread_nodes(form: Form, nodes: Mapping[int, int] = NODES) -> Form:
 
 
 def place_nodes(
-    form: Form, coordinates: Sequence[Coordinate], points: Sequence[Sequence[float]]
-) -> Form:
+    form: RivalForm, coordinates: Sequence[Coordinate], points: Sequence[Sequence[float]]
+) -> RivalForm:
     """Return a form at these values [P] of its coordinates."""
     models = (set_coordinates(form.models[0], coordinates, np.array(u)) for u in points)
     return replace(form, models=tuple(tuple(terms) for terms in models))
@@ -226,7 +226,7 @@ def imagine(
     return Scene(plan, tuple(catalogue), tuple(base), noise, tuple(contenders), 0)
 
 
-def draw_typical(form: Form, plan: SignalPlan, rng: np.random.Generator) -> Truth:
+def draw_typical(form: RivalForm, plan: SignalPlan, rng: np.random.Generator) -> Truth:
     """Return a truth with values drawn from their typical ranges, coefficients of any sign."""
     terms = form.models[0]
     coordinates, _ = list_own(form)
