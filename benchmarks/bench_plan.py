@@ -78,6 +78,8 @@ class Expected:
     rise: tuple[float, ...]
     outgrow: tuple[float, ...]
     beside: tuple[float, ...]
+    disguised: tuple[float, ...]
+    """As `grow`, of the nearest rival in disguise."""
 
 
 @dataclass(frozen=True)
@@ -114,10 +116,11 @@ def expect(planned: Planned, truth: str) -> Expected:
 
     return Expected(
         float(expect_verdicts(told)[m].mean()),
-        list_draws(grow(told.apart.min(axis=2), told.gain)),
-        list_draws(rise(told.gain, told.runs)),
+        list_draws(grow(np.minimum(told.apart.min(axis=2), 1e30), told.gain)),
+        list_draws(rise(told.gain, told.nats, told.runs)),
         list_draws(outgrow(told.excess)),
         list_draws(told.beside),
+        list_draws(grow(np.minimum(told.disguised, 1e30), told.gain)),
     )
 
 

@@ -24,31 +24,36 @@ from zerodrift.discovery.likely import MOST, logistic
 
 Array = NDArray[np.float64]
 
-NAMES = ("APART", "NAMED", "NAMED_OF_FEW", "WORTH")
-PRIOR = np.array([[-0.7, 1.5], [1.2, 3.9], [0.0, 4.0], [0.0, 4.0]])
-SPREAD = np.array([[2.0, 1.0], [2.0, 2.0], [2.0, 2.0], [2.0, 2.0]])
+NAMES = ("APART", "NAMED", "NAMED_OF_FEW", "WORTH", "IN_DISGUISE")
+PRIOR = np.array([[-0.7, 1.5], [1.2, 3.9], [0.0, 4.0], [0.0, 4.0], [0.0, 0.0]])
+SPREAD = np.array([[2.0, 1.0], [2.0, 2.0], [2.0, 2.0], [2.0, 2.0], [2.0, 0.1]])
 BANDS = (0.0, 0.2, 0.5, 0.8, 1.0)
 STARTS = 3
 
 
 def expect(expected: Sequence[Expected], few: Array, numbers: Array) -> Array:
-    """Return the probabilities [N] of the trials by these numbers [4, 2]."""
+    """Return the probabilities [N] of the trials by these numbers [5, 2]."""
 
     def stack(name: str) -> Array:
         return np.array([getattr(one, name) for one in expected])
 
-    apart, named, of_few, worth = (tuple(pair) for pair in numbers.tolist())
+    def curve(name: str, x: Array) -> Array:
+        offset, slope = numbers[NAMES.index(name)].tolist()
+        return logistic(offset, slope, x)
+
     rise = stack("rise")
-    sure = np.where(few[:, None], logistic(*of_few, rise), logistic(*named, rise))
-    alone = logistic(*apart, stack("grow"))
-    first = ndtr(0.5 * np.sqrt(stack("beside")))
-    return np.asarray(
-        (MOST * alone * sure * logistic(*worth, stack("outgrow")) * first).mean(axis=1)
+    sure = np.where(few[:, None], curve("NAMED_OF_FEW", rise), curve("NAMED", rise))
+    told = curve("IN_DISGUISE", np.zeros(1))
+    alone = curve("APART", stack("grow")) * (
+        1.0 - told * (1.0 - curve("APART", stack("disguised")))
     )
+    worth = curve("WORTH", stack("outgrow"))
+    first = ndtr(0.5 * np.sqrt(stack("beside")))
+    return np.asarray((MOST * alone * sure * worth * first).mean(axis=1))
 
 
 def fit(trials: Sequence[Trial]) -> tuple[Array, Array]:
-    """Return the numbers [4, 2], and the trials' probabilities [N] by them."""
+    """Return the numbers [5, 2], and the trials' probabilities [N] by them."""
     expected = [t.expected for t in trials if t.expected is not None]
     right = np.array([t.right for t in trials])
     few = np.array([t.runs < ENOUGH_RUNS for t in trials])

@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.diagnosis.candidates import NEAR
 from zerodrift.diagnosis.case import Case
 from zerodrift.diagnosis.examination import fit_base, measure_rest
 from zerodrift.diagnosis.noise import Noise
 from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.effect import Effect
+from zerodrift.physics.effect import FEWEST_RUNS, Effect, Values
 from zerodrift.physics.fit import estimate_errors
 from zerodrift.physics.projection import (
+    Coordinate,
     get_coordinates,
     list_coordinates,
     set_coordinates,
@@ -35,12 +37,9 @@ Array = NDArray[np.float64]
 
 NODES = {1: 7, 2: 4, 3: 3}
 """Values of each shared parameter of a rival, by how many it has."""
-CLOSE = {1: 25, 2: 7, 3: 4}
-"""The same for the programme that is taken."""
 MOST_FORMS = 2
+"""An effect's plain forms that the search looks at; for the programme that is taken, all."""
 DRAWS = 6
-WIDE = 2.0
-"""A rival's values reach beyond its typical range by this factor, or this share of the range."""
 MOST_SPREAD = 0.7
 """Largest standard deviation of a drawn value, in its own coordinate."""
 
@@ -57,13 +56,30 @@ class Truth:
 
 
 @dataclass(frozen=True)
+class RivalForm:
+    """One form of a rival, refitted to every truth."""
+
+    models: tuple[tuple[Term, ...], ...]
+    """On a grid of its values; all have the same features."""
+    place: int
+    """Of the effect's term."""
+    fewest_runs: int
+    """Training runs from which on `diagnose` tries it."""
+
+
+@dataclass(frozen=True)
 class Contender:
     """One effect that the model may lack."""
 
     kind: str
     truths: tuple[Truth, ...]
-    forms: tuple[tuple[tuple[Term, ...], ...], ...]
-    """Form -> its models on the grid; all of a form have the same features."""
+    forms: tuple[RivalForm, ...]
+
+    @property
+    def effect(self) -> Effect:
+        """The effect itself."""
+        form = self.forms[0]
+        return form.models[0][form.place].effect
 
 
 @dataclass(frozen=True)
@@ -103,25 +119,31 @@ def find_placeable(effect: Effect, plan: SignalPlan) -> str:
 
 
 def list_forms(
-    catalogue: Catalogue, base: Sequence[Term], kind: str
-) -> list[tuple[tuple[Term, ...], int]]:
-    """Return the whole models that have an effect in each of its first forms, and its place.
+    catalogue: Catalogue, base: Sequence[Term], kind: str, most: int = MOST_FORMS
+) -> list[RivalForm]:
+    """Return the whole models that have an effect in its plain forms, simplest first.
 
-    Raises:
-        InputError: the model has it in its richest form already.
+    Args:
+        catalogue: the known effects.
+        base: the model.
+        kind: the effect; the model may have it in a simpler form.
+        most: forms, besides those that ask for more runs.
     """
     effect = catalogue[kind]
     place = next((i for i, term in enumerate(base) if term.effect.kind == kind), len(base))
-    forms = []
-    for choices in effect.variants:
+
+    def build(choices: Values, fewest_runs: int) -> list[RivalForm]:
         if place < len(base):
             own = base[place]
             richer = any(own.values.get(name) != value for name, value in choices.items())
             if not richer or any(own.values[n] > v for n, v in choices.items()):
-                continue
+                return []
         term = start_term(catalogue, EffectConfig(kind), choices)
-        forms.append(((*base[:place], term, *base[place + 1 :]), place))
-    return forms[:MOST_FORMS]
+        return [RivalForm(((*base[:place], term, *base[place + 1 :]),), place, fewest_runs)]
+
+    plain = [form for choices in effect.variants for form in build(choices, 0)]
+    more = [form for choices in effect.run_variants for form in build(choices, FEWEST_RUNS)]
+    return [*plain[:most], *more]
 
 
 def refuse_unknown(
@@ -151,50 +173,37 @@ def refuse_unknown(
             )
 
 
-def look_closer(scene: Scene, catalogue: Catalogue) -> Scene:
-    """Return the scene with finer grids, and with all else of the catalogue that may be mistaken.
-
-    For the programme that is taken; the search would be slow with it.
-    """
-    open_kinds = {contender.kind for contender in scene.contenders}
-
-    def spread(kind: str) -> tuple[tuple[tuple[Term, ...], ...], ...]:
-        forms = list_forms(catalogue, scene.base, kind)
-        return tuple(_spread_nodes(terms, place, CLOSE) for terms, place in forms)
-
-    others = [
-        kind
-        for kind, effect in catalogue.items()
-        if kind not in open_kinds
-        and not find_placeable(effect, scene.plan)
-        and list_forms(catalogue, scene.base, kind)
-    ]
-    return replace(
-        scene,
-        contenders=tuple(replace(c, forms=spread(c.kind)) for c in scene.contenders),
-        outsiders=tuple(Contender(kind, (), spread(kind)) for kind in others),
-    )
-
-
-def _spread_nodes(
-    terms: Sequence[Term], place: int, nodes: Mapping[int, int] = NODES
-) -> tuple[tuple[Term, ...], ...]:
-    """Return a form on a grid over a little more than its typical values."""
+def list_own(form: RivalForm) -> tuple[list[Coordinate], Array]:
+    """Return a form's own shared values, and their ends [P, 2] as `diagnose` holds plausible."""
     coordinates = [
-        c for c in list_coordinates(terms) if c.term == place and not c.parameter.is_setting
+        c
+        for c in list_coordinates(form.models[0])
+        if c.term == form.place and not c.parameter.is_setting
     ]
-    if not coordinates:
-        return (tuple(terms),)
-    count = nodes.get(len(coordinates), 2)
-    axes = []
+    ends = []
     for c in coordinates:
         low, high = (c.encode(value) for value in c.parameter.typical)
-        wide = np.log(WIDE) if c.parameter.scale == "log" else 0.1 * (high - low)
-        low, high = max(low - wide, c.bounds[0]), min(high + wide, c.bounds[1])
-        axes.append(np.linspace(low, high, count).tolist())
-    return tuple(
-        tuple(set_coordinates(terms, coordinates, np.array(u))) for u in itertools.product(*axes)
-    )
+        wide = np.log(NEAR) if c.parameter.scale == "log" else (NEAR - 1.0) * (high - low)
+        ends.append((max(low - wide, c.bounds[0]), min(high + wide, c.bounds[1])))
+    return coordinates, np.array(ends).reshape(-1, 2)
+
+
+def spread_nodes(form: RivalForm, nodes: Mapping[int, int] = NODES) -> RivalForm:
+    """Return a form on a grid over all values that are plausible."""
+    coordinates, ends = list_own(form)
+    if not coordinates:
+        return form
+    count = nodes.get(len(coordinates), 2)
+    axes = [np.linspace(low, high, count).tolist() for low, high in ends.tolist()]
+    return place_nodes(form, coordinates, list(itertools.product(*axes)))
+
+
+def place_nodes(
+    form: RivalForm, coordinates: Sequence[Coordinate], points: Sequence[Sequence[float]]
+) -> RivalForm:
+    """Return a form at these values [P] of its coordinates."""
+    models = (set_coordinates(form.models[0], coordinates, np.array(u)) for u in points)
+    return replace(form, models=tuple(tuple(terms) for terms in models))
 
 
 def imagine(
@@ -210,27 +219,24 @@ def imagine(
     for kind in kinds:
         forms = list_forms(catalogue, base, kind)
         rng = np.random.default_rng([seed, *kind.encode()])
-        truths = [draw_typical(*forms[0], plan, rng) for _ in range(DRAWS)]
-        nodes = tuple(_spread_nodes(terms, place) for terms, place in forms)
+        truths = [draw_typical(forms[0], plan, rng) for _ in range(DRAWS)]
+        nodes = tuple(spread_nodes(form) for form in forms)
         contenders.append(Contender(kind, tuple(truths), nodes))
     return Scene(plan, tuple(catalogue), tuple(base), noise, tuple(contenders), 0)
 
 
-def draw_typical(
-    terms: Sequence[Term], place: int, plan: SignalPlan, rng: np.random.Generator
-) -> Truth:
+def draw_typical(form: RivalForm, plan: SignalPlan, rng: np.random.Generator) -> Truth:
     """Return a truth with values drawn from their typical ranges, coefficients of any sign."""
-    coordinates = [
-        c for c in list_coordinates(terms) if c.term == place and not c.parameter.is_setting
-    ]
+    terms = form.models[0]
+    coordinates, _ = list_own(form)
     if coordinates:
         bounds = [[c.encode(v) for v in c.parameter.typical] for c in coordinates]
         u = np.array([rng.uniform(low, high) for low, high in bounds])
-        terms = set_coordinates(terms, coordinates, u)
+        terms = tuple(set_coordinates(terms, coordinates, u))
     signs = rng.choice([-1.0, 1.0], size=(len(plan.outputs), 64)) * rng.uniform(
         0.5, 1.5, (len(plan.outputs), 64)
     )
-    return Truth(tuple(terms), signs, False)
+    return Truth(terms, signs, False)
 
 
 def spread_typical(terms: Sequence[Term], count: int, seed: int) -> list[tuple[Term, ...]]:
@@ -270,11 +276,16 @@ def look_back(
     for kind in kinds:
         forms = list_forms(case.catalogue, base.terms, kind)
         rng = np.random.default_rng([seed, *kind.encode()])
-        nodes = tuple(_spread_nodes(terms, place) for terms, place in forms)
+        nodes = tuple(spread_nodes(form) for form in forms)
         if kind in untold:
-            truths = [draw_typical(*forms[0], case.plan, rng) for _ in range(DRAWS)]
+            truths = [draw_typical(forms[0], case.plan, rng) for _ in range(DRAWS)]
         else:
-            found = [search(case.campaign, t, weights, vary=(p,)) for t, p in forms]
+            runs = len(case.campaign.groups)
+            found = [
+                search(case.campaign, form.models[0], weights, vary=(form.place,))
+                for form in forms
+                if runs >= form.fewest_runs
+            ]
             # The simplest form that explains as much: a richer one is for the logs to show.
             least = min(one.cost for one in found)
             chosen = next(one for one in found if one.cost <= least + 0.02 * abs(least) + 1e-3)

@@ -1,9 +1,8 @@
 """What a programme is expected to show: each truth is simulated, each rival refitted to it.
 
-Signals are taken apart into octaves, in which the measured noise is white once each octave is
-weighted (see `physics.octaves`). The squared distance that a rival's best refit leaves there is
-twice the expected log-likelihood ratio between the two, and what `diagnose` would find one gains
-over the other, in its own units. A log's mean is left out, since logs may be tared.
+The squared distance that a rival's best refit leaves of the white coefficients of `stage` is twice
+the expected log-likelihood ratio between the two, and what `diagnose` would find one gains over the
+other, in its own units.
 
 Source: Atkinson and Fedorov, Biometrika 62 (1975), T-optimality; Kullback and Leibler (1951).
 """
@@ -16,45 +15,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
+from zerodrift.diagnosis.evidence import FEWEST_COEFFICIENTS
+from zerodrift.diagnosis.examination import TIME_ALONE
 from zerodrift.discovery.contenders import Scene, Truth
 from zerodrift.discovery.limits import Limits
 from zerodrift.discovery.patterns import Space
-from zerodrift.discovery.programme import Log, PlannedCourse, follow
+from zerodrift.discovery.programme import Log, follow
+from zerodrift.discovery.stage import Staged, Whitening, make_signals, make_white
 from zerodrift.operations.backend import NumpyOperations
-from zerodrift.physics.effect import Signals
-from zerodrift.physics.octaves import MEANS, cut_octaves
 from zerodrift.physics.signals import read_signals
 from zerodrift.physics.terms import Term, build_features
 
 Array = NDArray[np.float64]
 
 ROWS = 192
-"""Blocks of a log that are simulated."""
+"""Blocks of a log that are simulated, in a search."""
+CLOSE_ROWS = 768
+"""The same where one programme is looked at closely: what follows within seconds, or bends there,
+is told apart by its corners."""
 ROWS_BEFORE = 128
 """The same of each log that there is already."""
 MOST_OUTPUTS = 3
 """Outputs that are looked at: those in which the contenders show most."""
-POWERED_EARLIER_S = 7200.0
 NEGLIGIBLE = 1e-9
-
-
-@dataclass(frozen=True)
-class Staged:
-    """Staged signals [P, n] of P logs of one length, and how they become white."""
-
-    signals: Signals[Array]
-    period_s: float
-    whiten: Array
-    """[P, R, n, K'] as [R, n] per output: octaves' coefficients over their noise."""
-    variance: Array
-    """[K', R] of each coefficient's noise."""
-    weight: Array
-    """[P] square root of how many logs each stands for."""
-
-    @property
-    def rows(self) -> float:
-        """Blocks of all logs."""
-        return float(np.sum(self.weight**2) * self.signals.elapsed_s.shape[1])
 
 
 @dataclass(frozen=True)
@@ -72,6 +55,22 @@ class Told:
     beside: Array
     """[M, D] the squared distance from the nearest effect that is not among the open ones; infinite
     where none was looked at."""
+    nats: Array
+    """[M, D] gain of each truth in log-likelihood, the noise of each octave refitted beside either
+    model; 0 of an effect that follows the time alone."""
+    disguised: Array
+    """[M, D] squared distance from the nearest open rival at values that its ends do as well as;
+    infinite where there is none. `apart` and `beside` leave such rivals out."""
+
+
+class _Seen(NamedTuple):
+    """What the model as it is leaves of the truths in one stage."""
+
+    lasts_s: float
+    excess: Array
+    """[M, K'] mean square over the noise's, in the mean over logs and time."""
+    nats: Array
+    """[M]."""
 
 
 class _Laid(NamedTuple):
@@ -96,54 +95,6 @@ class _Laid(NamedTuple):
         )
 
 
-def _whiten(scene: Scene, rows: int, block: int, outputs: Sequence[int]) -> tuple[Array, Array]:
-    """Return [K', R, n], which turns n block means into white coefficients without the mean, and
-    the variances [K', R] of these before they were white."""
-    octaves = cut_octaves(np.array([rows], dtype=np.int64), block)
-    basis: Array = np.stack([octaves.transform(e) for e in np.eye(rows)], axis=1)
-    keep = octaves.octave != MEANS
-    levels = octaves.octave[keep]
-    numbers = np.unique(levels)
-    variance = scene.noise.variance(numbers, rows * block, block)[:, list(outputs)]
-    floor = np.maximum(variance, 1e-30 + 1e-12 * variance.max(axis=0))
-    each: Array = np.sqrt(block / floor)[np.searchsorted(numbers, levels)]
-    whitened: Array = each.T[:, :, None] * basis[keep][None]
-    return whitened, each.T**-2
-
-
-def _make_signals(
-    scene: Scene, logs: Sequence[Log], courses: Sequence[PlannedCourse]
-) -> Signals[Array]:
-    plan = scene.plan
-    time_s: Array = np.stack([course.time_s for course in courses])
-    earlier = np.array([0.0 if log.power_on else POWERED_EARLIER_S for log in logs])
-    elapsed: Array = time_s + earlier[:, None]
-    still = np.zeros_like(time_s)
-
-    def channel(name: str) -> Array:
-        if name == "clock":
-            return elapsed
-        first = courses[0]
-        if name in first.inputs:
-            return np.stack([course.inputs[name] for course in courses])
-        return still
-
-    return Signals(
-        temperature_degC=np.stack([course.temperature_degC for course in courses]),
-        elapsed_s=elapsed,
-        clock_s=elapsed,
-        load={
-            name: np.stack([c.loads[name] for c in courses]) if name in courses[0].loads else still
-            for name in plan.loaded
-        },
-        saturated=dict.fromkeys(plan.saturated, still),
-        channels={name: channel(name) for name in plan.channels},
-        outputs=plan.outputs,
-        full_scale=dict(zip(plan.outputs, plan.full_scale, strict=True)),
-        reference_temperature_degC=plan.reference_temperature_degC,
-    )
-
-
 class Judge:
     """Judges programmes of one scene within limits.
 
@@ -152,48 +103,56 @@ class Judge:
         limits: how sensor and chamber follow.
         before: logs that there are already.
         outputs: indices of the outputs that are looked at.
+        rows: blocks of a log that are simulated, at most.
     """
 
     def __init__(
-        self, scene: Scene, limits: Limits, before: Sequence[Run], outputs: Sequence[int]
+        self,
+        scene: Scene,
+        limits: Limits,
+        before: Sequence[Run],
+        outputs: Sequence[int],
+        rows: int = ROWS,
     ) -> None:
-        self.scene, self.limits, self.outputs = scene, limits, tuple(outputs)
-        self._white: dict[tuple[int, int], tuple[Array, Array]] = {}
+        self.scene, self.limits, self.outputs, self.rows = scene, limits, tuple(outputs), rows
+        self._white: dict[tuple[int, int], Whitening] = {}
         self._floor = np.array(scene.noise.weights.sum(axis=0))[list(outputs)]
         self._before = self._look_back(before)
 
-    def scale(self, logs: Sequence[Log], sizes: Array) -> Scene:
+    def scale(self, logs: Sequence[Log], wide: Sequence[Log], sizes: Array) -> Scene:
         """Return the scene with coefficients of which nothing is known made as large as asked.
 
         Args:
             logs: a programme that moves everything.
+            wide: one with the time to reach all that the limits allow, over which the columns of
+                a truth bring alike.
             sizes: [K] RMS of what is beyond the model there, in each output's unit.
         """
         stage = self.stage(logs, np.ones(len(logs)))
+        reach = self.stage(wide, np.ones(len(wide)))
         contenders = tuple(
             replace(
                 c,
                 truths=tuple(
-                    t if t.known else self._scale_truth(stage, t, sizes) for t in c.truths
+                    t if t.known else self._scale_truth(stage, reach, t, sizes) for t in c.truths
                 ),
             )
             for c in self.scene.contenders
         )
         return replace(self.scene, contenders=contenders)
 
-    def _scale_truth(self, stage: Staged, truth: Truth, sizes: Array) -> Truth:
-        shape = stage.signals.temperature_degC.shape
-        ops = NumpyOperations(stage.period_s, shape)
-
-        def stack(terms: Sequence[Term]) -> tuple[Array, list[str | None]]:
+    def _scale_truth(self, stage: Staged, reach: Staged, truth: Truth, sizes: Array) -> Truth:
+        def stack(stage: Staged, terms: Sequence[Term]) -> tuple[Array, list[str | None]]:
+            shape = stage.signals.temperature_degC.shape
+            ops = NumpyOperations(stage.period_s, shape)
             features = build_features(ops, stage.signals, terms, self.scene.order)[1:]
             columns = np.stack([np.broadcast_to(f.signal, shape) for f in features], axis=-1)
             columns = columns - columns.mean(axis=1, keepdims=True)
             return columns.reshape(-1, len(features)), [f.output for f in features]
 
-        columns, owners = stack(truth.terms)
-        base, base_owners = stack(self.scene.base)
-        spread = columns.std(axis=0)
+        columns, owners = stack(stage, truth.terms)
+        base, base_owners = stack(stage, self.scene.base)
+        spread = stack(reach, truth.terms)[0].std(axis=0)
         each = np.where(spread > 0.0, 1.0 / np.where(spread > 0.0, spread, 1.0), 0.0)
         coefficients = truth.coefficients[:, : len(owners)] * each
         for k, name in enumerate(self.scene.plan.outputs):
@@ -212,23 +171,27 @@ class Judge:
 
     def judge_logs(self, logs: Sequence[Log], repeats: Array) -> Told:
         """Return what logs of one length are expected to tell, each done so many times."""
+        return self.judge_nodes(logs, repeats)[0]
+
+    def judge_nodes(self, logs: Sequence[Log], repeats: Array) -> tuple[Told, list[Array]]:
+        """Return the same, and rival's form -> [N, M D] what each node leaves of each truth."""
         stage = self.stage(logs, repeats[: len(logs)])
         return self._compare(stage, round(float(repeats.sum())))
 
-    def _whiten(self, rows: int, block: int) -> tuple[Array, Array]:
+    def _whiten(self, rows: int, block: int) -> Whitening:
         if (rows, block) not in self._white:
-            self._white[rows, block] = _whiten(self.scene, rows, block, self.outputs)
+            self._white[rows, block] = make_white(self.scene, rows, block, self.outputs)
         return self._white[rows, block]
 
     def stage(self, logs: Sequence[Log], repeats: Array) -> Staged:
         """Return logs of one length, each done so many times."""
         period_s = self.scene.plan.sample_period_s
-        block = max(1, round(logs[0].lasts_s / ROWS / period_s))
+        block = max(1, round(logs[0].lasts_s / self.rows / period_s))
         step_s = block * period_s
         courses = [follow(log, self.limits, step_s, self.limits.start_degC) for log in logs]
-        signals = _make_signals(self.scene, logs, courses)
+        signals = make_signals(self.scene, logs, courses)
         rows = signals.elapsed_s.shape[1]
-        return Staged(signals, step_s, *self._whiten(rows, block), np.sqrt(repeats))
+        return Staged(signals, step_s, self._whiten(rows, block), np.sqrt(repeats))
 
     def stage_run(self, run: Run) -> Staged:
         """Return a log that there is, its signals averaged over blocks."""
@@ -249,7 +212,7 @@ class Judge:
             channels={name: thin(x) for name, x in read.channels.items()},
         )
         period_s = block * self.scene.plan.sample_period_s
-        return Staged(signals, period_s, *self._whiten(rows, block), np.ones(1))
+        return Staged(signals, period_s, self._whiten(rows, block), np.ones(1))
 
     def list_seen(self, stage: Staged, terms: Sequence[Term]) -> list[list[int]]:
         """Return, per output, the indices of the features that it sees."""
@@ -275,7 +238,9 @@ class Judge:
             name = self.scene.plan.outputs[place]
             seen = [j for j, f in enumerate(features) if f.output in (None, name)]
             mine = columns[..., seen]
-            mine = stage.whiten[k] @ mine if whiten else mine - mine.mean(axis=1, keepdims=True)
+            mine = (
+                stage.white.whiten(mine, k) if whiten else mine - mine.mean(axis=1, keepdims=True)
+            )
             found.append(mine.reshape(-1, len(seen)))
         return found
 
@@ -291,7 +256,7 @@ class Judge:
             seen = [f.output in (None, name) for f in features]
             total = columns @ np.where(seen, truth.coefficients[place, : len(features)], 0.0)
             total = total * stage.weight[:, None]
-            found.append((stage.whiten[k] @ total[..., None]).reshape(-1))
+            found.append(stage.white.whiten(total[..., None], k).reshape(-1))
         return found
 
     def _lay_out(self, stage: Staged) -> list[_Laid]:
@@ -299,33 +264,30 @@ class Judge:
         contenders = self.scene.contenders
         truths = [self._truth(stage, t) for c in contenders for t in c.truths]
         rivals = (*contenders, *self.scene.outsiders)
-        models = [self.scene.base, *(m for c in rivals for form in c.forms for m in form)]
+        models = [self.scene.base, *(m for c in rivals for form in c.forms for m in form.models)]
         columns = [self.lay_columns(stage, terms) for terms in models]
         return [
             _Laid(np.stack([t[k] for t in truths], axis=1), [c[k] for c in columns])
             for k in range(len(self.outputs))
         ]
 
-    def _measure_excess(self, stage: Staged, laid: Sequence[_Laid]) -> Array:
-        """Return [M, K'] the mean square of what the base leaves of the truths, over the noise's.
-
-        In the mean over logs and time, as the error of runs left out is told.
-        """
-        found = []
+    def _weigh_rest(self, stage: Staged, laid: Sequence[_Laid]) -> _Seen:
+        """Return what the base leaves of the truths in a stage, as the errors that are told."""
+        excess, nats = [], np.zeros(laid[0].truths.shape[1])
+        counts = np.repeat(stage.weight**2, stage.white.octave.size)
+        octaves = np.tile(stage.white.octave, stage.weight.size)
         for k, one in enumerate(laid):
-            rest = _rest(one.models[0][None], one.truths[None])[0]
-            each = np.tile(stage.variance[k], rest.shape[0] // stage.variance.shape[1])
-            found.append((rest**2).T @ each / stage.rows / self._floor[k])
-        return np.stack(found, axis=1)
+            squares = _rest(one.models[0][None], one.truths[None])[0] ** 2
+            variance = np.tile(stage.white.variance[k], stage.weight.size)
+            excess.append(squares.T @ variance / stage.rows / self._floor[k])
+            nats += _count_nats(squares * variance[:, None], counts * variance, counts, octaves)
+        return _Seen(stage.rows * stage.period_s, np.stack(excess, axis=1), nats)
 
     def _look_back(self, runs: Sequence[Run]) -> list[_Laid]:
         """Return the logs that there are, made as short as their sums of products allow."""
         stages = [self.stage_run(run) for run in runs]
         laid = [self._lay_out(stage) for stage in stages]
-        self._seen = [
-            (stage.rows * stage.period_s, self._measure_excess(stage, one))
-            for stage, one in zip(stages, laid, strict=True)
-        ]
+        self._seen = [self._weigh_rest(stage, one) for stage, one in zip(stages, laid, strict=True)]
         shortened = []
         for k in range(len(self.outputs) if laid else 0):
             truths = np.concatenate([one[k].truths for one in laid])
@@ -342,7 +304,7 @@ class Judge:
             )
         return shortened
 
-    def _compare(self, stage: Staged, logs: int) -> Told:
+    def _compare(self, stage: Staged, logs: int) -> tuple[Told, list[Array]]:
         contenders = self.scene.contenders
         rivals = (*contenders, *self.scene.outsiders)
         draws = len(contenders[0].truths)
@@ -351,33 +313,36 @@ class Judge:
         laid = self._lay_out(stage)
         gain = np.zeros(count * draws)
         apart = np.full((count * draws, len(rivals)), np.inf)
-        nodes = [(r, f) for r, c in enumerate(rivals) for f in range(len(c.forms))]
-        left: dict[tuple[int, int], Array] = {}
+        nodes = [(r, form) for r, c in enumerate(rivals) for form in c.forms]
+        left = [np.zeros((len(form.models), count * draws)) for _, form in nodes]
         for k, one in enumerate(laid):
             before = self._before[k] if self._before else None
             models, truths = one.join(before, 0, 1)
             gain += _leave(models, truths)[0]
             place = 1
-            for r, f in nodes:
-                size = len(rivals[r].forms[f])
-                models, truths = one.join(before, place, place + size)
-                squares = _leave(models, truths)
-                left[r, f] = left[r, f] + squares if (r, f) in left else squares
+            for n, (_, form) in enumerate(nodes):
+                size = len(form.models)
+                left[n] += _leave(*one.join(before, place, place + size))
                 place += size
-        for r in range(len(rivals)):
+        for n, (r, form) in enumerate(nodes):
             # Values are shared by the outputs: the nearest one is chosen for all together.
-            apart[:, r] = np.min([left[a, f].min(axis=0) for a, f in nodes if a == r], axis=0)
+            if logs + self.scene.runs >= form.fewest_runs:
+                apart[:, r] = np.minimum(apart[:, r], left[n].min(axis=0))
         apart[np.arange(count * draws), np.repeat(np.arange(count), draws)] = np.inf
-        seen = [*self._seen, (stage.rows * stage.period_s, self._measure_excess(stage, laid))]
-        lasts = sum(s for s, _ in seen)
-        excess = sum((s / lasts * each for s, each in seen), start=np.zeros((1, 1)))
-        return Told(
+        seen = [*self._seen, self._weigh_rest(stage, laid)]
+        excess = np.average([s.excess for s in seen], axis=0, weights=[s.lasts_s for s in seen])
+        shown = np.repeat([not set(c.effect.needs) <= TIME_ALONE for c in contenders], draws)
+        nats = scale * shown * np.sum([s.nats for s in seen], axis=0)
+        told = Told(
             scale * gain.reshape(count, draws),
             scale * apart[:, :count].reshape(count, draws, count),
             logs + self.scene.runs,
             excess.reshape(count, draws, -1),
             scale * apart[:, count:].min(axis=1, initial=np.inf).reshape(count, draws),
+            nats.reshape(count, draws),
+            np.full((count, draws), np.inf),
         )
+        return told, [scale * squares for squares in left]
 
 
 def _leave(models: Array, truths: Array) -> Array:
@@ -393,3 +358,27 @@ def _rest(models: Array, truths: Array) -> Array:
     # A column that the others span adds nothing; without this it would add what rounding made.
     q = q * (np.abs(np.diagonal(r, axis1=-2, axis2=-1)) > NEGLIGIBLE)[:, None, :]
     return np.asarray(truths - q @ (np.swapaxes(q, -1, -2) @ truths))
+
+
+def _count_nats(squares: Array, noise: Array, counts: Array, octaves: NDArray[np.int64]) -> Array:
+    """Return [M] by how much each octave's noise grows without an effect, in log-likelihood.
+
+    The slowest octaves share a variance until they have coefficients enough, as in `diagnose`.
+
+    Args:
+        squares: [R, M] of what is left, summed over logs.
+        noise: [R] variance, summed likewise.
+        counts: [R] logs.
+        octaves: [R] their numbers.
+    """
+    nats = np.zeros(squares.shape[1])
+    band = np.zeros(octaves.size, dtype=np.bool_)
+    numbers = np.unique(octaves)
+    for number in numbers[::-1]:
+        band |= octaves == number
+        count = float(counts[band].sum())
+        if count < FEWEST_COEFFICIENTS and number != numbers[0]:
+            continue
+        nats += 0.5 * count * np.log1p(squares[band].sum(axis=0) / noise[band].sum())
+        band[:] = False
+    return nats

@@ -5,7 +5,7 @@ rivals stay far enough behind. All are logistic in the logarithm of the expected
 the rules ask for. An effect that is not among the open ones is named instead where noise makes up
 for its expected distance, which spreads by twice its root (the log-likelihood ratio of two models
 of Gaussian noise is so distributed; Cox, JRSS B 24 (1962)).
-Offsets and slopes are a maximum-likelihood fit to 159 verdicts on simulated sensors (`python -m
+Offsets and slopes are a maximum-likelihood fit to 55 verdicts on simulated sensors (`python -m
 benchmarks.study_likely`, whose simulator shares no code with this one), rounded.
 """
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from zerodrift.diagnosis.evidence import SURE_NATS
 from zerodrift.diagnosis.rules import (
     ALIKE_UNITS,
     ALIKE_UNLESS_SURE,
@@ -25,14 +26,17 @@ from zerodrift.discovery.criterion import Told
 
 Array = NDArray[np.float64]
 
-APART = (-0.9, 2.2)
+APART = (-1.0, 2.0)
 """Offset and slope of being told from the nearest rival."""
-NAMED = (2.1, 2.6)
+NAMED = (2.4, 2.7)
 """Offset and slope of being named at all with enough runs, ..."""
-NAMED_OF_FEW = (-0.2, 2.6)
-"""... and with fewer, where SURE_UNITS are a limit and not only a sign."""
-WORTH = (0.6, 3.7)
+NAMED_OF_FEW = (-0.7, 4.3)
+"""... and with fewer, where SURE_UNITS and SURE_NATS are limits and not only signs."""
+WORTH = (0.8, 4.0)
 """Offset and slope of lowering the error by enough."""
+IN_DISGUISE = 0.6
+"""Share of the look-alikes in disguise, effects at values that the ends of their ranges do as well
+as, that are told as look-alikes after all: the thermometer's noise decides, which no plan knows."""
 FAINT_UNITS = 100.0
 """A gain that is sure with enough runs, noise units."""
 MOST = 0.98
@@ -44,10 +48,11 @@ def grow(apart: Array, gain: Array) -> Array:
     return np.asarray(np.log((apart + 1e-9) / (ALIKE_UNITS + 0.5 * ALIKE_UNLESS_SURE * gain)))
 
 
-def rise(gain: Array, runs: int) -> Array:
-    """Return the gain over what makes it sure, as a logarithm."""
-    asked = FAINT_UNITS if runs >= ENOUGH_RUNS else SURE_UNITS
-    return np.asarray(np.log((gain + 1e-9) / asked))
+def rise(gain: Array, nats: Array, runs: int) -> Array:
+    """Return the gain over what makes it sure, as a logarithm; of few runs the surer measure."""
+    if runs >= ENOUGH_RUNS:
+        return np.asarray(np.log((gain + 1e-9) / FAINT_UNITS))
+    return np.asarray(np.log(np.maximum(gain / SURE_UNITS, nats / SURE_NATS) + 1e-9))
 
 
 def outgrow(excess: Array) -> Array:
@@ -65,15 +70,22 @@ def logistic(offset: float, slope: float, x: Array) -> Array:
 def _expect_naming(told: Told) -> Array:
     """Return the probability [M, D] that each truth is named at all, before any other effect."""
     sure = NAMED if told.runs >= ENOUGH_RUNS else NAMED_OF_FEW
-    named = logistic(*sure, rise(told.gain, told.runs))
+    named = logistic(*sure, rise(told.gain, told.nats, told.runs))
     worth = logistic(*WORTH, outgrow(told.excess))
     return np.asarray(MOST * named * worth * ndtr(0.5 * np.sqrt(np.maximum(told.beside, 0.0))))
 
 
+def _tell_apart(told: Told, distance: Array) -> Array:
+    """Return the probability [M, D] that a rival at this distance is told from each truth."""
+    near = np.isfinite(distance)
+    p = logistic(*APART, grow(np.where(near, distance, 1e30), told.gain))
+    return np.asarray(np.where(near, p, 1.0))
+
+
 def expect_verdicts(told: Told) -> Array:
     """Return the probability [M, D] that each truth is named, and alone."""
-    nearest = told.apart.min(axis=2)
-    alone = np.where(np.isfinite(nearest), logistic(*APART, grow(nearest, told.gain)), 1.0)
+    alone = _tell_apart(told, told.apart.min(axis=2))
+    alone *= 1.0 - IN_DISGUISE * (1.0 - _tell_apart(told, told.disguised))
     return np.asarray(alone * _expect_naming(told))
 
 
@@ -97,7 +109,7 @@ def weigh(told: Told) -> float:
         0.1
         * (
             grow(nearest, told.gain)
-            + rise(told.gain, told.runs)
+            + rise(told.gain, told.nats, told.runs)
             + np.minimum(outgrow(told.excess), 0.0)
         )
     )

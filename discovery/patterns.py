@@ -6,7 +6,7 @@ ramps that would be too fast are made as fast as the chamber, and excursions tha
 into their segment are shortened.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ PER_SEGMENT = 7
 """Duration, temperature, share of ramp, number of steps, their shape, loads on, inputs on."""
 MOST_STEPS = 12
 SMALL_K = 1.0
+CROSSINGS = 20.0
+"""Log over the time from the coldest to the hottest, in which every segment has time for it."""
 QUIET_S = 60.0
 """Each log begins at rest and unloaded for so long, for its tare."""
 SIGNS = hadamard(32)
@@ -59,6 +61,13 @@ class Space:
         """[PATTERNS] how many logs each pattern stands for."""
         each, more = divmod(self.logs, PATTERNS)
         return np.array([each + (p < more) for p in range(PATTERNS)], dtype=np.float64)
+
+    def lengthen(self) -> "Space":
+        """Return the space with logs long enough for every temperature that the limits allow."""
+        limits = self.limits
+        slowest = min(limits.heating_K_per_s, limits.cooling_K_per_s)
+        crossing_s = (limits.high_degC - limits.low_degC) / slowest
+        return replace(self, log_s=max(self.log_s, CROSSINGS * crossing_s))
 
     def list_patterns(self, point: Array) -> list[Log]:
         """Return the different logs of a point."""

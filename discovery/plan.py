@@ -14,6 +14,8 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.case import open_case
 from zerodrift.diagnosis.diagnose import diagnose_config
 from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.rules import ENOUGH_RUNS
+from zerodrift.discovery.closer import judge_closely, look_closer
 from zerodrift.discovery.contenders import (
     Scene,
     describe_noise,
@@ -21,10 +23,9 @@ from zerodrift.discovery.contenders import (
     imagine,
     list_forms,
     look_back,
-    look_closer,
     refuse_unknown,
 )
-from zerodrift.discovery.criterion import Judge, Told
+from zerodrift.discovery.criterion import CLOSE_ROWS, Judge, Told
 from zerodrift.discovery.likely import weigh
 from zerodrift.discovery.limits import Limits, resolve_limits
 from zerodrift.discovery.patterns import Space, choose_spaces
@@ -47,6 +48,8 @@ SLOWER_THAN_PLANS = ("ageing",)
 """Effects of days, which no programme of hours shows."""
 NEAR_ENOUGH = 0.97
 """With an UNKNOWN, candidates that leave no more than this of the error are open."""
+MOST_NEAR = 4
+"""Candidates that are open at most where none is named."""
 MOST_OPEN = 8
 SHOWN_OUTPUTS = 2
 """Outputs that stand for all where nothing is known of any."""
@@ -101,8 +104,12 @@ class Planned:
         return tuple(contender.kind for contender in self.scene.contenders)
 
 
-def find_open(diagnosis: Diagnosis) -> tuple[tuple[str, ...], dict[str, str], str]:
+def find_open(diagnosis: Diagnosis, runs: int) -> tuple[tuple[str, ...], dict[str, str], str]:
     """Return what a diagnosis leaves open: effects, why some were not tested, and in words.
+
+    Args:
+        diagnosis: of the logs that there are.
+        runs: training runs; with few of them COMPLETE says that nothing is sure yet, no more.
 
     Raises:
         NothingLeftError: nothing is left to tell apart.
@@ -112,10 +119,17 @@ def find_open(diagnosis: Diagnosis) -> tuple[tuple[str, ...], dict[str, str], st
         kinds = (diagnosis.effect, *diagnosis.lookalikes)
         return kinds, {}, f"these logs cannot tell {diagnosis.effect} from its look-alikes"
     if diagnosis.verdict == "unknown":
-        near = [c.effect for c in diagnosis.candidates if c.rmse_left_out_ratio <= NEAR_ENOUGH][:4]
-        kinds = tuple(dict.fromkeys((*near, *silent)))
+        near = [c.effect for c in diagnosis.candidates if c.rmse_left_out_ratio <= NEAR_ENOUGH]
+        kinds = tuple(dict.fromkeys((*near[:MOST_NEAR], *silent)))
         if len(kinds) > 1:
             return kinds, silent, "something is missing that none of these explains yet"
+    elif diagnosis.verdict == "complete" and runs < ENOUGH_RUNS:
+        gaining = [c.effect for c in diagnosis.candidates if c.sound and c.rmse_left_out_ratio < 1]
+        kinds = tuple(dict.fromkeys((*gaining[:MOST_NEAR], *silent)))
+        if kinds:
+            noun = "run is" if runs == 1 else "runs are"
+            said = f"nothing is missing for sure, but {runs} {noun} thin evidence"
+            return kinds, silent, said
     elif silent:
         said = (
             "nothing is missing" if diagnosis.effect is None else f"{diagnosis.effect} is missing"
@@ -171,7 +185,9 @@ def plan_experiment(
     full_scale = np.array([output.full_scale for output in config.outputs])
     size = SIZE_IN_NOISE * floor if question.target is None else question.target * full_scale
     everything = list_designs(spaces[0])[1]
-    scene = Judge(scene, limits, (), outputs).scale(spaces[0].list_patterns(everything), size)
+    scene = Judge(scene, limits, (), outputs, CLOSE_ROWS).scale(
+        spaces[0].list_patterns(everything), spaces[0].lengthen().list_patterns(everything), size
+    )
     judge = Judge(scene, limits, before, outputs)
     first_s = [0.0]
 
@@ -187,13 +203,19 @@ def plan_experiment(
     )
     if best.interrupted:
         notes.append("interrupted: the best programme until then")
-    closely = Judge(look_closer(scene, catalogue), limits, before, outputs)
+    say("a closer look at the best programme")
+    told = judge_closely(
+        lambda closer: Judge(closer, limits, before, outputs, CLOSE_ROWS),
+        look_closer(scene, catalogue),
+        best.space,
+        best.point,
+    )
     return Planned(
         question,
         limits,
         scene,
         best.space.build(best.point),
-        closely.judge(best.space, best.point),
+        told,
         spaces[0].build(everything),
         best,
         tuple(notes),
@@ -296,7 +318,7 @@ def _open_logs(
     if kinds:
         refuse_unknown(kinds, catalogue, case.terms, plan)
     else:
-        kinds, untold, said = find_open(diagnose_config(config, dataset))
+        kinds, untold, said = find_open(diagnose_config(config, dataset), len(case.campaign.groups))
         kinds = tuple(
             kind
             for kind in kinds

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
 from zerodrift.discovery.contenders import Truth
-from zerodrift.discovery.criterion import Judge, Staged
+from zerodrift.discovery.criterion import Judge
 from zerodrift.discovery.limits import Limits
 from zerodrift.discovery.patterns import Space, choose_spaces
 from zerodrift.discovery.precision import Precision, list_free, measure_precision
 from zerodrift.discovery.search import Best, find_programme
+from zerodrift.discovery.stage import Staged
 from zerodrift.physics.terms import Term
 
 Array = NDArray[np.float64]

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.discovery.contenders import Truth
-from zerodrift.discovery.criterion import Judge, Staged
+from zerodrift.discovery.criterion import Judge
+from zerodrift.discovery.stage import Staged
 from zerodrift.physics.projection import (
     Coordinate,
     get_coordinates,

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from zerodrift.base.config import parse_config
 from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.changes import extend_model
+from zerodrift.diagnosis.course import MOST_ADDED
 from zerodrift.diagnosis.diagnose import diagnose_config
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.discovery.files import list_protocols
@@ -41,6 +43,7 @@ Mz = { range = [-4, 4], hold_s = 100 }
 """
 """What the twin's own chamber programme moves."""
 ROUND_HOURS = 2.0
+LEAST_HOURS = 0.5
 SEARCH_S = 15.0
 
 
@@ -71,7 +74,9 @@ class Looped:
 
     rounds: tuple[Round, ...]
     ended: str
-    """sure | nothing left | hours spent."""
+    """sure: nothing more is missing, on runs enough; nothing left | hours spent."""
+    added: tuple[str, ...]
+    """Effects that were named and added to the model, in this order."""
     hidden: tuple[str, ...]
     """The truth."""
 
@@ -79,7 +84,9 @@ class Looped:
 def run_loop(
     recipe: Recipe, hours: float, say: Callable[[str], None] = lambda text: None
 ) -> Looped:
-    """Plan, record and diagnose over a simulated sensor until the verdict is sure.
+    """Plan, record and diagnose over a simulated sensor until nothing more is missing.
+
+    What is named and has no look-alikes is added to the model, and the same logs are asked again.
 
     Args:
         recipe: the sensor, and the logs that there are to begin with.
@@ -97,26 +104,32 @@ def run_loop(
     spent = sum(len(run) * run.sample_period_s for run in dataset.train) / 3600.0
     rounds: list[Round] = []
     predicted: float | None = None
+    added: list[str] = []
 
     def end(why: str) -> Looped:
-        return Looped(tuple(rounds), why, tuple(choice.name for choice in recipe.hidden))
+        hidden = tuple(choice.name for choice in recipe.hidden)
+        return Looped(tuple(rounds), why, tuple(added), hidden)
 
     while True:
         say("diagnosing")
         found = diagnose_config(config, dataset)
         rounds.append(_note(found, dataset, spent, predicted))
         say(rounds[-1].explain())
-        if found.verdict == "missing" and not found.lookalikes:
-            return end("sure")
+        predicted = None
+        if found.effect is not None and not found.lookalikes and len(added) < MOST_ADDED:
+            added.append(found.effect)
+            kept = extend_model(config.effects, catalogue, found.effect, found.parameters)
+            config = replace(config, effects=kept)
+            continue
         left = hours - spent
-        if left < 0.5:
-            return end("hours spent")
         try:
-            find_open(found)
+            find_open(found, len({run.group for run in dataset.train}))
+            if left < LEAST_HOURS:
+                return end("hours spent")
             question = Question(hours=min(ROUND_HOURS, left), budget_s=SEARCH_S)
             planned = plan_experiment(config, dataset, catalogue, question, say)
         except NothingLeftError:
-            return end("nothing left")
+            return end("sure" if found.verdict == "complete" else "nothing left")
         predicted = float(expect_verdicts(planned.told).mean())
         dataset = extend(simulation, dataset, planned, len(rounds))
         spent += planned.programme.hours
@@ -152,5 +165,7 @@ def describe_loop(looped: Looped) -> str:
     """Return the rounds, how it ended, and the truth."""
     lines = ["Plan, record, diagnose over a simulated sensor:"]
     lines += [f"  {one.explain()}" for one in looped.rounds]
+    added = ", ".join(looped.added) or "nothing"
     hidden = ", ".join(looped.hidden) or "nothing"
-    return "\n".join([*lines, f"Ended: {looped.ended}. Hidden in fact: {hidden}."])
+    ended = f"Ended: {looped.ended}. Added: {added}. Hidden in fact: {hidden}."
+    return "\n".join([*lines, ended])

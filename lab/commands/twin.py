@@ -253,7 +253,7 @@ class TwinOptions:
     "--loop",
     type=click.FloatRange(0.5, 1000.0),
     metavar="HOURS",
-    help="Plan, record and diagnose until the verdict is sure or so many hours are spent; "
+    help="Plan, record, diagnose and add until nothing is missing or so many hours are spent; "
     "writes nothing.",
 )
 @json_option

@@ -7,12 +7,15 @@ import pytest
 
 from tests.plan.projects import EXPERIMENT, read
 from zerodrift.base.errors import InputError
-from zerodrift.discovery.contenders import look_closer
+from zerodrift.discovery.closer import judge_closely, look_closer
 from zerodrift.discovery.criterion import Judge, Told
-from zerodrift.discovery.likely import expect_pairs, expect_verdicts
+from zerodrift.discovery.likely import IN_DISGUISE, expect_pairs, expect_verdicts
 from zerodrift.discovery.plan import Question, plan_experiment
 from zerodrift.discovery.programme import Log, Setting
+from zerodrift.discovery.search import list_designs
 from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.effect import FEWEST_RUNS
+from zerodrift.physics.octaves import MEANS, cut_octaves
 
 CATALOGUE = load_catalogue()
 
@@ -60,7 +63,10 @@ def test_a_pure_ramp_cannot_tell_what_is_proportional_on_it():
                     replace(t, terms=(t.terms[0], t.terms[2]), coefficients=np.array([[0.0, 0.01]]))
                     for t in truths
                 ),
-                forms=tuple(tuple((m[0], m[2]) for m in form) for form in contender.forms),
+                forms=tuple(
+                    replace(form, models=tuple((m[0], m[2]) for m in form.models), place=1)
+                    for form in contender.forms
+                ),
             ),
         ),
     )
@@ -76,6 +82,9 @@ def test_a_pure_ramp_cannot_tell_what_is_proportional_on_it():
     assert told.gain[0, 0] == pytest.approx(1920 * 0.25 / 4.0, rel=0.02)
     # Half of the time 50 N above the mean, half below: 0.5 squared over a variance of 4.
     assert told.excess[0, 0] == pytest.approx([0.25 / 4.0], rel=0.02)
+    # All of it, 120 noise units, lies in the slowest octave, which shares a variance with the
+    # three next ones until there are 8 coefficients or more: 1 + 2 + 4 + 8.
+    assert told.nats[0, 0] == pytest.approx(0.5 * 15 * np.log(1.0 + 120.0 / 15.0), rel=0.02)
     twice = judge.judge_logs([half], np.array([2.0]))
     assert twice.excess[0, 0] == pytest.approx(told.excess[0, 0], rel=1e-9)
     assert twice.gain[0, 0] == pytest.approx(2.0 * told.gain[0, 0], rel=1e-9)
@@ -95,7 +104,7 @@ def test_effects_that_are_not_open_may_be_taken_for_one_that_is():
 def test_an_effect_and_its_own_model_are_not_apart(planned):
     """A rival that is the truth itself, at a value on its grid, leaves nothing."""
     creep, other = planned.scene.contenders
-    node = creep.forms[0][3]
+    node = creep.forms[0].models[3]
     truth = replace(creep.truths[0], terms=node)
     scene = replace(
         planned.scene,
@@ -107,31 +116,84 @@ def test_an_effect_and_its_own_model_are_not_apart(planned):
     assert told.apart[0, 0, 1] < 1e-6 * told.gain[0, 0]
 
 
+def test_coefficients_are_those_of_the_octaves_over_their_noise(planned):
+    judge = Judge(planned.scene, planned.limits, (), (0,))
+    white = judge.stage(planned.programme.logs[:1], np.ones(1)).white
+    x = np.random.default_rng(1).standard_normal((1, 150, 1))
+    white = replace(white, octaves=cut_octaves(np.array([150]), 5))
+    white = replace(white, keep=white.octaves.octave != MEANS)
+    white = replace(white, scale=1.0 + np.arange(149.0)[None])
+    expected = white.octaves.transform(x[0, :, 0])[white.keep] * white.scale[0]
+    assert white.whiten(x, 0)[0, :, 0] == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_slow_zero_shift_is_a_rival_of_a_gradient_once_there_are_four_logs():
+    planned = plan("thermal_lag", "thermal_gradient", hours=4.0)
+    (lag, gradient) = planned.scene.contenders
+    assert [form.fewest_runs for form in lag.forms] == [0, 0, FEWEST_RUNS]
+    assert [form.fewest_runs for form in gradient.forms] == [0]
+    judge = Judge(planned.scene, planned.limits, (), (0,))
+    logs = planned.programme.logs[:2]
+    three, four = (judge.judge_logs(logs, np.array([2.0, n])) for n in (1.0, 2.0))
+    assert (four.apart[1, :, 0] < 0.3 * three.apart[1, :, 0]).all()
+    assert planned.told.runs >= FEWEST_RUNS
+    # It is one in disguise: with the shortest time constant that there is, it does as well.
+    assert (planned.told.disguised[1] < 0.01 * planned.told.gain[1]).all()
+    assert (planned.told.apart[1, :, 0] > planned.told.disguised[1]).all()
+
+
+def test_a_closer_look_finds_rivals_nearer_than_the_grid_does(planned):
+    def judge(scene):
+        return Judge(scene, planned.limits, (), (0,))
+
+    space, point = planned.best.space, planned.best.point
+    closer = replace(look_closer(planned.scene, CATALOGUE), outsiders=())
+    grid = judge(closer).judge(space, point)
+    near = judge_closely(judge, closer, space, point)
+    assert near.gain == pytest.approx(grid.gain)
+    least = np.minimum(near.apart.min(axis=2), near.disguised)
+    assert (least <= grid.apart.min(axis=2) * (1.0 + 1e-9)).all()
+    assert (least < grid.apart.min(axis=2)).any()
+
+
+def test_long_logs_reach_every_temperature(planned):
+    space = planned.best.space
+    wide = space.lengthen().list_patterns(list_designs(space)[1])
+    reached = {s.temperature_degC for log in wide for s in log.settings}
+    assert {planned.limits.low_degC, planned.limits.high_degC} <= reached
+
+
 LARGE = np.full((2, 4, 1), 100.0)
 FAR = np.full((2, 4), np.inf)
+NONE = np.zeros((2, 4))
 
 
 def test_probabilities_rise_with_what_is_told():
     gain = np.array([[50.0, 500.0, 5000.0, 5e5]] * 2)
     apart = np.full((2, 4, 2), np.inf)
     apart[0, :, 1] = apart[1, :, 0] = 0.5 * gain[0]
-    p = expect_verdicts(Told(gain, apart, 8, LARGE, FAR))
+    p = expect_verdicts(Told(gain, apart, 8, LARGE, FAR, NONE, FAR))
     assert (np.diff(p[0]) > 0.0).all() and p.min() > 0.0 and p.max() < 1.0
     close = apart.copy()
     close[0, :, 1] = 0.001 * gain[0]
-    assert (expect_verdicts(Told(gain, close, 8, LARGE, FAR))[0] < p[0]).all()
+    assert (expect_verdicts(Told(gain, close, 8, LARGE, FAR, NONE, FAR))[0] < p[0]).all()
     # What lowers the error by 1 % is not named, however sure; nor what another effect does as well.
-    faint = expect_verdicts(Told(gain, apart, 8, np.full((2, 4, 1), 0.01), FAR))
+    faint = expect_verdicts(Told(gain, apart, 8, np.full((2, 4, 1), 0.01), FAR, NONE, FAR))
     assert (faint < 0.3 * p).all()
-    mistaken = expect_verdicts(Told(gain, apart, 8, LARGE, np.zeros((2, 4))))
+    mistaken = expect_verdicts(Told(gain, apart, 8, LARGE, np.zeros((2, 4)), NONE, FAR))
     assert mistaken == pytest.approx(0.5 * p)
-    pairs = expect_pairs(Told(gain, apart, 8, LARGE, FAR))
+    hidden = expect_verdicts(Told(gain, apart, 8, LARGE, FAR, NONE, np.zeros((2, 4))))
+    assert hidden == pytest.approx((1.0 - IN_DISGUISE) * p, rel=0.01)
+    # Few runs are enough where the likelihood says so.
+    likely = Told(gain, apart, 3, LARGE, FAR, np.full((2, 4), 100.0), FAR)
+    assert (expect_verdicts(likely)[:, 0] > expect_verdicts(replace(likely, nats=NONE))[:, 0]).all()
+    pairs = expect_pairs(Told(gain, apart, 8, LARGE, FAR, NONE, FAR))
     assert pairs[0, 1] == pairs[1, 0]
-    assert (expect_verdicts(Told(gain, apart, 3, LARGE, FAR)) <= p).all()
+    assert (expect_verdicts(Told(gain, apart, 3, LARGE, FAR, NONE, FAR)) < p)[:, :3].all()
 
 
 def test_more_hours_tell_no_less():
-    short, long = (plan("creep", "load_hysteresis", hours=h, target=0.0003) for h in (0.5, 4.0))
+    short, long = (plan("creep", "load_hysteresis", hours=h, target=0.00005) for h in (0.5, 4.0))
     assert expect_verdicts(long.told).mean() > expect_verdicts(short.told).mean()
 
 
