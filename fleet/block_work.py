@@ -48,7 +48,7 @@ COLD_STEPS = 2000
 
 
 @dataclass(frozen=True)
-class Program:
+class SharedProgram:
     """The one program of a fleet, as the processes that try blocks in it are given it."""
 
     common: BlockDesign
@@ -62,7 +62,7 @@ class BlockRun:
     """The second pass over a fleet with blocks."""
 
     design: Design
-    program: Program
+    program: SharedProgram
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def try_units(run: BlockRun, sensors: Sequence[str]) -> list[SensorOutcome]:
     return batch.list()
 
 
-def _open_host(program: Program, scratch: Path) -> HostModel:
+def _open_host(program: SharedProgram, scratch: Path) -> HostModel:
     model, prefix = program.common.model, program.code.prefix
     if program.library.is_file():
         return HostModel.attach(model, prefix, program.library, "", observe=False)

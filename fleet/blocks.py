@@ -18,7 +18,7 @@ from zerodrift.c_runtime.host import HostModel, render_sources
 from zerodrift.codegen.generate import GeneratedCode, generate_design
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
-from zerodrift.fleet.block_work import BlockRun, Program, note_block
+from zerodrift.fleet.block_work import BlockRun, SharedProgram, note_block
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.executors import Executor
 from zerodrift.fleet.result import SensorOutcome, TriedBlock
@@ -107,7 +107,7 @@ def write_blocks(
             host = HostModel(common.model, code, place, observe=False)
             certificate = certify_design(common, code)
             recheck(code, certificate, place)
-            run = BlockRun(design, Program(common, code, host.library))
+            run = BlockRun(design, SharedProgram(common, code, host.library))
             left = [s for s in own if not _is_kept(run, found[s])]
             found |= {s: _keep(run, found[s]) for s in own if s not in left}
             found |= _try(run, executor, cut_batches(left, jobs, batch), found, report)

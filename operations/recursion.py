@@ -11,7 +11,6 @@ from functools import cache
 from importlib.machinery import PathFinder
 from importlib.util import module_from_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy
@@ -37,13 +36,12 @@ def filter_recursively(
     """
     taken = np.array(b, dtype=np.float64), np.array(a, dtype=np.float64)
     run = load_filter()
-    if state is None:
-        return np.asarray(run(*taken, x, -1))
-    return np.asarray(run(*taken, x, -1, np.asarray(state))[0])
+    found = run(*taken, x, -1) if state is None else run(*taken, x, -1, np.asarray(state))
+    return found[0] if isinstance(found, tuple) else found
 
 
 @cache
-def load_filter() -> Callable[..., Any]:
+def load_filter() -> Callable[..., Array | tuple[Array, Array]]:
     """Return SciPy's filter: its C function alone, or `lfilter` where there is none of that name.
 
     Both take b, a, x, the axis and, where it is given, the state.

@@ -17,12 +17,12 @@ class _Page(Dash):  # type: ignore[misc,unused-ignore]
 
     place: Workplace
 
-    def interpolate_index(self, **parts: str) -> str:
+    def interpolate_index(self, app_entry: str = "", **parts: str) -> str:
         """Return the page's HTML."""
         if self.place.has_project and (self.place.busy or self.place.findings is not None):
             frame = write_frame(self.place.directory, self.place.sensor)
-            parts["app_entry"] = f'<div id="skeleton">{frame}</div>{parts["app_entry"]}'
-        return str(super().interpolate_index(**parts))
+            app_entry = f'<div id="skeleton">{frame}</div>{app_entry}'
+        return str(super().interpolate_index(app_entry=app_entry, **parts))
 
 
 def make_app(workplace: Workplace) -> Dash:

@@ -256,11 +256,13 @@ class EarlyPage:
         from zerodrift.base.records import to_json
         from zerodrift.workbench.first_look import draw_waiting, read_look
 
+        width = WIDTH
         try:
-            width = float(json.loads(wish)["width"])
-        except (ValueError, KeyError, TypeError, RecursionError):
-            width = WIDTH
-        width = width if 0.0 < width < LARGEST else WIDTH
+            match json.loads(wish):
+                case {"width": int() | float() as wished} if 0.0 < wished < LARGEST:
+                    width = float(wished)
+        except (ValueError, RecursionError):
+            pass  # no wish that can be read
         drawn = draw_waiting(read_look(self.read_sketch()), width, is_early=True)
         return json.dumps(to_json(drawn)).encode()
 
