@@ -42,8 +42,9 @@ class Operations(ABC, Generic[S]):
     def __getattr__(self, name: str) -> Callable[..., S]:
         if name not in OPERATIONS:
             raise AttributeError(f"there is no operation {name!r}; there are {sorted(OPERATIONS)}")
-        self.__dict__[name] = found = partial(self._call, OPERATIONS[name])  # found at once again
-        return found
+        # Not kept in the instance: whoever holds itself, and all that is computed, waits for the
+        # garbage collector.
+        return partial(self._call, OPERATIONS[name])
 
     def _call(self, operation: Operation, /, *given: object, **named: object) -> S:
         if named or len(given) != operation.arity:

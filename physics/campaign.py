@@ -8,6 +8,7 @@ parts are kept. All that follows is small algebra on sums of products.
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,15 +103,16 @@ class Campaign:
         self.run_of_piece = np.repeat(np.arange(count), self.pieces_per_run)
         """[G] the run that each piece belongs to."""
         self.ops = GraphOperations(plan.sample_period_s)
-        self._signals = replace(name_signals(self.ops, plan), arrivals=self._arrive)
         tracks = lay_tracks(runs, plan, block)
-        self._firsts = [self.runs[track.places[0][0]] for track in tracks]
         self.rates = Rates(
             [graph_inputs(track.signals) for track in tracks],
             [track.places for track in tracks],
             self.reduction,
             plan.sample_period_s,
         )
+        firsts = [self.runs[track.places[0][0]] for track in tracks]
+        arrive = partial(_arrive, self.rates, self.ops, firsts)
+        self._signals = replace(name_signals(self.ops, plan), arrivals=arrive)
         self._cache: OrderedDict[tuple[int, tuple[int, ...]], Column] = OrderedDict()
         self.set_aside = set_aside
         self._drifts = [self._reduce_drift(k, None) for k in range(len(plan.outputs))]
@@ -167,12 +169,6 @@ class Campaign:
                     f"{type(feature.signal).__name__}; expected what an operation of `ops` returns."
                 )
         return tuple(features[1:])
-
-    def _arrive(self, arrivals: Arrivals) -> Node:
-        """Return the input that says from where each run came to its first temperature."""
-        name = f"arrival:{arrivals}"
-        self.rates.put_spikes(name, [tell_arrival(arrivals, run) for run in self._firsts])
-        return self.ops.input(name)
 
     def column(self, node: Node, label: str = "") -> Column:
         """Return the coefficients of a node's values over all runs, computed once.
@@ -297,3 +293,14 @@ class Campaign:
             )
             for owner in owners
         ]
+
+
+def _arrive(rates: Rates, ops: GraphOperations, firsts: Sequence[Run], arrivals: Arrivals) -> Node:
+    """Return the input that says from where each run came to its first temperature.
+
+    No method of `Campaign`: one that holds itself would wait for the garbage collector, with all
+    its columns.
+    """
+    name = f"arrival:{arrivals}"
+    rates.put_spikes(name, [tell_arrival(arrivals, run) for run in firsts])
+    return ops.input(name)
