@@ -1,5 +1,6 @@
-"""PDF and PNG through the Chromium or Chrome that is installed here, without a window."""
+"""PDF, PNG and Plotly's SVG through the Chromium or Chrome that is installed here."""
 
+import html
 import os
 import re
 import shutil
@@ -63,7 +64,7 @@ def print_page(text: str, target: Path, project: Path) -> None:
 
 
 def picture_pages(figures: "Mapping[str, go.Figure]", directory: Path, project: Path) -> list[Path]:
-    """Write each Plotly figure as a PNG of its own, all of them as one change.
+    """Write each Plotly figure as SVG, PDF and PNG, all of them as one change.
 
     Args:
         figures: by the name of the file.
@@ -75,26 +76,38 @@ def picture_pages(figures: "Mapping[str, go.Figure]", directory: Path, project: 
     """
     contents: dict[Path, bytes | None] = {}
     with make_scratch(project) as scratch:
-        for number, (label, figure) in enumerate(figures.items()):
-            page, picture = scratch / "page.html", scratch / f"{number}.png"
-            page.write_text(
-                render_template("picture.html.j2", {"figure": figure}), encoding="utf-8"
-            )
-            size = f"--window-size={WIDTH},{int(figure.layout.height or 400) + 16}"
-            _run(
-                [
-                    f"--screenshot={picture}",
-                    size,
-                    "--force-device-scale-factor=2",
-                    "--hide-scrollbars",
-                    page.as_uri(),
-                ],
-                picture,
-            )
+        for label, figure in figures.items():
             name = re.sub(r"[^A-Za-z0-9_.-]", "_", label)
-            contents[directory / f"{name}.png"] = picture.read_bytes()
+            for kind, content in _picture(figure, scratch).items():
+                contents[directory / f"{name}.{kind}"] = content
         write_all(project, contents)
     return list(contents)
+
+
+def _picture(figure: "go.Figure", scratch: Path) -> dict[str, bytes]:
+    """Return kind -> content of a figure's file."""
+    height = int(figure.layout.height or 400) + 16
+    page, png, pdf = scratch / "page.html", scratch / "page.png", scratch / "page.pdf"
+    for made in (png, pdf):
+        made.unlink(missing_ok=True)
+
+    def write(vector: bool) -> str:
+        told = {"figure": figure, "vector": vector, "width": WIDTH}
+        page.write_text(render_template("picture.html.j2", told), encoding="utf-8")
+        return page.as_uri()
+
+    size = f"--window-size={WIDTH},{height}"
+    scale = ("--force-device-scale-factor=2", "--hide-scrollbars")
+    _run([f"--screenshot={png}", size, *scale, write(vector=False)], png)
+    shown = _run(["--dump-dom", size, write(vector=True)], None)
+    found = re.search(r'<pre id="svg">(.*)</pre>', shown, re.S)
+    if found is None:
+        raise InputError(f"{find_browser()}: drew no SVG. Print the HTML page from it instead.")
+    svg = html.unescape(found.group(1))
+    paper = f"@page {{ size: {WIDTH}px {height}px; margin: 0 }} body {{ margin: 0 }}"
+    page.write_text(f"<!doctype html><style>{paper}</style>{svg}", encoding="utf-8")
+    _run([f"--print-to-pdf={pdf}", "--no-pdf-header-footer", page.as_uri()], pdf)
+    return {"svg": svg.encode(), "pdf": pdf.read_bytes(), "png": png.read_bytes()}
 
 
 def write_pictures(
@@ -137,8 +150,12 @@ def write_pictures(
     return list(contents)
 
 
-def _run(arguments: Sequence[str], made: Path) -> None:
-    """Run the browser once, in a profile of its own, and see to it that it made the file."""
+def _run(arguments: Sequence[str], made: Path | None) -> str:
+    """Run the browser once, in a profile of its own; return what it wrote to its output.
+
+    Raises:
+        InputError: it failed, or did not make the file.
+    """
     browser = find_browser()
     with tempfile.TemporaryDirectory(prefix="zerodrift-browser-") as profile:
         command = [
@@ -165,9 +182,10 @@ def _run(arguments: Sequence[str], made: Path) -> None:
             )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise InputError(f"{browser}: could not print the page ({error}).") from error
-    if not made.exists() or not made.stat().st_size:
+    if made is not None and (not made.exists() or not made.stat().st_size):
         lines = done.stderr.strip().splitlines()
         raise InputError(
             f"{browser}: ended with code {done.returncode} and printed nothing"
             f"{': ' + lines[-1] if lines else ''}. Print the HTML report from a browser instead."
         )
+    return done.stdout

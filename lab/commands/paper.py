@@ -191,7 +191,7 @@ def describe_table(table: "Table") -> dict[str, Any]:
 
 
 def draw(figures: dict[str, Any], out: Path) -> tuple[list[Path], str]:
-    """Write the figures: one HTML page, and PNGs where there is a browser."""
+    """Write the figures: one HTML page, and SVG, PDF and PNG where there is a browser."""
     from zerodrift.report.browser import picture_pages
     from zerodrift.report.figures import render_page as render_figures
 
@@ -203,4 +203,4 @@ def draw(figures: dict[str, Any], out: Path) -> tuple[list[Path], str]:
     try:
         return [page, *picture_pages(figures, out / "pictures", out)], ""
     except InputError as error:
-        return [page], f"no PNGs were made, {page} holds the pictures: {error}"
+        return [page], f"no SVG, PDF or PNG was made, {page} holds the pictures: {error}"

@@ -37,7 +37,7 @@ def test_tables_stand_beside_the_paper_and_say_that_they_are_simulated(paper):
     assert len(printed) == sum(len(row) for table in TABLES for row in table.rows.values())
     page = (out / "figures.html").read_text()
     assert page.count("(simulated)") >= 7
-    assert "no PNGs were made" in result.err
+    assert "no SVG, PDF or PNG was made" in result.err
 
 
 def test_json_holds_tables_findings_and_files(paper):

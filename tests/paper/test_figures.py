@@ -1,8 +1,17 @@
 """What the pictures show, and that nothing in them can be taken for something else."""
 
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import plotly.graph_objects as go
+import pytest
+
+from zerodrift.base.errors import InputError
 from zerodrift.lab.paper.figures import draw_heat
 from zerodrift.lab.paper.summary import Spread
 from zerodrift.lab.paper.why import Heat
+from zerodrift.report.browser import find_browser, picture_pages
 
 CHAMBER, BENCH, SECOND = "the chamber alone", "the chamber and bench logs", "a second thermometer"
 
@@ -32,3 +41,25 @@ def test_heat_has_a_look_per_method_and_a_row_per_training_logs() -> None:
     places = [(trace.xaxis, y) for trace in figure.data for y in trace.y]
     assert len(set(places)) == len(places)
     assert {round(y) for _, y in places} == {0, 1, 2}
+
+
+def has_browser() -> bool:
+    try:
+        return bool(find_browser())
+    except InputError:
+        return False
+
+
+@pytest.mark.skipif(not has_browser(), reason="neither Chromium nor Chrome is installed")
+def test_a_picture_comes_as_vectors_and_as_pixels(tmp_path: Path) -> None:
+    figure = go.Figure(go.Scatter(y=[1.0, 3.0, 2.0]))
+    figure.update_layout(title='Fz < Fx & "both", µm', height=300)
+    made = picture_pages({"fit of Fz": figure}, tmp_path / "pictures", tmp_path)
+    assert [path.name for path in made] == [f"fit_of_Fz.{kind}" for kind in ("svg", "pdf", "png")]
+    svg, pdf, png = (path.read_bytes() for path in made)
+    drawn = ElementTree.fromstring(svg)
+    assert 'Fz < Fx & "both", µm' in "".join(drawn.itertext())
+    assert drawn.findall(".//{http://www.w3.org/2000/svg}path")
+    assert not drawn.findall(".//{http://www.w3.org/2000/svg}image")
+    assert pdf.startswith(b"%PDF") and len(re.findall(rb"/Type /Page\b", pdf)) == 1
+    assert b"/Font" in pdf and png.startswith(b"\x89PNG")
