@@ -54,6 +54,8 @@ from zerodrift.verify.prove_terms import UndecidedError, Whole
 
 MOST_ROUNDS = 200_000
 DEEPEST = 40
+MOST_CELLS = 1_000_000
+"""Of one array: no chip has room for more."""
 SIZEOF = "sizeof"
 """The rule for sizes of structs."""
 Rule: TypeAlias = "Callable[[TermMachine, list[Found]], Found]"
@@ -267,6 +269,8 @@ class TermMachine(PathMachine):
         count = 1
         for size in sizes:
             count *= size
+        if count > MOST_CELLS:
+            raise UndecidedError(f"{name} has {count} elements")
         block = CellBlock(name, kind.name, sizes, [None] * count)
         if first is not None:
             block.cells = self._initial(first, kind.name, sizes)

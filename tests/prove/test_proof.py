@@ -111,6 +111,7 @@ CHANGES = {
         "v[ZD_PAIR_SCRATCH(3u, 8u)]",
         "v[ZD_PAIR_SCRATCH(3u, 8u) - 1u]",
     ),
+    "a size that no memory has": ("v[ZD_PAIR_SCRATCH(3u, 8u)]", "v[4000000000u]"),
     "a shift of the kernel": ("gru_stream, {11, 11, 10}", "gru_stream, {11, 11, 11}"),
     "a step relaxes": ("s->gru_h_q30, -1)", "s->gru_h_q30, 0)"),
     "relaxing steps": ("k < ZD_GRU_RELAX_STEPS", "k < (ZD_GRU_RELAX_STEPS - 1u)"),
