@@ -32,8 +32,8 @@ from benchmarks.bench_monitor import (
     draw_temperature,
 )
 from zerodrift.field.blocks import make_blocks
+from zerodrift.field.swapped import Before, Foretold, find_unit
 from zerodrift.field.watch import OTHER_UNIT, BlockMeans, Rules, follow
-from zerodrift.field.whose import Before, Foretold, find_whose
 
 MOUNTED = KNOWN, STRANGER, COUSIN = ("known", "stranger", "cousin")
 FIRST_UNUSED = 5_200_000
@@ -83,14 +83,14 @@ def draw_case(seed: int, noise: str, units: int, mounted: str, days: float) -> s
     ]
     new = make_blocks(time_s[here], residual[here], warm[here], BLOCK_S)
     old: BlockMeans = blocks.first(told.learned.blocks)
-    whose = find_whose(
+    found = find_unit(
         {"y": (Foretold(new, np.stack(left)), Before(old, told.learned, rules))}, units
     )
-    if whose is None:
+    if found is None:
         return "too early"
-    if whose.named is not None:
-        return "right" if mounted == KNOWN and whose.named == 0 else "false"
-    return "several" if whose.possible else "none"
+    if found.named is not None:
+        return "right" if mounted == KNOWN and found.named == 0 else "false"
+    return "several" if found.possible else "none"
 
 
 def measure(seed: int, cases: int, noise: str, units: int, mounted: str, days: float) -> None:

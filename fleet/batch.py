@@ -1,7 +1,7 @@
 """Units that are worked on one after the other in one process, and the comparison of their bits."""
 
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ RANDOM_STEPS = 5000
 START_STEPS = 4
 """Each sequence is begun on its own for these steps, from rest and from cold; then all of them run
 one after the other, which gives the state jumps to live through as well."""
+P = ParamSpec("P")
 T = TypeVar("T")
 
 
@@ -30,10 +31,12 @@ class UnitBatch:
         self.sensors = sensors
         self.outcomes: dict[str, SensorOutcome] = {}
 
-    def attempt(self, sensor: str, work: Callable[[], T]) -> T | None:
+    def attempt(
+        self, sensor: str, work: Callable[P, T], *args: P.args, **named: P.kwargs
+    ) -> T | None:
         """Return what `work` returns, or None once its failure is noted."""
         try:
-            return work()
+            return work(*args, **named)
         except ZerodriftError as error:
             self.fail(sensor, str(error))
         except UNFORESEEN as error:

@@ -39,6 +39,7 @@ from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.gate import judge_firmware
 from zerodrift.verify.host_check import check_host
+from zerodrift.verify.left_out import choose_judge
 from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
 from zerodrift.verify.uncertainty import measure_firmware
 from zerodrift.verify.vectors import draw_sequences
@@ -89,11 +90,7 @@ def try_units(run: BlockRun, sensors: Sequence[str]) -> list[SensorOutcome]:
     with tempfile.TemporaryDirectory(prefix="zerodrift-program-") as scratch:
         host = _open_host(run.program, Path(scratch))
         for sensor in sensors:
-
-            def work(sensor: str = sensor) -> SensorOutcome:
-                return _try(run, host, _load(run.design, sensor, catalogue))
-
-            outcome = batch.attempt(sensor, work)
+            outcome = batch.attempt(sensor, _try, run, host, sensor, catalogue)
             if outcome is not None:
                 batch.outcomes[sensor] = outcome
     return batch.list()
@@ -117,9 +114,10 @@ def _load(design: Design, sensor: str, catalogue: Catalogue) -> _Unit:
     )
 
 
-def _try(run: BlockRun, host: HostModel, unit: _Unit) -> SensorOutcome:
+def _try(run: BlockRun, host: HostModel, sensor: str, catalogue: Catalogue) -> SensorOutcome:
     """Return a unit's outcome: compared bit for bit, judged by the gate, and written."""
     design, common = run.design, run.program.common
+    unit = _load(design, sensor, catalogue)
     tried = replace(unit.result, program=common.identity)
     try:
         fitted = common.fit(unit.own)
@@ -130,9 +128,7 @@ def _try(run: BlockRun, host: HostModel, unit: _Unit) -> SensorOutcome:
     content = encode(common, fitted, notes, compute_answers(common, fitted))
     kept = unspool(design, unit.config, unit.sensor, unit.compensator, unit.result.mark)
     tried = replace(tried, vectors=compare_block(host, fitted, content, kept.dataset))
-    judge = kept.left_out
-    if kept.dataset.test or (judge is not None and judge.by_epochs):
-        judge = None
+    judge = choose_judge(kept.left_out, kept.dataset)
     place = design.place(unit.config, unit.sensor)
     described = describe_compensator(unit.compensator, place, kept.dataset.train)
     verdict, replay = judge_firmware(described, host, kept.dataset, judge)

@@ -43,7 +43,7 @@ from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.chip_error import ChipReplay
 from zerodrift.verify.firmware import certify_checked
 from zerodrift.verify.gate import GateVerdict, judge_firmware
-from zerodrift.verify.left_out import LeftOut, leave_out_together, takes_epochs
+from zerodrift.verify.left_out import LeftOut, choose_judge, leave_out_together, takes_epochs
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import write_manifest
 from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
@@ -80,7 +80,7 @@ def work_on(design: Design, sensors: Sequence[str]) -> list[SensorOutcome]:
     batch = UnitBatch(sensors)
     jobs = []
     for sensor in sensors:
-        job = batch.attempt(sensor, lambda s=sensor: _open(design, s))  # type: ignore[misc]  # the default binds the loop's value
+        job = batch.attempt(sensor, _open, design, sensor)
         if job is not None:
             jobs.append(job)
     jobs = _train(design, jobs, batch, catalogue)
@@ -88,7 +88,7 @@ def work_on(design: Design, sensors: Sequence[str]) -> list[SensorOutcome]:
         _build(design, jobs, batch)
     else:
         for job in jobs:
-            batch.attempt(job.sensor, lambda j=job: _finish(design, j, batch, None))  # type: ignore[misc]
+            batch.attempt(job.sensor, _finish, design, job, batch, None)
     return batch.list()
 
 
@@ -119,21 +119,18 @@ def _train(
 
 def _build(design: Design, jobs: Sequence[_Job], batch: UnitBatch) -> None:
     """Quantize, generate, compile all at once, check each, and write those that hold."""
-    ready = [j for j in jobs if batch.attempt(j.sensor, lambda j=j: _generate(design, j))]  # type: ignore[misc]
+    ready = [j for j in jobs if batch.attempt(j.sensor, _generate, design, j)]
     if not ready:
         return
     _train_again(design, ready)
     if design.in_block:
         for job in ready:
-            batch.attempt(job.sensor, lambda j=job: _set_aside(design, j, batch))  # type: ignore[misc]
+            batch.attempt(job.sensor, _set_aside, design, job, batch)
         return
     with tempfile.TemporaryDirectory(prefix="zerodrift-fleet-") as scratch:
         hosts = _compile(ready, Path(scratch), batch)
         for job, host in hosts:
-            batch.attempt(
-                job.sensor,
-                lambda j=job, h=host: _finish(design, j, batch, h, Path(scratch)),  # type: ignore[misc]
-            )
+            batch.attempt(job.sensor, _finish, design, job, batch, host, Path(scratch))
 
 
 def _set_aside(design: Design, job: _Job, batch: UnitBatch) -> None:
@@ -188,10 +185,7 @@ def _compile(jobs: Sequence[_Job], scratch: Path, batch: UnitBatch) -> list[tupl
         found = []
         for number, (job, model, code) in enumerate(zip(jobs, models, codes, strict=True)):
             folder = scratch / f"alone_{number}"
-            host = batch.attempt(
-                job.sensor,
-                lambda m=model, c=code, f=folder: HostModel(m, c, f, observe=False),  # type: ignore[misc]
-            )
+            host = batch.attempt(job.sensor, HostModel, model, code, folder, observe=False)
             if host is not None:
                 found.append((job, host))
         return found
@@ -212,9 +206,7 @@ def _finish(
         vectors = check_bits(host, job.dataset)
         certificate = _certify(job, scratch)
         _leave_out(design, job, compensator)
-        judge = job.left_out
-        if job.dataset.test or (judge is not None and judge.by_epochs):
-            judge = None
+        judge = choose_judge(job.left_out, job.dataset)
         verdict, replay = judge_firmware(job.described, host, job.dataset, judge)
         if verdict.refused and design.force:
             certificate = _mark_forced(job, [s.text for s in verdict.refused], scratch)

@@ -45,6 +45,13 @@ class LeftOut:
     """Whether a network was trained again for it."""
 
 
+def choose_judge(left_out: LeftOut | None, dataset: Dataset) -> LeftOut | None:
+    """Return what the gate judges by; None where there are test runs, and for networks."""
+    if dataset.test or left_out is None or left_out.by_epochs:
+        return None
+    return left_out
+
+
 def leave_out(config: Config, dataset: Dataset, compensator: Compensator) -> LeftOut | None:
     """Return what is predicted for each training run from the others, where that is quick.
 

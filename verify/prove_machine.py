@@ -145,8 +145,7 @@ class TermMachine(PathMachine):
             if isinstance(argument, Number):
                 raise UndecidedError(f"a number given for {name}")
             if isinstance(argument, Spot):
-                if argument.block.type != kind.name:
-                    raise UndecidedError(f"another type than {kind.name} given for {name}")
+                refuse_other_type(kind.name, argument, name)
                 if argument.block.constant and not kind.constant:
                     raise UndecidedError(f"something constant given for {name}")
             elif isinstance(argument, AddressOf) and argument.of.type != kind.name:
@@ -547,7 +546,19 @@ class TermMachine(PathMachine):
         arguments = [self.evaluate(argument) for argument in node.arguments]
         self._at = node.at
         rule = self.rules.get(name)
-        return rule(self, arguments) if rule is not None else self.call(name, arguments)
+        if rule is None:
+            return self.call(name, arguments)
+        if (function := self.program.functions.get(name)) is not None:
+            for parameter, argument in zip(function.parameters, arguments, strict=True):
+                if isinstance(argument, Spot):
+                    refuse_other_type(parameter.type.name, argument, parameter.name)
+        return rule(self, arguments)
+
+
+def refuse_other_type(kind: str, given: Spot, name: str) -> None:
+    """Refuse a pointer to numbers of another type than a function reads."""
+    if given.block.type != kind:
+        raise UndecidedError(f"another type than {kind} given for {name}")
 
 
 def _returns(node: CNode) -> bool:

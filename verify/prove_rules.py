@@ -21,7 +21,7 @@ from zerodrift.verify.c_gru import (
 )
 from zerodrift.verify.c_lstm import unpack_lstm_bytes, unpack_lstm_rows
 from zerodrift.verify.prove_kernels import TANH, Layers, Numbered, Power, find_exp2, find_power
-from zerodrift.verify.prove_machine import Rule, TermMachine
+from zerodrift.verify.prove_machine import Rule, TermMachine, refuse_other_type
 from zerodrift.verify.prove_memory import AddressOf, Found, Instance, Number, Spot
 from zerodrift.verify.prove_terms import Opaque, UndecidedError, Whole
 
@@ -58,8 +58,8 @@ def make_rules(prefix: str, layers: Callable[[], Layers], used: Used) -> dict[st
         "zd_gru_step_after": lambda m, a: _gru(m, a, layers(), "gru"),
         "zd_gru_step_before": lambda m, a: _gru(m, a, layers(), "gru before"),
         "zd_lstm_step": lambda m, a: _lstm(m, a, layers()),
-        "zd_crc32_i16": _crc,
-        "zd_crc32_i32": _crc,
+        "zd_crc32_i16": partial(_crc, "int16_t"),
+        "zd_crc32_i32": partial(_crc, "int32_t"),
         "zd_crc32_word": _crc_word,
         "zd_save": lambda m, a: _save(m, a, prefix, used),
         "zd_restore": lambda m, a: _restore(m, a, prefix, used),
@@ -373,10 +373,11 @@ def hold_packed(
         raise UndecidedError(f"{layer.name}: the kernel's table holds other numbers than the model")
 
 
-def _crc(machine: TermMachine, arguments: list[Found]) -> Found:
+def _crc(kind: str, machine: TermMachine, arguments: list[Found]) -> Found:
     crc, values, count = arguments
     if not isinstance(values, Spot):
         raise UndecidedError("a CRC over no numbers")
+    refuse_other_type(kind, values, "a CRC")
     cells = machine.cells(values, exact(count))
     start = as_number(crc).term
     if start.exact is None or any(c.exact is None for c in cells):

@@ -105,6 +105,8 @@ class ProjectHead:
 
     name: str
     """Of the sensor."""
+    outputs: str
+    """Each with its unit."""
     effects: str
     """Their names."""
     logs: tuple[str, ...]
@@ -130,7 +132,8 @@ def read_head(directory: Path, sensor: str | None = None) -> ProjectHead | None:
         for use, patterns in (("to learn from", config.train_logs), ("to test", config.test_logs))
         if patterns
     )
-    return ProjectHead(config.sensor_name, effects, logs)
+    outputs = ", ".join(f"{one.name} in {one.unit}" for one in config.outputs)
+    return ProjectHead(config.sensor_name, outputs, effects, logs)
 
 
 def write_frame(directory: Path, sensor: str | None = None) -> str:
@@ -149,10 +152,8 @@ def tell_project(directory: Path, sensor: str | None = None) -> tuple[str, ...]:
     head = read_head(directory, sensor)
     if head is None:
         return ()
-    config = load_unit(directory, sensor)
-    outputs = ", ".join(f"{one.name} in {one.unit}" for one in config.outputs)
     name = head.name if sensor is None else f"{head.name}, unit {sensor}"
-    return (f"Sensor {name}: {outputs}", f"Effects in the model: {head.effects}", *head.logs)
+    return (f"Sensor {name}: {head.outputs}", f"Effects in the model: {head.effects}", *head.logs)
 
 
 def _tell_logs(config: Config, use: str, patterns: tuple[str, ...]) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from zerodrift.app.monitored_log import Deployed
-from zerodrift.app.whose import KnownUnit
+from zerodrift.app.swapped import KnownUnit
 from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import InputError
 from zerodrift.blocks.block import apply, decode

@@ -18,7 +18,7 @@ from zerodrift.app.monitored_log import (
     hash_log,
     open_log,
 )
-from zerodrift.app.whose import KnownUnit, LogPart, seek_unit, tell_sought, wants_name
+from zerodrift.app.swapped import KnownUnit, LogPart, seek_unit, tell_sought, wants_name
 from zerodrift.base.errors import InputError
 from zerodrift.export.integer_model import FLAG_NO_READING
 from zerodrift.field.blocks import join_blocks, make_blocks

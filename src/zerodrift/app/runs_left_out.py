@@ -27,9 +27,9 @@ class RunsLeftOut:
 
     def judge(self, dataset: "Dataset") -> "LeftOut | None":
         """Return what the gate judges by; None where there are test runs, and for networks."""
-        if dataset.test or self.left_out is None or self.left_out.by_epochs:
-            return None
-        return self.left_out
+        from zerodrift.verify.left_out import choose_judge
+
+        return choose_judge(self.left_out, dataset)
 
 
 NO_TRAINING = RunsLeftOut(

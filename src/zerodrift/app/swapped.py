@@ -17,8 +17,8 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.field.blocks import join_blocks, make_blocks
 from zerodrift.field.state import MonitorState, SearchedOutput, UnitSearch
 from zerodrift.field.summary import NAMED, NONE, POSSIBLE, TOO_LITTLE, UnitSought
+from zerodrift.field.swapped import FALSE_NAME, Before, Foretold, find_unit
 from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT, BlockMeans, Rules
-from zerodrift.field.whose import FALSE_NAME, Before, Foretold, find_whose
 
 Array = NDArray[np.float64]
 
@@ -205,11 +205,11 @@ def _decide(
         learned = None if change.is_first else watched.learned
         before = watched.blocks.first(learned.blocks if learned is not None else 0)
         weighed[name] = (Foretold(means, others), Before(before, learned, rules))
-    whose = find_whose(weighed, len(serials))
-    if whose is None:
+    found = find_unit(weighed, len(serials))
+    if found is None:
         return "", None
-    named = "" if whose.named is None else serials[whose.named]
-    return named, tuple(serials[k] for k in whose.possible)
+    named = "" if found.named is None else serials[found.named]
+    return named, tuple(serials[k] for k in found.possible)
 
 
 def _whole(

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from zerodrift.field.noise import BlockNoise
-from zerodrift.field.watch import BlockMeans, Learned, Rules
-from zerodrift.field.whose import (
+from zerodrift.field.swapped import (
     FALSE_NAME,
     Before,
     Foretold,
     UnitsWeighed,
     choose,
     count_fewest,
-    find_whose,
+    find_unit,
 )
+from zerodrift.field.watch import BlockMeans, Learned, Rules
 
 RULES = Rules(0.01, 14_400.0, 0.1)
 SAMPLES, NOISE = 240.0, 1.0
@@ -50,27 +50,27 @@ def draw_case(seed: int, units: int, mounted: int | None, *, twin: bool = False,
 
 @pytest.mark.parametrize("units", [1, 12, 60])
 def test_the_unit_that_is_mounted_is_named(units: int) -> None:
-    told = [find_whose(draw_case(seed, units, units - 1), units) for seed in range(20)]
+    told = [find_unit(draw_case(seed, units, units - 1), units) for seed in range(20)]
     assert sum(one.named == units - 1 for one in told) >= 16
     assert all(units - 1 in one.possible for one in told)
 
 
 @pytest.mark.parametrize("units", [1, 12, 60])
 def test_a_unit_that_nobody_knows_gets_no_name_more_often_than_stated(units: int) -> None:
-    told = [find_whose(draw_case(100 + seed, units, None), units) for seed in range(60)]
+    told = [find_unit(draw_case(100 + seed, units, None), units) for seed in range(60)]
     assert sum(one.named is not None for one in told) <= 5  # 1 in 29 where 5 % were the chance
     assert sum(not one.possible for one in told) >= 40
 
 
 def test_two_units_that_cannot_be_told_apart_are_both_possible() -> None:
     for seed in range(10):
-        told = find_whose(draw_case(seed, 12, 0, twin=True), 12)
+        told = find_unit(draw_case(seed, 12, 0, twin=True), 12)
         assert told.named is None
         assert set(told.possible) == {0, 1}
 
 
 def test_a_unit_that_was_there_from_the_first_sample_is_named_without_a_sound_time() -> None:
-    told = [find_whose(draw_case(seed, 12, 3, old=0), 12) for seed in range(10)]
+    told = [find_unit(draw_case(seed, 12, 3, old=0), 12) for seed in range(10)]
     assert [one.named for one in told].count(3) >= 8
 
 
@@ -79,7 +79,7 @@ def test_less_than_a_day_names_nobody() -> None:
     foretold, before = case["y"]
     few = count_fewest(RULES.block_s) - 1
     short = Foretold(foretold.blocks.first(few), foretold.residual[:, :few])
-    assert find_whose({"y": (short, before)}, 12) is None
+    assert find_unit({"y": (short, before)}, 12) is None
     assert count_fewest(3600.0) == 24
 
 
@@ -92,7 +92,7 @@ def test_a_model_that_leaves_more_than_the_noise_is_not_possible_however_bad_the
         foretold.blocks.residual + rough,
         foretold.blocks.temperature,
     )
-    told = find_whose({"y": (Foretold(blocks, foretold.residual + rough), before)}, 1)
+    told = find_unit({"y": (Foretold(blocks, foretold.residual + rough), before)}, 1)
     assert told.named is None and not told.possible
 
 

@@ -64,7 +64,7 @@ class UnitsWeighed:
 
 
 @dataclass(frozen=True)
-class Whose:
+class FoundUnit:
     """Which unit it is."""
 
     named: int | None
@@ -78,7 +78,7 @@ def count_fewest(block_s: float) -> int:
     return max(FEWEST, int(np.ceil(WAIT_S / block_s)))
 
 
-def find_whose(outputs: Mapping[str, tuple[Foretold, Before]], units: int) -> Whose | None:
+def find_unit(outputs: Mapping[str, tuple[Foretold, Before]], units: int) -> FoundUnit | None:
     """Return whose model fits all outputs; None where there is too little to tell by.
 
     Args:
@@ -93,7 +93,7 @@ def find_whose(outputs: Mapping[str, tuple[Foretold, Before]], units: int) -> Wh
     return choose(told, units) if told and units else None
 
 
-def choose(told: Sequence[UnitsWeighed], units: int) -> Whose:
+def choose(told: Sequence[UnitsWeighed], units: int) -> FoundUnit:
     """Return the unit that all outputs name, if one does.
 
     The outputs' noise may be one and the same, so that their ratios are averaged, not multiplied:
@@ -114,7 +114,7 @@ def choose(told: Sequence[UnitsWeighed], units: int) -> Whose:
     ranked = [int(k) for k in np.argsort(-likely, kind="stable")]
     named = next((k for k in ranked if is_named[k]), None)
     left = (named,) if named is not None else tuple(k for k in ranked if possible[k])
-    return Whose(named, left)
+    return FoundUnit(named, left)
 
 
 def _list_ratios(told: UnitsWeighed, units: int) -> Array:
