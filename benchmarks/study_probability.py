@@ -6,8 +6,8 @@
 
 WORLD is `own` (the twin: one effect hidden in 45 % of the cases, two in 15 %, none in 20 %, a
 disturbance outside the catalogue in 20 %; 6 to 12 runs or 4, with and without a dwell), `slow`
-(single runs of `bench_slow`), `both` (slow memory, half of them with a beat or a walk besides)
-or `foreign` (the other simulator, its logs read from files).
+(single runs of `bench_slow`), `both` (slow memory, half of them with a beat or a walk besides) or
+`drawn` (simulators 1 and 2 in turn, all factors drawn as by `benchmarks.evidence drawn`).
 `fit --write` writes `diagnosis/probability.txt`. All logs are simulated; a seed that maps are
 fitted on is never one that they are judged by. Printed are the expected calibration error over ten
 bands (mean absolute difference of probability and frequency, by entries) and each band with 20.
@@ -15,10 +15,9 @@ bands (mean absolute difference of probability and frequency, by entries) and ea
 
 import argparse
 import json
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import cast
 
@@ -27,13 +26,11 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from benchmarks import bench_conditions, bench_slow
-from benchmarks.foreign import __main__ as foreign
-from benchmarks.foreign import case as foreign_case
-from benchmarks.foreign import files
+from benchmarks.evidence.conditions import draw_asks
+from benchmarks.evidence.sources import CannotDrawError, draw
 from benchmarks.hidden.cases import LISTED, OUTSIDE, Case, make_recipe, read_simulation
-from zerodrift.base.config import EffectConfig, load_config
+from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.probability import (
@@ -98,15 +95,15 @@ def draw_slow(seed: int) -> Iterator[tuple[Dataset, list[EffectConfig], list[str
         yield dataset, [EffectConfig("zero_tempco")], truths.get(kind, [OTHER])
 
 
-def draw_foreign(seed: int) -> Iterator[tuple[Dataset, list[EffectConfig], list[str]]]:
-    """Give cases of the other simulator without end, with what is missing."""
-    for recipe in foreign.recipes(seed):
-        with tempfile.TemporaryDirectory() as folder:
-            place = Path(folder) / "case"
-            config = load_config(files.write(foreign_case.draw(recipe), place))
-            dataset = load_dataset(config)
-        outside = recipe.kind in ("disturbance", "missing_channel")
-        yield dataset, list(config.effects), [OTHER] if outside else list(recipe.hidden)
+def draw_logs(seed: int) -> Iterator[tuple[Dataset, list[EffectConfig], list[str]]]:
+    """Give cases of simulators 1 and 2 in turn without end, with what is missing."""
+    for ask in chain.from_iterable(zip(draw_asks(1, seed), draw_asks(2, seed), strict=True)):
+        try:
+            drawn = draw(ask)
+        except (CannotDrawError, InputError):
+            continue
+        missing = [OTHER] if ask.purpose == "outside" else list(ask.hidden)
+        yield drawn.dataset, list(drawn.config.effects), missing
 
 
 def draw_both(seed: int) -> Iterator[tuple[Dataset, list[EffectConfig], list[str]]]:
@@ -127,7 +124,7 @@ def draw_both(seed: int) -> Iterator[tuple[Dataset, list[EffectConfig], list[str
         yield replace(dataset, train=(run,)), [EffectConfig("zero_tempco")], missing
 
 
-WORLDS = {"own": draw_own, "slow": draw_slow, "both": draw_both, "foreign": draw_foreign}
+WORLDS = {"own": draw_own, "slow": draw_slow, "both": draw_both, "drawn": draw_logs}
 
 
 def collect(world: str, count: int, seed: int, path: Path) -> None:

@@ -18,6 +18,10 @@ from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit_config
 
 MOST_STEPS = 6
+FORMS_TRIED = 5
+"""Candidates, the best ones, that are tried in the place of what is outside the catalogue."""
+IMITATED = 2.0
+"""Error on unseen runs over the noise below which a form of the catalogue is as good a name."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,9 @@ class Row:
     """Where one hidden effect was not named: whether `add` keeps it nevertheless."""
     truth_errors: tuple[float, ...] = ()
     """And the error on unseen runs before and after it, over the noise."""
+    form_error: float | None = None
+    """Outside the catalogue: the least error on unseen runs, over the noise, that one of its forms
+    leaves in the place of what is hidden."""
     cpu_s: float = 0.0
     impossible: str = ""
     """Why the simulator could not make the case."""
@@ -84,6 +91,11 @@ class Row:
         if self.ask.purpose == "outside":
             return self.verdict == "unknown"
         return self.verdict == "complete"
+
+    @property
+    def imitated(self) -> bool:
+        """Whether a form of the catalogue predicts what is outside it, but for little."""
+        return self.form_error is not None and self.form_error < IMITATED
 
     @property
     def wrong_name(self) -> bool:
@@ -117,6 +129,8 @@ def look(ask: Ask, drawn: Drawn) -> Row:
         kept, _, after = add(drawn, effects, ask.hidden[0])
         errors = (measure(drawn, effects), measure(drawn, after))
         row = replace(row, truth_kept=kept, truth_errors=errors)
+    if ask.purpose == "outside" and drawn.truth:
+        row = replace(row, form_error=measure_forms(drawn, found))
     if found.effect is None:
         return row
     kept, reason, _ = add(drawn, effects, found.effect)
@@ -165,6 +179,19 @@ def measure(drawn: Drawn, effects: Sequence[EffectConfig]) -> float:
         error = told - drawn.truth[run.name]
         missed.append((error - error.mean(axis=0) if drawn.tared else error) / drawn.noise)
     return round(float(np.sqrt(np.mean(np.concatenate(missed) ** 2))), 4)
+
+
+def measure_forms(drawn: Drawn, found: Diagnosis) -> float:
+    """Return the least error on unseen runs, over the noise, with one more effect or none."""
+    catalogue, effects = load_catalogue(), drawn.config.effects
+    present = {effect.kind for effect in effects}
+    tried = [c for c in found.candidates if c.effect not in present and c.effect in catalogue]
+    errors = [measure(drawn, effects)]
+    for candidate in tried[:FORMS_TRIED]:
+        choices = {p.name for p in catalogue[candidate.effect].parameters if p.choices}
+        held = {name: x for name, x in candidate.parameters.items() if name in choices}
+        errors.append(measure(drawn, (*effects, EffectConfig(candidate.effect, held=held))))
+    return min(errors)
 
 
 def walk(ask: Ask, drawn: Drawn) -> Row:

@@ -52,7 +52,7 @@ def _tell_purpose(rows: Sequence[Row], purpose: str) -> str:
     told += f"MISSING and add refused {refused}"
     if purpose != "one":
         good = "complete" if purpose == "complete" else "unknown"
-        return f"{good} {right}; named {wrong}; {told}"
+        return f"{good} {right}; named {wrong}; {told}{_tell_unlike(rows)}"
     first = sum(row.effect in row.ask.hidden for row in rows)
     nearest = sum(row.effect is None and row.nearest in row.ask.hidden for row in rows)
     silent = sum(row.verdict == "complete" for row in rows)
@@ -60,6 +60,15 @@ def _tell_purpose(rows: Sequence[Row], purpose: str) -> str:
         f"named, look-alikes included {right}; first {first}; another {wrong}; "
         f"called complete {silent}; UNKNOWN with the truth nearest {nearest}; {told}"
     )
+
+
+def _tell_unlike(rows: Sequence[Row]) -> str:
+    """Return how many are named of the cases that no form of the catalogue imitates."""
+    unlike = [row for row in rows if row.form_error is not None and not row.imitated]
+    if not unlike:
+        return ""
+    named = tell_most(sum(row.wrong_name for row in unlike), len(unlike))
+    return f"; of those that no form imitates named {named}"
 
 
 @dataclass(frozen=True)
@@ -186,6 +195,8 @@ def list_failures(rows: Sequence[Row]) -> list[str]:
             before, after = row.truth_errors
             done = "keeps it" if row.truth_kept else "does not keep it"
             said += f"; add {ask.hidden[0]} {done}, error {before:.2f} -> {after:.2f}"
+        if row.form_error is not None:
+            said += f"; best form leaves {row.form_error:.2f}"
         if row.steps:
             said += f"; with all that is hidden {row.reachable:.2f}"
         steps = " -> ".join(f"{s.added or 'base'} {s.error:.2f}" for s in row.steps)

@@ -238,3 +238,21 @@ def test_simulator_two_has_no_loop(capsys) -> None:
     with pytest.raises(SystemExit):
         command.main(["loop", "--simulator", "2"])
     assert "no true drift" in capsys.readouterr().err
+
+
+def test_what_a_form_of_the_catalogue_imitates_is_told_apart() -> None:
+    outside = ask(purpose="outside", hidden=("sticky_valve",))
+    unlike = Row(outside, verdict="missing", effect="creep", form_error=2.4)
+    alike = replace(unlike, ask=replace(outside, seed=6), form_error=1.1)
+    assert alike.imitated
+    (line, _) = tables.list_conditions([unlike, alike])
+    assert "named 2/2" in line
+    assert "of those that no form imitates named 1/1" in line
+    assert "best form leaves 1.10" in tables.list_failures([unlike, alike])[1]
+
+
+def test_outside_the_catalogue_the_best_form_is_measured() -> None:
+    row = run_case(ask(purpose="outside", hidden=("sticky_valve",), size=3.0, runs=4))
+    assert row.form_error is not None
+    assert 0.0 < row.form_error < 5.0
+    assert run_case(ask()).form_error is None
