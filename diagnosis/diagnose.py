@@ -29,6 +29,8 @@ from zerodrift.diagnosis.rules import (
     find_ageing,
     helps,
     is_at_floor,
+    is_enough,
+    is_there,
     lead,
     stands_alone,
     wanders,
@@ -171,12 +173,18 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
         # A floor that is a lower bound cannot refuse; a large held-out gain must do.
         explained = explained or findings[0].judged.rmse_ratio ** 2 <= LEFT_WITHOUT_DWELL
         explained = explained or share >= EXPLAINED_WITHOUT_DWELL
+    if len(findings) == 1:
+        explained = explained and is_enough(alone)
     beside = 0.0
     if not explained:
         unknown = report(case, "unknown", first, findings[0], ())
         # What is there is named, though something else is missing beside it.
-        sure = unknown.probability_of(findings[0].judged.kind) >= SURELY_THERE
-        if not sure and not stands_alone(alone):
+        kind = findings[0].judged.kind
+        sure = unknown.probability_of(kind) >= SURELY_THERE
+        sure = sure or is_there(findings[0])
+        sure = sure or (kind == alone.judged.kind and is_there(alone))
+        sure = sure and is_enough(findings[0])
+        if not sure and not (stands_alone(alone) and is_enough(alone)):
             return unknown, terms
         findings = findings[:1] if sure else [alone]
         beside = unknown.something_else

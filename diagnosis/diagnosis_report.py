@@ -47,7 +47,9 @@ def report(
         beside: the least probability that something else is missing.
     """
     missing = verdict == "missing" and finding is not None
-    alike = list_lookalikes(finding) if missing and finding is not None else []
+    alike = []
+    if missing and finding is not None:
+        alike = list_lookalikes(finding, beside=beside >= LIKELY)
     nearest = finding.judged if finding else (first.judged[0] if first.judged else None)
     after = before = first.floor_ratio
     named = None

@@ -6,7 +6,7 @@ import numpy as np
 
 from zerodrift.diagnosis.case import Case
 from zerodrift.diagnosis.evidence import SURE_NATS, compare_runs
-from zerodrift.diagnosis.examination import Examination, Judged
+from zerodrift.diagnosis.examination import Examination, Judged, share_explained
 from zerodrift.diagnosis.floor import DWELL
 from zerodrift.physics.run_offsets import follows_clock_alone
 
@@ -34,6 +34,14 @@ MOST_OF_IT = 0.8
 NO_RIVAL = 0.25
 """... in all runs, where no other one has more than this share of its gain, is there, though in an
 unlike form: what is outside the catalogue is imitated by several effects, or by none so well."""
+MOST_OF_A_PLAY = 0.9
+"""A play must explain this share of the excess in runs left out, or all of it: what sticks at
+random, or yields once and for all, looks like a play in most of what it does."""
+SURE_BESIDE = 10.0
+"""With few runs, or if it follows the time alone, an effect that is named beside much that it does
+not explain must gain this many times SURE_NATS."""
+SHARE_BESIDE = 0.25
+"""It must explain this share of the excess: what explains less is a resemblance in passing."""
 ENOUGH_RUNS = 6
 """Fewer runs than this are thin evidence, and said to be: there an effect that is named ..."""
 SURE_UNITS = 300.0
@@ -47,7 +55,7 @@ ALL_GAIN = 0.95
 ALIKE = 0.02
 """Effects whose gains differ by less than this share cannot be told apart, ..."""
 ALIKE_UNLESS_SURE = 0.1
-"""... nor by less than this if the runs do not agree on it, ..."""
+"""... nor by less than this if the runs do not agree on it, or something else is missing, ..."""
 ALIKE_UNITS = 10.0
 """... nor by less than this in noise units."""
 IMPLAUSIBLE = 0.97
@@ -101,7 +109,7 @@ def helps(judged: Judged, examination: Examination, *, beside: bool = False) -> 
     reachable = 2.0 ** -float(judged.gains.size)
     sure = judged.p_value <= max(SIGNIFICANT, reachable)
     if examination.runs < ENOUGH_RUNS and not beside:
-        large = judged.gain >= SURE_UNITS
+        large = judged.gain >= SURE_UNITS and judged.nats > 0.0
         if judged.follows_signal:
             large = large or judged.nats >= SURE_NATS
         sure = sure and large and judged.positive_share >= SURE_SHARE
@@ -135,9 +143,44 @@ def stands_alone(finding: Finding) -> bool:
     return most and rival <= NO_RIVAL * leading.gain
 
 
-def list_lookalikes(finding: Finding) -> list[Judged]:
-    """Return the effects that these data cannot tell from the one found."""
+def is_enough(finding: Finding) -> bool:
+    """Return whether an effect explains what its kind must explain to be named alone."""
+    leading, examination = finding.judged, finding.examination
+    own = [term for term in leading.found.terms if term.effect.kind == leading.kind]
+    if not any(parameter.slack_in for term in own for parameter in term.free):
+        return True
+    share = share_explained(examination.floor_ratio**2, leading.floor_ratio**2)
+    return is_at_floor(examination, leading.floor_ratio) or share >= MOST_OF_A_PLAY
+
+
+def is_there(finding: Finding) -> bool:
+    """Return whether an effect is there though it leaves much that something else must explain.
+
+    It gains in all runs, more than chance does, and more likelihood than slow noise explains. A
+    richer form of what the model has, such as a higher order, is not that sure: it follows any
+    curve over the same signal.
+    """
+    leading, examination = finding.judged, finding.examination
+    if not leading.sound or leading.gain <= 0.0 or leading.positive_share < SURE_SHARE:
+        return False
+    if any(term.effect.kind == leading.kind for term in examination.terms):
+        return False
+    reachable = 2.0 ** -float(leading.gains.size)
+    plain = examination.runs >= ENOUGH_RUNS and leading.follows_signal
+    sure = leading.nats >= (SURE_NATS if plain else SURE_BESIDE * SURE_NATS)
+    sure = sure and leading.p_value <= max(SIGNIFICANT, reachable)
+    return sure and leading.share >= SHARE_BESIDE
+
+
+def list_lookalikes(finding: Finding, *, beside: bool = False) -> list[Judged]:
+    """Return the effects that these data cannot tell from the one found.
+
+    Args:
+        finding: the effect, and the examination that it was found in.
+        beside: something else is missing too, which moves all gains by more than runs show.
+    """
     leading = finding.judged
+    alike_share = ALIKE_UNLESS_SURE if beside else ALIKE
     alike = []
     for judged in finding.examination.judged:
         if judged.kind == leading.kind or not helps(judged, finding.examination):
@@ -149,7 +192,7 @@ def list_lookalikes(finding: Finding) -> list[Judged]:
         # unless it does better than what it would be in disguise.
         if leading.plausible and not judged.plausible and behind > 0.0:
             continue
-        close = behind <= max(ALIKE_UNITS, ALIKE * leading.gain)
+        close = behind <= max(ALIKE_UNITS, alike_share * leading.gain)
         unsure = compare_runs(leading.gains, judged.gains) > SIGNIFICANT
         if close or (unsure and behind <= ALIKE_UNLESS_SURE * leading.gain):
             alike.append(judged)

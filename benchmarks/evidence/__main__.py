@@ -1,7 +1,7 @@
 """Public evidence: the diagnosis under named conditions, its probabilities, and the whole loop.
 
     python -m benchmarks.evidence conditions [--simulator 1|2|3] [--condition NAME]...
-                                             [--purpose one|complete|outside]... [--count N]
+                                             [--purpose one|complete|outside|beside]... [--count N]
                                              [--effect NAME]
     python -m benchmarks.evidence drawn      [--simulator 1|2|3] [--count N]
     python -m benchmarks.evidence loop       [--simulator 1|3] [--count N]
@@ -115,6 +115,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.action == "loop" and options.simulator == 2:
         parser.error("simulator 2 tells no true drift; expected --simulator 1 or 3 for the loop")
+    if "beside" in (options.purpose or ()) and options.simulator != 3:
+        parser.error(
+            "beside: no other simulator mixes what is in a catalogue and what is not; use 3"
+        )
     if options.version and not (HOME / options.version).is_dir():
         there = sorted(path.name for path in HOME.glob("*"))
         parser.error(f"no outcomes of version {options.version}; there are {there}")

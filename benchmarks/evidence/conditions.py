@@ -11,7 +11,7 @@ from benchmarks.hidden import cases as own
 from benchmarks.third_simulator import EFFECTS, OUTSIDE, list_effects
 from benchmarks.third_simulator.families import FAMILIES
 
-PURPOSES = ("one", "complete", "outside")
+PURPOSES = ("one", "complete", "outside", "beside")
 NOISES = ("white", "flicker", "walk", "mixed", "coarse")
 
 
@@ -50,7 +50,7 @@ class Ask:
     Attributes:
         simulator: 1 (the twin), 2 (the foreign one) or 3.
         condition: name of one of `CONDITIONS`, or "drawn".
-        purpose: one | pair | complete | outside.
+        purpose: one | pair | complete | outside | beside: one, and another outside the catalogue.
         hidden: effects by the simulator's names.
         size: of each, in RMS of the noise.
         runs: training runs; two more are for judging.
@@ -70,7 +70,8 @@ class Ask:
     @property
     def listed(self) -> tuple[str, ...]:
         """What is hidden and has a name in the catalogue."""
-        return () if self.purpose == "outside" else self.hidden
+        outside = list_hidden(self.simulator, "outside")
+        return tuple(name for name in self.hidden if name not in outside)
 
 
 def list_hidden(simulator: int, purpose: str) -> tuple[str, ...]:
@@ -89,14 +90,16 @@ def list_asks(simulator: int, name: str, purpose: str, seed: int, only: str = ""
     rng = np.random.default_rng([seed, simulator, zlib.crc32(name.encode()), len(purpose)])
     few = condition.most_runs <= 5
     while True:
-        hidden_here = [only] if only else list_hidden(simulator, purpose)
+        source = "one" if purpose == "beside" else purpose
+        hidden_here = [only] if only else list_hidden(simulator, source)
         names = [""] if purpose == "complete" else rng.permutation(hidden_here)
         for hidden in names:
+            other = rng.choice(list_hidden(simulator, "outside")) if purpose == "beside" else ""
             yield Ask(
                 simulator=simulator,
                 condition=name,
                 purpose=purpose,
-                hidden=(str(hidden),) if hidden else (),
+                hidden=tuple(str(one) for one in (hidden, other) if one),
                 size=0.0 if not hidden else 3.0 if few else float(rng.choice([1.0, 3.0, 10.0])),
                 runs=int(rng.integers(condition.fewest_runs, condition.most_runs + 1)),
                 logs=condition,

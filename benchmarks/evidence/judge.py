@@ -12,7 +12,7 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.diagnosis.changes import propose_forms
 from zerodrift.diagnosis.diagnose import diagnose
-from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.diagnosis import LIKELY, Diagnosis
 from zerodrift.diagnosis.revision import Revision, revise_best
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit_config
@@ -49,6 +49,8 @@ class Row:
     effect: str | None = None
     lookalikes: tuple[str, ...] = ()
     nearest: str | None = None
+    also: tuple[str, ...] = ()
+    """Further effects that are named."""
     probabilities: dict[str, float] = field(default_factory=dict)
     nothing_missing: float = 0.0
     something_else: float = 0.0
@@ -91,6 +93,11 @@ class Row:
         if self.ask.purpose == "outside":
             return self.verdict == "unknown"
         return self.verdict == "complete"
+
+    @property
+    def tells_rest(self) -> bool:
+        """Whether something is named, and something else said to be missing too."""
+        return self.effect is not None and (bool(self.also) or self.something_else >= LIKELY)
 
     @property
     def imitated(self) -> bool:
@@ -148,6 +155,7 @@ def tell(row: Row, found: Diagnosis) -> Row:
         effect=found.effect,
         lookalikes=tuple(found.lookalikes),
         nearest=found.nearest,
+        also=tuple(found.also),
         probabilities={name: round(p, 5) for name, p in best.items()},
         nothing_missing=round(found.nothing_missing, 5),
         something_else=round(found.something_else, 5),

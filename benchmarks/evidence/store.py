@@ -60,6 +60,7 @@ def _read(path: Path) -> Iterator[Row]:
         logs = Condition(**ask.pop("logs"))
         ask = Ask(**{**ask, "hidden": tuple(ask["hidden"]), "logs": logs})
         plain["lookalikes"] = tuple(plain["lookalikes"])
+        plain["also"] = tuple(plain.get("also", ()))
         plain["truth_errors"] = tuple(plain.get("truth_errors", ()))
         plain["steps"] = tuple(Step(**step) for step in plain["steps"])
         yield Row(ask, **plain)

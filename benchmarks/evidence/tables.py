@@ -50,6 +50,9 @@ def _tell_purpose(rows: Sequence[Row], purpose: str) -> str:
     failed = sum(bool(row.failed) for row in rows)
     told = f"errors {failed}, " * bool(failed)
     told += f"MISSING and add refused {refused}"
+    if purpose == "beside":
+        rest = tell_least(sum(row.right and row.tells_rest for row in rows), cases)
+        return f"named {right}; and something else told {rest}; another {wrong}; {told}"
     if purpose != "one":
         good = "complete" if purpose == "complete" else "unknown"
         return f"{good} {right}; named {wrong}; {told}{_tell_unlike(rows)}"

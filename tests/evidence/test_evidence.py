@@ -256,3 +256,18 @@ def test_outside_the_catalogue_the_best_form_is_measured() -> None:
     assert row.form_error is not None
     assert 0.0 < row.form_error < 5.0
     assert run_case(ask()).form_error is None
+
+
+def test_of_two_hidden_effects_only_one_may_have_a_name() -> None:
+    case = next(list_asks(3, "clean", "beside", 5))
+    assert len(case.hidden) == 2
+    assert case.listed == case.hidden[:1]
+    assert case.hidden[1] in list_hidden(3, "outside")
+    name = case.listed[0]
+    alone = Row(case, verdict="missing", effect=name, something_else=0.1)
+    told = replace(alone, ask=replace(case, seed=6), something_else=0.7)
+    wrong = replace(alone, ask=replace(case, seed=7), effect="crosstalk", something_else=0.9)
+    (line, _) = tables.list_conditions([alone, told, wrong])
+    assert "named 2/3" in line
+    assert "something else told 1/3" in line
+    assert "another 1/3" in line

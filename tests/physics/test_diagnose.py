@@ -298,6 +298,11 @@ def test_what_is_surely_there_is_named_though_much_is_left(monkeypatch):
         return drift + moves * unlogged[:, None] * np.array([1.5, 0.0125])
 
     dataset = make_dataset(disturbed, length=600)
+    plain = diagnose([EffectConfig("zero_tempco")], dataset)
+    assert (plain.verdict, plain.effect) == ("missing", "supply_sensitivity")
+    assert plain.something_else > 0.9
+    # it gains in all runs; without that rule its probability must be large
+    monkeypatch.setattr(diagnosing, "is_there", lambda finding: False)
     unsure = diagnose([EffectConfig("zero_tempco")], dataset)
     assert (unsure.verdict, unsure.nearest) == ("unknown", "supply_sensitivity")
     chance = unsure.probability_of("supply_sensitivity")

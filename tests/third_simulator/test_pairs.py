@@ -44,3 +44,26 @@ def test_an_effect_of_an_unlike_form_is_named_where_nothing_else_explains_it(
     assert (found.verdict, found.effect) == ("missing", effect)
     assert found.floor_ratio_after > 1.5  # and something else is told
     assert found.something_else > 0.5
+
+
+def test_an_effect_beside_one_that_no_catalogue_has_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Crosstalk in all runs, and a motor nearby that is not logged, each three times the noise."""
+    draw_case(995969873, runs=6, effect=("crosstalk", "unlogged_input"), size=3.0).write(tmp_path)
+    config = load_config(tmp_path)
+    dataset = load_dataset(config)
+    found = diagnose.diagnose_config(config, dataset)
+    assert (found.verdict, found.effect) == ("missing", "crosstalk")
+    assert found.something_else > 0.5
+    assert found.floor_ratio_after > 1.5
+    monkeypatch.setattr(diagnose, "is_there", lambda finding: False)
+    assert diagnose.diagnose_config(config, dataset).verdict == "unknown"
+
+
+def test_what_sticks_and_slips_at_random_is_not_named_a_hysteresis(tmp_path: Path) -> None:
+    draw_case(1509031335, runs=4, effect="sticky_valve", size=3.0).write(tmp_path)
+    config = load_config(tmp_path)
+    dataset = load_dataset(config)
+    found = diagnose.diagnose_config(config, dataset)
+    assert (found.verdict, found.nearest) == ("unknown", "load_hysteresis")
