@@ -15,8 +15,8 @@ from zerodrift.app.monitored_log import Deployed
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
 from zerodrift.dataset.runs import Dataset
-from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import open_registry
+from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 from zerodrift.field.state import FILE_NAME, LogSeen, MonitorState, load_state
 from zerodrift.field.summary import MonitorResult
 from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT
@@ -90,7 +90,8 @@ def open_deployed(directory: Path, options: Options) -> tuple[Deployed, Path, tu
         raise CheckError("the firmware is not what was built and checked: " + changed[0].text)
     loads, when = _read_loads(config, options)
     name = options.sensor or config.sensor_name
-    deployed = Deployed(name, config, applied.model, applied.uncertainty, loads, when)
+    serial = options.sensor or config.block.serial or name
+    deployed = Deployed(name, serial, config, applied.model, applied.uncertainty, loads, when)
     return deployed, options.state or config.build_directory / FILE_NAME, applied.notes
 
 
@@ -168,29 +169,35 @@ def open_state(
     return kept, ()
 
 
-def enter(directory: Path, told: MonitorResult, logs: Sequence[LogSeen]) -> tuple[str, ...]:
-    """Enter logs and alarms into the registry where there is one; return notes for the user.
+def enter(
+    directory: Path, deployed: Deployed, told: MonitorResult, logs: Sequence[LogSeen]
+) -> tuple[str, ...]:
+    """Enter logs and what was found into the registry where there is one; return notes.
+
+    A unit of a fleet is entered under its name, any other under `[firmware] serial` or, without
+    one, the sensor's name.
 
     Raises:
         InputError: it cannot be written.
     """
-    path = directory / REGISTRY
+    path, serial = directory / REGISTRY, deployed.serial
     if not path.is_file():
         return ()
     with open_registry(path) as registry:
-        if not registry.knows(told.sensor):
-            return (f"{path.name}: there is no unit {told.sensor}; nothing was entered",)
-        registry.add_logs(told.sensor, tuple((log.sha256, log.name) for log in logs))
+        if not registry.knows(serial):
+            return (
+                f"{path.name}: there is no unit {serial}; nothing was entered. Enter it by"
+                f" `zerodrift registry add {serial}`.",
+            )
+        registry.add_logs(serial, tuple((log.sha256, log.name) for log in logs))
         for name, output in told.outputs.items():
-            if output.verdict.cause:
-                text = output.text
-                if told.other_unit is not None and output.verdict.cause in (
-                    OTHER_UNIT,
-                    OTHER_MODEL,
-                ):
-                    text += f"; {told.other_unit.text}"
-                registry.add_finding(told.sensor, name, output.verdict.cause, text)
-    return ()
+            cause, text = output.verdict.cause, output.text
+            if told.other_unit is not None and cause in (OTHER_UNIT, OTHER_MODEL):
+                text += f"; {told.other_unit.text}"
+            registry.add_finding(serial, name, cause or output.state, text)
+    if serial == deployed.sensor:
+        return ()
+    return (f"{path.name}: entered under the serial number {serial} of [firmware]",)
 
 
 def live_chunks(source: str, deployed: Deployed, options: Options) -> Iterator[Path]:

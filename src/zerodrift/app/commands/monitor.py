@@ -161,7 +161,7 @@ def command(
             with show_progress(f"reading {Path(source).name}"):
                 monitor.read(Path(source), skip_invalid=skip_invalid)
         told = look()
-        notes = (*notes, *enter(directory, told, monitor.state.logs))
+        notes = (*notes, *enter(directory, deployed, told, monitor.state.logs))
     if as_json:
         print_result(told)
     else:
