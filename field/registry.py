@@ -215,8 +215,7 @@ class Registry:
             serial: of the unit.
             output: its name.
             state: learning | sound | no reference, or the cause of an alarm.
-            told: the same in a sentence; where there is no alarm the state alone counts, as the
-                sentence may tell how far the learning is.
+            told: the same in a sentence.
 
         Raises:
             InputError: there is no such unit.
@@ -228,7 +227,7 @@ class Registry:
                 " ORDER BY number DESC LIMIT 1",
                 (serial, output),
             ).fetchone()
-            if last is not None and last[0] == state and (last[1] == told or state in NO_ALARM):
+            if last == (state, told):
                 return
             cursor.execute(
                 "INSERT INTO finding (serial, output, state, told, found_at)"

@@ -15,7 +15,7 @@ from zerodrift.app.monitored_log import Deployed
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
 from zerodrift.dataset.runs import Dataset
-from zerodrift.field.registry import open_registry
+from zerodrift.field.registry import LEARNING, open_registry
 from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 from zerodrift.field.state import FILE_NAME, LogSeen, MonitorState, load_state
 from zerodrift.field.summary import MonitorResult
@@ -191,7 +191,9 @@ def enter(
             )
         registry.add_logs(serial, tuple((log.sha256, log.name) for log in logs))
         for name, output in told.outputs.items():
-            cause, text = output.verdict.cause, output.text
+            cause = output.verdict.cause
+            # How far the learning is changes with each log, and is no event of its own.
+            text = "learning the noise" if output.state == LEARNING else output.text
             if told.other_unit is not None and cause in (OTHER_UNIT, OTHER_MODEL):
                 text += f"; {told.other_unit.text}"
             registry.add_finding(serial, name, cause or output.state, text)
