@@ -245,6 +245,17 @@ class Registry:
         )
         return {str(serial): bytes(content) for serial, content in rows}  # type: ignore[call-overload]  # a blob
 
+    def find_loaded(self, serial: str) -> tuple[str, str, bytes] | None:
+        """Return SHA-256, time of loading and bytes of the block on a unit; None without one."""
+        rows = self._read(
+            "SELECT b.sha256, l.loaded_at, b.content FROM loaded l JOIN block b USING (sha256)"
+            " WHERE l.serial = :s ORDER BY l.number DESC LIMIT 1",
+            serial,
+        )
+        for sha256, loaded_at, content in rows:
+            return str(sha256), str(loaded_at), bytes(content)  # type: ignore[call-overload]  # a blob
+        return None
+
     def knows(self, serial: str) -> bool:
         """Return whether a unit is entered."""
         return bool(self._read("SELECT 1 FROM unit WHERE serial = :s", serial))

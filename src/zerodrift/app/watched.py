@@ -9,8 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Protocol
 
-from zerodrift.app.applied_model import open_applied
+from zerodrift.app.applied_model import open_applied, refuse_other
 from zerodrift.app.commands.project import open_config
+from zerodrift.app.deployed_block import find_deployed_block
 from zerodrift.app.monitored_log import Deployed
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
@@ -33,6 +34,11 @@ class Options(Protocol):
     @property
     def sensor(self) -> str | None:
         """A unit of a fleet."""
+        ...
+
+    @property
+    def block(self) -> Path | None:
+        """The block that is on the unit."""
         ...
 
     @property
@@ -91,8 +97,15 @@ def open_deployed(directory: Path, options: Options) -> tuple[Deployed, Path, tu
     loads, when = _read_loads(config, options)
     name = options.sensor or config.sensor_name
     serial = options.sensor or config.block.serial or name
-    deployed = Deployed(name, serial, config, applied.model, applied.uncertainty, loads, when)
-    return deployed, options.state or config.build_directory / FILE_NAME, applied.notes
+    model, notes = applied.model, applied.notes
+    block = find_deployed_block(
+        directory, config, sensor=options.sensor, serial=serial, file=options.block
+    )
+    if block is not None:
+        model, notes = block.model, (*notes, block.note)
+        refuse_other(config, model, str(options.block or block.note))
+    deployed = Deployed(name, serial, config, model, applied.uncertainty, loads, when)
+    return deployed, options.state or config.build_directory / FILE_NAME, notes
 
 
 def load_nothing() -> Dataset:
