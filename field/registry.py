@@ -110,9 +110,10 @@ class Registry:
         with self._write() as cursor:
             known = _find_unit(cursor, serial)
             if known is not None:
+                since = f"since {known[1][:19]} UTC, design {known[0]}"
                 raise InputError(
-                    f"{self.path}: {serial} is there since {known[1]}, design {known[0]}; expected"
-                    " a serial number that no unit has yet. Correct it, or go on with that unit."
+                    f"{self.path}: {serial} is there {since}; expected a serial number that no"
+                    " unit has yet. Correct it, or go on with that unit."
                 )
             cursor.execute("INSERT INTO unit VALUES (?, ?, ?)", (serial, design, _now()))
 
@@ -342,9 +343,10 @@ class Registry:
         if _find_unit(cursor, serial) is not None:
             return
         known = [str(row[0]) for row in cursor.execute("SELECT serial FROM unit")]
+        number = f"{len(known)} unit{'s' if len(known) != 1 else ''}"
         raise InputError(
-            f"{self.path}: there is no unit {serial}{nearest(serial, known)} It has {len(known)}."
-            f" Correct it, or enter it by `zerodrift registry add {serial}`."
+            f"{self.path}: there is no unit {serial}{nearest(serial, known) or '.'} The registry"
+            f" has {number}. Correct it, or enter it by `zerodrift registry add {serial}`."
         )
 
     @contextmanager

@@ -198,10 +198,10 @@ def enter(
         return ()
     with open_registry(path) as registry:
         if not registry.knows(serial):
-            return (
-                f"{path.name}: there is no unit {serial}; nothing was entered. Enter it by"
-                f" `zerodrift registry add {serial}`.",
-            )
+            way = f"Enter it by `zerodrift registry add {serial}`"
+            if deployed.config.unit_build is None and not deployed.config.block.serial:
+                way += ", or state its serial number as [firmware] serial"
+            return (f"{path.name}: there is no unit {serial}; nothing was entered. {way}.",)
         registry.add_logs(serial, tuple((log.sha256, log.name) for log in logs))
         for name, output in told.outputs.items():
             cause = output.verdict.cause

@@ -183,9 +183,17 @@ def command(
         raise CheckError("; ".join(texts) + ".")
 
 
+def _list_texts(told: "MonitorResult") -> list[str]:
+    """Return what is told of the outputs, those of which the same is told together."""
+    outputs: dict[str, list[str]] = {}
+    for name, output in told.outputs.items():
+        outputs.setdefault(output.text, []).append(name)
+    return [f"{', '.join(names)}: {text}" for text, names in outputs.items()]
+
+
 def _tell_live(told: "MonitorResult") -> None:
     """Print the present state of a live source on stderr."""
-    texts = [f"{name}: {o.text}" for name, o in told.outputs.items()]
+    texts = _list_texts(told)
     if told.other_unit is not None:
         texts.append(told.other_unit.text)
     click.echo(f"{told.steps_in_all} steps; {'; '.join(texts)}", err=True)
@@ -213,7 +221,7 @@ def _print(told: "MonitorResult") -> None:
         )
     for text, count in told.flags.items():
         console.print(f"flag at {count} of {told.steps} steps: {text}")
-    for name, o in told.outputs.items():
-        console.print(f"{name}: {o.text}")
+    for text in _list_texts(told):
+        console.print(text)
     if told.other_unit is not None:
         console.print(f"{told.sensor}: {told.other_unit.text}")

@@ -149,7 +149,7 @@ def loaded(serial: str, sha256: str, directory: Path, file: Path | None) -> None
 @place_options
 def list_units(as_json: bool, directory: Path, file: Path | None) -> None:
     """List the units: last calibration, the block on each, and what `monitor` said last."""
-    from zerodrift.field.registry import open_registry
+    from zerodrift.field.registry import HOW_TO_ENTER, open_registry
     from zerodrift.field.summary import RegistryResult
 
     with open_registry(find_file(directory, file)) as registry:
@@ -158,16 +158,15 @@ def list_units(as_json: bool, directory: Path, file: Path | None) -> None:
         print_result(RegistryResult(tuple(one.unit for one in standings)))
         return
     title = f"{len(standings)} unit{'s' if len(standings) != 1 else ''}"
+    if not standings:
+        click.echo(f"{title}. {HOW_TO_ENTER}")
+        return
     table = open_table(title, ("serial", "design", "calibrated", "block", "monitor"), ())
     for one in standings:
         unit = one.unit
         calibrated, block = unit.calibrated_at[:19] or "-", unit.block[:12] or "-"
         table.add_row(unit.serial, unit.design, calibrated, block, one.told)
     open_console().print(table)
-    if not standings:
-        from zerodrift.field.registry import HOW_TO_ENTER
-
-        click.echo(HOW_TO_ENTER)
 
 
 @command.command()
