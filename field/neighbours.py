@@ -108,8 +108,9 @@ def find_factors(kind: str, units: Sequence[str]) -> list[float]:
     """
     stated = KINDS[kind]
     if len(units) > stated.outputs:
+        most = f"{stated.outputs} output{'s' if stated.outputs > 1 else ''}"
         raise InputError(
-            f"{kind}: takes {stated.outputs} outputs at most; expected no more, found {len(units)}."
+            f"{kind}: takes {most} at most, found {len(units)}."
             " Name those to be written by --output."
         )
     unknown = [unit for unit in units if stated.units and unit not in stated.units]

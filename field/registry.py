@@ -1,8 +1,7 @@
 """The registry: which units there are, how each was calibrated, and which block is on it.
 
-One SQLite file in write-ahead mode: readers are never held up, writers take turns. What was written
-stays: a unit's history is a list of events, of which none is changed. Tables and triggers are in
-`SCHEMA`, so that other programs read it with any SQLite client.
+Readers are never held up, writers take turns. What was written stays: a unit's history is a list of
+events, of which none is changed. Other programs read it with any SQLite client (`registry_file`).
 """
 
 import hashlib
@@ -14,60 +13,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from zerodrift.base.errors import InputError, nearest
-from zerodrift.base.files import write_new
+from zerodrift.field.registry_file import WAIT_S, explain, open_connection
 
-FILE_NAME = "registry.sqlite"
-"""Beside zerodrift.toml: unlike build/ it cannot be made again."""
-VERSION = 1
-APPLICATION = 0x7A64_7267
-"""`zdrg`, by which a file says that it is a registry."""
-WAIT_S = 30.0
-"""How long a writer waits for another."""
-
-SCHEMA = """
-CREATE TABLE unit (
-    serial TEXT PRIMARY KEY CHECK (length(serial) BETWEEN 1 AND 64),
-    design TEXT NOT NULL,
-    added_at TEXT NOT NULL
-) STRICT;
-CREATE TABLE calibration (
-    serial TEXT NOT NULL REFERENCES unit (serial),
-    model_hash TEXT NOT NULL,
-    calibrated_at TEXT NOT NULL,
-    PRIMARY KEY (serial, model_hash)
-) STRICT;
-CREATE TABLE block (
-    sha256 TEXT PRIMARY KEY CHECK (length(sha256) = 64),
-    serial TEXT NOT NULL REFERENCES unit (serial),
-    model_hash TEXT NOT NULL,
-    added_at TEXT NOT NULL,
-    content BLOB NOT NULL
-) STRICT;
-CREATE TABLE loaded (
-    number INTEGER PRIMARY KEY,
-    serial TEXT NOT NULL REFERENCES unit (serial),
-    sha256 TEXT NOT NULL REFERENCES block (sha256),
-    loaded_at TEXT NOT NULL
-) STRICT;
-CREATE INDEX loaded_of_unit ON loaded (serial, number);
-CREATE TABLE log (
-    sha256 TEXT NOT NULL,
-    serial TEXT NOT NULL REFERENCES unit (serial),
-    name TEXT NOT NULL,
-    purpose TEXT NOT NULL CHECK (purpose IN ('calibration', 'monitor')),
-    added_at TEXT NOT NULL,
-    PRIMARY KEY (sha256, serial, purpose)
-) STRICT;
-CREATE TABLE finding (
-    number INTEGER PRIMARY KEY,
-    serial TEXT NOT NULL REFERENCES unit (serial),
-    output TEXT NOT NULL,
-    state TEXT NOT NULL,
-    told TEXT NOT NULL,
-    found_at TEXT NOT NULL
-) STRICT;
-CREATE INDEX finding_of_unit ON finding (serial, output, number);
-"""
+LEARNING, SOUND, NO_REFERENCE = NO_ALARM = ("learning", "sound", "no reference")
+"""States of an output without an alarm; else the alarm's cause is its state."""
+HOW_TO_ENTER = (
+    "`zerodrift fleet` enters each unit whose firmware was written, `zerodrift registry add SERIAL`"
+    " any other; `zerodrift monitor` then enters what it reads and finds."
+)
 
 
 @dataclass(frozen=True)
@@ -83,6 +36,52 @@ class Unit:
     """Of the last calibration; "" before it."""
     block: str
     """SHA-256 of the block that is on it; "" where none was loaded."""
+
+
+@dataclass(frozen=True)
+class UnitFinding:
+    """What `monitor` said last of an output."""
+
+    output: str
+    state: str
+    """learning | sound | no reference, or the cause of an alarm."""
+    text: str
+    """The same in a sentence."""
+    since: str
+    """When it was first said of those said without a break, ISO 8601, UTC."""
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether it is the cause of an alarm."""
+        return self.state not in NO_ALARM
+
+
+@dataclass(frozen=True)
+class UnitStanding:
+    """A unit with all that is known of it today."""
+
+    unit: Unit
+    loaded_at: str
+    """When its block was loaded; "" where none was."""
+    watched_at: str
+    """When `monitor` last read a log of it; "" where it read none."""
+    watched_log: str
+    """That log's name."""
+    findings: tuple[UnitFinding, ...]
+    """By output; empty before `monitor` said anything."""
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether an output carries an alarm."""
+        return any(finding.is_alarm for finding in self.findings)
+
+    @property
+    def told(self) -> str:
+        """What `monitor` said last, in a few words: one state, or that of each output."""
+        states = dict.fromkeys(finding.state for finding in self.findings)
+        if len(states) < 2:
+            return "".join(states) or "not watched"
+        return ", ".join(f"{finding.output} {finding.state}" for finding in self.findings)
 
 
 @dataclass(frozen=True)
@@ -111,9 +110,10 @@ class Registry:
         with self._write() as cursor:
             known = _find_unit(cursor, serial)
             if known is not None:
+                since = f"since {known[1][:19]} UTC, design {known[0]}"
                 raise InputError(
-                    f"{self.path}: {serial} is there since {known[1]}, design {known[0]}; expected"
-                    " a serial number that no unit has yet. Correct it, or go on with that unit."
+                    f"{self.path}: {serial} is there {since}; expected a serial number that no"
+                    " unit has yet. Correct it, or go on with that unit."
                 )
             cursor.execute("INSERT INTO unit VALUES (?, ?, ?)", (serial, design, _now()))
 
@@ -212,6 +212,12 @@ class Registry:
     def add_finding(self, serial: str, output: str, state: str, told: str) -> None:
         """Enter what `monitor` found for an output; entering the same again changes nothing.
 
+        Args:
+            serial: of the unit.
+            output: its name.
+            state: learning | sound | no reference, or the cause of an alarm.
+            told: the same in a sentence.
+
         Raises:
             InputError: there is no such unit.
         """
@@ -240,6 +246,17 @@ class Registry:
         )
         return {str(serial): bytes(content) for serial, content in rows}  # type: ignore[call-overload]  # a blob
 
+    def find_loaded(self, serial: str) -> tuple[str, str, bytes] | None:
+        """Return SHA-256, time of loading and bytes of the block on a unit; None without one."""
+        rows = self._read(
+            "SELECT b.sha256, l.loaded_at, b.content FROM loaded l JOIN block b USING (sha256)"
+            " WHERE l.serial = :s ORDER BY l.number DESC LIMIT 1",
+            serial,
+        )
+        for sha256, loaded_at, content in rows:
+            return str(sha256), str(loaded_at), bytes(content)  # type: ignore[call-overload]  # a blob
+        return None
+
     def knows(self, serial: str) -> bool:
         """Return whether a unit is entered."""
         return bool(self._read("SELECT 1 FROM unit WHERE serial = :s", serial))
@@ -256,6 +273,41 @@ class Registry:
             " ORDER BY u.serial"
         )
         return tuple(Unit(*(str(value) for value in row)) for row in rows)
+
+    def list_standings(self) -> tuple[UnitStanding, ...]:
+        """Return all units with what is known of them today, sorted by serial number."""
+        findings = self._list_findings()
+        more = {
+            str(serial): (str(loaded_at), str(watched_at), str(watched_log))
+            for serial, loaded_at, watched_at, watched_log in self._read(
+                "SELECT u.serial, coalesce(l.loaded_at, ''), coalesce(g.added_at, ''),"
+                " coalesce(g.name, '') FROM unit u"
+                " LEFT JOIN loaded l ON l.number ="
+                " (SELECT max(number) FROM loaded WHERE serial = u.serial)"
+                " LEFT JOIN log g ON g.rowid ="
+                " (SELECT max(rowid) FROM log WHERE serial = u.serial AND purpose = 'monitor')"
+            )
+        }
+        return tuple(
+            UnitStanding(unit, *more[unit.serial], tuple(findings.get(unit.serial, ())))
+            for unit in self.list_units()
+        )
+
+    def _list_findings(self) -> dict[str, list[UnitFinding]]:
+        """Return serial number -> what was said last, by output."""
+        last: dict[tuple[str, str], UnitFinding] = {}
+        for row in self._read(
+            "SELECT serial, output, state, told, found_at FROM finding"
+            " ORDER BY serial, output, number"
+        ):
+            serial, output, state, told, at = map(str, row)
+            before = last.get((serial, output))
+            since = before.since if before is not None and before.state == state else at
+            last[serial, output] = UnitFinding(output, state, told, since)
+        found: dict[str, list[UnitFinding]] = {}
+        for (serial, _), finding in last.items():
+            found.setdefault(serial, []).append(finding)
+        return found
 
     def tell_history(self, serial: str) -> tuple[Event, ...]:
         """Return what happened to a unit, the oldest first.
@@ -285,15 +337,16 @@ class Registry:
         try:
             return self._connection.execute(query, {"s": serial}).fetchall()
         except sqlite3.DatabaseError as error:
-            raise _explain(self.path, error) from error
+            raise explain(self.path, error) from error
 
     def _require(self, cursor: sqlite3.Cursor, serial: str) -> None:
         if _find_unit(cursor, serial) is not None:
             return
         known = [str(row[0]) for row in cursor.execute("SELECT serial FROM unit")]
+        number = f"{len(known)} unit{'s' if len(known) != 1 else ''}"
         raise InputError(
-            f"{self.path}: there is no unit {serial}{nearest(serial, known)} It has {len(known)}."
-            f" Correct it, or enter it by `zerodrift registry add {serial}`."
+            f"{self.path}: there is no unit {serial}{nearest(serial, known) or '.'} The registry"
+            f" has {number}. Correct it, or enter it by `zerodrift registry add {serial}`."
         )
 
     @contextmanager
@@ -309,7 +362,7 @@ class Registry:
                 raise
             cursor.execute("COMMIT")
         except sqlite3.DatabaseError as error:
-            raise _explain(self.path, error) from error
+            raise explain(self.path, error) from error
 
 
 @contextmanager
@@ -324,81 +377,8 @@ def open_registry(path: Path, *, make: bool = False, wait_s: float = WAIT_S) -> 
     Raises:
         InputError: it is missing, no registry, of a later version, damaged, or locked.
     """
-    if not make and not path.is_file():
-        raise InputError(
-            f"{path}: there is no registry; expected the file that `zerodrift registry init` makes."
-            " Make it, or name it by --registry."
-        )
-    if make:
-        write_new(path, _write_empty())
-    try:
-        connection = sqlite3.connect(path, timeout=wait_s, isolation_level=None)
-    except sqlite3.DatabaseError as error:
-        raise _explain(path, error) from error
-    try:
-        _prepare(path, connection)
+    with open_connection(path, make=make, wait_s=wait_s) as connection:
         yield Registry(path, connection)
-    finally:
-        connection.close()
-
-
-def _write_empty() -> bytes:
-    """Return the bytes of a registry without units, in write-ahead mode."""
-    connection = sqlite3.connect(":memory:", isolation_level=None)
-    try:
-        connection.execute("BEGIN")
-        for statement in SCHEMA.split(";\n"):
-            connection.execute(statement)
-        connection.execute(f"PRAGMA application_id = {APPLICATION}")
-        connection.execute(f"PRAGMA user_version = {VERSION}")
-        connection.execute("COMMIT")
-        content = bytearray(connection.serialize())
-    finally:
-        connection.close()
-    content[18:20] = b"\x02\x02"  # https://www.sqlite.org/fileformat.html: 2 for write-ahead
-    return bytes(content)
-
-
-def _prepare(path: Path, connection: sqlite3.Connection) -> None:
-    def ask(name: str) -> int:
-        return int(connection.execute(f"PRAGMA {name}").fetchone()[0])
-
-    try:
-        connection.execute("PRAGMA foreign_keys = ON")
-        if ask("application_id") != APPLICATION:
-            raise _refuse_other(path)
-        if ask("user_version") != VERSION:
-            raise InputError(
-                f"{path}: is a registry of version {ask('user_version')}; expected {VERSION}. Use"
-                " the zerodrift that wrote it, or a later one."
-            )
-        connection.execute("PRAGMA synchronous = FULL")
-    except sqlite3.DatabaseError as error:
-        raise _explain(path, error) from error
-
-
-def _refuse_other(path: Path) -> InputError:
-    return InputError(
-        f"{path}: is an SQLite file of another program; expected a registry. Name another file."
-    )
-
-
-def _explain(path: Path, error: sqlite3.DatabaseError) -> InputError:
-    """Return one message for an error of SQLite."""
-    if "locked" in str(error) or "busy" in str(error):
-        return InputError(
-            f"{path}: another program holds it ({error}); nothing was written."
-            " Try again when it has ended."
-        )
-    if "not a database" in str(error) or "malformed" in str(error):
-        return InputError(
-            f"{path}: is damaged, or no registry ({error}); expected an SQLite file that zerodrift"
-            " wrote. Take it from a backup, or name another by --registry."
-        )
-    return InputError(
-        f"{path}: SQLite refuses it ({error}); expected a file that this user may read and write,"
-        " on a disk of this machine. Nothing was written."
-    )
 
 
 def _find_unit(cursor: sqlite3.Cursor, serial: str) -> tuple[str, str] | None:

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from zerodrift.field.neighbours import Lost
-from zerodrift.field.registry import Event, Unit
+from zerodrift.field.registry import LEARNING, NO_REFERENCE, SOUND, Event, Unit
 
-STATES = LEARNING, SOUND, ALARM, NO_REFERENCE = ("learning", "sound", "alarm", "no reference")
+ALARM = "alarm"
+STATES = (LEARNING, SOUND, ALARM, NO_REFERENCE)
 
 
 @dataclass(frozen=True)

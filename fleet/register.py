@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from zerodrift.field.registry import FILE_NAME, open_registry
+from zerodrift.field.registry import open_registry
+from zerodrift.field.registry_file import FILE_NAME
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import SensorOutcome
 from zerodrift.fleet.sensors import configure_sensor

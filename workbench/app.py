@@ -7,7 +7,16 @@ from zerodrift.report.page import read_asset
 from zerodrift.report.svg import write_style
 from zerodrift.workbench import views
 from zerodrift.workbench.early import write_frame
-from zerodrift.workbench.first import CHART, CHOICES, FRAME, TOP, Places, lay_out_first
+from zerodrift.workbench.first import (
+    CHART,
+    CHOICES,
+    FRAME,
+    RECORDINGS,
+    TOP,
+    UNITS,
+    Places,
+    lay_out_first,
+)
 from zerodrift.workbench.layout import EARLY, PAGE
 from zerodrift.workbench.workplace import Workplace
 
@@ -56,14 +65,20 @@ def _connect_frame(app: Dash, place: Workplace) -> None:
         Output("version", "data"),
         Output("job", "children"),
         Output("job-box", "hidden"),
-        Output("recordings", "children"),
-        Output("recordings", "hidden"),
-        Output("recordings", "data-told"),
+        *_list(RECORDINGS),
+        *_list(UNITS),
         Input("tick", "n_intervals"),
         State("version", "data"),
         State("recordings", "data-told"),
+        State("units", "data-told"),
         prevent_initial_call=True,
-    )(lambda _, version, told: views.poll(place, version, told))
+    )(lambda _, version, recorded, units: views.poll(place, version, recorded, units))
+    app.callback(
+        Output("unit-told", "children"),
+        Input("chosen", "data"),
+        Input("units", "data-told"),
+        prevent_initial_call=True,
+    )(lambda chosen, _: views.show_unit(place, chosen))
     app.callback(
         *_list(FRAME),
         Input("version", "data"),

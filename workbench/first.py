@@ -21,6 +21,7 @@ FRAME: Places = (
     ("start", "children"),
     ("start", "hidden"),
     ("bench", "hidden"),
+    ("bench", "className"),
     ("message", "children"),
     ("message-box", "hidden"),
     ("message-box", "className"),
@@ -29,6 +30,12 @@ RECORDINGS: Places = (
     ("recordings", "children"),
     ("recordings", "hidden"),
     ("recordings", "data-told"),
+)
+UNITS: Places = (
+    ("units", "children"),
+    ("unit-box", "hidden"),
+    ("unit", "data-choices"),
+    ("units", "data-told"),
 )
 TOP: Places = (
     ("kicker", "children"),
@@ -62,6 +69,7 @@ def lay_out_first(place: Workplace) -> Component:
     shown: Sequence[tuple[Places, Callable[[], Shown]]] = (
         (FRAME, lambda: views.show_frame(place)),
         (RECORDINGS, lambda: views.show_recordings(place, None)),
+        (UNITS, lambda: views.show_units(place, None)),
         (TOP, lambda: views.show_top(place, None, None)),
         (CHOICES, lambda: views.list_choices(place, None)),
         (CHART, lambda: views.show_chart(place, None)),

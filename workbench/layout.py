@@ -13,8 +13,8 @@ MOVES = (
     ("wider", "Wider"),
     ("whole", "Whole run"),
 )
-STORES = ("guess", "picks", "below")
-"""Of them `picks` is written by the page's script: what is chosen now."""
+STORES = ("guess", "picks", "below", "chosen")
+"""Of them `picks` and `chosen`, a unit, are written by the page's script: what is chosen now."""
 EARLY = """\
 window.zdFirst = (function () {
   const inner = document.documentElement.clientWidth, em = 16;
@@ -241,6 +241,19 @@ def _lay_out_sections() -> list[Component]:
             html.P(id="chip-told", className="note"),
             html.Div([_load_chip()], className="actions"),
             html.Div(id="chip"),
+        ),
+        _section(
+            "units-section",
+            "Units in use",
+            html.Div(id="units", **{"data-told": ""}),
+            html.Div(
+                [
+                    _choose("Unit", "unit", store="chosen", empty=None),
+                    html.Div(id="unit-told"),
+                ],
+                id="unit-box",
+                hidden=True,
+            ),
         ),
     ]
 

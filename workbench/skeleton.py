@@ -16,6 +16,7 @@ CONTENTS = (
     ("model-section", "Effects"),
     ("firmware-section", "Firmware"),
     ("chip-section", "The chip's own C"),
+    ("units-section", "Units in use"),
 )
 CHOICES = (
     ("output", "Output"),

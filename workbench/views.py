@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from dash import html, no_update
 from dash.development.base_component import Component
 
+from zerodrift.base.errors import InputError
 from zerodrift.base.records import to_dict
 from zerodrift.diagnosis.timeline import find_timeline
 from zerodrift.report.cause import name_effect
-from zerodrift.workbench import outcomes, panels, recordings, verdicts, way
+from zerodrift.workbench import outcomes, panels, recordings, units, verdicts, way
 from zerodrift.workbench.chart import choose_first
 from zerodrift.workbench.early import read_head, tell_project
 from zerodrift.workbench.skeleton import WAITING
@@ -27,20 +28,23 @@ Shown = tuple[object, ...]
 """Values of the page's parts, in the order in which the callback lists them."""
 
 
-def poll(place: Workplace, version: int, told: str | None) -> Shown:
-    """Return the version if there is something new to show, how the job stands, the recordings.
+def poll(place: Workplace, version: int, recorded: str | None, registered: str | None) -> Shown:
+    """Return the version if there is something new to show, how the job stands, the recordings,
+    the units.
 
     Args:
         place: the project.
         version: that is shown.
-        told: mark of the recordings that are shown.
+        recorded: mark of the recordings that are shown.
+        registered: mark of the units that are shown.
     """
     place.poll()
     now = place.describe()
     job = now.job
     words = "" if job is None else f"{job.title}: {job.progress or 'starting'} ({job.seconds} s)"
     version_now = now.version if now.version != version else no_update
-    return version_now, words, job is None, *show_recordings(place, told)
+    shown = (*show_recordings(place, recorded), *show_units(place, registered))
+    return version_now, words, job is None, *shown
 
 
 def show_recordings(place: Workplace, told: str | None) -> Shown:
@@ -52,8 +56,34 @@ def show_recordings(place: Workplace, told: str | None) -> Shown:
     return recordings.show_recordings(watched), not watched, mark
 
 
+def show_units(place: Workplace, told: str | None) -> Shown:
+    """Return the units of the registry, whether there are none, their serials, and their mark."""
+    mark = place.units.mark()
+    if mark == told:
+        return tuple([no_update] * 4)
+    seen = place.units.look()
+    choices = units.list_serials(seen, place.sensor)
+    return units.show_units(seen), not seen.standings, choices, mark
+
+
+def show_unit(place: Workplace, chosen: Mapping[str, str] | None) -> list[Component]:
+    """Return what is known of the unit that was chosen."""
+    serial = (chosen or {}).get("unit")
+    if not serial:
+        return []
+    try:
+        events = place.units.tell_history(serial)
+    except InputError as error:
+        return [html.P(str(error), className="wrong")]
+    known = {one.unit.serial: one for one in place.units.look().standings}
+    return units.show_history(known.get(serial), events, serial)
+
+
 def show_frame(place: Workplace) -> Shown:
-    """Return the start page where there is no project, and the message."""
+    """Return the start page where there is no project, and the message.
+
+    Where nothing could be found out the registry's units are all that is shown of the rest.
+    """
     is_new = not place.has_project and place.findings is None
     is_stuck = not is_new and place.findings is None and not place.busy
     start: list[Component] = []
@@ -66,7 +96,8 @@ def show_frame(place: Workplace) -> Shown:
     message = place.message
     text = message.text if message is not None else ""
     kind = "message error" if message is not None and message.is_error else "message"
-    return start, not start, bool(start), text, message is None, kind
+    layout = "layout single alone" if is_stuck else "layout"
+    return start, not start, is_new, layout, text, message is None, kind
 
 
 def hides(place: Workplace, told: bool | None) -> bool:

@@ -1,4 +1,4 @@
-"""The recordings beside a page: found by what their recorders tell, forgotten once compared."""
+"""What stands beside the page: recordings, as recorders tell of themselves, and the registry."""
 
 import time
 from dataclasses import dataclass
@@ -6,6 +6,8 @@ from pathlib import Path
 
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.selectors import matches_logs
+from zerodrift.field.registry import Event, UnitStanding, open_registry
+from zerodrift.field.registry_file import FILE_NAME
 from zerodrift.fleet.sensors import load_unit
 from zerodrift.recording.status import ENDED, RecordingStatus, list_statuses, name_status
 
@@ -103,3 +105,52 @@ def _is_named(directory: Path, log: Path, sensor: str | None) -> bool:
         return matches_logs(load_unit(directory, sensor), log)
     except InputError:
         return False
+
+
+@dataclass(frozen=True)
+class UnitsSeen:
+    """The registry at a moment."""
+
+    is_there: bool
+    standings: tuple[UnitStanding, ...] = ()
+    wrong: str = ""
+    """Why it could not be read."""
+
+
+class UnitsWatch:
+    """Looks at a project's registry; reads it only where its file has changed."""
+
+    def __init__(self, directory: Path) -> None:
+        self._path = directory / FILE_NAME
+
+    def mark(self) -> str:
+        """Return what changes whenever the registry does; never empty."""
+        # In write-ahead mode what was written last lies beside the file.
+        parts = []
+        for path in (self._path, self._path.with_name(f"{FILE_NAME}-wal")):
+            try:
+                told = path.stat()
+            except OSError:
+                told = None
+            changed = told is not None and told.st_size
+            parts.append(f"{told.st_size} {told.st_mtime_ns}" if told and changed else "none")
+        return "; ".join(parts)
+
+    def look(self) -> UnitsSeen:
+        """Return the units as they stand."""
+        if not self._path.is_file():
+            return UnitsSeen(is_there=False)
+        try:
+            with open_registry(self._path) as registry:
+                return UnitsSeen(is_there=True, standings=registry.list_standings())
+        except InputError as error:
+            return UnitsSeen(is_there=True, wrong=str(error))
+
+    def tell_history(self, serial: str) -> tuple[Event, ...]:
+        """Return what happened to a unit, the oldest first.
+
+        Raises:
+            InputError: there is no such unit, or the registry cannot be read.
+        """
+        with open_registry(self._path) as registry:
+            return registry.tell_history(serial)

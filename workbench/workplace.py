@@ -56,7 +56,7 @@ from zerodrift.workbench.jobs import Job
 from zerodrift.workbench.marks import Marks, mark_files
 from zerodrift.workbench.messages import Message, explain_guess
 from zerodrift.workbench.state import JobState, PageState
-from zerodrift.workbench.watch import RecordingWatch
+from zerodrift.workbench.watch import RecordingWatch, UnitsWatch
 
 Array = NDArray[np.float64]
 
@@ -116,6 +116,7 @@ class Workplace:
         self.read_sketch: Callable[[], str] = lambda: ""
         """What was read of one log, until there are findings; see `look_first`."""
         self.recordings = RecordingWatch(self.directory, sensor)
+        self.units = UnitsWatch(self.directory)
         self._read: dict[tuple[int, str, DriftDriver], Array] = {}
         self.findings: Findings | None = None
         self.previews: tuple[str, ...] = ()

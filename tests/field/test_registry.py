@@ -2,7 +2,9 @@
 
 import json
 import multiprocessing
+import shutil
 import sqlite3
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -189,18 +191,75 @@ def test_another_programs_file_and_a_later_version_are_left_alone(file, tmp_path
         pass
 
 
-def test_monitor_enters_its_logs_and_alarms(unit, tmp_path) -> None:
-    place = unit / "registry.sqlite"
-    try:
-        log = write_log(tmp_path / "a.csv", 70, 4, begin_s=BEGIN_S, slope=0.5)
-        with open_registry(place, make=True) as registry:
-            registry.add_unit("small", "small")
-        arguments = ["monitor", str(log), "-C", str(unit), "--state", str(tmp_path / "s.json")]
-        assert CliRunner().invoke(cli, arguments).exit_code == 1
+@pytest.fixture
+def place(unit) -> Iterator[Path]:
+    """Return the registry beside the built unit while a test lasts."""
+    with open_registry(unit / "registry.sqlite", make=True) as registry:
+        yield registry.path
+    for path in unit.glob("registry.sqlite*"):
+        path.unlink()
+
+
+def watch(unit: Path, tmp_path: Path, log: Path, *more: str):
+    words = ["monitor", str(log), "-C", str(unit), "--state", str(tmp_path / "s.json"), *more]
+    return CliRunner().invoke(cli, words)
+
+
+def test_monitor_enters_its_logs_and_alarms(unit, place, tmp_path) -> None:
+    log = write_log(tmp_path / "a.csv", 70, 4, begin_s=BEGIN_S, slope=0.5)
+    with open_registry(place) as registry:
+        registry.add_unit("small", "small")
+    assert watch(unit, tmp_path, log).exit_code == 1
+    with open_registry(place) as registry:
+        told = registry.tell_history("small")
+        (standing,) = registry.list_standings()
+    assert [event.kind for event in told] == ["added", "log", "finding"]
+    assert "other model" in told[-1].text
+    assert standing.is_alarm and standing.told == "other model"
+    assert (standing.watched_log, standing.watched_at) == ("a.csv", told[1].at)
+    listed = call(place, "list").stdout
+    assert listed.split("\n")[0].strip() == "1 unit" and "other model" in listed
+
+
+def test_what_monitor_says_last_stands_since_it_was_first_said(unit, place, tmp_path) -> None:
+    with open_registry(place) as registry:
+        registry.add_unit("small", "small")
+    times = []
+    for part in range(3):  # 15 days are learnt from
+        begin_s = BEGIN_S + part * 8 * 86_400.0
+        log = write_log(tmp_path / f"{part}.csv", 80 + part, 8, begin_s=begin_s)
+        assert watch(unit, tmp_path, log).exit_code == 0
         with open_registry(place) as registry:
-            told = registry.tell_history("small")
-        assert [event.kind for event in told] == ["added", "log", "finding"]
-        assert "other model" in told[-1].text
-    finally:
-        for path in unit.glob("registry.sqlite*"):
-            path.unlink()
+            (standing,) = registry.list_standings()
+        (finding,) = standing.findings
+        times.append((finding.state, finding.since))
+        assert not standing.is_alarm and standing.watched_log == f"{part}.csv"
+    states, since = zip(*times, strict=True)
+    assert states == ("learning", "sound", "sound")
+    assert since[0] < since[1] == since[2]
+    with open_registry(place) as registry:
+        kinds = [event.kind for event in registry.tell_history("small")]
+    assert kinds.count("finding") == 2
+
+
+def test_a_single_project_is_entered_under_its_serial_number(unit, place, tmp_path) -> None:
+    own = tmp_path / "own"
+    shutil.copytree(unit, own)
+    toml = own / "zerodrift.toml"
+    toml.write_text(f'{toml.read_text()}\n[firmware]\nserial = "SN0042"\n')
+    log = write_log(tmp_path / "a.csv", 90, 1, begin_s=BEGIN_S)
+    missing = watch(own, tmp_path, log)
+    assert "there is no unit SN0042; nothing was entered" in missing.stderr
+    assert "registry add SN0042" in missing.stderr
+    with open_registry(own / place.name) as registry:
+        for serial in ("small", "SN0042"):
+            registry.add_unit(serial, "small")
+    entered = watch(own, tmp_path, log, "--reset")
+    assert "entered under the serial number SN0042 of [firmware]" in entered.stderr
+    with open_registry(own / place.name) as registry:
+        watched = {one.unit.serial: one.watched_log for one in registry.list_standings()}
+    assert watched == {"small": "", "SN0042": "a.csv"}
+
+
+def test_a_list_without_units_says_how_they_get_there(file) -> None:
+    assert "`zerodrift registry add SERIAL`" in call(file, "list").stdout

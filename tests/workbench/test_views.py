@@ -19,6 +19,7 @@ from zerodrift.workbench.first import TOP
 from zerodrift.workbench.skeleton import READING, TILES, WAITING
 from zerodrift.workbench.state import JobState, PageState
 from zerodrift.workbench.views import list_choices, poll, show_chart, show_frame, show_top
+from zerodrift.workbench.watch import UnitsSeen
 
 
 @pytest.fixture
@@ -70,8 +71,9 @@ def test_project_of_which_nothing_is_known_yet_is_no_empty_page(project, busy):
         refused={},
         done=set(),
     )
-    start, start_hidden, bench_hidden, *_ = show_frame(place)
-    assert (start_hidden, bench_hidden) == (busy, not busy)
+    start, start_hidden, bench_hidden, layout, *_ = show_frame(place)
+    assert (start_hidden, bench_hidden) == (busy, False)
+    assert ("alone" in layout) is not busy  # the registry's units are all that is shown of it
     if busy:
         head = dict(zip((name for name, _ in TOP), show_top(place, None, None), strict=False))
         assert head["sensor"] == "cell" and READING in str(head["verdict"])
@@ -87,12 +89,16 @@ def test_progress_is_told_while_something_runs():
         poll=lambda: None,
         describe=lambda: PageState(7, job),
         recordings=SimpleNamespace(look=lambda: ()),
+        units=SimpleNamespace(mark=lambda: "none", look=lambda: UnitsSeen(is_there=False)),
+        sensor=None,
     )
-    nothing = (no_update, no_update, no_update)
-    assert poll(place, 7, "") == (no_update, "Adding creep: fitting (3 s)", False, *nothing)
+    nothing, units = (no_update,) * 3, (no_update,) * 4
+    began = (no_update, "Adding creep: fitting (3 s)", False, *nothing, *units)
+    assert poll(place, 7, "", "none") == began
     place.describe = lambda: PageState(8, None)
-    assert poll(place, 7, "") == (8, "", True, *nothing)
-    assert poll(place, 7, "gone since") == (8, "", True, [], True, "")
+    assert poll(place, 7, "", "none") == (8, "", True, *nothing, *units)
+    assert poll(place, 7, "gone since", "none") == (8, "", True, [], True, "", *units)
+    assert poll(place, 7, "", "changed")[6:] != units
 
 
 def test_worst_segments_tell_no_pattern_before_the_guess(place):

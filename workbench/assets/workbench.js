@@ -88,6 +88,13 @@
     tell("view");
     document.getElementById("measured").scrollIntoView();
   }
+  function chooseUnit(serial) {
+    const list = document.getElementById("unit");
+    wished.unit = list.value = serial;
+    tell("chosen");
+    list.focus();
+    list.scrollIntoView({ block: "start" });
+  }
   document.addEventListener("change", (event) => {
     if (!event.target.matches("select[data-store]")) { return; }
     wished[event.target.id] = event.target.value;
@@ -161,6 +168,8 @@
   document.addEventListener("click", (event) => {
     const chooser = event.target.closest("[data-choose]");
     if (chooser) { choose(JSON.parse(chooser.dataset.choose)); }
+    const unit = event.target.closest("[data-unit]");
+    if (unit) { chooseUnit(unit.dataset.unit); }
     const copied = event.target.closest("[data-copy]");
     if (copied) {
       navigator.clipboard.writeText(document.getElementById(copied.dataset.copy).textContent)

@@ -53,7 +53,7 @@ def open_applied(
     if kind not in KINDS:
         raise InputError(f"model = {kind!r}: expected one of {', '.join(KINDS)}.")
     model = load_model(config.build_directory / "model.json")
-    _refuse_other(config, model)
+    refuse_other(config, model, str(config.build_directory / "model.json"))
     uncertainty, why = read_uncertainty(config, model.hash)
     stale = [finding.text for finding in check_manifest(config).findings]
     predict = None
@@ -65,13 +65,18 @@ def open_applied(
     return AppliedModel(model, uncertainty, predict, (*([why] if why else []), *stale))
 
 
-def _refuse_other(config: Config, model: IntegerModel) -> None:
+def refuse_other(config: Config, model: IntegerModel, where: str) -> None:
+    """Refuse a model of other outputs than the project's.
+
+    Raises:
+        InputError: names where it comes from.
+    """
     names = tuple(output.name for output in model.outputs)
     wanted = tuple(output.name for output in config.outputs)
     if names != wanted:
         raise InputError(
-            f"{config.build_directory / 'model.json'}: has the outputs {', '.join(names)}; "
-            f"{config.path} has {', '.join(wanted)}. Run `zerodrift firmware`."
+            f"{where}: has the outputs {', '.join(names)}; {config.path} has {', '.join(wanted)}."
+            " Run `zerodrift firmware`, or name the block of this sensor."
         )
 
 

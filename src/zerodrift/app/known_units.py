@@ -11,8 +11,8 @@ from zerodrift.blocks.block import apply, decode
 from zerodrift.blocks.design import find_design, load_design
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
-from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import open_registry
+from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 from zerodrift.fleet.sensors import FOLDER, find_sensors
 
 SHOWN = 3
@@ -35,7 +35,7 @@ def find_known(
         InputError: the registry cannot be read.
     """
     config = load_config(directory)
-    own = {deployed.sensor, config.block.serial}
+    own = {deployed.sensor, deployed.serial}
     known: dict[str, IntegerModel] = {}
     wrong: dict[str, str] = {}
     for serial, model in (

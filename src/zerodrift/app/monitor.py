@@ -22,12 +22,10 @@ from zerodrift.app.swapped import KnownUnit, LogPart, seek_unit, tell_sought, wa
 from zerodrift.base.errors import InputError
 from zerodrift.export.integer_model import FLAG_NO_READING
 from zerodrift.field.blocks import join_blocks, make_blocks
+from zerodrift.field.registry import LEARNING, NO_REFERENCE, SOUND
 from zerodrift.field.state import LogSeen, MonitorState, OutputState, keep_output
 from zerodrift.field.summary import (
     ALARM,
-    LEARNING,
-    NO_REFERENCE,
-    SOUND,
     ChangeVerdict,
     MonitorResult,
     OutputWatched,

@@ -26,6 +26,8 @@ class Deployed:
     """A unit in use, and how it is monitored."""
 
     sensor: str
+    serial: str
+    """Under which the registry knows it."""
     config: Config
     model: IntegerModel
     uncertainty: Uncertainty | None

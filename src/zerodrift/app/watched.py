@@ -9,14 +9,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Protocol
 
-from zerodrift.app.applied_model import open_applied
+from zerodrift.app.applied_model import open_applied, refuse_other
 from zerodrift.app.commands.project import open_config
+from zerodrift.app.deployed_block import find_deployed_block
 from zerodrift.app.monitored_log import Deployed
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
 from zerodrift.dataset.runs import Dataset
-from zerodrift.field.registry import FILE_NAME as REGISTRY
-from zerodrift.field.registry import open_registry
+from zerodrift.field.registry import LEARNING, open_registry
+from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 from zerodrift.field.state import FILE_NAME, LogSeen, MonitorState, load_state
 from zerodrift.field.summary import MonitorResult
 from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT
@@ -33,6 +34,11 @@ class Options(Protocol):
     @property
     def sensor(self) -> str | None:
         """A unit of a fleet."""
+        ...
+
+    @property
+    def block(self) -> Path | None:
+        """The block that is on the unit."""
         ...
 
     @property
@@ -90,8 +96,16 @@ def open_deployed(directory: Path, options: Options) -> tuple[Deployed, Path, tu
         raise CheckError("the firmware is not what was built and checked: " + changed[0].text)
     loads, when = _read_loads(config, options)
     name = options.sensor or config.sensor_name
-    deployed = Deployed(name, config, applied.model, applied.uncertainty, loads, when)
-    return deployed, options.state or config.build_directory / FILE_NAME, applied.notes
+    serial = options.sensor or config.block.serial or name
+    model, notes = applied.model, applied.notes
+    block = find_deployed_block(
+        directory, config, sensor=options.sensor, serial=serial, file=options.block
+    )
+    if block is not None:
+        model, notes = block.model, (*notes, block.note)
+        refuse_other(config, model, str(options.block or block.note))
+    deployed = Deployed(name, serial, config, model, applied.uncertainty, loads, when)
+    return deployed, options.state or config.build_directory / FILE_NAME, notes
 
 
 def load_nothing() -> Dataset:
@@ -168,29 +182,37 @@ def open_state(
     return kept, ()
 
 
-def enter(directory: Path, told: MonitorResult, logs: Sequence[LogSeen]) -> tuple[str, ...]:
-    """Enter logs and alarms into the registry where there is one; return notes for the user.
+def enter(
+    directory: Path, deployed: Deployed, told: MonitorResult, logs: Sequence[LogSeen]
+) -> tuple[str, ...]:
+    """Enter logs and what was found into the registry where there is one; return notes.
+
+    A unit of a fleet is entered under its name, any other under `[firmware] serial` or, without
+    one, the sensor's name.
 
     Raises:
         InputError: it cannot be written.
     """
-    path = directory / REGISTRY
+    path, serial = directory / REGISTRY, deployed.serial
     if not path.is_file():
         return ()
     with open_registry(path) as registry:
-        if not registry.knows(told.sensor):
-            return (f"{path.name}: there is no unit {told.sensor}; nothing was entered",)
-        registry.add_logs(told.sensor, tuple((log.sha256, log.name) for log in logs))
+        if not registry.knows(serial):
+            way = f"Enter it by `zerodrift registry add {serial}`"
+            if deployed.config.unit_build is None and not deployed.config.block.serial:
+                way += ", or state its serial number as [firmware] serial"
+            return (f"{path.name}: there is no unit {serial}; nothing was entered. {way}.",)
+        registry.add_logs(serial, tuple((log.sha256, log.name) for log in logs))
         for name, output in told.outputs.items():
-            if output.verdict.cause:
-                text = output.text
-                if told.other_unit is not None and output.verdict.cause in (
-                    OTHER_UNIT,
-                    OTHER_MODEL,
-                ):
-                    text += f"; {told.other_unit.text}"
-                registry.add_finding(told.sensor, name, output.verdict.cause, text)
-    return ()
+            cause = output.verdict.cause
+            # How far the learning is changes with each log, and is no event of its own.
+            text = "learning the noise" if output.state == LEARNING else output.text
+            if told.other_unit is not None and cause in (OTHER_UNIT, OTHER_MODEL):
+                text += f"; {told.other_unit.text}"
+            registry.add_finding(serial, name, cause or output.state, text)
+    if serial == deployed.sensor:
+        return ()
+    return (f"{path.name}: entered under the serial number {serial} of [firmware]",)
 
 
 def live_chunks(source: str, deployed: Deployed, options: Options) -> Iterator[Path]:

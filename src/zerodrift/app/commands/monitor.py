@@ -30,6 +30,7 @@ class MonitorOptions:
     """The options of `monitor`."""
 
     sensor: str | None
+    block: Path | None
     loads: tuple[str, ...]
     when: str | None
     alarms_per_unit_month: float
@@ -45,6 +46,13 @@ class MonitorOptions:
 @click.argument("sources", nargs=-1, metavar="LOG|SOURCE...")
 @directory_option
 @sensor_option
+@click.option(
+    "--block",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    default=None,
+    metavar="FILE",
+    help="The block on the unit (default: as the registry says, else the one written last).",
+)
 @click.option(
     "--load",
     "loads",
@@ -113,7 +121,7 @@ def command(
     skip_invalid: bool,
     options: MonitorOptions,
 ) -> None:
-    """Hold the model of the last `firmware` against new logs of its unit.
+    """Hold the model of the last `firmware`, with the unit's block, against new logs of its unit.
 
     LOG is a file as [logs] names them; SOURCE is - (CSV on standard input) or "command:CMD" (CSV
     that a command prints). Tells flags, the range that is used and, where the true value is known,
@@ -161,11 +169,12 @@ def command(
             with show_progress(f"reading {Path(source).name}"):
                 monitor.read(Path(source), skip_invalid=skip_invalid)
         told = look()
-        notes = (*notes, *enter(directory, told, monitor.state.logs))
+        entered = enter(directory, deployed, told, monitor.state.logs)
+        told = replace(told, notes=(*notes, *told.notes, *entered))
     if as_json:
         print_result(told)
     else:
-        print_notes((*notes, *told.notes))
+        print_notes(told.notes)
         _print(told)
     if told.alarm:
         texts = [o.text for o in told.outputs.values() if o.verdict.cause]
@@ -174,9 +183,17 @@ def command(
         raise CheckError("; ".join(texts) + ".")
 
 
+def _list_texts(told: "MonitorResult") -> list[str]:
+    """Return what is told of the outputs, those of which the same is told together."""
+    outputs: dict[str, list[str]] = {}
+    for name, output in told.outputs.items():
+        outputs.setdefault(output.text, []).append(name)
+    return [f"{', '.join(names)}: {text}" for text, names in outputs.items()]
+
+
 def _tell_live(told: "MonitorResult") -> None:
     """Print the present state of a live source on stderr."""
-    texts = [f"{name}: {o.text}" for name, o in told.outputs.items()]
+    texts = _list_texts(told)
     if told.other_unit is not None:
         texts.append(told.other_unit.text)
     click.echo(f"{told.steps_in_all} steps; {'; '.join(texts)}", err=True)
@@ -204,7 +221,7 @@ def _print(told: "MonitorResult") -> None:
         )
     for text, count in told.flags.items():
         console.print(f"flag at {count} of {told.steps} steps: {text}")
-    for name, o in told.outputs.items():
-        console.print(f"{name}: {o.text}")
+    for text in _list_texts(told):
+        console.print(text)
     if told.other_unit is not None:
         console.print(f"{told.sensor}: {told.other_unit.text}")

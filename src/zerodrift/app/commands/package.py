@@ -70,4 +70,5 @@ def command(kind: str, directory: Path, sensor: str | None, as_json: bool) -> No
     if as_json:
         print_result(PackageResult(kind, model.hash, tuple(written)))
         return
-    click.echo("wrote " + ", ".join(written))
+    tops = sorted({f"{name.split('/')[0]}/" if "/" in name else name for name in contents})
+    click.echo(f"wrote {shown}: {len(contents)} files in {', '.join(tops)}")

@@ -34,7 +34,7 @@ def place_options(function: Command) -> Command:
 
 def find_file(directory: Path, file: Path | None) -> Path:
     """Return the registry's file."""
-    from zerodrift.field.registry import FILE_NAME
+    from zerodrift.field.registry_file import FILE_NAME
 
     return file if file is not None else directory / FILE_NAME
 
@@ -148,18 +148,24 @@ def loaded(serial: str, sha256: str, directory: Path, file: Path | None) -> None
 @json_option
 @place_options
 def list_units(as_json: bool, directory: Path, file: Path | None) -> None:
-    """List the units: last calibration, and the block that is on each."""
-    from zerodrift.field.registry import open_registry
+    """List the units: last calibration, the block on each, and what `monitor` said last."""
+    from zerodrift.field.registry import HOW_TO_ENTER, open_registry
     from zerodrift.field.summary import RegistryResult
 
     with open_registry(find_file(directory, file)) as registry:
-        units = registry.list_units()
+        standings = registry.list_standings()
     if as_json:
-        print_result(RegistryResult(units))
+        print_result(RegistryResult(tuple(one.unit for one in standings)))
         return
-    table = open_table(f"{len(units)} units", ("serial", "design", "calibrated", "block"), ())
-    for unit in units:
-        table.add_row(unit.serial, unit.design, unit.calibrated_at[:19] or "-", unit.block[:12])
+    title = f"{len(standings)} unit{'s' if len(standings) != 1 else ''}"
+    if not standings:
+        click.echo(f"{title}. {HOW_TO_ENTER}")
+        return
+    table = open_table(title, ("serial", "design", "calibrated", "block", "monitor"), ())
+    for one in standings:
+        unit = one.unit
+        calibrated, block = unit.calibrated_at[:19] or "-", unit.block[:12] or "-"
+        table.add_row(unit.serial, unit.design, calibrated, block, one.told)
     open_console().print(table)
 
 

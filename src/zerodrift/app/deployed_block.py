@@ -1,0 +1,113 @@
+"""The block of coefficients that is on a unit, as the integer model that its chip computes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from zerodrift.base.config import Config, load_config
+from zerodrift.base.errors import InputError
+from zerodrift.blocks.block import apply, decode, decode_header
+from zerodrift.blocks.design import BlockDesign, find_design, load_design
+from zerodrift.blocks.files import BLOCK, find_design_file, read_block_file
+from zerodrift.export.integer_model import IntegerModel
+from zerodrift.field.registry import open_registry
+from zerodrift.field.registry_file import FILE_NAME as REGISTRY
+from zerodrift.fleet.blocks import BLOCKS
+
+
+@dataclass(frozen=True)
+class DeployedBlock:
+    """What a chip computes with its block."""
+
+    model: IntegerModel
+    """In the design's common format."""
+    note: str
+    """Which block it is, and where it was found."""
+
+
+def find_deployed_block(
+    directory: Path, config: Config, *, sensor: str | None, serial: str, file: Path | None
+) -> DeployedBlock | None:
+    """Return what is on a unit: the block that is named, else that which the registry says was
+    loaded, else that which was written last; None where a unit's coefficients are constants.
+
+    Args:
+        directory: of zerodrift.toml.
+        config: of the unit.
+        sensor: its name in a fleet; None without one.
+        serial: under which the registry knows it.
+        file: of the block, where the user names one.
+
+    Raises:
+        InputError: there is no block or no design, or no chip of the design would take the block.
+    """
+    if file is not None:
+        design = find_design_file(file) or _find_own_design(directory)
+        if design is None:
+            raise InputError(
+                f"{file}: a block is read with its design, and no design.json lies beside it, above"
+                " it or in the firmware's folder. Put that of its program beside it."
+            )
+        content = read_block_file(file, design)
+        owner = decode_header(content, str(file)).serial
+        whose = f" of {owner}" if owner == serial else f" of {owner}, another unit's than {serial},"
+        model = apply(design, decode(design, content, str(file)))
+        return DeployedBlock(model, f"run with the block{whose} in {file}")
+    if not config.block.in_block:
+        return None
+    design = _find_own_design(directory)
+    if design is None:
+        command = "firmware" if sensor is None else "fleet"
+        raise InputError(
+            f"{config.firmware_out}: holds no design.json, with which a block is read. Run"
+            f" `zerodrift {command}`, or name a block beside its design.json by --block FILE."
+        )
+    loaded = _find_loaded(directory, serial)
+    if loaded is not None:
+        return loaded.read(design, serial)
+    own = config.firmware_out / f"{BLOCK}.bin"
+    if sensor is not None:
+        own = load_config(directory).firmware_out / BLOCKS / f"{sensor}.bin"
+    if not own.is_file():
+        raise InputError(
+            f"{own}: there is no block of {serial}, so that it is not known what its chip computes."
+            " Name its block by --block FILE."
+        )
+    model = apply(design, decode(design, read_block_file(own, design), str(own)))
+    return DeployedBlock(model, f"run with the block of {serial} that was written last, {own}")
+
+
+@dataclass(frozen=True)
+class _Loaded:
+    """A block that the registry says is on a unit."""
+
+    sha256: str
+    loaded_at: str
+    content: bytes
+
+    def read(self, design: BlockDesign, serial: str) -> DeployedBlock:
+        where = f"{REGISTRY}, block {self.sha256[:12]} on {serial}"
+        try:
+            model = apply(design, decode(design, self.content, where))
+        except InputError as error:
+            raise InputError(
+                f"{error} If another block is on {serial} now, enter it by `zerodrift registry"
+                f" block {serial} FILE --loaded`; or name one, its design.json beside it, by"
+                " --block FILE."
+            ) from error
+        loaded_at = self.loaded_at[:16].replace("T", " ")
+        note = f"run with the block {self.sha256[:12]} that {REGISTRY} says is on {serial}"
+        return DeployedBlock(model, f"{note} since {loaded_at} UTC")
+
+
+def _find_own_design(directory: Path) -> BlockDesign | None:
+    place = find_design(load_config(directory).firmware_out)
+    return load_design(place) if place is not None else None
+
+
+def _find_loaded(directory: Path, serial: str) -> _Loaded | None:
+    path = directory / REGISTRY
+    if not path.is_file():
+        return None
+    with open_registry(path) as registry:
+        found = registry.find_loaded(serial)
+    return None if found is None else _Loaded(*found)
