@@ -10,7 +10,8 @@ a pair of look-alikes. *hours*: the twin's own chamber programme, an hour a run,
 programmes planned before the first log within the same temperatures, loads and inputs, rests
 counted; right is that `diagnose` names the effect, and not the other one beside it. *probability*:
 plans of several hours for pairs, on sensors drawn anew whose effect is as large as the plan was
-told; what they predict against how often it came. *time*: planning 8 hours with 6 open effects.
+told; what they predict against how often it came. Sensors of one plan share its prediction: many
+plans with few draws say more than few with many. *time*: planning 8 hours with 6 open effects.
 Outcomes are appended to FILE, and those that it has are not run again. All logs here are simulated;
 bounds are one-sided, 95 %, Clopper-Pearson.
 """
@@ -20,7 +21,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,7 @@ from benchmarks.planned_sensors import (
     record_plan,
 )
 from zerodrift.base.errors import InputError
-from zerodrift.base.records import from_json, to_dict
+from zerodrift.base.records import OPTIONAL, from_json, to_dict
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.discovery.likely import expect_verdicts, grow, outgrow, rise
 from zerodrift.discovery.plan import Planned, Question, plan_experiment
@@ -61,6 +62,8 @@ SIX = (
 )
 RIGHT_RATE = 0.8
 BUDGET_S = 20.0
+DRAWN_AGAIN = 4000
+"""Bootstrap over plans (Efron and Tibshirani, An Introduction to the Bootstrap, 1993)."""
 
 
 Key = tuple[str, tuple[str, ...], str, float, float, int]
@@ -83,6 +86,17 @@ class Expected:
 
 
 @dataclass(frozen=True)
+class Measured:
+    """What `diagnose` found of the hidden effect: by what it judges whether to name it."""
+
+    rmse_ratio: float
+    """On runs left out, with it over without."""
+    p_value: float
+    nats: float
+    sound: bool
+
+
+@dataclass(frozen=True)
 class Trial:
     """One sensor, one programme, one verdict."""
 
@@ -100,6 +114,8 @@ class Trial:
     expected: Expected | None
     """None for the default."""
     runs: int
+    measured: Measured | None = field(default=None, metadata=OPTIONAL)
+    """None where `diagnose` did not try it."""
 
     @property
     def predicted(self) -> float:
@@ -150,6 +166,7 @@ def try_one(
         return None
     found = diagnose(list_effects(pair), keep_outputs(dataset))
     rivals = set(pair) - {truth}
+    own = next((c for c in found.candidates if c.effect == truth), None)
     right = found.effect == truth and not rivals & set(found.lookalikes)
     return Trial(
         arm,
@@ -164,6 +181,9 @@ def try_one(
         found.lookalikes,
         expected,
         len(dataset.train),
+        None
+        if own is None
+        else Measured(own.rmse_left_out_ratio, own.p_value, own.nats, own.sound),
     )
 
 
@@ -284,10 +304,32 @@ def tell_probability(trials: Sequence[Trial]) -> None:
         predicted = float(np.mean([t.predicted for t in band]))
         low, high = (bound(right, len(band), upper=upper) for upper in (False, True))
         observed = right / len(band)
+        plans, least, most = spread_over_plans(band)
         print(
             f"{name:14s} {len(band):4d} cases: predicted {predicted:.3f}, observed {observed:.3f} "
-            f"({low:.3f} .. {high:.3f}), apart {100.0 * (predicted - observed):+.1f} points"
+            f"({low:.3f} .. {high:.3f}), apart {100.0 * (predicted - observed):+.1f} points; "
+            f"{plans} predictions, drawn anew {100.0 * least:+.1f} .. {100.0 * most:+.1f}"
         )
+
+
+def spread_over_plans(band: Sequence[Trial]) -> tuple[int, float, float]:
+    """Return the number of different predictions, and how far apart others would have been.
+
+    All sensors of one plan and truth share one prediction, and a draw of its values: they say less
+    than as many plans would. So whole plans are drawn again, with their truths.
+
+    Returns:
+        predictions; 5 % and 95 % quantile of predicted minus observed over DRAWN_AGAIN draws.
+    """
+    apart: dict[tuple[object, ...], list[float]] = {}
+    for t in band:
+        key = (t.pair, t.truth, t.hours, t.size)
+        apart.setdefault(key, []).append(t.predicted - t.right)
+    sums = np.array([[sum(one), len(one)] for one in apart.values()])
+    rng = np.random.default_rng(0)
+    drawn = sums[rng.integers(len(sums), size=(DRAWN_AGAIN, len(sums)))].sum(axis=1)
+    least, most = np.quantile(drawn[:, 0] / drawn[:, 1], (0.05, 0.95)).tolist()
+    return len(sums), least, most
 
 
 def tell_time() -> None:

@@ -67,10 +67,11 @@ def resolve_limits(config: Config, runs: Sequence[Run], hours: float) -> Limits:
     if start is None:
         start = min(max(ROOM_DEGC, low), high)
     elif not low <= start <= high:
+        whence = "the logs' range" if told.temperature_degC is None else "temperature_degC"
         raise InputError(
             f"{told.locate('start_degC')} is {start:g} degC, outside {low:g} to {high:g} degC "
-            "(the logs' range); expected a temperature within it. Change it, or state "
-            "[experiment] temperature_degC."
+            f"({whence}); expected a temperature within it. Change it, or [experiment] "
+            "temperature_degC."
         )
     heating, cooling = _find_rates(told, runs, notes)
     loads = dict(told.loads)

@@ -62,12 +62,16 @@ class Space:
         each, more = divmod(self.logs, PATTERNS)
         return np.array([each + (p < more) for p in range(PATTERNS)], dtype=np.float64)
 
-    def lengthen(self) -> "Space":
-        """Return the space with logs long enough for every temperature that the limits allow."""
+    def lengthen(self, crossings: float = CROSSINGS) -> "Space":
+        """Return the space with logs long enough for every temperature that the limits allow.
+
+        Args:
+            crossings: the log's length over the time from the coldest to the hottest.
+        """
         limits = self.limits
         slowest = min(limits.heating_K_per_s, limits.cooling_K_per_s)
         crossing_s = (limits.high_degC - limits.low_degC) / slowest
-        return replace(self, log_s=max(self.log_s, CROSSINGS * crossing_s))
+        return replace(self, log_s=max(self.log_s, crossings * crossing_s))
 
     def list_patterns(self, point: Array) -> list[Log]:
         """Return the different logs of a point."""

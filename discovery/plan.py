@@ -80,6 +80,22 @@ class Question:
     units: int = 0
     """Further units of the design, for which few hours are wanted; 0: no such question."""
 
+    def __post_init__(self) -> None:
+        """Refuse what is no number of hours, of seconds, or no share.
+
+        Raises:
+            InputError: one of them is not finite, or not above 0.
+        """
+        for name, value, expected in (
+            ("hours", self.hours, "hours, such as 8"),
+            ("budget", self.budget_s, "processor seconds, such as 60"),
+            ("target", self.target, "a share of full scale, such as 0.1% (in Python 0.001)"),
+        ):
+            if value is not None and not 0.0 < value < np.inf:
+                raise InputError(
+                    f"plan: {name} is {value:g}; expected {expected}, finite and more than 0."
+                )
+
 
 @dataclass(frozen=True)
 class Planned:

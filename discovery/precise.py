@@ -13,7 +13,7 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.case import open_case
 from zerodrift.diagnosis.examination import fit_base, measure_rest
 from zerodrift.discovery.contenders import Scene, Truth, draw_fitted, spread_typical
-from zerodrift.discovery.criterion import Judge
+from zerodrift.discovery.criterion import ROWS, Judge
 from zerodrift.discovery.limits import Limits, resolve_limits
 from zerodrift.discovery.patterns import choose_spaces
 from zerodrift.discovery.plan import Question, leave_alone, open_blank
@@ -32,6 +32,8 @@ from zerodrift.physics.projection import list_coordinates
 
 Array = NDArray[np.float64]
 
+USE_CROSSINGS = 6.0
+"""Length of a log that uses all that the limits allow, over the time from coldest to hottest."""
 DRIFT = 0.01
 """RMS of the drift over full scale before the first log, over a programme that moves everything."""
 SEED = 1
@@ -107,7 +109,10 @@ def plan_precisely(
     limits = leave_alone(limits, [term.effect.kind for term in scene.base], catalogue)
     judge = Judge(scene, limits, (), tuple(range(len(config.outputs))))
     spaces = choose_spaces(limits, question.hours, scene.runs)
-    widest = judge.stage(spaces[0].list_patterns(list_designs(spaces[0])[1]), np.ones(2))
+    wide = spaces[0].lengthen(USE_CROSSINGS)
+    widest = Judge(scene, limits, (), judge.outputs, 2 * ROWS).stage(
+        wide.list_patterns(list_designs(wide)[1]), np.ones(2)
+    )
     if not truths:
         truths = tuple(
             draw_base(judge, widest, DRIFT * full_scale, terms)
@@ -136,6 +141,8 @@ def plan_precisely(
         )
     else:
         before = [replace(run, before=None) for run in runs]
+        few = choose_spaces(limits, question.hours, 0, wanted=2)
+        spaces = [*spaces, *(space for space in few if space not in spaces)]
         found = find_precise(judge, spaces, before, sought, question.budget_s, say)
     names = [output.name for output in config.outputs]
     return PlannedPrecisely(

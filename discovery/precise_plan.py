@@ -1,7 +1,7 @@
 """Programmes for precision: narrow values, a small error in use, or few hours for further units."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from zerodrift.dataset.runs import Run
 from zerodrift.discovery.contenders import Truth
 from zerodrift.discovery.criterion import Judge
 from zerodrift.discovery.limits import Limits
-from zerodrift.discovery.patterns import Space, choose_spaces
+from zerodrift.discovery.patterns import QUIET_S, Space, choose_spaces
 from zerodrift.discovery.precision import Precision, list_free, measure_precision
 from zerodrift.discovery.search import Best, find_programme
 from zerodrift.discovery.stage import Staged
@@ -25,6 +25,10 @@ HOURS = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
 NARROW = 0.05
 """A standard error of this share is half of what precision is worth."""
 LINE = 2e-4
+EDGE = 0.02
+"""Of the profile's range, by which it may lie beyond the logs: a body follows its chamber late."""
+COVERED = 0.99
+"""Share of the use profile within what the logs reached, from which on nothing is left out."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,8 @@ class FoundPrecise:
 
     best: Best
     precisions: tuple[Precision, ...]
+    covered: float
+    """Share of the use profile within what the logs reach; see `measure_cover`."""
 
     @property
     def error(self) -> Array:
@@ -65,11 +71,63 @@ def measure_all(judge: Judge, stages: Sequence[Staged], sought: Sought) -> tuple
     )
 
 
-def value(precisions: Sequence[Precision], sought: Sought) -> float:
+def measure_cover(stages: Sequence[Staged], use: Staged, loads: Iterable[str]) -> float:
+    """Return the share of the use profile at temperatures and loads that the logs reach, 0 .. 1.
+
+    Least squares promise a small error anywhere, since they take the model for the true one. The
+    firmware flags and limits what lies beyond the logs.
+
+    Args:
+        stages: the logs.
+        use: the use profile.
+        loads: those that the experiment sets.
+    """
+    names = tuple(loads)
+
+    def list_signals(stage: Staged) -> list[Array]:
+        signals = stage.signals
+        return [signals.temperature_degC, *(signals.load[name] for name in names)]
+
+    told = [list_signals(stage) for stage in stages]
+    within = np.ones(use.signals.temperature_degC.shape, dtype=np.bool_)
+    for k, used in enumerate(list_signals(use)):
+        low = min(float(one[k].min()) for one in told)
+        high = max(float(one[k].max()) for one in told)
+        margin = EDGE * (float(used.max()) - float(used.min()))
+        within &= (used >= low - margin) & (used <= high + margin)
+    return float(within.mean())
+
+
+def has_time(space: Space, use: Staged) -> bool:
+    """Return whether logs are long enough to go where the use profile is, and back.
+
+    One log has to go both ways, of several one each way; there it waits until the body, which
+    follows late, is as near as counts.
+    """
+    limits, used = space.limits, use.signals.temperature_degC
+    high, low = float(used.max()), float(used.min())
+    margin = max(EDGE * (high - low), 1e-9)
+
+    def last_s(away_K: float, there: float, back: float) -> float:
+        if away_K <= margin:
+            return 0.0
+        behind = min(there * limits.follows_s, away_K) / margin
+        waits_s = limits.follows_s * float(np.log(max(1.0, behind)))
+        return (away_K - margin) * (1.0 / there + 1.0 / back) + waits_s
+
+    up, down = limits.heating_K_per_s, limits.cooling_K_per_s
+    ways = [
+        last_s(high - limits.start_degC, up, down),
+        last_s(limits.start_degC - low, down, up),
+    ]
+    return QUIET_S + (max(ways) if space.logs > 1 else sum(ways)) <= space.log_s
+
+
+def value(precisions: Sequence[Precision], covered: float, sought: Sought) -> float:
     """Return the worth of what is left uncertain, 0 .. 1."""
     if sought.criterion == "error":
         errors = [float(np.sqrt(np.mean((p.error / sought.size) ** 2))) for p in precisions]
-        return 1.0 / (1.0 + float(np.mean(errors)))
+        return covered / (1.0 + float(np.mean(errors)))
     widths = []
     for p in precisions:
         finite = p.relative[np.isfinite(p.relative)]
@@ -98,16 +156,21 @@ def find_precise(
     """
     earlier = [judge.stage_run(run) for run in before]
 
-    def measure(space: Space, point: Array) -> tuple[Precision, ...]:
+    def measure(space: Space, point: Array) -> tuple[tuple[Precision, ...], float]:
         logs = space.list_patterns(point)
-        return measure_all(judge, [*earlier, judge.stage(logs, space.repeats[: len(logs)])], sought)
+        stages = [*earlier, judge.stage(logs, space.repeats[: len(logs)])]
+        return measure_all(judge, stages, sought), measure_cover(
+            stages, sought.use, judge.limits.loads
+        )
 
     def worth(space: Space, point: Array) -> float:
         lines = sum(len(log.settings) for log in space.list_patterns(point))
-        return value(measure(space, point), sought) - LINE * lines
+        return value(*measure(space, point), sought) - LINE * lines
 
+    if sought.criterion == "error" and not before:
+        spaces = [space for space in spaces if has_time(space, sought.use)] or spaces
     best = find_programme(spaces, worth, budget_s, say)
-    return FoundPrecise(best, measure(best.space, best.point))
+    return FoundPrecise(best, *measure(best.space, best.point))
 
 
 def find_cheapest(
@@ -128,18 +191,24 @@ def find_cheapest(
         if 3600.0 * hours < limits.log_s + limits.rest_s:
             continue
         left = budget_s - (time.process_time() - begin)
-        spaces = choose_spaces(limits, hours, 0, wanted=2)[:1]
+        spaces = choose_spaces(limits, hours, 0, wanted=2)
+        if not any(has_time(space, sought.use) for space in spaces):
+            continue
         last = find_precise(judge, spaces, (), sought, max(1.0, 0.3 * left), say)
-        if bool(np.all(last.error <= sought.size)):
+        if bool(np.all(last.error <= sought.size)) and last.covered >= COVERED:
             return hours, last
         if left < 0.0:
             break
     reached = (
-        "" if last is None else f", it reaches {np.max(last.error / sought.size):.2g} times it"
+        ""
+        if last is None
+        else f"; that of {hours:g} h reaches {np.max(last.error / sought.size):.2g} times it, over "
+        f"{100.0 * last.covered:.0f} % of the use profile"
     )
     raise InputError(
-        f"plan --units: no programme of up to {HOURS[-1]:g} h reaches the error aimed at{reached}. "
-        "Expected a target that noise and limits allow. Raise --target, or widen [experiment]."
+        f"plan --units: no programme of up to {hours:g} h that was tried reaches the error aimed at"
+        f"{reached}. Expected a target that noise and limits allow. Raise --target or --budget, or "
+        "widen [experiment]."
     )
 
 

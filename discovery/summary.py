@@ -8,7 +8,11 @@ from zerodrift.base.records import OPTIONAL
 from zerodrift.discovery.likely import MOST, expect_pairs, expect_verdicts
 from zerodrift.discovery.plan import Planned
 from zerodrift.discovery.precise import PlannedPrecisely, Width
+from zerodrift.discovery.precise_plan import COVERED
 from zerodrift.discovery.programme import SetProgramme
+
+MOST_HARD = 3
+"""Effects that a sentence names."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,8 @@ class PlanSummary:
     """By precision or error: output -> RMS error of the model in the use profile, its unit."""
     aimed: Mapping[str, float] | None = field(default=None, metadata=OPTIONAL)
     """With a target: output -> the error that is aimed at, its unit."""
+    covered: float | None = field(default=None, metadata=OPTIONAL)
+    """By error: share of the use profile at temperatures and loads that the programme reaches."""
     further_units: int | None = field(default=None, metadata=OPTIONAL)
     """With `--units`: for how many; the hours are then the fewest of those that were tried."""
 
@@ -187,6 +193,7 @@ def summarise_precise(planned: PlannedPrecisely, units: Mapping[str, str]) -> Pl
         widths=planned.widths,
         errors=planned.errors,
         aimed=planned.aimed,
+        covered=None if question.criterion == "precision" else round(planned.found.covered, 4),
         further_units=question.units or None,
     )
 
@@ -219,6 +226,12 @@ def _tell_target(plan: PlanSummary) -> list[str]:
     errors, aimed, units = plan.errors or {}, plan.aimed or {}, plan.units
     if not aimed:
         return []
+    if plan.covered is not None and plan.covered < COVERED:
+        return [
+            f"NOT reached: the programme reaches only {100.0 * plan.covered:.0f} % of the use "
+            "profile's temperatures and loads; beyond them the chip flags and limits its inputs. "
+            "More hours or faster ramps are needed."
+        ]
     short = {name: errors[name] / aimed[name] for name in aimed if errors[name] > aimed[name]}
     if not short:
         told = ", ".join(f"{name} {size:.3g} {units[name]}" for name, size in aimed.items())
@@ -255,10 +268,17 @@ def explain_plan(plan: PlanSummary, directory: Path) -> list[str]:
         told = ", ".join(f"{n} {e:.3g} {plan.units[n]}" for n, e in plan.errors.items())
         sentences.append(f"Error of the model in the use profile that is expected then: {told}.")
         sentences += _tell_target(plan)
-    hard = [pair for pair in plan.separates if pair.probability < 0.8 * MOST]
+    hard = sorted(
+        (o for o in plan.outlooks if o.probability < 0.8 * MOST), key=lambda o: o.probability
+    )
     if hard:
-        told = "; ".join(f"{' and '.join(p.effects)} ({p.probability:.2f})" for p in hard[:3])
-        sentences.append(f"Hard to tell apart within these limits: {told}. More hours help most.")
+        told = "; ".join(
+            f"{o.effect} ({o.probability:.2f}" + (f", nearest {o.nearest})" if o.nearest else ")")
+            for o in hard[:MOST_HARD]
+        )
+        sentences.append(
+            f"Hard to name, and alone, within these limits: {told}. More hours help most."
+        )
     where = "" if str(directory) == "." else f" -C {directory}"
     sentences.append(
         "Begin each log at rest, unloaded, each in a file of its own under [logs] train; then "

@@ -5,6 +5,7 @@ import pytest
 from tests.plan.projects import EXPERIMENT, HEAD, read, write_blank
 from zerodrift.base.errors import InputError
 from zerodrift.discovery.limits import resolve_limits
+from zerodrift.discovery.plan import Question
 
 
 def test_limits_are_read_with_their_units():
@@ -60,3 +61,11 @@ def test_hours_without_room_for_a_log_are_refused():
         resolve_limits(
             read(EXPERIMENT.replace("[experiment]", "[experiment]\nlog_min = 50")), (), 0.5
         )
+
+
+@pytest.mark.parametrize(
+    "given", [{"hours": float("nan")}, {"hours": 0.0}, {"budget_s": float("nan")}, {"target": -0.1}]
+)
+def test_what_is_no_number_of_hours_or_seconds_is_refused(given):
+    with pytest.raises(InputError, match="finite and more than 0"):
+        Question(**given)

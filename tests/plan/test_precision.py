@@ -16,6 +16,7 @@ from zerodrift.discovery.criterion import Judge
 from zerodrift.discovery.limits import resolve_limits
 from zerodrift.discovery.plan import Question
 from zerodrift.discovery.precise import plan_precisely
+from zerodrift.discovery.precise_plan import COVERED, measure_cover
 from zerodrift.discovery.precision import measure_precision
 from zerodrift.discovery.programme import Log, Setting
 from zerodrift.discovery.summary import explain_plan, summarise_precise
@@ -86,15 +87,42 @@ def test_what_is_known_of_the_design_saves_time():
 
 
 def test_further_units_take_the_fewest_hours_that_do():
-    question = Question(2.0, target=0.001, budget_s=1.0, units=10)
+    question = Question(2.0, target=0.001, budget_s=3.0, units=10)
     found = plan_precisely(
         replace(CONFIG, experiment=replace(CONFIG.experiment, units=4)), None, CATALOGUE, question
     )
-    assert found.programme.hours == pytest.approx(0.5, abs=0.01)
+    # From 23 to -10 degC at 2 K/min and back at 4 K/min takes 25 min of a log, and 5 min of rest.
+    hours = found.programme.hours
+    assert 1.0 < hours <= 3.0
     assert found.errors["Fz"] <= 0.001 * 2000.0
-    assert any("10 units, 4 at once: 3 times 0.5 h" in note for note in found.notes)
+    assert found.found.covered >= COVERED
+    assert any(f"10 units, 4 at once: 3 times {hours:g} h" in note for note in found.notes)
     with pytest.raises(InputError, match="reaches the error aimed at"):
-        plan_precisely(CONFIG, None, CATALOGUE, replace(question, target=1e-9))
+        plan_precisely(CONFIG, None, CATALOGUE, replace(question, target=1e-9, budget_s=1.0))
+
+
+def test_a_programme_covers_what_the_model_is_used_for():
+    """An error that is small by least squares alone says nothing beyond the logs."""
+    judge = Judge(open_scene(CONFIG.effects[0]), LIMITS, (), (0,))
+    warm = judge.stage([LOG], np.ones(1))
+    both = Log(
+        (Setting(0.0, 23.0, 0.0), Setting(60.0, -2.0, 4.0), Setting(1800.0, 48.0, 4.0)), 5400.0
+    )
+    used = judge.stage([both], np.ones(1))
+    below = float((used.signals.temperature_degC < 22.0).mean())
+    assert measure_cover([used], used, ("Fz",)) == 1.0
+    assert measure_cover([warm], used, ("Fz",)) == pytest.approx(1.0 - below, abs=0.01)
+    assert measure_cover([used], warm, ("Fz",)) == 1.0
+    loaded = Log((Setting(0.0, 23.0, 0.0, {"Fz": 100.0}, {}), *both.settings[1:]), 5400.0)
+    assert measure_cover([used], judge.stage([loaded], np.ones(1)), ("Fz",)) < 0.99
+
+
+def test_an_error_promised_beyond_the_logs_is_not_reached():
+    question = Question(0.5, target=0.001, budget_s=1.0, criterion="error")
+    found = plan_precisely(CONFIG, None, CATALOGUE, question)
+    assert found.errors["Fz"] < found.aimed["Fz"] and found.found.covered < COVERED
+    told = explain_plan(summarise_precise(found, {"Fz": "N"}), Path())
+    assert any(line.startswith("NOT reached: the programme reaches only") for line in told)
 
 
 def test_a_model_without_effects_and_a_run_that_is_not_there_are_refused():
@@ -118,7 +146,7 @@ def test_the_command_says_what_is_known_then(tmp_path, zerodrift):
 
 
 def test_before_any_log_several_models_are_planned_for_and_the_target_is_judged():
-    question = Question(1.0, target=0.001, budget_s=2.0, criterion="error")
+    question = Question(2.0, target=0.001, budget_s=2.0, criterion="error")
     found = plan_precisely(CONFIG, None, CATALOGUE, question)
     assert len(found.found.precisions) == 4
     assert len({float(p.widths[0]) for p in found.found.precisions}) == 4

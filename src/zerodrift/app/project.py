@@ -261,7 +261,7 @@ class Project:
 
         config = self.config if within is None else read_within(self.config, within)
         dataset = self.dataset if has_logs(config) else None
-        wanted = hours or config.experiment.hours or HOURS
+        wanted = hours if hours is not None else config.experiment.hours or HOURS
         question = Question(wanted, tuple(between), target, budget_s)
         with show_progress("planning") as say:
             found = find_plan(config, dataset, self._catalogue, question, say)[1]
