@@ -17,6 +17,7 @@ from zerodrift.fleet.sensors import names_urls
 
 if TYPE_CHECKING:
     from zerodrift.fleet.block_work import BlockRun
+    from zerodrift.fleet.parcels import Delivery, Parcel
 
 Batch = tuple[str, ...]
 ONE_THREAD = (*BLAS, "POLARS_MAX_THREADS")
@@ -49,11 +50,18 @@ class Executor(Protocol):
 def work_here(run: "Design | BlockRun", sensors: Batch) -> list[SensorOutcome]:
     """Work on a batch where the project's files are, and write its results."""
     if names_urls((run if isinstance(run, Design) else run.design).config):
-        from zerodrift.fleet.parcels import deliver, pack, work_on_parcel
+        from zerodrift.fleet.parcels import deliver, pack
 
         parcel, failed = pack(run, sensors)
-        return [*failed, *deliver(run, work_on_parcel(parcel))]
+        return [*failed, *deliver(run, work_away(parcel))]
     return work_on_batch(run, sensors)
+
+
+def work_away(parcel: "Parcel") -> "list[Delivery]":
+    """Work on a batch that came with all of its files, and return those that it made."""
+    from zerodrift.fleet.parcels import work_on_parcel
+
+    return work_on_parcel(parcel, work_on_batch)
 
 
 def work_on_batch(run: "Design | BlockRun", sensors: Batch) -> list[SensorOutcome]:
@@ -218,9 +226,9 @@ def _send(
     ray: ModuleType, run: "Design | BlockRun", batches: Sequence[Batch]
 ) -> Iterator[list[SensorOutcome]]:
     """Yield the outcomes of workers that see no file of this machine; write what they return."""
-    from zerodrift.fleet.parcels import deliver, pack, work_on_parcel
+    from zerodrift.fleet.parcels import deliver, pack
 
-    task = ray.remote(num_cpus=1, max_retries=RETRIES)(work_on_parcel)
+    task = ray.remote(num_cpus=1, max_retries=RETRIES)(work_away)
     waiting = list(reversed(batches))
     pending: list[object] = []
     while waiting or pending:

@@ -8,7 +8,7 @@ and returns what it would have written; the driver writes it. Every file travels
 import hashlib
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -105,10 +105,15 @@ def pack(run: "Design | BlockRun", sensors: Sequence[str]) -> tuple[Parcel, list
     return parcel, list(batch.outcomes.values())
 
 
-def work_on_parcel(parcel: Parcel) -> list[Delivery]:
-    """Return what comes of the sensors in a parcel; nothing stays on this machine."""
-    from zerodrift.fleet.executors import work_on_batch
+def work_on_parcel(
+    parcel: Parcel, work: "Callable[[Design | BlockRun, tuple[str, ...]], list[SensorOutcome]]"
+) -> list[Delivery]:
+    """Return what comes of the sensors in a parcel; nothing stays on this machine.
 
+    Args:
+        parcel: the batch.
+        work: works on it as on any.
+    """
     batch = UnitBatch(parcel.sensors)
     try:
         _refuse_wrong(parcel)
@@ -118,7 +123,7 @@ def work_on_parcel(parcel: Parcel) -> list[Delivery]:
         assert design.origin is not None
         ready = [s for s in parcel.sensors if batch.attempt(s, _unpack, design, parcel, s)]
         with gather_changes(design.directory) as contents:
-            for outcome in work_on_batch(_set_design(parcel.run, design), tuple(ready)):
+            for outcome in work(_set_design(parcel.run, design), tuple(ready)):
                 batch.outcomes[outcome.sensor] = outcome
         for sensor in ready:
             contents |= _find_left(design, parcel, sensor, contents)

@@ -33,7 +33,7 @@ def list_names(pattern: str, *, folders: bool) -> list[str]:
         store, path = _open(pattern)
         found = store.glob(path, detail=True)
         kind = "directory" if folders else "file"
-        names = (name for name, told in found.items() if told["type"] == kind)
+        names = (name for name, told in found.items() if told.get("type") == kind)
         return sorted(_name(store, pattern, name) for name in names)
 
 

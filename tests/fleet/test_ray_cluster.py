@@ -90,7 +90,7 @@ def kill_worker(head: int) -> list[int]:
     for process in Path("/proc").iterdir():
         if process.name.isdigit() and head in list_parents(process):
             with suppress(OSError):
-                if (process / "cmdline").read_bytes().startswith(b"ray::work_on_parcel"):
+                if (process / "cmdline").read_bytes().startswith(b"ray::work_away"):
                     os.kill(int(process.name), signal.SIGKILL)
                     return [int(process.name)]
     return []
