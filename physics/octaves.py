@@ -101,10 +101,19 @@ def _cut(lengths: tuple[int, ...], samples_per_row: int) -> Octaves:
     # Within a piece the octaves of different depths may share a number; sort to make slices.
     rank = np.where(is_mean, np.int64(1 << 30), octave)
     order = np.lexsort((rank, piece))
-    arrays = [each[order] for each in (start, middle, stop, left, right, octave, piece)]
-    for array in arrays:
+    found = Octaves(
+        start[order],
+        middle[order],
+        stop[order],
+        left[order],
+        right[order],
+        octave[order],
+        piece[order],
+    )
+    for array in (found.start, found.middle, found.stop, found.octave, found.piece):
         array.flags.writeable = False  # several may have it
-    return Octaves(*arrays)
+    found.left.flags.writeable = found.right.flags.writeable = False
+    return found
 
 
 _cut_once = lru_cache(maxsize=8)(_cut)
