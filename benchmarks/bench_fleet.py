@@ -21,6 +21,7 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
@@ -90,12 +91,33 @@ def write_blocks(project: Path, count: int, jobs: int, *, judge: bool) -> None:
     for name in ("one program, blocks", "again, nothing changed"):
         report = time_fleet(project, jobs)
         print(describe(name, count, report, judge=judge, limit_s=BLOCKS_S), flush=True)
+    for line in explain_failures(project, report):
+        print(line)
     for name in ("fleet", "build", "firmware"):
         files = [path for path in (project / name).rglob("*") if path.is_file()]
         size = sum(path.stat().st_size for path in files)
         print(f"{name}/: {size / count / 1e3:.1f} kB and {len(files) / count:.1f} files per sensor")
     size = sum(path.stat().st_size for path in project.glob("registry.sqlite*"))
     print(f"registry: {size / count / 1e3:.2f} kB per sensor")
+
+
+def explain_failures(project: Path, report: dict[str, Any]) -> list[str]:
+    """Return a line per sensor that does not pass: how hot its logs are, and the first reason."""
+    config = load_config(project)
+    lines = []
+    for result in report["results"]:
+        if result["status"] == "pass":
+            continue
+        dataset = load_dataset(configure_sensor(config, result["sensor"]))
+        trained, tested = (
+            max(float(run.temperature_degC.max()) for run in runs)
+            for runs in (dataset.train, dataset.test)
+        )
+        lines.append(
+            f"{result['sensor']}: trained up to {trained:.1f} degC, tested up to {tested:.1f} degC;"
+            f" {result['status']}: {result['reasons'][0]}"
+        )
+    return lines
 
 
 def write_fleet(project: Path, count: int, jobs: int) -> int:
@@ -131,7 +153,7 @@ def _write_sensor(task: tuple[Path, int]) -> int:
     return sum(map(len, logs.values()))
 
 
-def time_fleet(project: Path, jobs: int, *options: str) -> dict[str, float]:
+def time_fleet(project: Path, jobs: int, *options: str) -> dict[str, Any]:
     """Return wall and processor time of `zerodrift fleet`, and what it reported."""
     before, start = _children_s(), time.perf_counter()
     command = [sys.executable, "-m", "zerodrift", "fleet", "-C", str(project), "--json"]
@@ -143,7 +165,7 @@ def time_fleet(project: Path, jobs: int, *options: str) -> dict[str, float]:
         raise SystemExit(done.stderr)
     report = json.loads(done.stdout)
     steps = sum(r.get("vectors", 0) for r in report["results"])  # with blocks those of the program
-    return {"wall_s": wall_s, "cpu_s": cpu_s, "passed": report["passed"], "steps": steps}
+    return {**report, "wall_s": wall_s, "cpu_s": cpu_s, "steps": steps}
 
 
 def _children_s() -> float:
@@ -152,7 +174,7 @@ def _children_s() -> float:
 
 
 def describe(
-    name: str, count: int, report: dict[str, float], *, judge: bool, limit_s: float = LIMIT_S
+    name: str, count: int, report: dict[str, Any], *, judge: bool, limit_s: float = LIMIT_S
 ) -> str:
     """Return a line of the result."""
     per_core_s = report["cpu_s"] / CORES

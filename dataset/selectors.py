@@ -19,6 +19,8 @@ PARQUET_SUFFIXES = (".parquet", ".pq")
 ARROW_SUFFIXES = (".feather", ".arrow", ".ipc")
 JOINT = " + "
 """Between files that are one log."""
+URL = "://"
+"""Within a selector that names logs elsewhere, which `zerodrift fleet` fetches."""
 LOG_SUFFIXES = CSV_SUFFIXES + PARQUET_SUFFIXES + ARROW_SUFFIXES + FORMAT_SUFFIXES
 
 _CUT = re.compile(r"^(?P<rest>.+)@(?P<start>[^@#/]*):(?P<stop>[^@#/]*)$")
@@ -217,6 +219,11 @@ class NoLogsError(InputError):
 
 
 def _explain_no_match(directory: Path, pattern: str, where: str) -> str:
+    if URL in pattern:
+        return (
+            f"{where}: '{pattern}' is a URL, by which `zerodrift fleet` alone reads logs; expected"
+            " a path. Copy the logs to this machine and name them by their path."
+        )
     folder = (directory / pattern).parent
     known = sorted(path.name for path in folder.glob("*") if path.is_file())
     logs = [name for name in known if Path(name).suffix in LOG_SUFFIXES]

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
@@ -88,12 +88,13 @@ def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
     lines = text.replace("\r\n", "\n").split("\n") if "\n" in text else text.split("\r")
     if not is_whole and len(lines) > 1:
         lines.pop()
-    comment = _find_comment(lines)
-    rows = [
+    comment = _find_comment(lines) if any(mark in text for mark in COMMENTS) else ""
+    written = (
         (number, line)
         for number, line in enumerate(lines)
         if line.strip() and not (comment and line.startswith(comment))
-    ][:SAMPLE_LINES]
+    )
+    rows = list(islice(written, SAMPLE_LINES))
     if "\0" in text[:1000] or (len(lines) == 1 and not is_whole):
         raise InputError(
             f"{label}:1: the first line is not text ({text[:40]!r}); expected the columns' "
@@ -226,6 +227,8 @@ def _find_separator(lines: Sequence[str]) -> str:
     for separator in DELIMITERS:
         if separator != SPACES and not any(separator in line for line in lines):
             continue
+        if separator == SPACES and len(" ".join(lines).split()) == len(lines):
+            continue  # no line has two fields
         counts = [_count_fields(line, separator) for line in lines]
         body = counts[1:] or counts
         width = _usual(body)
@@ -245,7 +248,8 @@ def _usual(counts: Sequence[int]) -> int:
 
 def _has_decimal_comma(fields: Sequence[Sequence[str]], separator: str) -> bool:
     """Tell whether numbers are written with a comma; a point in one speaks against it."""
-    held = [field.strip() for row in fields for field in row if "," in field]
+    with_comma = (row for row in fields if "," in "".join(row))
+    held = [field.strip() for row in with_comma for field in row if "," in field]
     commas = sum(_COMMA_NUMBER.fullmatch(value) is not None for value in held)
     if not commas:
         return False
@@ -265,6 +269,16 @@ def _is_value(field: str, comma: bool) -> bool:
     return _NUMBER.fullmatch(bare) is not None or _TIME.fullmatch(bare) is not None
 
 
+def _is_mostly_values(rows: Sequence[Sequence[str]], column: int, comma: bool) -> bool:
+    """Tell whether more than half of the rows have a value in a column."""
+    held = [row[column] for row in rows if len(row) > column]
+    enough = len(rows) // 2 + 1
+    numbers = filter(None, map(_NUMBER.fullmatch, held))  # in nearly all logs that is enough
+    if sum(1 for _ in islice(numbers, enough)) == enough:
+        return True
+    return sum(_is_value(field, comma) for field in held) >= enough
+
+
 def _find_table(fields: Sequence[Sequence[str]], comma: bool) -> tuple[int, int | None, int | None]:
     """Return the first row of data, the header's and the units' row, each counted among `fields`.
 
@@ -275,11 +289,7 @@ def _find_table(fields: Sequence[Sequence[str]], comma: bool) -> tuple[int, int 
     body = [row for row in fields[len(fields) // 2 :] if abs(len(row) - width) <= 1]
     if len(fields) < 4:
         body = [row for row in fields[1:] if len(row) >= 1] or list(fields)
-    shares = [
-        sum(len(row) > k and _is_value(row[k], comma) for row in body) / max(len(body), 1)
-        for k in range(width)
-    ]
-    typed = [k for k, share in enumerate(shares) if share > 0.5]
+    typed = [k for k in range(width) if _is_mostly_values(body, k, comma)]
     if not typed:
         return 1, 0, None
 

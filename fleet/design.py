@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +13,20 @@ from zerodrift.dataset.selectors import expand_selectors
 from zerodrift.export.integer_model import FORMAT as MODEL_FORMAT
 from zerodrift.fleet.result import FORMAT
 from zerodrift.fleet.sensors import FOLDER
+
+_SCHEME = "[a-z][a-z0-9+.-]+"
+ROOTED = ("file", "local")
+"""Schemes of URLs whose path begins with a slash."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where work on a fleet was sent from, for a process that sees none of that machine's files."""
+
+    root: Path
+    """Here: the folder that stands for the root of its file system; `config` is below it."""
+    mark: str
+    """Of the design, as it is there."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +46,8 @@ class Design:
     """Whether models leave training runs out for it; without firmware there is none."""
     spool: Path | None = None
     """With blocks: a folder for what a second pass would have to read or compute again."""
+    origin: Origin | None = None
+    """Where the work was sent from; None: from here."""
 
     @property
     def directory(self) -> Path:
@@ -63,6 +80,8 @@ class Design:
     @cached_property
     def mark(self) -> str:
         """Mark of everything about the design that a sensor's result depends on."""
+        if self.origin is not None:
+            return self.origin.mark
         c = self.config
         values = [
             [FORMAT, MODEL_FORMAT, __version__, self.firmware, self.skip_invalid, self.device],
@@ -101,4 +120,17 @@ class Design:
     def _name(self, path: Path) -> str:
         """Return a path as the project sees it, so that the whole project may be moved."""
         inside = path.is_relative_to(self.directory)
-        return path.relative_to(self.directory).as_posix() if inside else str(path)
+        return path.relative_to(self.directory).as_posix() if inside else self.tell(str(path))
+
+    def tell(self, text: str) -> str:
+        """Return a text in which paths are those of the machine that the work was sent from."""
+        if self.origin is None:
+            return text
+        own = re.escape(str(self.directory))
+        text = re.sub(rf"(?:{own}/)?\b({_SCHEME}):/(?![/\s])", _write_url, text)
+        return text.replace(str(self.origin.root), "")
+
+
+def _write_url(match: re.Match[str]) -> str:
+    """Return a URL's beginning for that of the path by which a fetched log lies here."""
+    return f"{match[1]}://{'/' if match[1] in ROOTED else ''}"

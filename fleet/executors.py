@@ -3,7 +3,7 @@
 import multiprocessing
 import os
 import signal
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from types import ModuleType
@@ -13,13 +13,19 @@ from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.threads import BLAS
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import SensorOutcome
+from zerodrift.fleet.sensors import names_urls
 
 if TYPE_CHECKING:
     from zerodrift.fleet.block_work import BlockRun
+    from zerodrift.fleet.parcels import Delivery, Parcel
 
 Batch = tuple[str, ...]
 ONE_THREAD = (*BLAS, "POLARS_MAX_THREADS")
 """Set to 1 in workers, so that as many processes as cores do not fight over them."""
+RETRIES = 2
+"""How often a batch is begun again whose worker died."""
+AHEAD = 2
+"""Batches that are sent for each core of a cluster, so that none waits and few are in memory."""
 
 
 class Executor(Protocol):
@@ -41,7 +47,24 @@ class Executor(Protocol):
         ...
 
 
-def _work_on(run: "Design | BlockRun", sensors: Batch) -> list[SensorOutcome]:
+def work_here(run: "Design | BlockRun", sensors: Batch) -> list[SensorOutcome]:
+    """Work on a batch where the project's files are, and write its results."""
+    if names_urls((run if isinstance(run, Design) else run.design).config):
+        from zerodrift.fleet.parcels import deliver, pack
+
+        parcel, failed = pack(run, sensors)
+        return [*failed, *deliver(run, work_away(parcel))]
+    return work_on_batch(run, sensors)
+
+
+def work_away(parcel: "Parcel") -> "list[Delivery]":
+    """Work on a batch that came with all of its files, and return those that it made."""
+    from zerodrift.fleet.parcels import work_on_parcel
+
+    return work_on_parcel(parcel, work_on_batch)
+
+
+def work_on_batch(run: "Design | BlockRun", sensors: Batch) -> list[SensorOutcome]:
     """Work on a batch; what that takes is loaded only where it is done."""
     if isinstance(run, Design):
         from zerodrift.fleet.work import work_on
@@ -60,7 +83,7 @@ class Serial:
     ) -> Generator[list[SensorOutcome], None, None]:
         """Yield the outcomes batch by batch."""
         for batch in batches:
-            yield _work_on(design, batch)
+            yield work_here(design, batch)
 
     def close(self) -> None:
         """Nothing was kept."""
@@ -92,7 +115,7 @@ class Processes:
         pending: set[Future[list[SensorOutcome]]] = set()
         is_whole = False
         try:
-            pending = {pool.submit(_work_on, design, batch) for batch in batches}
+            pending = {pool.submit(work_here, design, batch) for batch in batches}
             while pending:
                 done, pending = wait(pending, return_when=FIRST_COMPLETED)
                 for future in done:
@@ -129,7 +152,7 @@ def _ignore_interrupts() -> None:
 
 
 class OverRay:
-    """On a Ray cluster, or on this machine by Ray's local mode; needs a shared file system."""
+    """On a Ray cluster, to which files are sent; or in processes of Ray's on this machine."""
 
     def __init__(self, address: str | None, jobs: int) -> None:
         """Take where to work.
@@ -152,12 +175,11 @@ class OverRay:
         ray = import_ray()
         self._connect(ray)
         try:
-            task = ray.remote(num_cpus=1, max_retries=2)(_work_on)
-            shared = ray.put(design)
-            pending = [task.remote(shared, batch) for batch in batches]
-            while pending:
-                done, pending = ray.wait(pending, num_returns=1)
-                yield ray.get(done[0])
+            yield from (
+                _share(ray, design, batches)
+                if self._address is None
+                else _send(ray, design, batches)
+            )
         except _list_ray_errors(ray) as error:
             raise CheckError(
                 "the Ray cluster went away or a worker died"
@@ -186,6 +208,40 @@ class OverRay:
                 f"Ray cannot be reached at {where}: {_first_line(error)}. Start a cluster with"
                 " `ray start --head`, correct --ray-address, or leave it out to run Ray here."
             ) from error
+
+
+def _share(
+    ray: ModuleType, run: "Design | BlockRun", batches: Sequence[Batch]
+) -> Iterator[list[SensorOutcome]]:
+    """Yield the outcomes of workers that see the project's files, and write their own."""
+    task = ray.remote(num_cpus=1, max_retries=RETRIES)(work_here)
+    shared = ray.put(run)
+    pending = [task.remote(shared, batch) for batch in batches]
+    while pending:
+        done, pending = ray.wait(pending, num_returns=1)
+        yield ray.get(done[0])
+
+
+def _send(
+    ray: ModuleType, run: "Design | BlockRun", batches: Sequence[Batch]
+) -> Iterator[list[SensorOutcome]]:
+    """Yield the outcomes of workers that see no file of this machine; write what they return."""
+    from zerodrift.fleet.parcels import deliver, pack
+
+    task = ray.remote(num_cpus=1, max_retries=RETRIES)(work_away)
+    waiting = list(reversed(batches))
+    pending: list[object] = []
+    while waiting or pending:
+        most = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        while waiting and len(pending) < most:
+            parcel, failed = pack(run, waiting.pop())
+            if failed:
+                yield failed
+            if parcel.sensors:
+                pending.append(task.remote(parcel))
+        if pending:
+            done, pending = ray.wait(pending, num_returns=1)
+            yield deliver(run, ray.get(done[0]))
 
 
 def import_ray() -> ModuleType:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from zerodrift.field.registry import open_registry
 from zerodrift.field.registry_file import FILE_NAME
 from zerodrift.fleet.design import Design
+from zerodrift.fleet.parcels import at_hand
 from zerodrift.fleet.result import SensorOutcome
 from zerodrift.fleet.sensors import configure_sensor
 from zerodrift.verify.manifest import hash_inputs
@@ -29,7 +30,8 @@ def enter_fleet(design: Design, outcomes: Sequence[SensorOutcome]) -> None:
                 continue
             if (outcome.sensor, result.model_hash) in known:
                 continue
-            logs = hash_inputs(configure_sensor(design.config, outcome.sensor)).logs
+            with at_hand(design, outcome.sensor) as near:
+                logs = hash_inputs(configure_sensor(near.config, outcome.sensor)).logs
             registry.add_calibration(
                 outcome.sensor,
                 design.config.sensor_name,

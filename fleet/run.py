@@ -13,6 +13,7 @@ from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.identifiers import sanitize_prefix
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.executors import Batch, Executor
+from zerodrift.fleet.parcels import at_hand
 from zerodrift.fleet.result import RESULT, SensorOutcome, SensorResult, load_result
 from zerodrift.fleet.sensors import configure_sensor, find_sensors
 from zerodrift.verify.manifest import check_manifest
@@ -116,7 +117,9 @@ def find_kept(design: Design, sensor: str) -> SensorResult | None:
         return None
     try:
         config = configure_sensor(design.config, sensor)
-        kept = load_result(folder, design.directory, design.mark_sensor(config))
+        with at_hand(design, sensor) as near:
+            mark = near.mark_sensor(configure_sensor(near.config, sensor))
+        kept = load_result(folder, design.directory, mark)
         if kept is None or not design.firmware:
             return kept
         if kept.refused and kept.forced != design.force:

@@ -8,9 +8,12 @@ from pathlib import Path
 from zerodrift.base.config import TRAIN, USES, Config, load_config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.fleet_config import PLACEHOLDER
+from zerodrift.dataset.selectors import URL
+from zerodrift.fleet.stores import list_names
 
 LOG_SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
-_SUFFIX = re.compile(r"(#[^#/]+)?(@[^@#/]*:[^@#/]*)?$")
+SELECTOR_SUFFIX = re.compile(r"(#[^#/]+)?(@[^@#/]*:[^@#/]*)?$")
+"""Of a selector: the run and the part of it that are meant."""
 _GLOB = re.compile(r"\[!?\]?[^\]]*\]|.", re.DOTALL)
 FOLDER = "fleet"
 """Below build/: one folder per sensor, and the report."""
@@ -29,6 +32,11 @@ def list_selectors(config: Config, use: str) -> tuple[str, ...]:
     return tuple(s if PLACEHOLDER in s else f"{folder}/{s}" for s in selectors)
 
 
+def names_urls(config: Config) -> bool:
+    """Tell whether any log of the fleet is named by a URL."""
+    return any(URL in selector for use in USES for selector in list_selectors(config, use))
+
+
 def find_sensors(config: Config) -> tuple[str, ...]:
     """Return the sensors' names, sorted: whatever stands in the place of `{sensor}`.
 
@@ -44,7 +52,7 @@ def find_sensors(config: Config) -> tuple[str, ...]:
         if not any(PLACEHOLDER in text for text in selectors[TRAIN]):
             raise InputError(explain_no_placeholder(config, where))
         named = [text for texts in selectors.values() for text in texts if PLACEHOLDER in text]
-        patterns = [_SUFFIX.sub("", text) for text in named]
+        patterns = [SELECTOR_SUFFIX.sub("", text) for text in named]
         names = {n for p in patterns for n in match_names(config.directory, p, folders=False)}
         pattern = patterns[0]
     if not names:
@@ -65,10 +73,14 @@ def match_names(directory: Path, pattern: str, *, folders: bool) -> set[str]:
         pattern: a glob with the placeholder in one or more of its parts; the first one tells.
         folders: whether it names folders rather than files.
     """
-    found = glob.glob(  # noqa: PTH207 - Path.glob refuses `..` and absolute patterns
-        pattern.replace(PLACEHOLDER, "*"), root_dir=directory, recursive=True
-    )
+    wanted = pattern.replace(PLACEHOLDER, "*")
     expression = re.compile(_translate(pattern))
+    if URL in pattern:
+        urls = (expression.fullmatch(url) for url in list_names(wanted, folders=folders))
+        return {match["sensor"] for match in urls if match}
+    found = glob.glob(  # noqa: PTH207 - Path.glob refuses `..` and absolute patterns
+        wanted, root_dir=directory, recursive=True
+    )
     names = set()
     for text in found:
         match = expression.fullmatch(Path(text).as_posix())

@@ -96,7 +96,8 @@ def _open(design: Design, sensor: str) -> _Job:
     """Read one sensor's logs."""
     config = configure_sensor(design.config, sensor)
     dataset = load_dataset(config, design.skip_invalid)
-    return _Job(sensor, config, design.mark_sensor(config), dataset, notes=list(dataset.notes))
+    notes = [design.tell(note) for note in dataset.notes]
+    return _Job(sensor, config, design.mark_sensor(config), dataset, notes=notes)
 
 
 def _train(

@@ -11,6 +11,7 @@ Source: D. B. Percival, Biometrika 82 (1995); D. W. Allan, Proc. IEEE 54 (1966).
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ MEANS = -1
 """The octave's number of a piece's mean."""
 WITHIN_BLOCKS = -2
 """The octave's number of deviations within blocks of samples."""
+MOST_KEPT = 1 << 14
+"""Rows of a change of basis that is kept for the next runs of these lengths: 1 MB at most."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +64,14 @@ def cut_octaves(lengths: IntArray, samples_per_row: int) -> Octaves:
         lengths: [G] rows of each piece.
         samples_per_row: samples that each row is the mean of.
     """
+    sizes = tuple(int(n) for n in lengths)
+    return (_cut if sum(sizes) > MOST_KEPT else _cut_once)(sizes, samples_per_row)
+
+
+def _cut(lengths: tuple[int, ...], samples_per_row: int) -> Octaves:
     parts: list[tuple[IntArray, IntArray, IntArray, IntArray, int]] = []
     offset = 0
-    for index, length in enumerate(int(n) for n in lengths):
+    for index, length in enumerate(lengths):
         levels = []
         depth = 0
         while (1 << depth) < length:
@@ -93,7 +101,7 @@ def cut_octaves(lengths: IntArray, samples_per_row: int) -> Octaves:
     # Within a piece the octaves of different depths may share a number; sort to make slices.
     rank = np.where(is_mean, np.int64(1 << 30), octave)
     order = np.lexsort((rank, piece))
-    return Octaves(
+    found = Octaves(
         start[order],
         middle[order],
         stop[order],
@@ -102,3 +110,10 @@ def cut_octaves(lengths: IntArray, samples_per_row: int) -> Octaves:
         octave[order],
         piece[order],
     )
+    for array in (found.start, found.middle, found.stop, found.octave, found.piece):
+        array.flags.writeable = False  # several may have it
+    found.left.flags.writeable = found.right.flags.writeable = False
+    return found
+
+
+_cut_once = lru_cache(maxsize=8)(_cut)

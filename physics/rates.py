@@ -91,7 +91,6 @@ class Rates:
 
     def compute(self, node: Node) -> Column:
         """Return the coefficients of a node's values over all stretches."""
-        sources = {n.source for n in list_nodes([node]) if n.op == "input"}
         fast = self.find_fast(node)
         block = self._reduction.block
         block_rows = self._reduction.rows
@@ -104,6 +103,7 @@ class Rates:
                     means = row[first : first + block_rows[stretch]]
                     parts[stretch] = self._reduction.draw_lines(means)
         if fast:
+            sources = {n.source for n in list_nodes([node]) if n.op == "input"}
             full = {name: self._lay_full(name, fast) for name in sources}
             laid = evaluate([node], full, self._sample_period_s)[0]
             for i, row in zip(fast, laid, strict=True):

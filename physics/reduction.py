@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,6 +157,14 @@ def plan_reduction(
         stride: deviations within blocks are kept for every `stride`-th block.
         pieces_per_run: pieces that each run is cut into.
     """
+    return _plan(tuple(lengths), tuple(groups), block, stride, pieces_per_run)
+
+
+@lru_cache(maxsize=8)
+def _plan(
+    lengths: tuple[int, ...], groups: tuple[str, ...], block: int, stride: int, pieces_per_run: int
+) -> Reduction:
+    """Return the reduction, kept for the next runs that are as long."""
     rows = tuple(length // block for length in lengths)
     names = list(dict.fromkeys(groups))
     sequence = tuple(i for name in names for i, group in enumerate(groups) if group == name)
@@ -191,6 +199,7 @@ def plan_reduction(
             fast_slices.append(slice(int(first) * block, int(last) * block))
             # Of a block's deviations from its mean all but one are free.
             counts[piece, -1] = (last - first) * (block - 1) * stride
+    counts.flags.writeable = False  # several campaigns may have it
     return Reduction(
         block,
         stride,

@@ -160,7 +160,9 @@ def build_features(
     thermometers = {CHIP: signals.temperature_degC, **signals.channels}
 
     def view(term: Term) -> Signals[S]:
-        seen = replace(signals, temperature_degC=thermometers[term.signal])
+        seen, own = signals, thermometers[term.signal]
+        if own is not signals.temperature_degC:
+            seen = replace(signals, temperature_degC=own)
         if not term.arrivals or signals.arrivals is None:
             return seen
         return replace(seen, arrival_K=signals.arrivals(term.arrivals))

@@ -35,6 +35,9 @@ class LostRay:
     def remote(self, **_):
         return lambda function: SimpleNamespace(remote=lambda *arguments: (function, arguments))
 
+    def cluster_resources(self):
+        return {"CPU": 1.0}
+
     def put(self, value):
         return value
 
@@ -84,7 +87,7 @@ def test_ray_that_is_not_installed_is_told(fleet, zerodrift, monkeypatch):
 def test_interrupt_keeps_what_was_done(fleet, zerodrift, monkeypatch):
     from zerodrift.fleet import executors
 
-    work_on, done = executors._work_on, []
+    work_on, done = executors.work_here, []
 
     def interrupt(design, sensors):
         if done:
@@ -92,11 +95,11 @@ def test_interrupt_keeps_what_was_done(fleet, zerodrift, monkeypatch):
         done.append(sensors)
         return work_on(design, sensors)
 
-    monkeypatch.setattr(executors, "_work_on", interrupt)
+    monkeypatch.setattr(executors, "work_here", interrupt)
     result = zerodrift("fleet", "-C", fleet, "--jobs", 1, "--batch", 1)
     assert result.code == 130
     assert "stopped: 1 of 3 sensors are done and kept" in result.err
-    monkeypatch.setattr(executors, "_work_on", work_on)
+    monkeypatch.setattr(executors, "work_here", work_on)
     result = zerodrift("fleet", "-C", fleet, "--jobs", 1, "--json")
     assert [r["kept"] for r in json.loads(result.out)["results"]] == [True, False, False]
 

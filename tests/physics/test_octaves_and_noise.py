@@ -70,3 +70,23 @@ def test_flicker_grows_slower_than_a_random_walk():
     slow, slower = (measure_noise([x], "dwell").measure_growth(2048) for x in (flicker, walk))
     assert slow == pytest.approx(1.0, abs=0.3)
     assert slower == pytest.approx(1.7, abs=0.2)
+
+
+def test_octaves_of_known_lengths_are_kept_and_cannot_be_written():
+    from zerodrift.physics import octaves
+
+    kept = octaves.cut_octaves(np.array([300, 301]), 2)
+    assert octaves.cut_octaves(np.array([300, 301]), 2) is kept
+    assert octaves.cut_octaves(np.array([300, 301]), 1) is not kept
+    fresh = octaves._cut((300, 301), 2)
+    for name in ("start", "middle", "stop", "left", "right", "octave", "piece"):
+        assert np.array_equal(getattr(kept, name), getattr(fresh, name))
+    with pytest.raises(ValueError, match="read-only"):
+        kept.left[0] = 0.0
+
+
+def test_octaves_of_long_runs_are_not_kept():
+    from zerodrift.physics import octaves
+
+    long = np.array([octaves.MOST_KEPT + 1])
+    assert octaves.cut_octaves(long, 1) is not octaves.cut_octaves(long, 1)

@@ -184,6 +184,21 @@ def change_together(project: Path) -> Iterator[None]:
 
 
 @contextmanager
+def gather_changes(project: Path) -> Iterator[dict[Path, bytes | None]]:
+    """Collect the calls of `write_all` within this context, and write none of them.
+
+    Yields:
+        File -> its new content; None is for one that is removed.
+    """
+    state = find_state(project)
+    contents = _gathered[state] = {}
+    try:
+        yield contents
+    finally:
+        del _gathered[state]
+
+
+@contextmanager
 def hold_project(project: Path, *, patient: bool = True) -> Iterator[None]:
     """Lock a project against other writers; first complete, or reverse, an interrupted change.
 
