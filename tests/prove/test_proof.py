@@ -114,7 +114,7 @@ CHANGES = {
     "scratch of the rows, too narrow": ("int16_t v[8u * (ZD_ROW", "int8_t v[8u * (ZD_ROW"),
     "scratch of the pairs, too narrow": ("int32_t v[ZD_PAIR_SCRATCH", "int16_t v[ZD_PAIR_SCRATCH"),
     "scratch of the columns, too narrow": ("int32_t wide[", "int16_t wide["),
-    "scratch that is used twice": ("h_q30, wide, v, u_keep", "h_q30, v, v, u_keep"),
+    "scratch that is used twice": ("h_q30, wide, v, u_keep", "h_q30, wide, wide, u_keep"),
     "a size that no memory has": ("v[ZD_PAIR_SCRATCH(3u, 8u)]", "v[4000000000u]"),
     "a shift of the kernel": ("gru_stream, {11, 11, 10}", "gru_stream, {11, 11, 11}"),
     "a step relaxes": ("s->gru_h_q30, -1)", "s->gru_h_q30, 0)"),
