@@ -308,7 +308,7 @@ def _make_packed(layers: Callable[[], Layers], kernel: Packed) -> Rule:
         _hold_mode(layer, mode, bits)
         places = as_place(x, "int16_t"), as_place(h, "int32_t")
         _step(machine, layers(), layer, *places, exact(mode) == int(lstm), cell)
-        own = [x, h, cell] if cell is not None else [x, h]
+        own: list[Found] = [x, h, cell] if cell is not None else [x, h]
         _forget(machine, given, kernel.scratch(layer.inputs, layer.hidden), own)
         return None
 

@@ -62,7 +62,8 @@ def draw_gru(kind: Forgetful) -> FloatGru:
 
 def draw_upper(kind: Forgetful) -> tuple[FloatGru, ...]:
     """Return the layers on top of it."""
-    rng, layers, below = np.random.default_rng(kind.seed + 31), [], kind.hidden
+    rng, below = np.random.default_rng(kind.seed + 31), kind.hidden
+    layers: list[FloatGru] = []
     for hidden in kind.upper:
         layers.append(_draw_layer(replace(kind, hidden=hidden), rng, below))
         below = hidden
