@@ -14,7 +14,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: test-long setup-peers setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: setup-frama-c frama-c test-long setup-peers setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -37,6 +37,9 @@ setup-qemu: ## QEMU and the GNU cross-compilers, by apt (root): the second opini
 setup-fuzz: $(READY) ## what fuzzing needs: clang with libFuzzer by apt (root), and atheris
 	$(RUN) -m tests.fuzz --have-clang || .ci/apt-install clang libclang-rt-dev? libc6-dev
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-fuzz.lock
+
+setup-frama-c: ## Frama-C, by apt (root): an outside witness of the overflow certificate
+	.ci/apt-install frama-c-base
 
 setup-formats: $(READY) ## what reads Excel, HDF5, MCAP, rosbag2, ULog and ArduPilot logs
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-formats.lock
@@ -101,6 +104,9 @@ check: $(READY) ## formatting, lint, types, C format and static analysis
 	$(VENV)/bin/mypy
 	$(VENV)/bin/clang-format --dry-run --Werror c_runtime/include/zerodrift/*.h c_runtime/tests/*.c
 	$(RUN) -m zerodrift.c_runtime.analyse
+
+frama-c: $(READY) ## after setup-frama-c: golden models under Frama-C's Eva, no alarm (FRAMA_C="ordinary lstm")
+	$(RUN) -m zerodrift.c_runtime.eva $(FRAMA_C)
 
 format: $(READY) ## rewrite Python and C in the project's format
 	$(VENV)/bin/ruff format .

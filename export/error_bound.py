@@ -14,8 +14,10 @@ from fractions import Fraction
 from zerodrift.base.errors import NoRuleError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import Quantized
+from zerodrift.operations.arithmetic import INT16_MAX
 from zerodrift.operations.enclosure import shorten
 from zerodrift.operations.errors import NONE, Error, Known, bound_in_place
+from zerodrift.operations.gate_sums import COPY
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.load import IntegerLoad
@@ -26,6 +28,8 @@ HOLDS = "same start, any input, any run length; the float model is limited where
 EXACT = "; both are given the same raw codes, the float model exactly converted"
 ROUNDS = 60
 """Of the loop in which a load's error is that of the drift before; it closes, or no bound holds."""
+OF_COPY = Error(rounding=COPY / 2)
+"""Of a layer below another one: what reads it reads an int16 copy."""
 SPARE = Fraction(1, 1 << 20)
 """By which an error of the loop is taken larger than found, so that it closes at all."""
 
@@ -108,7 +112,12 @@ class _Pass:
         drift: Sequence[Error],
     ) -> None:
         self._nodes = {node.name: node for node in model.nodes}
-        self._model, self._intervals, self._drift = model, intervals, drift
+        self._model, self._intervals, self._drift = model, dict(intervals), drift
+        self._copied: set[str] = set()
+        for layer in (one for node in model.recurrents for one in node.list_lower()):
+            self._copied.add(layer.name)
+            self._nodes[layer.name] = layer
+            self._intervals[layer.name] = [Interval(-INT16_MAX, INT16_MAX)] * layer.width
         self._errors: dict[int, Error] = {}
         self._states: dict[str, list[Error]] = {}
         self._answers: Sequence[Signal] = ()
@@ -147,7 +156,8 @@ class _Pass:
             return bound_in_place(signal, real, out, inputs)
         node = self._nodes[signal.node]
         if isinstance(node, IntegerRecurrent):
-            return self._bound_states(node, inputs)[signal.index]
+            error = self._bound_states(node, inputs)[signal.index]
+            return error + OF_COPY if signal.node in self._copied else error
         if real.operation == "load":
             inputs = [self._know_drift(signal)]
         error = node.bound_error(real, out, inputs)

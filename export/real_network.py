@@ -13,7 +13,7 @@ from zerodrift.export.quantize_layers import ReadOut
 from zerodrift.operations.dense import COPY_BITS, FloatDense, FloatFeedForward
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.operations.node import IntegerNode
-from zerodrift.operations.recurrent import IntegerRecurrent
+from zerodrift.operations.recurrent import IntegerRecurrent, number_layers
 from zerodrift.operations.signals import Signal, constant
 
 Array = NDArray[np.float64]
@@ -58,19 +58,19 @@ def describe_network(
 
 
 def _describe_states(network: FloatNetwork, features: Sequence[Signal]) -> list[Signal]:
-    """Return the topmost state's signals; of layers on top of each other no more is said."""
-    top = network.layers[-1]
-    states = [Signal("gru", 2.0**-STATE_BITS, index=j) for j in range(top.w_h.shape[1])]
-    if network.upper:
-        return [state.standing_for("recurrent", features) for state in states]
-    rows = [
-        [*top.bias[:, j].tolist(), *top.w_x[:, j].ravel().tolist(), *top.w_h[:, j].ravel().tolist()]
-        for j in range(len(states))
-    ]
-    kind = f"gru_{top.reset}"
-    return [
-        state.standing_for(kind, features, *row) for state, row in zip(states, rows, strict=True)
-    ]
+    """Return the topmost state's signals; they are made of the int16 copies of the one below."""
+    below = list(features)
+    names = number_layers("gru", len(network.layers), ".")
+    for name, gru in zip(names, network.layers, strict=True):
+        top = gru is network.layers[-1]
+        node, bits = ("gru", STATE_BITS) if top else (name, COPY_BITS)
+        states = []
+        for j in range(gru.w_h.shape[1]):
+            row = [*gru.bias[:, j], *gru.w_x[:, j].ravel(), *gru.w_h[:, j].ravel()]
+            state = Signal(node, 2.0**-bits, index=j)
+            states.append(state.standing_for(f"gru_{gru.reset}", below, *map(float, row)))
+        below = states
+    return below
 
 
 def describe_layered(

@@ -53,6 +53,10 @@ class IntegerRecurrent(IntegerNode):
         """
         raise NoRuleError(NO_RULE)
 
+    def list_lower(self) -> "list[IntegerRecurrent]":
+        """Return the layers below the topmost, each as a node by itself, named as in bounds."""
+        return []
+
     def at_rest(self, state: State, values: Values) -> IntArray:
         """Return the topmost output as it stands in a carried state, which is last there."""
         if self.streams:

@@ -40,10 +40,10 @@ class Real:
     The error rules (`bound_error`) are about this. `operation` is that of the float graph, or one
     of "same" (its input in another format), "linear" (a sum with a gain for each input, limited
     where the chip's is), "dense_tanh" and "dense_clip" (low, high, bias, weights), "gru_after" and
-    "gru_before": a unit of a GRU over the features, with its biases r, u, n, n inside the reset
-    product, its weights of the features for r, u, n and those of the state; and "lstm": a unit of
-    an LSTM, with its biases i, f, g, o and the weights of these. The other units of a layer are
-    those of the same node.
+    "gru_before": a unit of a GRU over the features, or over int16 copies of the states below, with
+    its biases r, u, n, n inside the reset product, its weights of the inputs for r, u, n and those
+    of the state; and "lstm": a unit of an LSTM, with its biases i, f, g, o and the weights of
+    these. The other units of a layer are those of the same node.
     """
 
     operation: str

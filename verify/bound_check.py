@@ -21,7 +21,7 @@ from zerodrift.verify.c_model import Model
 from zerodrift.verify.c_values import Block, NotUnderstoodError, Pointer, Struct
 
 HALF = Fraction(1, 2)
-COPY = 15
+COPY, STATE = 15, 30
 EXPONENT_BITS, RING_BITS, LOWPASS_BITS, TABLE_BITS = 24, 31, 24, 16
 RECURRENT = ("gru_after", "gru_before", "lstm")
 DIGITS = 200
@@ -387,19 +387,38 @@ class _BoundCheck:
 
     def _state(self, line: FloatLine, inputs: list[Has]) -> Has:
         """Return a unit of a recurrent layer: those of its node depend on each other."""
-        if line.scale != Fraction(1, 1 << 30) or line.offset:
+        layer, below, copied = self._find_layer(line)
+        if line.scale != Fraction(1, 1 << (COPY if copied else STATE)) or line.offset:
             raise NotUnderstoodError(f"{line.node}: a state in another format")
-        if any(x.line.place != ("features", k) or x.line.offset for k, x in enumerate(inputs)):
-            raise NotUnderstoodError(f"{line.node} reads something else than the features")
+        if any(x.line.place != (below, k) or x.line.offset for k, x in enumerate(inputs)):
+            raise NotUnderstoodError(f"{line.node} reads something else than {below}")
         if line.node not in self._states:
-            self._states[line.node] = self._find_states(line, inputs)
+            self._states[line.node] = self._find_states(line, layer, inputs)
         errors = self._states[line.node]
         if not 0 <= line.index < len(errors):
             raise NotUnderstoodError(f"{line.node}[{line.index}] is no unit")
-        most = self._model.h_limit
-        return Has(line, -most, most, line.scale, _up(errors[line.index]))
+        most, error = self._model.h_limit, errors[line.index]
+        if copied:
+            most, error = most + (1 << STATE - COPY >> 1) >> STATE - COPY, error + HALF * line.scale
+        return Has(line, -most, most, line.scale, _up(error))
 
-    def _find_states(self, line: FloatLine, inputs: list[Has]) -> list[Fraction]:
+    def _find_layer(self, line: FloatLine) -> tuple[str, str, bool]:
+        """Return a layer's name, what it reads, and whether it is read as an int16 copy.
+
+        GRUs on top of each other are NAME.0, NAME.1, ...; the topmost one's state is NAME's.
+        """
+        name, _, level = line.node.partition(".")
+        levels = 0
+        while f"{name}.{levels}" in self._model.grus:
+            levels += 1
+        if not levels:
+            return line.node, "features", False
+        at = int(level) if level in map(str, range(levels - 1)) else levels - 1
+        if not level or at < levels - 1:
+            return f"{name}.{at}", f"{name}.{at - 1}" if at else "features", bool(level)
+        raise NotUnderstoodError(f"{line.node} is no layer below another")
+
+    def _find_states(self, line: FloatLine, name: str, inputs: list[Has]) -> list[Fraction]:
         rows = [x for x in self._lines if x.node == line.node]
         alike = all((x.operation, x.of) == (line.operation, line.of) for x in rows)
         if not alike or [x.index for x in rows] != list(range(len(rows))):
@@ -411,9 +430,9 @@ class _BoundCheck:
             if line.node not in self._model.lstms:
                 raise NotUnderstoodError(f"{line.node} is no LSTM")
             return bound_lstm(self._model.lstms[line.node], given, features, lines)
-        if line.node not in self._model.grus:
+        if name not in self._model.grus:
             raise NotUnderstoodError(f"{line.node} is no GRU")
-        layer = self._model.grus[line.node]
+        layer = self._model.grus[name]
         if layer.after != (line.operation == "gru_after"):
             raise NotUnderstoodError(f"{line.node}: the reset gate acts elsewhere")
         return bound_gru(layer, given, features, lines)

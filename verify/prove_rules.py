@@ -64,11 +64,11 @@ def make_rules(prefix: str, layers: Callable[[], Layers], used: Used) -> dict[st
         "zd_save": lambda m, a: _save(m, a, prefix, used),
         "zd_restore": lambda m, a: _restore(m, a, prefix, used),
         "sizeof": lambda m, _: Number(m.terms.symbol("sizeof", 1, 2**31), "uint64_t"),
-        "ZD_PAIR_SCRATCH": lambda m, a: _size(m, scratch_of_pairs(*map(exact, a))[0]),
+        "ZD_PAIR_SCRATCH": lambda m, a: _size(m, scratch_of_pairs(*map(exact, a))[0][1]),
         "ZD_ROW_VECTORS": lambda m, a: _size(m, -(-exact(a[0]) // 8)),
         "ZD_ROW_UNITS": lambda m, a: _size(m, -(-exact(a[0]) // 4) * 4),
         "ZD_COLUMN_UNITS": lambda m, a: _size(m, -(-exact(a[0]) // 8) * 8),
-        "ZD_COLUMN_PAIRS": lambda m, a: _size(m, scratch_of_columns(*map(exact, a))[1]),
+        "ZD_COLUMN_PAIRS": lambda m, a: _size(m, scratch_of_columns(*map(exact, a))[1][1]),
     }
     of_rows = ("weights", "bytes", "bias", "multiplier")
     packed = {
@@ -85,8 +85,10 @@ def make_rules(prefix: str, layers: Callable[[], Layers], used: Used) -> dict[st
     return rules
 
 
-Scratch: TypeAlias = Callable[[int, int], list[int]]
-"""(inputs, units) -> how many numbers each scratch array of a kernel must have."""
+Arrays: TypeAlias = list[tuple[str, int]]
+"""Of each scratch array of a kernel its type, and how many numbers it must have."""
+Scratch: TypeAlias = Callable[[int, int], Arrays]
+"""From inputs and units."""
 
 
 @dataclass(frozen=True)
@@ -102,25 +104,26 @@ class Packed:
     scratch: Scratch
 
 
-def scratch_of_pairs(inputs: int, hidden: int) -> list[int]:
+def scratch_of_pairs(inputs: int, hidden: int) -> Arrays:
     """Return what the kernel of pairs needs where a pair takes two words."""
-    return [2 * (-(-inputs // 2) - (-hidden // 2))]
+    return [("int32_t", 2 * (-(-inputs // 2) - (-hidden // 2)))]
 
 
-def scratch_of_rows(inputs: int, hidden: int) -> list[int]:
+def scratch_of_rows(inputs: int, hidden: int) -> Arrays:
     """Return what the kernel of rows needs."""
-    return [8 * (-(-inputs // 8) - (-hidden // 8))]
+    return [("int16_t", 8 * (-(-inputs // 8) - (-hidden // 8)))]
 
 
-def scratch_of_rows_before(inputs: int, hidden: int) -> list[int]:
+def scratch_of_rows_before(inputs: int, hidden: int) -> Arrays:
     """Return what the same needs with the reset before the product."""
-    return [2 * scratch_of_rows(inputs, hidden)[0], -(-hidden // 4) * 4]
+    ((kind, count),) = scratch_of_rows(inputs, hidden)
+    return [(kind, 2 * count), ("int32_t", -(-hidden // 4) * 4)]
 
 
-def scratch_of_columns(inputs: int, hidden: int) -> list[int]:
+def scratch_of_columns(inputs: int, hidden: int) -> Arrays:
     """Return what the kernel of columns needs."""
     units = -(-hidden // 8)
-    return [8 * units, -(-inputs // 2) + 4 * units]
+    return [("int32_t", 8 * units), ("int32_t", -(-inputs // 2) + 4 * units)]
 
 
 def _size(machine: TermMachine, count: int) -> Number:
@@ -212,8 +215,7 @@ def _gru(machine: TermMachine, arguments: list[Found], layers: Layers, kind: str
     if exact(keep) not in (0, -1):
         raise UndecidedError("u_keep is neither 0 nor -1")
     _step(machine, layers, layer, as_place(x, "int16_t"), as_place(h, "int32_t"), exact(keep) == 0)
-    for scratch in scratches:
-        _forget(machine, scratch, layer.hidden)
+    _forget(machine, scratches, [("int16_t", layer.hidden)] * len(scratches), [x, h])
     return None
 
 
@@ -224,7 +226,7 @@ def _lstm(machine: TermMachine, arguments: list[Found], layers: Layers) -> Found
         raise UndecidedError("relaxing is neither 0 nor 1")
     places = as_place(x, "int16_t"), as_place(h, "int32_t"), as_place(cell, "int32_t")
     _step(machine, layers, layer, *places[:2], exact(relaxing) == 1, places[2])
-    _forget(machine, scratch, layer.hidden)
+    _forget(machine, [scratch], [("int16_t", layer.hidden)], places)
     return None
 
 
@@ -269,12 +271,26 @@ def _put(machine: TermMachine, place: Spot, values: Sequence[Whole]) -> None:
         machine.write(place.block, first + k, value)
 
 
-def _forget(machine: TermMachine, found: Found, count: int) -> None:
-    """Nothing may rely on what a kernel leaves in its scratch."""
-    if not isinstance(found, Spot) or found.at.exact != 0 or count > len(found.block.cells):
-        raise UndecidedError("scratch that is not there")
-    for k in range(len(found.block.cells)):
-        machine.write(found.block, k, None)
+def _forget(
+    machine: TermMachine, given: Sequence[Found], wanted: Arrays, beside: Sequence[Found]
+) -> None:
+    """Nothing may rely on what a kernel leaves in its scratch.
+
+    Its arrays have the kernel's types and sizes, and are apart from each other and from what the
+    kernel is given `beside` them.
+    """
+    taken = [place.block for place in beside if isinstance(place, Spot)]
+    for found, (kind, count) in zip(given, wanted, strict=True):
+        place = as_place(found, kind)
+        if place.at.exact != 0 or count > len(place.block.cells):
+            raise UndecidedError("scratch that is not there")
+        if any(place.block is block for block in taken):
+            raise UndecidedError(
+                f"scratch that is {place.block.name}, which the kernel has already"
+            )
+        taken.append(place.block)
+        for k in range(len(place.block.cells)):
+            machine.write(place.block, k, None)
 
 
 def _make_packed(layers: Callable[[], Layers], kernel: Packed) -> Rule:
@@ -292,8 +308,8 @@ def _make_packed(layers: Callable[[], Layers], kernel: Packed) -> Rule:
         _hold_mode(layer, mode, bits)
         places = as_place(x, "int16_t"), as_place(h, "int32_t")
         _step(machine, layers(), layer, *places, exact(mode) == int(lstm), cell)
-        for array, count in zip(given, kernel.scratch(layer.inputs, layer.hidden), strict=True):
-            _forget(machine, array, count)
+        own: list[Found] = [x, h, cell] if cell is not None else [x, h]
+        _forget(machine, given, kernel.scratch(layer.inputs, layer.hidden), own)
         return None
 
     return rule

@@ -164,8 +164,11 @@ class IntegerGruLayer(IntegerRecurrent):
         return {"h_q30": states[-1]}
 
     def bound_states(self, rows: Sequence[Real], inputs: Sequence[Known]) -> list[Error]:
-        """Return the error of every unit where the layer is alone and forgets; see `error`."""
-        if len(self.layers) > 1 or any(row.operation != f"gru_{self.gru.reset}" for row in rows):
+        """Return the error of every unit of the topmost layer where it forgets; see `error`.
+
+        It reads `inputs`: the features, or the int16 copies of the layer below.
+        """
+        if any(row.operation != f"gru_{self.gru.reset}" for row in rows):
             return super().bound_states(rows, inputs)
         return bound_states(self.gru, [row.numbers for row in rows], inputs)
 

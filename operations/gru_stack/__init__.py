@@ -13,6 +13,7 @@ from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.gru.cell import IntegerGru
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import Names, State, Writer
+from zerodrift.operations.recurrent import IntegerRecurrent
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,14 @@ class IntegerGruStack(IntegerGruLayer):
     def layers(self) -> tuple[IntegerGru, ...]:
         """All layers from the bottom up."""
         return (*self.lower, self.gru)
+
+    def list_lower(self) -> list[IntegerRecurrent]:
+        """Return the layers below the topmost, each as a node by itself, named as in bounds."""
+        names = self.name_layers(".")
+        return [
+            IntegerGruLayer(name, self.inputs, gru=gru, window=self.window)
+            for name, gru in zip(names, self.lower, strict=False)
+        ]
 
     def _split(self, state: State) -> list[IntArray]:
         ends = np.cumsum([layer.hidden for layer in self.lower])

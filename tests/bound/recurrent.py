@@ -37,6 +37,8 @@ class Forgetful:
     exact: bool = False
     """Whether weights and biases are multiples of 1/16, which integers hold."""
     seed: int = 1
+    upper: tuple[int, ...] = ()
+    """Units of further layers, each on the state of the one below."""
 
 
 def contract(gru: FloatGru, coupling: float) -> FloatGru:
@@ -55,8 +57,21 @@ def contract(gru: FloatGru, coupling: float) -> FloatGru:
 
 def draw_gru(kind: Forgetful) -> FloatGru:
     """Return a layer over two features."""
-    rng = np.random.default_rng(kind.seed)
-    w_x = rng.normal(size=(3, kind.hidden, 2))
+    return _draw_layer(kind, np.random.default_rng(kind.seed), 2)
+
+
+def draw_upper(kind: Forgetful) -> tuple[FloatGru, ...]:
+    """Return the layers on top of it."""
+    rng, below = np.random.default_rng(kind.seed + 31), kind.hidden
+    layers: list[FloatGru] = []
+    for hidden in kind.upper:
+        layers.append(_draw_layer(replace(kind, hidden=hidden), rng, below))
+        below = hidden
+    return tuple(layers)
+
+
+def _draw_layer(kind: Forgetful, rng: np.random.Generator, inputs: int) -> FloatGru:
+    w_x = rng.normal(size=(3, kind.hidden, inputs))
     w_x[1] *= kind.of_update
     w_x[2] *= kind.of_candidate
     bias = 0.3 * rng.normal(size=(4, kind.hidden))
@@ -74,8 +89,8 @@ def draw_gru(kind: Forgetful) -> FloatGru:
 def make_recurrent(kind: Forgetful) -> Case:
     """Return a model of two features, a GRU and a head."""
     rng = np.random.default_rng(kind.seed + 17)
-    head = 0.3 * rng.normal(size=(2, kind.hidden))
-    case = make_case(draw_gru(kind), head, kind.weights, kind.window)
+    head = 0.3 * rng.normal(size=(2, (kind.hidden, *kind.upper)[-1]))
+    case = make_case(draw_gru(kind), head, kind.weights, kind.window, upper=draw_upper(kind))
     return replace(case, codes=draw_all_codes(case.calibration.code_limits, rng, STEPS))
 
 
@@ -85,12 +100,13 @@ def make_case(
     weights: str = "int16",
     window: int = 0,
     feature_max: float = 1.0,
+    upper: tuple[FloatGru, ...] = (),
 ) -> Case:
-    """Return a model of two features, a GRU or LSTM and a head [2, H], without codes."""
+    """Return a model of two features, GRUs or an LSTM and a head [2, H], without codes."""
     bias = np.array([0.11, -0.07])
     network: FloatNetwork | FloatLayeredNetwork
     if isinstance(cell, FloatGru):
-        network = FloatNetwork(cell, head, bias)
+        network = FloatNetwork(cell, head, bias, upper)
     else:
         network = FloatLayeredNetwork(2, (FloatLayer(cell, (0,)),), (1,), head, bias)
     ops = GraphOperations(PERIOD_S)
