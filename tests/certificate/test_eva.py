@@ -21,7 +21,7 @@ PLANTED = {
     "shift": (r"features_shift\[4\] = \{\d+", "features_shift[4] = {64", "invalid RHS operand"),
     "index": (r"&head_weights\[k \* 8u\]", "&head_weights[k * 9u]", "out of bounds"),
     "state": (r"s->lowpass_4_v > INT64_C\(\d+\)", "s->lowpass_4_v == INT64_MAX", "overflow"),
-    "narrow": (r"zd_clamp64\((zd_asr64\(sum, features_shift\[i\]\)), -32768, 32767\)", r"\1",
+    "narrow": (r"zd_clamp64\(zd_asr64\(sum, features_shift\[i\]\), -32768, 32767\)", "sum",
                "downcast"),
 }  # fmt: skip
 """What is planted in the C of `ordinary`: what, by what, and what Eva calls it."""
