@@ -11,6 +11,7 @@ import numpy as np
 
 from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.base.fleet_config import URL
 from zerodrift.dataset.formats.registry import FORMAT_SUFFIXES
 from zerodrift.dataset.runs import Array
 
@@ -19,8 +20,6 @@ PARQUET_SUFFIXES = (".parquet", ".pq")
 ARROW_SUFFIXES = (".feather", ".arrow", ".ipc")
 JOINT = " + "
 """Between files that are one log."""
-URL = "://"
-"""Within a selector that names logs elsewhere, which `zerodrift fleet` fetches."""
 LOG_SUFFIXES = CSV_SUFFIXES + PARQUET_SUFFIXES + ARROW_SUFFIXES + FORMAT_SUFFIXES
 
 _CUT = re.compile(r"^(?P<rest>.+)@(?P<start>[^@#/]*):(?P<stop>[^@#/]*)$")

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING
 from zerodrift import __version__
 from zerodrift.base.config import USES
 from zerodrift.base.errors import CheckError
+from zerodrift.base.fleet_config import URL
 from zerodrift.base.journal import gather_changes, write_all
 from zerodrift.base.ownership import refuse_foreign
-from zerodrift.dataset.selectors import JOINT, URL, expand_selectors
+from zerodrift.dataset.selectors import JOINT, expand_selectors
 from zerodrift.fleet.batch import UnitBatch
 from zerodrift.fleet.design import Design, Origin
 from zerodrift.fleet.result import SensorOutcome

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from zerodrift.base.config import TRAIN, USES, Config, load_config, locate_key
 from zerodrift.base.errors import InputError, nearest
-from zerodrift.base.fleet_config import PLACEHOLDER
-from zerodrift.dataset.selectors import URL
+from zerodrift.base.fleet_config import PLACEHOLDER, URL
 from zerodrift.fleet.stores import list_names
 
 LOG_SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")

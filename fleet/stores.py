@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.extras import FLEET_URL, require
-from zerodrift.dataset.selectors import URL
+from zerodrift.base.fleet_config import URL
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem

@@ -8,6 +8,8 @@ from pathlib import PurePosixPath
 from zerodrift.base.errors import nearest
 from zerodrift.base.toml_table import TomlTable
 
+URL = "://"
+"""Within a selector that names logs elsewhere, which `zerodrift fleet` fetches."""
 PLACEHOLDER = "{sensor}"
 """Stands for a sensor's name in `[fleet] folder` and in the selectors of `[logs]`."""
 SHARED_RUNTIME = "runtime"
