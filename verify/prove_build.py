@@ -504,6 +504,7 @@ class Proof:
 
         def run() -> None:
             answers.clear()
+            self.used.saved.clear()
             machine.forking = True
             instance = self._as_instance(before)
             age = [Number(terms.symbol("age_us", 0, 2**64 - 1), "uint64_t")]
@@ -515,6 +516,8 @@ class Proof:
         for _ in machine.explore(run):
             instance, found = made.pop()
             paths += 1
+            if self.used.saved != [(f"{self.model.identity}", True)]:
+                return "restore does not read the copy once, as this model's"
             copy = {
                 f.name: [
                     terms.symbol(f"restored {f.name}[{k}]", *TYPES[f.type]) for k in range(f.count)

@@ -139,6 +139,10 @@ CHANGES = {
     "the test of the steps": ("if (s->steps > 5u)", "if (s->steps > 6u)"),
     "the answer to damage": ("drift[k] = 0;", "drift[k] = 1;"),
     "restoring": ("refused = 1u;", "refused = 0u;"),
+    "the identity of a copy": (
+        "zd_restore((uint8_t *)s, saved, (uint32_t)sizeof(*s), FRONT_END_MODEL_ID)",
+        "zd_restore((uint8_t *)s, saved, (uint32_t)sizeof(*s), -1)",
+    ),
     "the identity": ("s->identity = FRONT_END_MODEL_ID;", "s->identity = FRONT_END_MODEL_ID + 1u;"),
     "the self-test's answer": ("UINT32_C(1948274182)", "UINT32_C(1948274183)"),
 }  # fmt: skip
