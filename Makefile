@@ -106,7 +106,7 @@ check: $(READY) ## formatting, lint, types, C format and static analysis
 	$(RUN) -m zerodrift.c_runtime.analyse
 
 frama-c: $(READY) ## after setup-frama-c: golden models under Frama-C's Eva, no alarm (FRAMA_C="ordinary lstm")
-	$(RUN) -m zerodrift.c_runtime.eva $(FRAMA_C)
+	$(RUN) -m tests.certificate.eva $(FRAMA_C)
 
 format: $(READY) ## rewrite Python and C in the project's format
 	$(VENV)/bin/ruff format .

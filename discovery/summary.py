@@ -276,9 +276,7 @@ def explain_plan(plan: PlanSummary, directory: Path) -> list[str]:
             f"{o.effect} ({o.probability:.2f}" + (f", nearest {o.nearest})" if o.nearest else ")")
             for o in hard[:MOST_HARD]
         )
-        sentences.append(
-            f"Hard to name, and alone, within these limits: {told}. More hours help most."
-        )
+        sentences.append(f"Hard to name alone within these limits: {told}. More hours help most.")
     where = "" if str(directory) == "." else f" -C {directory}"
     sentences.append(
         "Begin each log at rest, unloaded, each in a file of its own under [logs] train; then "

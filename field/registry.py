@@ -39,6 +39,16 @@ class Unit:
 
 
 @dataclass(frozen=True)
+class LoadedBlock:
+    """A block that is on a unit."""
+
+    sha256: str
+    loaded_at: str
+    """ISO 8601, UTC."""
+    content: bytes
+
+
+@dataclass(frozen=True)
 class UnitFinding:
     """What `monitor` said last of an output."""
 
@@ -246,15 +256,16 @@ class Registry:
         )
         return {str(serial): bytes(content) for serial, content in rows}  # type: ignore[call-overload]  # a blob
 
-    def find_loaded(self, serial: str) -> tuple[str, str, bytes] | None:
-        """Return SHA-256, time of loading and bytes of the block on a unit; None without one."""
+    def find_loaded(self, serial: str) -> LoadedBlock | None:
+        """Return the block on a unit; None without one."""
         rows = self._read(
             "SELECT b.sha256, l.loaded_at, b.content FROM loaded l JOIN block b USING (sha256)"
             " WHERE l.serial = :s ORDER BY l.number DESC LIMIT 1",
             serial,
         )
         for sha256, loaded_at, content in rows:
-            return str(sha256), str(loaded_at), bytes(content)  # type: ignore[call-overload]  # a blob
+            assert isinstance(content, bytes)
+            return LoadedBlock(str(sha256), str(loaded_at), content)
         return None
 
     def knows(self, serial: str) -> bool:

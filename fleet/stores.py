@@ -79,7 +79,7 @@ def _fetch_file(
     place.parent.mkdir(parents=True, exist_ok=True)
     if "file" in _list_protocols(store):
         place.unlink(missing_ok=True)
-        place.symlink_to(store._strip_protocol(name))
+        place.symlink_to(name)
         return place
     with _telling_of(url):
         before = store.info(name)

@@ -1,18 +1,23 @@
 """Models without a recurrent layer, drawn from a number, with signals that go to their limits."""
 
+import json
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from benchmarks.random_models import SORTS, draw_signals
 from numpy.typing import NDArray
 
 from tests.bound.float_answers import answer
+from tests.certificate.test_check import list_texts
 from zerodrift.base.errors import CheckError
+from zerodrift.codegen.generate import generate
 from zerodrift.export.error_bound import ErrorBound, bound_errors
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.quantize import Quantized, quantize_graph
 from zerodrift.export.reference import Reference
 from zerodrift.operations.dense import FloatDense, FloatFeedForward
+from zerodrift.verify.certificate import certify
 
 Array = NDArray[np.float64]
 LIMITS = ((0.0, np.inf), (0.0, 6.0), (-1.0, 1.0), (-np.inf, np.inf))
@@ -38,6 +43,12 @@ class Case:
     def bound(self) -> ErrorBound:
         """Return what is proven."""
         return bound_errors(self.quantized)
+
+    def certify(self) -> tuple[dict[str, Any], dict[str, str]]:
+        """Return the certificate and the texts of the C."""
+        model = self.quantized.model
+        code = generate(model)
+        return json.loads(certify(model, code, self.bound())), list_texts(code)
 
     def measure(self) -> Array:
         """Return |chip - float model| [B, T, K], less what double precision rounds."""

@@ -3,21 +3,17 @@
 import json
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.bound.lstms import REACH, Forgetful, draw_lstm, make_lstm, measure_lstm
 from tests.bound.recurrent import make_case
-from tests.certificate.test_check import list_texts
-from zerodrift.codegen.generate import generate
 from zerodrift.export.error_bound import round_up
 from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.operations.errors import Known
 from zerodrift.operations.gate_sums import RealUnit
 from zerodrift.operations.lstm import IntegerLstmLayer, error
-from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import compare
 
 KINDS = (
@@ -36,7 +32,6 @@ MANY = tuple(
     for seed in (21, 22, 23)
     for forget in (-2.0, 1.0, 4.0)
 )
-Told = dict[str, Any]
 
 
 def _hold(kinds: tuple[Forgetful, ...]) -> None:
@@ -113,15 +108,9 @@ def test_the_way_to_rest_ends_as_near_as_is_said(kind: Forgetful) -> None:
     assert max(allowed) < 1e-4
 
 
-def _certify(kind: Forgetful) -> tuple[Told, dict[str, str]]:
-    case = make_lstm(kind)
-    code = generate(case.quantized.model)
-    return json.loads(certify(case.quantized.model, code, case.bound())), list_texts(code)
-
-
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful) -> None:
-    told, texts = _certify(kind)
+    told, texts = make_lstm(kind).certify()
     assert not compare(told, texts).failures
     for claim in told["error_bound"]:
         claim["bound"] *= 1.0 - 5e-3
@@ -130,7 +119,7 @@ def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful)
 
 def test_a_change_of_a_weight_of_the_float_layer_is_noticed() -> None:
     """One number of a unit a tenth more, in turn: the biases, weights of each gate."""
-    told, texts = _certify(KINDS[1])
+    told, texts = make_lstm(KINDS[1]).certify()
     rows = [line for line in told["float_model"] if line["operation"] == "lstm"]
     assert len(rows) == 4
     noticed = tried = 0
@@ -145,7 +134,7 @@ def test_a_change_of_a_weight_of_the_float_layer_is_noticed() -> None:
 
 @pytest.mark.parametrize("change", ["operation", "order", "short", "reads"])
 def test_a_float_layer_that_is_not_the_cs_is_refused(change: str) -> None:
-    told, texts = _certify(KINDS[1])
+    told, texts = make_lstm(KINDS[1]).certify()
     rows = [line for line in told["float_model"] if line["operation"] == "lstm"]
     for line in rows:
         if change == "operation":

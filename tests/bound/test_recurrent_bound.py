@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,13 +17,10 @@ from tests.bound.recurrent import (
     measure_probe,
     measure_recurrent,
 )
-from tests.certificate.test_check import list_texts
-from zerodrift.codegen.generate import generate
 from zerodrift.export.error_bound import round_up
 from zerodrift.operations.table_error import bound_sigmoid_table
 from zerodrift.operations.tables import T_MAX, T_MIN, sigmoid_q31
 from zerodrift.verify.bound_numbers import sigmoid_error
-from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import compare
 
 KINDS = (
@@ -45,7 +41,6 @@ MANY = tuple(
     for seed in (11, 12, 13)
     for update in (6.0, 0.0, -5.0)
 )
-Told = dict[str, Any]
 
 
 def _hold(kinds: tuple[Forgetful, ...]) -> None:
@@ -117,15 +112,9 @@ def _read_lines() -> tuple[tuple[int, int], ...]:
     return tuple(zip(first.tolist(), last.tolist(), strict=True))
 
 
-def _certify(kind: Forgetful) -> tuple[Told, dict[str, str]]:
-    case = make_recurrent(kind)
-    code = generate(case.quantized.model)
-    return json.loads(certify(case.quantized.model, code, case.bound())), list_texts(code)
-
-
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful) -> None:
-    told, texts = _certify(kind)
+    told, texts = make_recurrent(kind).certify()
     assert not compare(told, texts).failures
     for claim in told["error_bound"]:
         claim["bound"] *= 1.0 - 4e-3
@@ -134,7 +123,7 @@ def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful)
 
 def test_a_change_of_a_weight_of_the_float_layer_is_noticed() -> None:
     """One number of each unit a hundredth more, in turn: the biases, a weight of each array."""
-    told, texts = _certify(Forgetful(hidden=4, update=-4.0, of_update=0.3))
+    told, texts = make_recurrent(Forgetful(hidden=4, update=-4.0, of_update=0.3)).certify()
     rows = [line for line in told["float_model"] if line["operation"] == "gru_after"]
     assert len(rows) == 4
     noticed = tried = 0
@@ -149,7 +138,7 @@ def test_a_change_of_a_weight_of_the_float_layer_is_noticed() -> None:
 
 @pytest.mark.parametrize("change", ["operation", "order", "short", "reads"])
 def test_a_float_layer_that_is_not_the_cs_is_refused(change: str) -> None:
-    told, texts = _certify(Forgetful(hidden=4, update=-4.0, of_update=0.3))
+    told, texts = make_recurrent(Forgetful(hidden=4, update=-4.0, of_update=0.3)).certify()
     rows = [line for line in told["float_model"] if line["operation"] == "gru_after"]
     for line in rows:
         if change == "operation":

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,8 +21,6 @@ from tests.bound.recurrent import (
     make_recurrent,
     measure_recurrent,
 )
-from tests.certificate.test_check import list_texts
-from zerodrift.codegen.generate import generate
 from zerodrift.export import error_bound
 from zerodrift.export.error_bound import round_up
 from zerodrift.operations.errors import Error, Known
@@ -31,7 +28,6 @@ from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.gru_stack import IntegerGruStack
 from zerodrift.operations.signals import Real
-from zerodrift.verify.certificate import certify
 from zerodrift.verify.certificate_check import compare
 
 KINDS = (
@@ -42,7 +38,6 @@ KINDS = (
     Forgetful(hidden=3, upper=(3,), window=6, seed=4),
 )
 MANY = tuple(replace(kind, seed=seed) for kind in KINDS for seed in (11, 12, 13))
-Told = dict[str, Any]
 
 
 def _hold(kinds: tuple[Forgetful, ...]) -> None:
@@ -98,15 +93,9 @@ def test_a_rule_without_the_errors_of_the_layer_below_is_found(
     assert any(most > error.total for most, error in zip(found, case.bound().outputs, strict=True))
 
 
-def _certify(kind: Forgetful) -> tuple[Told, dict[str, str]]:
-    case = make_recurrent(kind)
-    code = generate(case.quantized.model)
-    return json.loads(certify(case.quantized.model, code, case.bound())), list_texts(code)
-
-
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful) -> None:
-    told, texts = _certify(kind)
+    told, texts = make_recurrent(kind).certify()
     assert not compare(told, texts).failures
     for claim in told["error_bound"]:
         claim["bound"] *= 1.0 - 8e-3
@@ -115,7 +104,7 @@ def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful)
 
 @pytest.mark.parametrize("change", ["operation", "order", "short", "reads", "skips", "fine"])
 def test_a_float_stack_that_is_not_the_cs_is_refused(change: str) -> None:
-    told, texts = _certify(KINDS[0])
+    told, texts = make_recurrent(KINDS[0]).certify()
     lines = told["float_model"]
     low = [k for k, line in enumerate(lines) if line["node"] == "gru.0"]
     top = [k for k, line in enumerate(lines) if line["node"] == "gru"]
@@ -138,7 +127,9 @@ def test_a_float_stack_that_is_not_the_cs_is_refused(change: str) -> None:
 
 
 def test_a_change_of_a_weight_of_the_lower_layer_is_noticed() -> None:
-    told, texts = _certify(Forgetful(hidden=4, upper=(3,), update=-4.0, of_update=0.3))
+    told, texts = make_recurrent(
+        Forgetful(hidden=4, upper=(3,), update=-4.0, of_update=0.3)
+    ).certify()
     place = next(k for k, x in enumerate(told["float_model"]) if x["node"] == "gru.0")
     noticed = tried = 0
     for number in (0, 1, 4, 8, 10, 15):

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.certificate.eva import annotate, check_model, find_frama_c, read_log
 from zerodrift.base.errors import CheckError
-from zerodrift.c_runtime.eva import annotate, check_model, find_frama_c, read_log
 from zerodrift.c_runtime.host import render_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.model_files import load_model

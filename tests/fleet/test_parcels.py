@@ -108,8 +108,9 @@ def test_file_that_is_spoilt_on_its_way_is_refused(fleet, monkeypatch, which):
 
 
 def test_worker_of_another_version_is_refused(fleet, monkeypatch):
-    older = lambda parcel: replace(parcel, version="0.0")  # noqa: E731
-    outcomes, _ = run_hidden(fleet, monkeypatch, spoil=older)
+    outcomes, _ = run_hidden(
+        fleet, monkeypatch, spoil=lambda parcel: replace(parcel, version="0.0")
+    )
     assert all("expected 0.0" in outcome.error for outcome in outcomes)
 
 

@@ -9,7 +9,7 @@ from zerodrift.blocks.block import apply, decode, decode_header
 from zerodrift.blocks.design import BlockDesign, find_design, load_design
 from zerodrift.blocks.files import BLOCK, find_design_file, read_block_file
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.field.registry import open_registry
+from zerodrift.field.registry import LoadedBlock, open_registry
 from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 from zerodrift.fleet.blocks import BLOCKS
 
@@ -63,7 +63,7 @@ def find_deployed_block(
         )
     loaded = _find_loaded(directory, serial)
     if loaded is not None:
-        return loaded.read(design, serial)
+        return _read_loaded(loaded, design, serial)
     own = config.firmware_out / f"{BLOCK}.bin"
     if sensor is not None:
         own = load_config(directory).firmware_out / BLOCKS / f"{sensor}.bin"
@@ -76,27 +76,20 @@ def find_deployed_block(
     return DeployedBlock(model, f"run with the block of {serial} that was written last, {own}")
 
 
-@dataclass(frozen=True)
-class _Loaded:
-    """A block that the registry says is on a unit."""
-
-    sha256: str
-    loaded_at: str
-    content: bytes
-
-    def read(self, design: BlockDesign, serial: str) -> DeployedBlock:
-        where = f"{REGISTRY}, block {self.sha256[:12]} on {serial}"
-        try:
-            model = apply(design, decode(design, self.content, where))
-        except InputError as error:
-            raise InputError(
-                f"{error} If another block is on {serial} now, enter it by `zerodrift registry"
-                f" block {serial} FILE --loaded`; or name one, its design.json beside it, by"
-                " --block FILE."
-            ) from error
-        loaded_at = self.loaded_at[:16].replace("T", " ")
-        note = f"run with the block {self.sha256[:12]} that {REGISTRY} says is on {serial}"
-        return DeployedBlock(model, f"{note} since {loaded_at} UTC")
+def _read_loaded(loaded: LoadedBlock, design: BlockDesign, serial: str) -> DeployedBlock:
+    number = loaded.sha256[:12]
+    where = f"{REGISTRY}, block {number} on {serial}"
+    try:
+        model = apply(design, decode(design, loaded.content, where))
+    except InputError as error:
+        raise InputError(
+            f"{error} If another block is on {serial} now, enter it by `zerodrift registry"
+            f" block {serial} FILE --loaded`; or name one, its design.json beside it, by"
+            " --block FILE."
+        ) from error
+    loaded_at = loaded.loaded_at[:16].replace("T", " ")
+    note = f"run with the block {number} that {REGISTRY} says is on {serial} since {loaded_at} UTC"
+    return DeployedBlock(model, note)
 
 
 def _find_own_design(directory: Path) -> BlockDesign | None:
@@ -104,10 +97,9 @@ def _find_own_design(directory: Path) -> BlockDesign | None:
     return load_design(place) if place is not None else None
 
 
-def _find_loaded(directory: Path, serial: str) -> _Loaded | None:
+def _find_loaded(directory: Path, serial: str) -> LoadedBlock | None:
     path = directory / REGISTRY
     if not path.is_file():
         return None
     with open_registry(path) as registry:
-        found = registry.find_loaded(serial)
-    return None if found is None else _Loaded(*found)
+        return registry.find_loaded(serial)

@@ -1,4 +1,4 @@
-"""Generated C under Frama-C's Eva, which other people wrote: `python -m zerodrift.c_runtime.eva`.
+"""Generated C under Frama-C's Eva, which other people wrote: `python -m tests.certificate.eva`.
 
 Eva runs a program over intervals and names every operation for which it cannot show that C defines
 it: overflow, a narrowing that loses bits, an index outside, a shift too far, reading what was never
@@ -28,12 +28,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.base.errors import CheckError
-from zerodrift.c_runtime.compilers import RUNTIME_DIRECTORY
 from zerodrift.c_runtime.host import render_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.model_files import load_model
 
-GOLDEN_DIRECTORY = RUNTIME_DIRECTORY.resolve().parent / "tests" / "golden"
+GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 LIMIT_S = 600
 LAST_LINE = 511
 """tanh has a line for each 2048 counts of its argument, from -512 to this one."""
@@ -265,7 +264,7 @@ def read_log(log: str, wanted: list[str]) -> EvaResult:
 def main() -> int:
     """Print what Eva finds in each golden model; 1 if it finds anything, 2 if it is not there."""
     parser = argparse.ArgumentParser(description="Golden models under Frama-C's Eva.")
-    known = sorted(path.name.split(".")[0] for path in GOLDEN_DIRECTORY.glob("*.model.json"))
+    known = sorted(path.name.split(".")[0] for path in GOLDEN.glob("*.model.json"))
     parser.add_argument("models", nargs="*", metavar="MODEL", help=f"of {', '.join(known)}; all")
     names = parser.parse_args().models or known
     if find_frama_c() is None:
@@ -273,7 +272,7 @@ def main() -> int:
         return 2
     bad = 0
     for name in names:
-        code = generate(load_model(GOLDEN_DIRECTORY / f"{name}.model.json"))
+        code = generate(load_model(GOLDEN / f"{name}.model.json"))
         programs = [("model", check_model)]
         if name == names[0]:
             programs += [("selftest", check_selftest), ("runtime", check_runtime)]
