@@ -85,8 +85,8 @@ test-long: $(READY) ## the few hundred tests that take longest, which `make test
 test-boards: $(READY) ## every core on QEMU's boards, in short; says what could not run
 	$(RUN) -m pytest -q -m "board and not slow" tests/chips
 
-test-browser: $(READY) ## after setup-browser: the page in Chromium; pictures of it in build/screenshots
-	$(RUN) -m pytest -q -n 2 tests/workbench
+test-browser: $(READY) ## after setup-browser: the page in Chromium, pictures in build/screenshots (BROWSER="-m slow")
+	$(RUN) -m pytest -q -n 2 $(BROWSER) tests/workbench
 
 test-worlds: $(READY) ## after setup-formats: the sessions of the pages on where logs come from, as CI runs them
 	$(RUN) -m pytest -q -n 2 -rs tests/loop/test_worlds.py
