@@ -26,7 +26,7 @@ def test_there_is_a_page_for_each_world() -> None:
 def test_ci_runs_the_sessions() -> None:
     """`make test` leaves them out, as they train and build; a step of their own runs them."""
     root = Path(__file__).parents[2]
-    assert "\nmake test-worlds\n" in (root / ".ci" / "run").read_text("utf-8")
+    assert "\nstep make test-worlds\n" in (root / ".ci" / "run").read_text("utf-8")
     rule = (root / "Makefile").read_text("utf-8").partition("\ntest-worlds:")[2]
     assert "tests/loop/test_worlds.py" in rule.partition("\n\n")[0] and "not slow" not in rule[:200]
 
