@@ -32,7 +32,6 @@ from zerodrift.diagnosis.rules import (
     is_enough,
     is_there,
     lead,
-    stands_alone,
     wanders,
 )
 from zerodrift.physics.campaign import Campaign
@@ -183,10 +182,9 @@ def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:
         sure = unknown.probability_of(kind) >= SURELY_THERE
         sure = sure or is_there(findings[0])
         sure = sure or (kind == alone.judged.kind and is_there(alone))
-        sure = sure and is_enough(findings[0])
-        if not sure and not (stands_alone(alone) and is_enough(alone)):
+        if not (sure and is_enough(findings[0])):
             return unknown, terms
-        findings = findings[:1] if sure else [alone]
+        findings = findings[:1]
         beside = unknown.something_else
     refusal = foresee_refusal(case, findings[0])
     if refusal:

@@ -29,11 +29,6 @@ EXPLAINED_WITHOUT_DWELL = 0.7
 of what is no noise."""
 SURELY_THERE = 0.9
 """Probability from which an effect is named though too much is left for the right form alone."""
-MOST_OF_IT = 0.8
-"""An effect that explains this share of the excess, ..."""
-NO_RIVAL = 0.25
-"""... in all runs, where no other one has more than this share of its gain, is there, though in an
-unlike form: what is outside the catalogue is imitated by several effects, or by none so well."""
 MOST_OF_A_PLAY = 0.9
 """A play must explain this share of the excess in runs left out, or all of it: what sticks at
 random, or yields once and for all, looks like a play in most of what it does."""
@@ -43,11 +38,12 @@ not explain must gain this many times SURE_NATS."""
 SHARE_BESIDE = 0.25
 """It must explain this share of the excess: what explains less is a resemblance in passing."""
 ENOUGH_RUNS = 6
-"""Fewer runs than this are thin evidence, and said to be: there an effect that is named ..."""
+"""Fewer runs than this are thin evidence, and said to be."""
 SURE_UNITS = 300.0
-"""... must gain this in noise units, or SURE_NATS where it follows more than the time, ..."""
+"""An effect that is named must gain this in noise units, or SURE_NATS where it follows more than
+the time, ..."""
 SURE_SHARE = 0.9
-"""... and lose next to nothing in any run or piece of one."""
+"""... and with few runs lose next to nothing in any run or piece of one."""
 CONCENTRATED = 0.8
 """An effect seen in too few runs for a small p-value must explain this share of the excess, ..."""
 ALL_GAIN = 0.95
@@ -101,18 +97,17 @@ def lead(examination: Examination, *, beside: bool = False) -> Judged | None:
 def helps(judged: Judged, examination: Examination, *, beside: bool = False) -> bool:
     """Return whether an effect's held-out gain is real and worth having.
 
-    With few runs chance alone gains in all of them, now and then: there the gain must also be
-    larger than what slow noise explains. At the floor there is no excess that an effect could
-    explain.
+    Chance alone gains in most runs, now and then, and in all of a few: the gain must also be larger
+    than what slow noise explains. At the floor there is no excess that an effect could explain.
     """
     worthwhile = judged.rmse_ratio <= WORTHWHILE or judged.best_output_ratio <= WORTHWHILE_ON_ONE
     reachable = 2.0 ** -float(judged.gains.size)
     sure = judged.p_value <= max(SIGNIFICANT, reachable)
-    if examination.runs < ENOUGH_RUNS and not beside:
+    if not beside:
         large = judged.gain >= SURE_UNITS and judged.nats > 0.0
-        if judged.follows_signal:
-            large = large or judged.nats >= SURE_NATS
-        sure = sure and large and judged.positive_share >= SURE_SHARE
+        large = large or (judged.follows_signal and judged.nats >= SURE_NATS)
+        everywhere = examination.runs >= ENOUGH_RUNS or judged.positive_share >= SURE_SHARE
+        sure = sure and large and everywhere
     # Seen in a few runs only, sign flips cannot be sure; reaching the floor by one effect can.
     clear = judged.share >= CONCENTRATED and judged.positive_share >= ALL_GAIN
     clear = clear and not is_at_floor(examination, examination.fitted_ratio)
@@ -131,16 +126,6 @@ def find_ageing(case: Case, examination: Examination) -> list[Finding]:
         and judged.sound
         and judged.rmse_ratio <= WORTHWHILE
     ][:1]
-
-
-def stands_alone(finding: Finding) -> bool:
-    """Return whether an effect explains most of what is missing, and nothing else much of it."""
-    leading, examination = finding.judged, finding.examination
-    if examination.runs < ENOUGH_RUNS or leading.p_value > SIGNIFICANT:
-        return False
-    most = leading.sound and leading.share >= MOST_OF_IT and leading.positive_share >= ALL_GAIN
-    rival = max((j.gain for j in examination.judged if j.kind != leading.kind), default=0.0)
-    return most and rival <= NO_RIVAL * leading.gain
 
 
 def is_enough(finding: Finding) -> bool:
