@@ -288,12 +288,10 @@ def _follow(x: Array, signals: Array, regression: _Regression) -> Array:
         gram = regression.gram - lacking.T @ design[light]
         factors = np.asarray(np.linalg.solve(gram, right - lacking.T @ target[light]), dtype=float)
     followed = np.zeros_like(x)
-    edge = max(LAGS)
+    every = np.arange(x.size)
     for lag, part in zip(LAGS, np.split(factors, len(LAGS)), strict=True):
-        followed += np.roll(signals @ part, lag)
-    # Rolled round the ends, the first and last samples are none.
-    followed[:edge] = followed[edge]
-    followed[-edge:] = followed[-edge - 1]
+        # Before a log and behind it signals stand still.
+        followed += (signals @ part)[np.clip(every - lag, 0, x.size - 1)]
     return followed
 
 

@@ -3,8 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from zerodrift.base.config import Config, EffectConfig
-from zerodrift.dataset.runs import Dataset, count_outliers
+from zerodrift.dataset.runs import Dataset, Run, count_outliers
 from zerodrift.diagnosis.case import Advance, Case, open_case
 from zerodrift.diagnosis.changes import list_extensions
 from zerodrift.diagnosis.diagnosis import Diagnosis
@@ -39,10 +42,15 @@ from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.effect import Effect, Values
 from zerodrift.physics.terms import Term
 
+Array = NDArray[np.float64]
+
 MOST_EFFECTS = 4
 """Effects that are looked for together before giving up."""
 SHORTLIST = 6
 """Effects that are tried again in each other's presence."""
+GIVEN_BACK = 0.02
+"""Outliers that the model explains are sound samples again where they held this share of the
+squares that it leaves of an output."""
 
 
 def diagnose_config(
@@ -120,19 +128,37 @@ def _with_forms(effect: Effect, forms: tuple[Values, ...]) -> Effect:
 
 
 def weigh_again(case: Case, terms: Sequence[Term]) -> Case | None:
-    """Return the case with outliers found beside what these terms explain; None: the same ones."""
+    """Return the case with outliers found beside what these terms explain; None: the same ones.
+
+    There may be more of them, or fewer: where a load that drifts changes next to the end of a log,
+    its first samples lie far off from their neighbours, and are sound.
+    """
     found = fit_base(case.campaign, case.dataset.dwell, terms)[0]
+    predicted = [predict(found, run, case.plan, case.campaign.order) for run in case.dataset.train]
     train = tuple(
-        replace(run, explained=predict(found, run, case.plan, case.campaign.order))
-        for run in case.dataset.train
+        replace(run, explained=explained)
+        for run, explained in zip(case.dataset.train, predicted, strict=True)
     )
-    if count_outliers(train) <= count_outliers(case.dataset.train):
+    are_more = count_outliers(train) > count_outliers(case.dataset.train)
+    if not are_more and not _are_given_back(case.dataset.train, train, predicted):
         return None
     dataset = replace(case.dataset, train=train)
     campaign = Campaign(
         train, case.plan, case.campaign.order, tared=case.campaign.tared, set_aside=True
     )
     return replace(case, dataset=dataset, campaign=campaign)
+
+
+def _are_given_back(
+    before: Sequence[Run], after: Sequence[Run], predicted: Sequence[Array]
+) -> bool:
+    """Return whether samples that are outliers no longer held much of what was left."""
+    held, left = 0.0, 0.0
+    for old, new, explained in zip(before, after, predicted, strict=True):
+        rest = old.steady_drift - explained
+        left = left + np.sum((rest - rest.mean(axis=0)) ** 2, axis=0)
+        held = held + np.sum((new.steady_drift - old.steady_drift) ** 2, axis=0)
+    return bool(np.any(np.asarray(held) > GIVEN_BACK * np.asarray(left)))
 
 
 def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:

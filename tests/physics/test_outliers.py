@@ -81,3 +81,21 @@ def test_errors_are_told_over_all_rows_and_beside_it_without_outliers(clean):
     assert fz.rmse_left_out > 4.0 * expected.outputs["Fz"].rmse_heldout
     assert fz.rmse_without_outliers == pytest.approx(expected.outputs["Fz"].rmse_heldout, rel=0.03)
     assert fz.noise_floor == pytest.approx(expected.outputs["Fz"].noise_floor, rel=0.03)
+
+
+def test_samples_before_a_load_that_drifts_are_sound_once_the_model_explains_them():
+    """Loads put on two samples after the log begins: at the first two, all of their drift lacks."""
+
+    def warmed(bench):
+        bench.load[:] = bench.rng.choice([-1, 1], 2) * np.array([150.0, 1.5])
+        bench.load[:2] = 0.0
+        warm = (bench.temperature - 25.0)[:, None]
+        return warm * SLOPE + 0.01 * warm * bench.load
+
+    dataset = make_dataset(warmed, length=600)
+    held = [run.outliers for run in dataset.train if run.outliers is not None]
+    assert sum(bool(outliers.rows[:2].any()) for outliers in held) >= 4
+    effects = [EffectConfig("zero_tempco"), EffectConfig("span_tempco")]
+    diagnosis = diagnose(effects, dataset)
+    assert diagnosis.verdict == "complete" and diagnosis.effect is None
+    assert diagnosis.floor_ratio_before == pytest.approx(1.0, abs=0.15)
