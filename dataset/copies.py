@@ -135,8 +135,9 @@ def measure_white_noise(values: Array) -> float:
     """
     if values.size < WINDOW:
         return 0.0
-    fourth = float(np.median(np.abs(np.diff(values, 4)))) / (0.6745 * 70**0.5)
-    sixth = float(np.median(np.abs(np.diff(values, 6)))) / (0.6745 * 924**0.5)
+    differences = np.diff(values, 4)
+    fourth = float(np.median(np.abs(differences))) / (0.6745 * 70**0.5)
+    sixth = float(np.median(np.abs(np.diff(differences, 2)))) / (0.6745 * 924**0.5)
     if sixth <= 0.5 * fourth:
         return 0.0
     least: float = min(fourth, sixth, _measure_scatter(values))

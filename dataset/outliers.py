@@ -201,7 +201,8 @@ def _measure_spread(x: Array, distance: Array) -> float:
     if not moves.any():
         return 0.0
     spread = OF_DISTANCE * float(np.median(distance))
-    if np.unique(x).size < LATTICE * x.size:
+    ordered = np.sort(x)
+    if 1 + np.count_nonzero(ordered[1:] != ordered[:-1]) < LATTICE * x.size:
         # A coarse converter rests on one value: half its step is the least that it can be off,
         # and medians of few values say little.
         usual = distance[distance <= np.quantile(distance, ORDINARY)]

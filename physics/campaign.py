@@ -5,6 +5,7 @@ into octaves, see `octaves`; deviations within blocks are kept for every few blo
 parts are kept. All that follows is small algebra on sums of products.
 """
 
+import itertools
 from collections import OrderedDict
 from collections.abc import Sequence
 from copy import copy
@@ -266,6 +267,31 @@ class Campaign:
         for row, column in zip(rows, columns, strict=False):
             row[:] = column.octaves
         return self.reduction.sum_products(rows, [c.fast for c in (*columns, *behind)])
+
+    def lay_drift(self) -> Array | None:
+        """Return the drift [K, n] of all samples, stretch by stretch as in `Rates.lay`.
+
+        None where samples are averaged or bridged, or where only what lies between the pieces'
+        means counts.
+        """
+        if self.block > 1 or not self.uses_means or (self.set_aside and self.plan.saturated):
+            return None
+        drift = np.concatenate([self.runs[i].steady_drift for i in self.reduction.sequence])
+        return np.ascontiguousarray(drift.T)
+
+    def level(self, laid: Array) -> Array:
+        """Return laid values [..., n] without what the offsets take."""
+        groups = [self.runs[i].group if self.tared else "" for i in self.reduction.sequence]
+        sizes = [self.reduction.rows[i] for i in self.reduction.sequence]
+        levelled, at = np.empty_like(laid), 0
+        for _, own in itertools.groupby(zip(groups, sizes, strict=True), key=lambda each: each[0]):
+            part = laid[..., at : (at := at + sum(size for _, size in own))]
+            np.subtract(
+                part,
+                part.mean(axis=-1, keepdims=True),
+                out=levelled[..., at - part.shape[-1] : at],
+            )
+        return levelled
 
     def mean_of(self, node: Node) -> Array:
         """Return the mean [G] of a node's values over each piece, but for a constant."""

@@ -117,6 +117,18 @@ class Rates:
                     parts[stretch] = self._reduction.take_apart(samples)
         return self._reduction.assemble([part for part in parts if part is not None])
 
+    def lay(self, node: Node) -> Array:
+        """Return the values [n] of a node that is fast nowhere, stretch by stretch as in columns.
+
+        Those are the blocks' means; of blocks of one sample the samples.
+        """
+        laid, block, rows = self._compute_slow(node), self._reduction.block, self._reduction.rows
+        parts: dict[int, Array] = {}
+        for row, places in zip(laid, self._places, strict=True):
+            for stretch, start in places:
+                parts[stretch] = row[start // block : start // block + rows[stretch]]
+        return np.concatenate([parts[i] for i in self._reduction.sequence])
+
     def _compute_slow(self, node: Node) -> Array:
         """Return a node's values [tracks, n] of block means; what is filtered is kept for others.
 

@@ -24,6 +24,7 @@ from zerodrift.physics.projection import (
     weigh,
 )
 from zerodrift.physics.reduction import Column
+from zerodrift.physics.shortlist import find_promising
 from zerodrift.physics.terms import Term
 
 Array = NDArray[np.float64]
@@ -82,7 +83,11 @@ def search(
     points = [
         set_coordinates(terms, on_grid, np.array(u)) for u in (grid(on_grid) if on_grid else [])
     ]
-    starts = assess_all(campaign, [terms, *points], weights)
+    choices = [terms, *points]
+    if coordinates and on_grid:
+        promising = find_promising(campaign, choices, weights, refined_starts)
+        choices = choices if promising is None else [choices[i] for i in promising]
+    starts = assess_all(campaign, choices, weights)
     starts.sort(key=lambda found: found.cost)
     if not coordinates:
         return let_arrive(campaign, starts[0], weights, without)

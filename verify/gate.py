@@ -254,8 +254,9 @@ def _judge_inside(
     others = [("worse_than_none", "without compensation it is", pool.none)]
     if pool.physics is not None:
         others.append(("worse_than_physics", "the physical model alone leaves", pool.physics))
+    lengths = [measure_correlation(e) for e in pool.chip] if len(others) > 1 else None
     for kind, words, other in others:
-        contrast = contrast_errors(pool.chip, other)
+        contrast = contrast_errors(pool.chip, other, lengths)
         if contrast.beyond_chance is None:
             warnings.append(
                 Statement(
@@ -367,7 +368,9 @@ class Contrast:
         return self.worse and self.beyond_chance is not False
 
 
-def contrast_errors(ours: Sequence[Array], theirs: Sequence[Array]) -> Contrast:
+def contrast_errors(
+    ours: Sequence[Array], theirs: Sequence[Array], lengths: Sequence[int] | None = None
+) -> Contrast:
     """Return whether our squared error is larger, and whether by more than chance.
 
     The standard error is taken over runs, or over blocks longer than the residual's correlation
@@ -376,6 +379,7 @@ def contrast_errors(ours: Sequence[Array], theirs: Sequence[Array]) -> Contrast:
     Args:
         ours: errors [n] per run.
         theirs: errors [n] of the same rows.
+        lengths: what `measure_correlation` says of ours, where it is known.
     """
     square = sum(float(np.sum(e**2)) for e in ours)
     other = sum(float(np.sum(e**2)) for e in theirs)
@@ -386,19 +390,18 @@ def contrast_errors(ours: Sequence[Array], theirs: Sequence[Array]) -> Contrast:
     if square > GROSS * other or 2 * gross > len(ours):
         return Contrast(worse, True)
     parts = [a**2 - b**2 for a, b in zip(ours, theirs, strict=True)]
-    if len(parts) < FEWEST_RUNS:
-        parts = [
-            block
-            for own, part in zip(ours, parts, strict=True)
-            for block in _cut(part, measure_correlation(own))
-        ]
-    if len(parts) < FEWEST_RUNS:
+    if len(parts) >= FEWEST_RUNS:
+        lengths = [part.size for part in parts]
+    elif lengths is None:
+        lengths = [measure_correlation(own) for own in ours]
+    blocks = [_sum_blocks(part, n) for part, n in zip(parts, lengths, strict=True)]
+    sums = np.concatenate([np.zeros(0), *(own for own, _ in blocks)])
+    sizes = np.concatenate([np.zeros(0), *(own for _, own in blocks)])
+    if sums.size < FEWEST_RUNS:
         return Contrast(worse, None)
-    sums = np.array([part.sum() for part in parts])
-    sizes = np.array([part.size for part in parts], dtype=np.float64)
     mean = sums.sum() / sizes.sum()
     left = sums - mean * sizes
-    count = len(parts)
+    count = sums.size
     error = math.sqrt(count / (count - 1.0) * float(left @ left)) / sizes.sum()
     return Contrast(worse, bool(mean > find_quantile(count) * error))
 
@@ -425,9 +428,19 @@ def measure_correlation(residual: Array) -> int:
     return min(int(count), math.ceil(2.0 * (1.0 + 2.0 * float(lags[1:end].sum()))))
 
 
-def _cut(part: Array, length: int) -> list[Array]:
-    """Return equal blocks of at least `length` samples; fewer samples than two blocks are one."""
-    return [np.asarray(x) for x in np.array_split(part, max(1, part.size // max(length, 1)))]
+def _sum_blocks(part: Array, length: int) -> tuple[Array, Array]:
+    """Return the sums and the sizes of equal blocks of at least `length` samples.
+
+    Fewer samples than two blocks are one. The first blocks have one sample more than the others
+    where they cannot all be equal, as `numpy.array_split` cuts them.
+    """
+    count = max(1, part.size // max(length, 1))
+    size, longer = divmod(part.size, count)
+    end = longer * (size + 1)
+    sums = [part[:end].reshape(longer, size + 1).sum(axis=1)] if longer else []
+    sums.append(part[end:].reshape(count - longer, size).sum(axis=1))
+    sizes = np.repeat(np.array([size + 1.0, size]), [longer, count - longer])
+    return np.concatenate(sums), sizes
 
 
 def _rms(parts: Sequence[Array]) -> float:
