@@ -24,6 +24,9 @@ LEAST_LEFT = 1e-6
 LEAST_EIGENVALUE = 1e-6
 """The same of the columns of a point that are nearly alike."""
 
+MOST_AT_ONCE, LEAST_PART = 50_000, 16
+"""Products in a part, and samples at least."""
+
 
 def find_promising(
     campaign: Campaign, choices: Sequence[Sequence[Term]], weights: Array, count: int
@@ -75,7 +78,7 @@ def _compare(table: Array, drift: Array, points: NDArray[np.int64]) -> Array | N
         drift: [K, n] likewise.
         points: [S, J] the columns of each point.
     """
-    gram, right = table @ table.T, table @ drift.T
+    gram, right = _multiply(table, table), _multiply(table, drift)
     squares = (drift * drift).sum(axis=1)
     size = np.sqrt(np.diag(gram))
     if not np.isfinite(gram).all() or not (size > 0.0).all():
@@ -89,3 +92,15 @@ def _compare(table: Array, drift: Array, points: NDArray[np.int64]) -> Array | N
     if not (left > LEAST_LEFT * squares).all():
         return None
     return np.asarray(np.log(left).sum(axis=1))
+
+
+def _multiply(one: Array, other: Array) -> Array:
+    """Return the products [U, V] of rows [U, n] and [V, n], part by part.
+
+    In one piece it would be worth several threads to BLAS, which cost more than they save.
+    """
+    size = max(LEAST_PART, MOST_AT_ONCE // (len(one) * len(other)))
+    end = one.shape[1] // size * size
+    parts = [x[:, :end].reshape(len(x), -1, size).swapaxes(0, 1) for x in (one, other)]
+    whole = (parts[0] @ parts[1].swapaxes(1, 2)).sum(axis=0)
+    return np.asarray(whole + one[:, end:] @ other[:, end:].T)

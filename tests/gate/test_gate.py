@@ -21,7 +21,7 @@ from zerodrift.operations.exp2 import IntegerExp2
 from zerodrift.report.tables import tabulate_chip_error
 from zerodrift.train.training import train
 from zerodrift.verify import chip_error, left_out
-from zerodrift.verify.gate import contrast_errors, find_quantile, measure_correlation
+from zerodrift.verify.contrast import contrast_errors, find_quantile, measure_correlation
 from zerodrift.verify.summary import FirmwareSummary
 
 
