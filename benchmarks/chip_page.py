@@ -73,23 +73,21 @@ class PlayedHost:
     def __init__(self, played: Played) -> None:
         self.model = played.model
         self.observes = False  # it is the C as it is flashed
-        self._played, self._at = played, 0
+        self._played = played
 
-    def run(self, codes: CodeArray, *, settled: bool = True, restart: bool = True) -> HostTrace:
-        """Return the next steps' answers."""
+    def run_chunks(
+        self, codes: CodeArray, chunk: int, width: int, *, settled: bool = True
+    ) -> tuple[HostTrace, NDArray[np.int64]]:
+        """Return the answers that were given in the page, and the states after each chunk."""
         del settled
-        first = 0 if restart else self._at
-        self._at = first + len(codes)
-        trace = self._played.trace
-        part = slice(first, self._at)
-        return HostTrace(trace.drift[part], trace.flags[part], trace.nodes[part])
-
-    def pack(self, length: int) -> NDArray[np.int64]:
-        """Return the state after the last steps."""
-        packed = self._played.packed[-(-self._at // self._played.chunk) - 1]
-        if packed.size != length:
-            raise AssertionError(f"the C packs {packed.size} numbers, the reference {length}")
-        return packed
+        played = self._played
+        if (len(codes), chunk) != (len(played.trace.flags), played.chunk):
+            raise AssertionError(f"{len(codes)} steps in chunks of {chunk} were not played")
+        if played.packed.shape[1] != width:
+            raise AssertionError(
+                f"the C packs {played.packed.shape[1]} numbers, the reference {width}"
+            )
+        return played.trace, played.packed
 
 
 class ChipPage:

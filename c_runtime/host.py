@@ -2,6 +2,7 @@
 
 import ctypes
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -202,9 +203,7 @@ class HostModel:
     def pack(self, length: int) -> NDArray[np.int64]:
         """Return the state as `length` numbers, in the order of `ModelState.pack`."""
         packed = np.empty(length, dtype=np.int64)
-        count = int(self._pack(self._state, _pointer(packed)))
-        if count != length:
-            raise AssertionError(f"the C packs {count} numbers, the reference {length}")
+        _check_width(int(self._pack(self._state, _pointer(packed))), length)
         return packed
 
     def run(
@@ -224,23 +223,82 @@ class HostModel:
             elapsed: steps since power-on, for a log that starts later; only with `settled`.
         """
         codes = np.ascontiguousarray(codes, dtype=self.model.code_type)
-        steps = codes.shape[0]
-        drift = np.full((steps, len(self.model.outputs)), _UNWRITTEN, dtype=np.int32)
-        flags = np.full(steps, _UNWRITTEN, dtype=np.uint32)
-        nodes = np.zeros((steps, self._values), dtype=np.int32)
         if restart:
-            self._start(self._state, _pointer(codes), ctypes.c_int(int(settled)))
+            self._begin(codes, settled)
             if elapsed:
                 self._elapse(self._state, ctypes.c_int32(min(elapsed, 2**31 - 1)))
-        self._run(
-            self._state,
-            _pointer(codes),
-            ctypes.c_uint32(steps),
-            _pointer(drift),
-            _pointer(flags),
-            _pointer(nodes) if self._values else None,
+        trace = self._make_trace(len(codes))
+        _Places(codes, trace).run(self._run, self._state, 0, len(codes))
+        return trace
+
+    def run_chunks(
+        self, codes: CodeArray, chunk: int, width: int, *, settled: bool = True
+    ) -> tuple[HostTrace, NDArray[np.int64]]:
+        """Run over codes [T, C] from `settle` or `init`; return also the states after each chunk.
+
+        Args:
+            codes: raw input codes, T > 0.
+            chunk: steps after which the state is read; the last chunk may be shorter.
+            width: numbers of a state, in the order of `ModelState.pack`.
+            settled: start from `settle` rather than `init`.
+
+        Returns:
+            What the C gave at all T steps, and the states [chunks, width].
+        """
+        codes = np.ascontiguousarray(codes, dtype=self.model.code_type)
+        self._begin(codes, settled)
+        trace = self._make_trace(len(codes))
+        places = _Places(codes, trace)
+        states = np.empty((-(-len(codes) // chunk), width), dtype=np.int64)
+        at = states.ctypes.data
+        for number in range(len(states)):
+            first = number * chunk
+            places.run(self._run, self._state, first, min(chunk, len(codes) - first))
+            count = self._pack(self._state, ctypes.c_void_p(at + number * states.strides[0]))
+            _check_width(int(count), width)
+        return trace, states
+
+    def _begin(self, codes: CodeArray, settled: bool) -> None:
+        self._start(self._state, _pointer(codes), ctypes.c_int(int(settled)))
+
+    def _make_trace(self, steps: int) -> HostTrace:
+        """Return where the C writes what it gives for some steps."""
+        return HostTrace(
+            np.full((steps, len(self.model.outputs)), _UNWRITTEN, dtype=np.int32),
+            np.full(steps, _UNWRITTEN, dtype=np.uint32),
+            np.zeros((steps, self._values), dtype=np.int32),
         )
-        return HostTrace(drift, flags, nodes)
+
+
+class _Places:
+    """Where codes lie and answers go, so that a call of the C costs no search for them."""
+
+    def __init__(self, codes: CodeArray, trace: HostTrace) -> None:
+        self._kept = (codes, trace)
+        arrays = (codes, trace.drift, trace.flags, trace.nodes)
+        self._firsts = [array.ctypes.data for array in arrays]
+        self._strides = [array.strides[0] for array in arrays]
+        self._traced = trace.nodes.shape[1] > 0
+
+    def run(
+        self,
+        function: Callable[..., object],
+        state: "ctypes.Array[ctypes.c_char]",
+        first: int,
+        steps: int,
+    ) -> None:
+        """Go on by some steps, the first of which is row `first`."""
+        codes, drift, flags, nodes = (
+            ctypes.c_void_p(at + first * stride)
+            for at, stride in zip(self._firsts, self._strides, strict=True)
+        )
+        last = nodes if self._traced else None
+        function(state, codes, ctypes.c_uint32(steps), drift, flags, last)
+
+
+def _check_width(count: int, expected: int) -> None:
+    if count != expected:
+        raise AssertionError(f"the C packs {count} numbers, the reference {expected}")
 
 
 def write_sources(code: GeneratedCode, directory: Path) -> list[Path]:

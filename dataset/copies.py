@@ -13,10 +13,12 @@ alignments that two runs may share, and only these are looked at again row by ro
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.ranks import find_median
 from zerodrift.dataset.read_runs import ReadRun, ReadRuns
 from zerodrift.dataset.resolution import (
     DIGITS,
@@ -135,8 +137,9 @@ def measure_white_noise(values: Array) -> float:
     """
     if values.size < WINDOW:
         return 0.0
-    fourth = float(np.median(np.abs(np.diff(values, 4)))) / (0.6745 * 70**0.5)
-    sixth = float(np.median(np.abs(np.diff(values, 6)))) / (0.6745 * 924**0.5)
+    differences = np.diff(values, 4)
+    fourth = find_median(np.abs(differences)) / (0.6745 * 70**0.5)
+    sixth = find_median(np.abs(np.diff(differences, 2))) / (0.6745 * 924**0.5)
     if sixth <= 0.5 * fourth:
         return 0.0
     least: float = min(fourth, sixth, _measure_scatter(values))
@@ -147,9 +150,17 @@ def _measure_scatter(values: Array) -> float:
     """Return the RMS of what parabolas through a few rows at a time leave, the median of them."""
     rows = min(FITTED_ROWS, values.size)
     pieces = values[: values.size // rows * rows].reshape(-1, rows)
-    basis = np.linalg.qr(np.vander(np.linspace(-1, 1, rows), 3))[0]
+    basis = _span_parabolas(rows)
     left: Array = pieces - pieces @ basis @ basis.T
-    return float(np.median(np.sqrt(np.sum(left**2, axis=1) / (rows - 3))))
+    return find_median(np.sqrt(np.sum(left**2, axis=1) / (rows - 3)))
+
+
+@lru_cache(maxsize=FITTED_ROWS)
+def _span_parabolas(rows: int) -> Array:
+    """Return an orthonormal basis [rows, 3] of the parabolas over so many rows."""
+    basis = np.linalg.qr(np.vander(np.linspace(-1, 1, rows), 3))[0]
+    basis.flags.writeable = False  # others get the same
+    return basis
 
 
 def count_bits(noise: float, step: float) -> float:

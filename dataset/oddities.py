@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zerodrift.base.config import Config
+from zerodrift.base.ranks import find_median, find_quantile
 from zerodrift.dataset.runs import Array, Run
 from zerodrift.dataset.time_units import tell_time
 
@@ -92,9 +93,9 @@ def _find_drift_spikes(run: Run, index: int) -> list[int]:
     if drift.size < 3:
         return []
     some = np.arange(0, drift.size - 1, _spread(drift.size))
-    low, high = np.quantile(drift[some], (0.01, 0.99))
-    usual = float(np.median(np.abs(drift[some + 1] - drift[some])))
-    least = max(SPIKE_RANGES * float(high - low), SPIKE_STEPS * usual)
+    low, high = (find_quantile(drift[some], share) for share in (0.01, 0.99))
+    usual = find_median(np.abs(drift[some + 1] - drift[some]))
+    least = max(SPIKE_RANGES * (high - low), SPIKE_STEPS * usual)
     return [int(row) for row in _find_spikes(drift, least)] if least > 0 else []
 
 

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.ranks import find_median, find_quantile
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -200,16 +202,17 @@ def _measure_spread(x: Array, distance: Array) -> float:
     moves = steps > 1e-9 * float(np.ptp(x))
     if not moves.any():
         return 0.0
-    spread = OF_DISTANCE * float(np.median(distance))
-    if np.unique(x).size < LATTICE * x.size:
+    spread = OF_DISTANCE * find_median(distance)
+    ordered = np.sort(x)
+    if 1 + np.count_nonzero(ordered[1:] != ordered[:-1]) < LATTICE * x.size:
         # A coarse converter rests on one value: half its step is the least that it can be off,
         # and medians of few values say little.
-        usual = distance[distance <= np.quantile(distance, ORDINARY)]
-        least = 0.5 * float(np.quantile(steps[moves], 0.01))
+        usual = distance[distance <= find_quantile(distance, ORDINARY)]
+        least = 0.5 * find_quantile(steps[moves], 0.01)
         return max(spread, least, float(np.sqrt(np.mean(usual**2))))
     # What stands still, at a rail or in a gap that was filled, shows no noise.
     moving = distance[1:-1][moves[1:] & moves[:-1]]
-    return max(spread, OF_DISTANCE * float(np.median(moving)) if moving.size else 0.0)
+    return max(spread, OF_DISTANCE * find_median(moving) if moving.size else 0.0)
 
 
 def _list_signals(temperature_degC: Array, reference: Array, inputs: Mapping[str, Array]) -> Array:

@@ -392,6 +392,8 @@ def _read_names(path: Path, label: str) -> tuple[str, ...]:
 
 
 def _refuse_dtypes(source: Source, columns: Mapping[str, str]) -> None:
+    if source.is_csv:
+        return  # they are read as numbers
     schema = source.scan(tuple(columns)).collect_schema()
     for column in columns:
         _refuse_dtype(source, column, schema[column])

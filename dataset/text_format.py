@@ -37,7 +37,6 @@ _TIME = re.compile(
 _DATE_THEN_TIME = re.compile(
     r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4})[ \t]+(\d\d?:\d)"
 )
-_BLANK = re.compile(r"\s")
 _UNIT = re.compile(r"[\[(<]?\s*[A-Za-z0-9%°µμ/*^²³·.\- ]{0,12}\s*[\])>]?")
 _MISSING = ("", "na", "n/a", "nan", "null", "none", "-", "--", "---")
 
@@ -120,7 +119,7 @@ def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
     is_padded = separator != SPACES and any(
         field != field.strip() and _is_value(field.strip(), comma)
         for each, (_, line) in zip(fields[first:], rows[first:], strict=True)
-        if _BLANK.search(line)
+        if line.split(None, 1)[0] != line
         for field in each
     )
     found = TextFormat(

@@ -21,6 +21,8 @@ MEMORIES = (8.0, 64.0, 512.0, 4096.0)
 """Time constants of the memory that the regression has, samples."""
 SAMPLES_PER_COLUMN = 20
 """Fewer samples than this per column, and the regression is left the simpler columns."""
+MOST_KEPT = 1 << 21
+"""Values of all runs' columns up to which they are kept; those of longer logs are built again."""
 
 
 class Unexplained:
@@ -37,18 +39,24 @@ class Unexplained:
         self._plan = _Plan(dataset)
         samples = sum(len(run) for run in runs)
         most = max(samples // SAMPLES_PER_COLUMN, 1)
-        self._count = min(self._plan.build(runs[0]).shape[1], most)
+        self._tables: dict[int, tuple[Run, Array]] = {}
+        first = self._plan.build(runs[0])
+        self._count = min(first.shape[1], most)
         gram = np.zeros((self._count, self._count))
         right = np.zeros((self._count, len(dataset.outputs)))
-        for run in runs:
-            table = _level(self._build(run), piece)
+        for number, run in enumerate(runs):
+            whole = first if number == 0 else self._plan.build(run)
+            if samples * self._count <= MOST_KEPT:
+                self._tables[id(run)] = run, whole
+            table = _level(whole[:, : self._count], piece)
             gram += table.T @ table
             right += table.T @ _level(run.steady_drift, piece)
         self._coefficients = invert_scaled(gram) @ right
         self._freedom = 1.0 - self._count / samples
 
     def _build(self, run: Run) -> Array:
-        return self._plan.build(run)[:, : self._count]
+        kept = self._tables.get(id(run))
+        return (self._plan.build(run) if kept is None else kept[1])[:, : self._count]
 
     def leave(self, run: Run) -> Array:
         """Return what is left of a run's drift [n, K], but for its mean."""
@@ -127,4 +135,9 @@ def _level(table: Array, piece: int | None) -> Array:
     size = length if piece is None else min(piece, length)
     edges = np.arange(0, length, size)
     means = np.add.reduceat(table, edges, axis=0) / np.diff(np.append(edges, length))[:, None]
-    return np.asarray(table - np.repeat(means, np.diff(np.append(edges, length)), axis=0))
+    whole = length // size
+    levelled = np.empty(table.shape)
+    pieces = table[: whole * size].reshape(whole, size, -1)
+    np.subtract(pieces, means[:whole, None], out=levelled[: whole * size].reshape(pieces.shape))
+    levelled[whole * size :] = table[whole * size :] - means[whole:]
+    return levelled

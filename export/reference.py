@@ -20,6 +20,7 @@ from zerodrift.export.integer_model import (
     FLAG_WARMING_UP,
     IntegerModel,
 )
+from zerodrift.export.stretches import STRETCH_ROWS, can_stretch, hold_readings, run_stretch
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, CodeArray, IntArray, saturate
 from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import CODES, ELAPSED, PREVIOUS_DRIFT, State
@@ -197,10 +198,14 @@ class Reference:
 
     def _hold(self, state: ModelState, codes: IntArray, missing: NDArray[np.bool_]) -> IntArray:
         """Return codes [B, C] with the last reading in the place of each that is none."""
+        return np.where(missing, self._recall(state, codes), codes)
+
+    def _recall(self, state: ModelState, codes: IntArray) -> IntArray:
+        """Return codes [B, C] with the last readings of all channels that may have none."""
         last = codes.copy()
         last[:, self.model.guards.temperature_channel] = state.previous
         last[:, self.model.held] = state.held
-        return np.where(missing, last, codes)
+        return last
 
     def _rest(
         self, codes: IntArray, drift: IntArray, settled: bool, elapsed: int
@@ -306,6 +311,38 @@ class Reference:
             + FLAG_CLAMPED * clamped
         )
 
+    def _stretch(
+        self, state: ModelState, codes: IntArray
+    ) -> tuple[ModelState, IntArray, IntArray, IntArray]:
+        """Return what T times `_step` does of codes [T, B, C], from a state that is not new.
+
+        That is the state afterwards, drift [T, B, K], flags [T, B], and hidden [T, B, H].
+        """
+        at, steps = self.model.guards.temperature_channel, len(codes)
+        missing = self._find_missing(codes)
+        codes = hold_readings(codes, missing, self._recall(state, codes[0]))
+        done = run_stretch(self.model, state, codes)
+        temperature = codes[:, :, at]
+        counted = np.minimum(state.steps + np.arange(steps + 1)[:, None], self._full)
+        before = replace(
+            state,
+            steps=counted[:-1].ravel(),
+            previous=np.concatenate([state.previous, temperature[:-1].ravel()]),
+        )
+        clamped = (done.unlimited != done.drift).any(axis=2).ravel()
+        flat = codes.reshape(temperature.size, -1)
+        flags = self._flags(before, flat, np.zeros(temperature.size, dtype=np.int64), clamped)
+        after = replace(
+            state,
+            nodes=done.nodes,
+            steps=counted[-1],
+            previous=temperature[-1],
+            held=codes[-1][:, self.model.held],
+        )
+        raised = flags.reshape(temperature.shape) + FLAG_NO_READING * missing.any(axis=2)
+        empty = np.empty((*temperature.shape, 0), dtype=np.int64)
+        return after, done.drift, raised, np.concatenate([empty, *done.hidden], axis=2)
+
     def run(
         self,
         codes: CodeArray,
@@ -328,12 +365,24 @@ class Reference:
         drift = np.empty((steps, batch, len(self.model.outputs)), dtype=np.int32)
         flags = np.empty((steps, batch), dtype=np.uint32)
         states = np.empty((steps, batch, hidden), dtype=np.int32)
-        for t in range(steps):
+        at_once = (
+            max(1, STRETCH_ROWS // max(batch, 1))
+            if observe is None and can_stretch(self.model)
+            else 1
+        )
+        t = 0
+        while t < steps:
+            if at_once > 1 and now.steps.all():
+                part = slice(t, t + at_once)
+                now, drift[part], flags[part], states[part] = self._stretch(now, wide[part])
+                t += at_once
+                continue
             now, values, drift[t], flags[t] = self._step(now, wide[t], times_us[t])
             if layers:
                 states[t] = np.concatenate([now.nodes[n.name]["h_q30"] for n in layers], axis=1)
             if observe is not None:
                 observe(t, values)
+            t += 1
         return ReferenceTrace(
             drift=np.ascontiguousarray(drift.swapaxes(0, 1)),
             flags=np.ascontiguousarray(flags.T),

@@ -71,6 +71,11 @@ def watching_lines(tell: Callable[[IntArray], object]) -> Iterator[None]:
         _watchers.remove(tell)
 
 
+def is_watched() -> bool:
+    """Tell whether someone is told the lines that are looked up."""
+    return bool(_watchers)
+
+
 def tanh_q30(t_q16: Wholes) -> Int32Array:
     """Return tanh(t) in Q0.30 for t in Q3.16, saturating outside -8 .. 8.
 

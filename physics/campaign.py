@@ -5,8 +5,10 @@ into octaves, see `octaves`; deviations within blocks are kept for every few blo
 parts are kept. All that follows is small algebra on sums of products.
 """
 
+import itertools
 from collections import OrderedDict
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,7 +19,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.graph import Node
-from zerodrift.physics.effect import FEWEST_RUNS, Arrivals, Feature
+from zerodrift.physics.effect import FEWEST_RUNS, Arrivals, Effect, Feature
 from zerodrift.physics.octaves import MEANS
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.rates import Rates
@@ -36,6 +38,10 @@ FAST_ROWS = 3_000
 """Samples for which deviations within blocks are kept."""
 CACHED_COLUMNS = 1000
 """Columns that are kept: those of one look at a model come back when values are refined."""
+SPARE_ROWS = 8
+"""Room for more columns at the next sum."""
+MOST_BUILT = 1000
+"""Values of the terms whose features are kept."""
 FEWEST_PIECES = 8
 """As many pieces there are then, at least."""
 
@@ -114,9 +120,22 @@ class Campaign:
         arrive = partial(_arrive, self.rates, self.ops, firsts)
         self._signals = replace(name_signals(self.ops, plan), arrivals=arrive)
         self._cache: OrderedDict[tuple[int, tuple[int, ...]], Column] = OrderedDict()
+        self._built: dict[tuple[object, ...], tuple[Feature[Node], ...]] = {}
+        self._effects: dict[int, Effect] = {}
+        """Kept, so that no other gets the number of one that is gone."""
         self.set_aside = set_aside
+        self._rows: Array | None = None
         self._drifts = [self._reduce_drift(k, None) for k in range(len(plan.outputs))]
         self._offsets = self._make_offsets()
+
+    def share(self, *, tared: bool) -> "Campaign":
+        """Return a campaign of the same runs that shares all columns, with other offsets."""
+        other = copy(self)
+        other.tared = tared
+        other._drifts = list(self._drifts)
+        other._offsets = other._make_offsets()
+        other._rows = None
+        return other
 
     def average_runs(self, values: Array) -> Array:
         """Return the means [R, K] over each run's pieces of values [G, K]."""
@@ -161,6 +180,11 @@ class Campaign:
         Raises:
             InputError: an effect fails, or returns something other than nodes.
         """
+        key = tuple(
+            (id(t.effect), t.signal, t.arrivals, tuple(sorted(t.values.items()))) for t in terms
+        )
+        if key in self._built:
+            return self._built[key]
         features = build_features(self.ops, self._signals, terms, self.order)
         for feature in features:
             if not isinstance(feature.signal, Node):
@@ -168,7 +192,11 @@ class Campaign:
                     f"{name_feature(feature, terms)} is a "
                     f"{type(feature.signal).__name__}; expected what an operation of `ops` returns."
                 )
-        return tuple(features[1:])
+        if len(self._built) >= MOST_BUILT:
+            self._built.clear()
+        self._effects |= {id(term.effect): term.effect for term in terms}
+        self._built[key] = tuple(features[1:])
+        return self._built[key]
 
     def column(self, node: Node, label: str = "") -> Column:
         """Return the coefficients of a node's values over all runs, computed once.
@@ -212,14 +240,13 @@ class Campaign:
         """
         columns = [self.column(f.signal, name_feature(f, terms)) for f in features]
         columns += [column for _, _, column in slopes]
-        columns += [*self._offsets, *self._drifts]
         outputs = self.plan.outputs
         mask = np.array(
             [[f.output is None or f.output == output for output in outputs] for f in features],
             dtype=bool,
         ).reshape(len(features), len(outputs))
         return Sums(
-            self.reduction.sum_products(columns),
+            self._sum_products(columns),
             self.counts,
             tuple(features),
             tuple((p, j) for p, j, _ in slopes),
@@ -227,6 +254,44 @@ class Campaign:
             len(outputs),
             mask,
         )
+
+    def _sum_products(self, columns: Sequence[Column]) -> Array:
+        """Return the sums of products of these columns, then the offsets and the drifts."""
+        behind = [*self._offsets, *self._drifts]
+        needed = len(columns) + len(behind)
+        if self._rows is None or len(self._rows) < needed:
+            # What is behind stays where it is from one sum to the next.
+            self._rows = np.empty((needed + SPARE_ROWS, behind[-1].octaves.size))
+            np.stack([column.octaves for column in behind], out=self._rows[-len(behind) :])
+        rows = self._rows[-needed:]
+        for row, column in zip(rows, columns, strict=False):
+            row[:] = column.octaves
+        return self.reduction.sum_products(rows, [c.fast for c in (*columns, *behind)])
+
+    def lay_drift(self) -> Array | None:
+        """Return the drift [K, n] of all samples, stretch by stretch as in `Rates.lay`.
+
+        None where samples are averaged or bridged, or where only what lies between the pieces'
+        means counts.
+        """
+        if self.block > 1 or not self.uses_means or (self.set_aside and self.plan.saturated):
+            return None
+        drift = np.concatenate([self.runs[i].steady_drift for i in self.reduction.sequence])
+        return np.ascontiguousarray(drift.T)
+
+    def level(self, laid: Array) -> Array:
+        """Return laid values [..., n] without what the offsets take."""
+        groups = [self.runs[i].group if self.tared else "" for i in self.reduction.sequence]
+        sizes = [self.reduction.rows[i] for i in self.reduction.sequence]
+        levelled, at = np.empty_like(laid), 0
+        for _, own in itertools.groupby(zip(groups, sizes, strict=True), key=lambda each: each[0]):
+            part = laid[..., at : (at := at + sum(size for _, size in own))]
+            np.subtract(
+                part,
+                part.mean(axis=-1, keepdims=True),
+                out=levelled[..., at - part.shape[-1] : at],
+            )
+        return levelled
 
     def mean_of(self, node: Node) -> Array:
         """Return the mean [G] of a node's values over each piece, but for a constant."""
@@ -265,6 +330,7 @@ class Campaign:
         for name in self.plan.saturated:
             k = self.plan.outputs.index(name)
             self._drifts[k] = self._reduce_drift(k, predictions)
+        self._rows = None
 
     def _reduce_drift(self, k: int, predictions: Sequence[Array] | None) -> Column:
         """Return the coefficients of one output's drift."""

@@ -160,7 +160,7 @@ def fit_terms(
     live = find_live(runs)
     said = runs[0].tared
     if len(campaign.groups) > 1 and live.any() and said is not True:
-        common = Campaign(runs, plan, order, tared=False, set_aside=set_aside, most_rows=FIT_ROWS)
+        common = campaign.share(tared=False)
         common.fill(found.terms, found.solution.coefficients)
         together = search(common, found.terms, flat_weights(common), vary=())
         ratio = float(np.mean((together.solution.errors / found.solution.errors)[live]))

@@ -49,12 +49,17 @@ class Octaves:
 
     def transform(self, x: Array) -> Array:
         """Return the coefficients [M] of a column [n] over all pieces."""
-        running = np.concatenate([[0.0], np.cumsum(x)])
-        at_middle = running[self.middle]
-        return np.asarray(
-            (at_middle - running[self.start]) * self.left
-            - (running[self.stop] - at_middle) * self.right
-        )
+        running = np.empty(x.size + 1)
+        running[0] = 0.0
+        np.cumsum(x, out=running[1:])
+        at_middle = running.take(self.middle)
+        left, right = running.take(self.start), running.take(self.stop)
+        np.subtract(at_middle, left, out=left)
+        np.subtract(right, at_middle, out=right)
+        left *= self.left
+        right *= self.right
+        left -= right
+        return left
 
 
 def cut_octaves(lengths: IntArray, samples_per_row: int) -> Octaves:

@@ -31,18 +31,22 @@ def find_rails(measured: Array, reference: Array) -> Array:
         Where no load moves, the drift may stay at the end of its range; there the extreme must
         occur much more often than the neighbouring values, over which noise would spread it.
     """
+    measured, reference = np.ascontiguousarray(measured), np.ascontiguousarray(reference)
     flags = np.zeros(measured.size)
     spread = float(np.ptp(measured))
     if spread == 0.0:
         return flags
     same = 1e-7 * spread
-    lasts = _measure_stands(np.abs(np.diff(measured)) <= same)
     ends = [measured >= float(measured.max()) - same, measured <= float(measured.min()) + same]
-    between = ~(ends[0] | ends[1])
-    elsewhere = float(lasts[between].max(initial=1.0))
-    resolved = _is_resolved(measured, between, same)
-    if float(np.ptp(reference)) == 0.0 and not resolved:
+    if max(np.count_nonzero(standing) for standing in ends) < FEWEST_SAMPLES:
         return flags
+    between = ~(ends[0] | ends[1])
+    resolved = _is_resolved(measured, between, same)
+    still = float(np.ptp(reference)) == 0.0
+    if still and not resolved:
+        return flags
+    lasts = None if still else _measure_stands(np.abs(np.diff(measured)) <= same)
+    elsewhere = 1.0 if lasts is None else float(lasts[between].max(initial=1.0))
     for sign, standing in zip((1.0, -1.0), ends, strict=True):
         height = sign * measured
         count = int(standing.sum())
@@ -51,7 +55,7 @@ def find_rails(measured: Array, reference: Array) -> Array:
         if resolved and count >= max(FEWEST_SAMPLES, PILED * _count_next(height, between, same)):
             flags[standing] = 1.0
             continue
-        if float(np.ptp(reference)) == 0.0:
+        if still:
             continue
         longest = _longest(standing)
         if longest >= max(FEWEST_SAMPLES, RARITY * elsewhere):

@@ -5,14 +5,16 @@ that are nearly straight within a block are computed on block means, stretch by 
 a fast signal are computed on all samples and then averaged.
 """
 
+from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.backend import evaluate
+from zerodrift.operations.backend import NumpyOperations, evaluate
 from zerodrift.operations.graph import Node, list_nodes
+from zerodrift.operations.registry import OPERATIONS
 from zerodrift.physics.reduction import Column, Reduction
 
 Array = NDArray[np.float64]
@@ -22,6 +24,8 @@ STRAIGHT = 1e-5
 squares over all stretches."""
 STRAIGHT_ENOUGH = 1e-2
 """The same where values are only searched for."""
+MOST_FILTERED = 16
+"""Filtered signals of block means that are kept."""
 
 
 class Rates:
@@ -50,6 +54,7 @@ class Rates:
             for name in inputs[0]
         }
         self._full: dict[tuple[str, tuple[int, ...]], Array] = {}
+        self._filtered: OrderedDict[int, tuple[Node, Array]] = OrderedDict()
         self._fast: dict[tuple[int, bool], tuple[int, ...]] = {}
         self._curvature = {name: self._measure_curvature(name) for name in inputs[0]}
         self.roughly = False
@@ -96,7 +101,7 @@ class Rates:
         block_rows = self._reduction.rows
         parts: list[tuple[Array, Array | None] | None] = [None] * len(block_rows)
         if len(fast) < len(self._inputs):
-            laid = evaluate([node], self._slow, block * self._sample_period_s)[0]
+            laid = self._compute_slow(node)
             for i, row in enumerate(laid):
                 for stretch, start in self._places[i] if i not in fast else ():
                     first = start // block
@@ -111,6 +116,42 @@ class Rates:
                     samples = row[start : start + block * block_rows[stretch]]
                     parts[stretch] = self._reduction.take_apart(samples)
         return self._reduction.assemble([part for part in parts if part is not None])
+
+    def lay(self, node: Node) -> Array:
+        """Return the values [n] of a node that is fast nowhere, stretch by stretch as in columns.
+
+        Those are the blocks' means; of blocks of one sample the samples.
+        """
+        laid, block, rows = self._compute_slow(node), self._reduction.block, self._reduction.rows
+        parts: dict[int, Array] = {}
+        for row, places in zip(laid, self._places, strict=True):
+            for stretch, start in places:
+                parts[stretch] = row[start // block : start // block + rows[stretch]]
+        return np.concatenate([parts[i] for i in self._reduction.sequence])
+
+    def _compute_slow(self, node: Node) -> Array:
+        """Return a node's values [tracks, n] of block means; what is filtered is kept for others.
+
+        Features of one time constant share a filter, and a search comes back to it.
+        """
+        ops = NumpyOperations(
+            self._reduction.block * self._sample_period_s, next(iter(self._slow.values())).shape
+        )
+        values: dict[int, Array] = {}
+        for each in list_nodes([node]):
+            if each.op == "input":
+                values[id(each)] = self._slow[each.source]
+            elif id(each) in self._filtered:
+                self._filtered.move_to_end(id(each))
+                values[id(each)] = self._filtered[id(each)][1]
+            else:
+                found = ops.compute(each, [values[id(child)] for child in each.inputs])
+                values[id(each)] = found
+                if each.op != "constant" and OPERATIONS[each.op].timed:
+                    self._filtered[id(each)] = each, found
+        while len(self._filtered) > MOST_FILTERED:
+            self._filtered.popitem(last=False)
+        return values[id(node)]
 
     def _find_fast(self, sources: set[str]) -> tuple[int, ...]:
         """Return the tracks in which one of the signals is fast."""

@@ -103,6 +103,22 @@ class Reduction:
         return Column(octaves.octaves, np.concatenate(moving) if moving else None)
 
     @cached_property
+    def _alike(self) -> tuple[tuple[slice, int, slice, int], ...]:
+        """(pieces, level, coefficients of the first, step to the next) of neighbours cut alike."""
+        found: list[tuple[slice, int, slice, int]] = []
+        for piece, level, rows in sorted(self.slices, key=lambda each: (each[1], each[0])):
+            if found and found[-1][1] == level and found[-1][0].stop == piece:
+                pieces, _, first, step = found[-1]
+                count = piece - pieces.start
+                step = step or rows.start - first.start
+                length = first.stop - first.start
+                if (rows.start, rows.stop - rows.start) == (first.start + count * step, length):
+                    found[-1] = (slice(pieces.start, piece + 1), level, first, step)
+                    continue
+            found.append((slice(piece, piece + 1), level, rows, 0))
+        return tuple(found)
+
+    @cached_property
     def _places(self) -> Array:
         """Where in a block its samples lie, in blocks from its middle."""
         return (np.arange(self.block) + 0.5) / self.block - 0.5
@@ -117,21 +133,34 @@ class Reduction:
 
     def reduce_means(self, means: Sequence[Array], *, centre: bool = True) -> Column:
         """Return the coefficients of block means, given per stretch, and none within blocks."""
-        laid = np.concatenate([means[i] for i in self.sequence]) * np.sqrt(self.block)
+        laid = np.concatenate([means[i] for i in self.sequence])
+        if self.block > 1:
+            laid *= np.sqrt(self.block)
         # The offsets take any constant; without it the running sums keep their precision.
         return Column(self.octaves.transform(laid - laid.mean() if centre else laid))
 
-    def sum_products(self, columns: Sequence[Column]) -> Array:
-        """Return the sums of products [G, L, C, C] of columns, per piece and level."""
-        stacked = np.stack([column.octaves for column in columns])
-        products = np.zeros((*self.counts.shape, len(columns), len(columns)))
-        for piece, level, rows in self.slices:
-            part = stacked[:, rows]
-            np.matmul(part, part.T, out=products[piece, level])
-        moving = [(c, column.fast) for c, column in enumerate(columns) if column.fast is not None]
+    def sum_products(self, octaves: Array, fast: Sequence[Array | None]) -> Array:
+        """Return the sums of products [G, L, C, C] of columns, per piece and level.
+
+        Args:
+            octaves: [C, M] of the columns.
+            fast: of each the deviations within blocks, if it has any.
+        """
+        products = np.zeros((*self.counts.shape, len(octaves), len(octaves)))
+        for pieces, level, rows, step in self._alike:
+            # One call for all pieces that are cut alike, each the product that it would be alone.
+            across, along = octaves.strides
+            part = np.ndarray(
+                (pieces.stop - pieces.start, len(octaves), rows.stop - rows.start),
+                buffer=octaves,
+                offset=rows.start * along,
+                strides=(step * along, across, along),
+            )
+            np.matmul(part, part.swapaxes(1, 2), out=products[pieces, level])
+        moving = [(c, each) for c, each in enumerate(fast) if each is not None]
         if moving:
             places = np.array([c for c, _ in moving])
-            stacked = np.stack([fast for _, fast in moving])
+            stacked = np.stack([each for _, each in moving])
             for piece, rows in enumerate(self.fast_slices):
                 part = stacked[:, rows]
                 products[piece, -1, places[:, None], places] = self.stride * (part @ part.T)

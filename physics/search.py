@@ -24,6 +24,7 @@ from zerodrift.physics.projection import (
     weigh,
 )
 from zerodrift.physics.reduction import Column
+from zerodrift.physics.shortlist import find_promising
 from zerodrift.physics.terms import Term
 
 Array = NDArray[np.float64]
@@ -78,12 +79,15 @@ def search(
             ends where a step adds almost nothing to the gain over that cost.
     """
     coordinates = list_coordinates(terms)
-    starts = [assess(campaign, terms, weights)]
     on_grid = [c for c in coordinates if vary is None or c.term in vary]
-    starts += [
-        assess(campaign, set_coordinates(terms, on_grid, np.array(u)), weights)
-        for u in (grid(on_grid) if on_grid else [])
+    points = [
+        set_coordinates(terms, on_grid, np.array(u)) for u in (grid(on_grid) if on_grid else [])
     ]
+    choices = [terms, *points]
+    if coordinates and on_grid:
+        promising = find_promising(campaign, choices, weights, refined_starts)
+        choices = choices if promising is None else [choices[i] for i in promising]
+    starts = assess_all(campaign, choices, weights)
     starts.sort(key=lambda found: found.cost)
     if not coordinates:
         return let_arrive(campaign, starts[0], weights, without)
@@ -148,9 +152,36 @@ def grid(coordinates: Sequence[Coordinate]) -> list[tuple[float, ...]]:
 
 def assess(campaign: Campaign, terms: Sequence[Term], weights: Array) -> Found:
     """Return the least-squares solution at the terms' present values."""
-    sums = campaign.sum(campaign.build(terms), terms)
-    solution = solve(sums, weigh(sums, weights).sum(axis=0))
-    return Found(tuple(terms), sums, solution, measure_cost(solution.errors))
+    (found,) = assess_all(campaign, [terms], weights)
+    return found
+
+
+def assess_all(
+    campaign: Campaign, choices: Sequence[Sequence[Term]], weights: Array
+) -> list[Found]:
+    """Return what `assess` returns for each of several values of the terms.
+
+    Those that give columns of the same layout are solved together, each as it would be alone.
+    """
+    found = [campaign.sum(campaign.build(terms), terms) for terms in choices]
+    layouts: dict[tuple[object, ...], list[int]] = {}
+    for i, sums in enumerate(found):
+        layouts.setdefault((sums.products.shape, sums.mask.tobytes()), []).append(i)
+    answers: dict[int, Found] = {}
+    for alike in layouts.values():
+        total = np.stack([weigh(found[i], weights).sum(axis=0) for i in alike])
+        together = solve(found[alike[0]], total)
+        for i, *parts in zip(
+            alike,
+            together.coefficients,
+            together.residual,
+            together.errors,
+            together.inverse,
+            strict=True,
+        ):
+            own = Solution(*parts)
+            answers[i] = Found(tuple(choices[i]), found[i], own, measure_cost(own.errors))
+    return [answers[i] for i in range(len(found))]
 
 
 def refine(

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, stdtrit
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Dataset, Run
@@ -20,6 +19,12 @@ from zerodrift.diagnosis.run_errors import FindUsable
 from zerodrift.export.encoding import find_held
 from zerodrift.export.float_model import FloatModel
 from zerodrift.verify.chip_error import ChipReplay, replay_runs
+from zerodrift.verify.contrast import (
+    FEWEST_RUNS,
+    WORSE,
+    contrast_errors,
+    measure_correlation,
+)
 from zerodrift.verify.excursions import Excursion, list_excursions
 from zerodrift.verify.left_out import LeftOut
 from zerodrift.verify.summary import ChipError, Statement
@@ -27,22 +32,10 @@ from zerodrift.verify.summary import ChipError, Statement
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-WORSE = 0.05
-"""Share by which the squared error may exceed that of no compensation, or of physics alone."""
-STANDARD_ERRORS = 2.0
-"""And the difference must be beyond this many of its standard errors; of few runs or blocks, beyond
-as many as leave the same chance by Student's distribution: 4.5 of three, 2.9 of five."""
-GROSS = 4.0
-"""A squared error that exceeds the other's by this factor, over all runs or in most of them, counts
-whatever the standard error is: runs that are far worse by unlike amounts have a large one."""
 WORSE_THAN_FLOAT = 0.10
 """Share by which it may exceed the float model's and the budgeted rounding's together."""
-FEWEST_RUNS = 3
-"""Runs, or blocks, from which a standard error is taken."""
 FEWEST_ROWS = 30
 """Rows inside the calibrated ranges from which an output is judged."""
-UNCORRELATED = 0.05
-"""The residual's correlation is summed up to the lag at which it falls below this."""
 
 NOT_JUDGED = "not judged"
 
@@ -254,8 +247,9 @@ def _judge_inside(
     others = [("worse_than_none", "without compensation it is", pool.none)]
     if pool.physics is not None:
         others.append(("worse_than_physics", "the physical model alone leaves", pool.physics))
+    lengths = [measure_correlation(e) for e in pool.chip] if len(others) > 1 else None
     for kind, words, other in others:
-        contrast = contrast_errors(pool.chip, other)
+        contrast = contrast_errors(pool.chip, other, lengths)
         if contrast.beyond_chance is None:
             warnings.append(
                 Statement(
@@ -349,85 +343,6 @@ def _name_cause(split: ChipError, name: str, unit: str, replay: ChipReplay) -> s
             f" {', '.join(ends)}, and these runs go beyond."
         )
     return f"Operations stand at their limits ({split.saturated:.2g} {unit} of it)."
-
-
-@dataclass(frozen=True)
-class Contrast:
-    """Two models' errors on the same rows."""
-
-    worse: bool
-    """Whether our squared error is larger by more than WORSE."""
-    beyond_chance: bool | None
-    """Whether it is larger by `STANDARD_ERRORS`, or `GROSS`; None: too few parts to tell."""
-
-    @property
-    def counts(self) -> bool:
-        """Whether this counts against our model; the share alone decides where chance is not
-        known."""
-        return self.worse and self.beyond_chance is not False
-
-
-def contrast_errors(ours: Sequence[Array], theirs: Sequence[Array]) -> Contrast:
-    """Return whether our squared error is larger, and whether by more than chance.
-
-    The standard error is taken over runs, or over blocks longer than the residual's correlation
-    where there are fewer than three runs.
-
-    Args:
-        ours: errors [n] per run.
-        theirs: errors [n] of the same rows.
-    """
-    square = sum(float(np.sum(e**2)) for e in ours)
-    other = sum(float(np.sum(e**2)) for e in theirs)
-    worse = square > (1.0 + WORSE) * other
-    gross = sum(
-        float(np.sum(a**2)) > GROSS * float(np.sum(b**2)) for a, b in zip(ours, theirs, strict=True)
-    )
-    if square > GROSS * other or 2 * gross > len(ours):
-        return Contrast(worse, True)
-    parts = [a**2 - b**2 for a, b in zip(ours, theirs, strict=True)]
-    if len(parts) < FEWEST_RUNS:
-        parts = [
-            block
-            for own, part in zip(ours, parts, strict=True)
-            for block in _cut(part, measure_correlation(own))
-        ]
-    if len(parts) < FEWEST_RUNS:
-        return Contrast(worse, None)
-    sums = np.array([part.sum() for part in parts])
-    sizes = np.array([part.size for part in parts], dtype=np.float64)
-    mean = sums.sum() / sizes.sum()
-    left = sums - mean * sizes
-    count = len(parts)
-    error = math.sqrt(count / (count - 1.0) * float(left @ left)) / sizes.sum()
-    return Contrast(worse, bool(mean > find_quantile(count) * error))
-
-
-def find_quantile(count: int) -> float:
-    """Return how many standard errors, taken over so many parts, a difference must be beyond."""
-    return float(stdtrit(count - 1, ndtr(STANDARD_ERRORS)))
-
-
-def measure_correlation(residual: Array) -> int:
-    """Return a length in samples beyond which a residual [n] is no longer correlated with itself.
-
-    It is twice the sum of the autocorrelation on both sides, up to where that is lost in noise.
-    """
-    x = residual - residual.mean()
-    count = x.size
-    power = float(x @ x)
-    if count < 2 or power == 0.0:
-        return max(int(count), 1)
-    spectrum = np.fft.rfft(x, 2 * count)
-    lags = np.fft.irfft(spectrum * np.conj(spectrum))[:count] / power
-    below = np.flatnonzero(lags < UNCORRELATED)
-    end = int(below[0]) if below.size else count
-    return min(int(count), math.ceil(2.0 * (1.0 + 2.0 * float(lags[1:end].sum()))))
-
-
-def _cut(part: Array, length: int) -> list[Array]:
-    """Return equal blocks of at least `length` samples; fewer samples than two blocks are one."""
-    return [np.asarray(x) for x in np.array_split(part, max(1, part.size // max(length, 1)))]
 
 
 def _rms(parts: Sequence[Array]) -> float:

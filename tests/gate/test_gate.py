@@ -21,7 +21,12 @@ from zerodrift.operations.exp2 import IntegerExp2
 from zerodrift.report.tables import tabulate_chip_error
 from zerodrift.train.training import train
 from zerodrift.verify import chip_error, left_out
-from zerodrift.verify.gate import contrast_errors, find_quantile, measure_correlation
+from zerodrift.verify.contrast import (
+    _sum_blocks,
+    contrast_errors,
+    find_quantile,
+    measure_correlation,
+)
 from zerodrift.verify.summary import FirmwareSummary
 
 
@@ -260,3 +265,12 @@ def test_limits_that_the_float_model_lacks_are_saturation_and_no_rounding() -> N
     low, high = dense.ends
     value = dense.step({}, {"h": np.zeros((1, 2), dtype=np.int64)})[1][0]
     assert list((value <= low) | (value >= high)) == [True, False]  # 200 is the rectifier's own
+
+
+@pytest.mark.parametrize("length", [1, 7, 100, 333, 5000])
+def test_sums_of_blocks_are_those_of_the_blocks_one_by_one(length: int) -> None:
+    part = np.random.default_rng(length).normal(size=3600) ** 2
+    blocks = np.array_split(part, max(1, part.size // length))
+    sums, sizes = _sum_blocks(part, length)
+    assert np.array_equal(sums, [block.sum() for block in blocks])
+    assert np.array_equal(sizes, [block.size for block in blocks])
