@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from fractions import Fraction
+from functools import cached_property
 
 from zerodrift.base.errors import NoRuleError
 from zerodrift.operations.enclosure import enclose_exp2, enclose_power, furthest, shorten
@@ -37,21 +38,22 @@ class Error:
     conversion: Fraction = ZERO
     """Raw codes that a table brings to the quantity."""
 
-    @property
+    @cached_property
     def total(self) -> Fraction:
         """The bound."""
-        return sum(self.parts(), ZERO)
+        return sum(filter(None, self.parts()), ZERO)
 
     def parts(self) -> tuple[Fraction, ...]:
         """Return the causes in their order."""
         return tuple(getattr(self, name) for name in CAUSES)
 
     def __add__(self, other: "Error") -> "Error":
-        return _shortened(a + b for a, b in zip(self.parts(), other.parts(), strict=True))
+        both = zip(self.parts(), other.parts(), strict=True)
+        return _shortened(a + b if a and b else a or b for a, b in both)
 
     def scale(self, gain: Fraction) -> "Error":
         """Return the error of something that moves by at most `gain` >= 0 times as much."""
-        return _shortened(part * gain for part in self.parts())
+        return _shortened(part and part * gain for part in self.parts())
 
     def covers(self, other: "Error") -> bool:
         """Return whether no cause of another error is larger than here."""

@@ -7,6 +7,7 @@ how much their own errors add is told beside it, as a gain per state.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -34,6 +35,11 @@ class RealUnit:
     """[G][I]."""
     w_h: tuple[tuple[Fraction, ...], ...]
     """[G][H]."""
+
+    @cached_property
+    def most(self) -> list[Fraction]:
+        """[G] the most that states of up to 1 add."""
+        return [sum(map(abs, row), ZERO) for row in self.w_h]
 
     @classmethod
     def of(cls, numbers: Sequence[float], inputs: int, hidden: int, gates: int) -> "RealUnit":
@@ -98,16 +104,28 @@ class GateSums:
         self._layer, self._units, self._features = layer, units, features
         copied = Error(rounding=COPY / 2)
         self._copies = [Known(-32767, 32767, COPY, ZERO, copied) for _ in units]
+        self._of_states: dict[tuple[int, int], Error] = {}
 
-    def _bound_argument(self, g: int, i: int, bits: int = 15) -> GateArgument:
-        """Return the argument of a gate all of which is one sum, in 2**-bits of the table."""
+    def _bound_argument(
+        self, g: int, i: int, bits: int = 15, features: Sequence[Known] | None = None
+    ) -> GateArgument:
+        """Return the argument of a gate all of which is one sum, in 2**-bits of the table.
+
+        Args:
+            g: the gate.
+            i: the unit.
+            bits: fractional ones of the argument.
+            features: of a part of what they can be, or else of all.
+        """
         layer, unit = self._layer, self._units[i]
         count = Fraction(1, 1 << (bits + layer.shift[g]))
         constant = self._read_bias(g, i) * count - unit.bias[g]
-        error = self._sum_features(g, i, count, constant)
-        error += self._sum_states(g, i, count, ZERO)
+        error = self._sum_features(g, i, count, constant, features)
+        if (g, i) not in self._of_states:  # the same for each part
+            self._of_states[g, i] = self._sum_states(g, i, count, ZERO)
+        error += self._of_states[g, i]
         error += self._round_shift(g, Fraction(1, 1 << bits))
-        return self._enclose(error, tuple(map(abs, unit.w_h[g])), self._reach(g, i))
+        return self._enclose(error, tuple(map(abs, unit.w_h[g])), self._reach(g, i, features))
 
     def _read_bias(self, g: int, i: int) -> Fraction:
         """Return a bias less the rounding half that is folded in."""
@@ -116,10 +134,18 @@ class GateSums:
     def _round_shift(self, g: int, scale: Fraction) -> Error:
         return Error(rounding=scale * HALF if self._layer.shift[g] else ZERO)
 
-    def _sum_features(self, g: int, i: int, count: Fraction, constant: Fraction) -> Error:
+    def _sum_features(
+        self,
+        g: int,
+        i: int,
+        count: Fraction,
+        constant: Fraction,
+        features: Sequence[Known] | None = None,
+    ) -> Error:
+        known = features or self._features
         terms = [
             SumTerm(gain, ("features", k), x)
-            for k, (gain, x) in enumerate(zip(self._units[i].w_x[g], self._features, strict=True))
+            for k, (gain, x) in enumerate(zip(self._units[i].w_x[g], known, strict=True))
         ]
         chip = {("features", k): int(w) * count for k, w in enumerate(self._layer.w_x[g, i])}
         return bound_sum(terms, chip, constant, "weights")
@@ -138,17 +164,19 @@ class GateSums:
         chip = {("h", j): int(w) * of_row for j, w in enumerate(layer.w_h[g, i])}
         return bound_sum(terms, chip, constant, "weights") + Error(rounding=rounded)
 
-    def _reach_of_features(self, g: int, i: int) -> tuple[Fraction, Fraction]:
+    def _reach_of_features(
+        self, g: int, i: int, features: Sequence[Known] | None = None
+    ) -> tuple[Fraction, Fraction]:
         low = high = self._units[i].bias[g]
-        for w, x in zip(self._units[i].w_x[g], self._features, strict=True):
+        for w, x in zip(self._units[i].w_x[g], features or self._features, strict=True):
             off = x.error.total
             ends = (w * (x.ends[0] - off), w * (x.ends[1] + off))
             low, high = low + min(ends), high + max(ends)
         return low, high
 
-    def _reach(self, g: int, i: int) -> tuple[Fraction, Fraction]:
-        low, high = self._reach_of_features(g, i)
-        most = sum(map(abs, self._units[i].w_h[g]), ZERO)
+    def _reach(self, g: int, i: int, features: Sequence[Known] | None) -> tuple[Fraction, Fraction]:
+        low, high = self._reach_of_features(g, i, features)
+        most = self._units[i].most[g]
         return low - most, high + most
 
     @staticmethod

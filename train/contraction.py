@@ -14,6 +14,10 @@ features move by up to SPREAD, with q = i / (1 - f) at the largest i and f,
 
     q <= RATIO      q (sum |Ug| + sum |Ui| / 4 + sum |Uf|) <= GROWTH / 4      sum |Uo| <= GROWTH.
 
+The arguments of candidate and output gate stay within 2 HELD, and each feature moves them by up to
+HELD: so the chip's format of their weights holds FINE_GRID, to which the recurrent ones are
+trimmed, and rounds none of these.
+
 Source: Bonassi, Farina and Scattolini, "On the stability properties of gated recurrent units neural
 networks", 2021, arXiv 2011.06806: such a condition, there kept by a penalty.
 """
@@ -41,6 +45,9 @@ RATIO = 8.0
 """A cell state can go up to this, an error of what is added to it grow by as much."""
 FINE_GRID = 2.0**-12
 """As `GRID`, of the LSTM's, which are smaller."""
+HELD = 7.9
+"""FINE_GRID is one count of a state, of 2**15, where 2**27 counts are 1. Then 16 bits hold a weight
+of a feature of 2**15 that moves the argument by 8, and 32 bits a sum of 16."""
 TINY = 1e-9
 GRID = 2.0**-10
 """What the trained recurrent weights are rounded to. They are small beside the weights of the
@@ -111,6 +118,11 @@ def contract_lstm(w_x: Tensor, w_h: Tensor, bias: Tensor, reach: Tensor) -> None
     ratio = slow * torch.sigmoid(bias[:, 0] + moved[:, 0])
     i, f, g, _ = w_h.abs().sum(dim=3).unbind(dim=1)
     w_h[:, :3] *= _shrink(0.25 * GROWTH, ratio * (g + 0.25 * i + f))[:, None, :, None]
+    bias[:, 2:].clamp_(-HELD, HELD)
+    w_x[:, 2:] *= _shrink(HELD, w_x[:, 2:].abs() * reach[:, None, None])
+    moved = (w_x[:, 2:].abs() * reach[:, None, None]).sum(dim=3)
+    left = 2.0 * HELD - bias[:, 2:].abs() - w_h[:, 2:].abs().sum(dim=3)
+    w_x[:, 2:] *= _shrink(left, moved)[..., None]
 
 
 def _shrink(most: float | Tensor, found: Tensor) -> Tensor:

@@ -76,6 +76,7 @@ class RowSums:
             raise NotUnderstoodError("the float layer has another size than the C's")
         self._c, self._rows, self._features, self._gates = c, rows, features, gates
         self._lines = lines
+        self._of_states: dict[tuple[int, int], tuple[Fraction, int]] = {}
         self.tanh_off = numbers.cached_tanh_error(lines) / (1 << 30)
 
     def w_x(self, j: int, g: int) -> Sequence[Fraction]:
@@ -94,7 +95,9 @@ class RowSums:
         first, last = self._lines[place >> 11]
         return first + (last - first) // 2047 * (place & 2047)
 
-    def of_features(self, j: int, g: int, count: Fraction) -> tuple[Fraction, int, int, Ends]:
+    def of_features(
+        self, j: int, g: int, count: Fraction, features: Sequence[FeatureRange] | None = None
+    ) -> tuple[Fraction, int, int, Ends]:
         """Return what the features' sum and the bias are off by, their integers, and real ends."""
         c, shift = self._c, self._c.shifts[g]
         row = self._gates * j + g
@@ -103,7 +106,7 @@ class RowSums:
         low = high = bias
         gap_low = gap_high = (bias - (1 << shift >> 1)) * count - self._rows[j][g]
         off, real = NONE, [self._rows[j][g]] * 2
-        for w, real_w, x in zip(whole, self.w_x(j, g), self._features, strict=True):
+        for w, real_w, x in zip(whole, self.w_x(j, g), features or self._features, strict=True):
             ends = sorted((w * x.low, w * x.high))
             low, high = low + ends[0], high + ends[1]
             gap = w * count - real_w * x.scale
@@ -130,12 +133,23 @@ class RowSums:
             off += abs(w * each - real_w / 32768) * COPY_MOST + abs(real_w) / 65536
         return off, size
 
-    def argument(self, j: int, g: int, bits: int) -> GateSum:
-        """Return the argument of a gate that is one sum, the table's t counting 2**-bits."""
+    def argument(
+        self, j: int, g: int, bits: int, features: Sequence[FeatureRange] | None = None
+    ) -> GateSum:
+        """Return the argument of a gate that is one sum, the table's t counting 2**-bits.
+
+        Args:
+            j: the unit.
+            g: its gate.
+            bits: of the table's argument.
+            features: a part of what they can be, or else all.
+        """
         shift = self._c.shifts[g]
         count = Fraction(1, 1 << (bits + shift))
-        own, low, high, real = self.of_features(j, g, count)
-        of_states, size = self.of_states(j, g, count)
+        own, low, high, real = self.of_features(j, g, count, features)
+        if (j, g) not in self._of_states:
+            self._of_states[j, g] = self.of_states(j, g, count)
+        of_states, size = self._of_states[j, g]
         own += of_states + (Fraction(1, 1 << (bits + 1)) if shift else NONE)
         shares = tuple(map(abs, self.w_h(j, g)))
         most = sum(shares, NONE)

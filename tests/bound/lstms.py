@@ -68,3 +68,33 @@ def make_lstm(kind: Forgetful) -> Case:
 def measure_lstm(kind: Forgetful) -> tuple[float, ...]:
     """Return the largest errors of the outputs of a model."""
     return tuple(make_lstm(kind).measure().max(axis=(0, 1)).tolist())
+
+
+def draw_probe() -> FloatLstm:
+    """Return a layer whose first unit shows what its candidate is off by, most where x is low.
+
+    The second has a weight so large that the gate is coarse: half a count is what the first one's
+    is off.
+    """
+    w_x, bias = np.zeros((4, 2, 2)), np.zeros((4, 2))
+    w_x[2, 0, 0], w_x[2, 1, 0] = -COUNTS / 2.0**8, 64.0
+    bias[2, 0], bias[3, 0] = 0.75, 4.0
+    return FloatLstm(w_x, np.zeros((4, 2, 2)), bias)
+
+
+COUNTS = 256.5
+"""Of the probe's weight: half of one more than integers hold."""
+
+
+@cache
+def make_lstm_probe() -> Case:
+    """Return a model whose first output is the probe's."""
+    case = make_case(draw_probe(), np.array([[1.0, 0.0], [0.5, 0.0]]), feature_max=0.25)
+    codes = draw_all_codes(case.calibration.code_limits, np.random.default_rng(3), STEPS)
+    return replace(case, codes=codes)
+
+
+@cache
+def measure_lstm_probe() -> tuple[float, ...]:
+    """Return the largest errors of the probe's outputs."""
+    return tuple(make_lstm_probe().measure().max(axis=(0, 1)).tolist())

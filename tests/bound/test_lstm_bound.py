@@ -7,13 +7,26 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from tests.bound.lstms import REACH, Forgetful, draw_lstm, make_lstm, measure_lstm
+from tests.bound.lstms import (
+    REACH,
+    Forgetful,
+    draw_lstm,
+    make_lstm,
+    make_lstm_probe,
+    measure_lstm,
+    measure_lstm_probe,
+)
+from tests.bound.planted_lstm import FOUND, RULES
 from tests.bound.recurrent import make_case
 from zerodrift.export.error_bound import round_up
 from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.operations.errors import Known
 from zerodrift.operations.gate_sums import RealUnit
 from zerodrift.operations.lstm import IntegerLstmLayer, error
+from zerodrift.operations.lstm.parts import HALVINGS, FloatGate, halve
+from zerodrift.operations.lstm.step_error import StepRules
+from zerodrift.verify import bound_lstm
+from zerodrift.verify.bound_parts import Line, list_parts
 from zerodrift.verify.certificate_check import compare
 
 KINDS = (
@@ -71,6 +84,75 @@ def test_an_lstm_that_does_not_forget_has_no_bound_and_it_is_said_why(
     assert said in bound.why and "no contraction" in bound.why and "contracting = true" in bound.why
 
 
+def test_the_rule_is_tight_where_the_candidate_is_most_of_it() -> None:
+    bound = make_lstm_probe().bound()
+    for of_output, found in zip(bound.outputs, measure_lstm_probe(), strict=True):
+        assert found <= round_up(of_output.total) <= 1.25 * found
+
+
+@pytest.mark.parametrize("lacks", FOUND)
+def test_an_unsound_rule_is_found(lacks: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    RULES[lacks](monkeypatch)
+    claimed = make_lstm_probe().bound().outputs
+    largest = measure_lstm_probe()
+    assert any(x > of_output.total for x, of_output in zip(largest, claimed, strict=True))
+
+
+@pytest.mark.parametrize("lacks", RULES)
+def test_what_an_unsound_rule_claims_is_refused_by_the_check(
+    lacks: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = make_lstm(Forgetful(coupling=0.0, of_gates=0.3, forget=-2.0, seed=3))
+    RULES[lacks](monkeypatch)
+    told, texts = case.certify()
+    monkeypatch.undo()
+    assert len(compare(told, texts).failures) == len(told["error_bound"])
+
+
+def test_a_check_that_leaves_parts_out_would_confirm_what_an_input_exceeds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told, texts = make_lstm_probe().certify()
+    for claim, found in zip(told["error_bound"], measure_lstm_probe(), strict=True):
+        claim["bound"] = 0.9 * found
+    assert len(compare(told, texts).failures) == len(told["error_bound"])
+
+    def leave_out(lines: list[Line], whole: list[tuple[int, int]]) -> list[list[tuple[int, int]]]:
+        return [part for part in list_parts(lines, whole) if part[0][0] <= sum(whole[0]) // 2]
+
+    monkeypatch.setattr(bound_lstm, "list_parts", leave_out)
+    assert not compare(told, texts).failures
+
+
+@pytest.mark.parametrize("inputs", [1, 2, 5])
+def test_parts_cover_what_features_can_be_once_and_are_the_same_in_both_derivations(
+    inputs: int,
+) -> None:
+    rng = np.random.default_rng(inputs)
+    gates, lines = list[FloatGate](), list[Line]()
+    for _ in range(4):
+        weights, gaps = (1e-4 * rng.normal(size=inputs)).tolist(), rng.normal(size=inputs).tolist()
+        gaps = [1e-9 * gap for gap in gaps]
+        gates.append(FloatGate(0.3, tuple(weights), 0.2, 1e-6, tuple(gaps), 1e-5))
+        lines.append(Line(0.3, weights, 0.2, 1e-6, gaps, 1e-5))
+    box = ((-32768, 32767), (-300, 20000), (7, 7), (0, 1), (-5, 9000))[:inputs]
+    parts = halve(gates, box)
+    assert HALVINGS // 2 < len(parts) <= HALVINGS + 1  # a part that is a point stays
+    assert [tuple(part) for part in list_parts(lines, list(box))] == parts
+    sizes = [np.prod([last - first + 1.0 for first, last in part]) for part in parts]
+    assert sum(sizes) == np.prod([last - first + 1.0 for first, last in box])
+    for x in rng.integers([a for a, _ in box], [b + 1 for _, b in box], size=(2000, inputs)):
+        inside = [all(a <= q <= b for q, (a, b) in zip(x, part, strict=True)) for part in parts]
+        assert sum(inside) == 1
+
+
+def test_a_point_has_one_part() -> None:
+    gate = FloatGate(0.0, (1.0,), 0.0, 0.0, (0.0,), 0.0)
+    assert halve([gate] * 4, ((3, 3),)) == [((3, 3),)]
+    line = Line(0.0, [1.0], 0.0, 0.0, [0.0], 0.0)
+    assert list_parts([line] * 4, [(3, 3)]) == [[(3, 3)]]
+
+
 def test_lstms_on_top_of_each_other_have_no_bound() -> None:
     case = make_lstm(KINDS[1])
     network = case.described.network
@@ -94,8 +176,8 @@ def test_the_way_to_rest_ends_as_near_as_is_said(kind: Forgetful) -> None:
     units = [RealUnit.of(row, 2, kind.hidden, 4) for row in rows]
     count = Fraction(1, 1 << 13)
     features = [Known(-32768, 32767, count, Fraction(0))] * 2
-    rules = error._LstmRules(node.layers[0], units, features)
-    growths = [rules.bound_growth(j) for j in range(kind.hidden)]
+    rules = StepRules(node.layers[0], units, features)
+    growths = [error.bound_growth(rules, j, [features]) for j in range(kind.hidden)]
     left = error._settle(growths, [e.total for e in error._solve(growths)])
     x = np.random.default_rng(1).uniform(-REACH, REACH, size=(500, 2))
     once = lstm.settle(x)

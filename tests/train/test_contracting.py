@@ -15,16 +15,20 @@ from tests.train.test_lstm import write_lagging_logs
 from zerodrift.app.cli import cli
 from zerodrift.base.config import NetworkConfig, parse_config
 from zerodrift.base.errors import InputError
+from zerodrift.export.quantize_lstm import quantize_lstm
+from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.train.contraction import (
     FINE_GRID,
     GRID,
     GROWTH,
+    HELD,
     RATIO,
     SLOWEST,
     SPREAD,
     contract,
     contract_lstm,
     measure_reach,
+    trim_weights,
 )
 from zerodrift.train.engine import Problem, Result, train_networks
 from zerodrift.train.networks import build_network
@@ -79,6 +83,8 @@ def assert_lstm_forgets(w_x, w_h, bias, reach):
     through_cell = ratio * (sums[2] + sums[0] / 4.0 + sums[1])
     assert through_cell.max() <= 0.25 * GROWTH * (1.0 + 1e-4)
     assert sums[3].max() <= GROWTH * (1.0 + 1e-5)
+    assert (np.abs(w_x[2:]) * reach).max() <= HELD * (1.0 + 1e-5)
+    assert (np.abs(bias) + moved + sums)[2:].max() <= 2.0 * HELD * (1.0 + 1e-5)
 
 
 def test_weights_of_an_lstm_are_brought_to_the_conditions_and_then_stay():
@@ -99,6 +105,21 @@ def test_weights_of_an_lstm_are_brought_to_the_conditions_and_then_stay():
     contract_lstm(*again, reach)
     for a, b in zip(again, arrays, strict=True):
         torch.testing.assert_close(a, b)
+
+
+def test_the_chip_holds_the_recurrent_weights_of_an_lstm_as_they_leave_the_training():
+    generator = torch.Generator().manual_seed(5)
+    shapes = ((20, 4, 5, 2), (20, 4, 5, 5), (20, 4, 5))
+    arrays = [5.0 * torch.randn(shape, generator=generator) for shape in shapes]
+    reach = np.array([2.0, 4.0])
+    contract_lstm(*arrays, torch.tensor(reach, dtype=torch.float32).expand(20, 2))
+    exponents = 15 - np.log2(reach).astype(np.int64)
+    for w_x, w_h, bias in zip(*(a.double().numpy() for a in arrays), strict=True):
+        lstm = FloatLstm(w_x, trim_weights(w_h), bias)
+        whole = quantize_lstm(lstm, exponents, "int16")
+        for g in (2, 3):  # the arguments of the others move little
+            counts = 2.0 ** (whole.shift[g] + (16 if g == 2 else 15) - 15)
+            np.testing.assert_array_equal(whole.w_h[g] / counts, lstm.w_h[g])
 
 
 def test_recurrent_weights_of_an_lstm_are_rounded_towards_nothing():
