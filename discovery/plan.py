@@ -17,6 +17,7 @@ from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.rules import ENOUGH_RUNS
 from zerodrift.discovery.closer import judge_closely, look_closer
 from zerodrift.discovery.contenders import (
+    SLOWER_THAN_PLANS,
     Scene,
     describe_noise,
     find_placeable,
@@ -44,8 +45,6 @@ NOISE_PCT = 0.01
 a converter of 14 bits."""
 SIZE_IN_NOISE = 3.0
 """Size of an effect that has to be named, where no target is set, in noise RMS."""
-SLOWER_THAN_PLANS = ("ageing",)
-"""Effects of days, which no programme of hours shows."""
 NEAR_ENOUGH = 0.97
 """With an UNKNOWN, candidates that leave no more than this of the error are open."""
 MOST_NEAR = 4
