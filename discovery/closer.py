@@ -175,7 +175,9 @@ def _tell(scene: Scene, told: Told, left: Sequence[Array]) -> Told:
             squares = next(rest).reshape(-1, gain.size, gain.size)[:, each, each]
             if told.runs >= form.fewest_runs:
                 nearest.append(squares[0])
-                hidden.append(_expect_disguise(gain, squares, told.samples))
+                hidden.append(expect_disguise(gain, squares, told.samples))
+        if not nearest:
+            continue
         chosen = choose_forms(gain, np.stack(nearest))
         near, hides = np.stack(nearest)[chosen, each], np.stack(hidden)[chosen, each]
         if r >= count:
@@ -205,7 +207,7 @@ def choose_forms(gain: Array, nearest: Array) -> NDArray[np.int64]:
     return np.asarray((gains >= least).argmax(axis=0), dtype=np.int64)
 
 
-def _expect_disguise(gain: Array, squares: Array, samples: float) -> Array:
+def expect_disguise(gain: Array, squares: Array, samples: float) -> Array:
     """Return [T] the probability that an end of a range is seen to do as well as the best values.
 
     What an end loses over these is a difference of two squared errors: with noise it spreads by

@@ -83,7 +83,7 @@ def tell_disguised(apart: Array, distance: Array, disguised: Array) -> Array:
     return np.asarray(apart + disguised * np.maximum(behind - apart, 0.0))
 
 
-def _tell_rivals_apart(told: Told) -> Array:
+def tell_rivals_apart(told: Told) -> Array:
     """Return the probability [M, D, M] that each rival is told from each truth."""
     near = np.isfinite(told.apart)
     distance = np.where(near, told.apart, 1e30)
@@ -93,12 +93,12 @@ def _tell_rivals_apart(told: Told) -> Array:
 
 def expect_verdicts(told: Told) -> Array:
     """Return the probability [M, D] that each truth is named, and alone."""
-    return np.asarray(_tell_rivals_apart(told).min(axis=2) * _expect_naming(told))
+    return np.asarray(tell_rivals_apart(told).min(axis=2) * _expect_naming(told))
 
 
 def expect_pairs(told: Told) -> Array:
     """Return the probability [M, M] that a pair is told apart, whichever is true."""
-    one_way = (_expect_naming(told)[:, :, None] * _tell_rivals_apart(told)).mean(axis=1)
+    one_way = (_expect_naming(told)[:, :, None] * tell_rivals_apart(told)).mean(axis=1)
     return np.asarray(0.5 * (one_way + one_way.T))
 
 
