@@ -2,9 +2,10 @@
 
 `diagnose` names an effect where its gain is sure and the error falls by enough, and alone where its
 rivals stay far enough behind, or are seen to be another effect in disguise. All but the last are
-logistic in the logarithm of the expected figures over what the rules ask for. An effect that is not among the open ones is named instead where noise makes up
-for its expected distance, which spreads by twice its root (the log-likelihood ratio of two models
-of Gaussian noise is so distributed; Cox, JRSS B 24 (1962)).
+logistic in the logarithm of the expected figures over what the rules ask for. An effect that is not
+among the open ones is named instead where noise makes up for its expected distance, which spreads
+by twice its root (the log-likelihood ratio of two models of Gaussian noise is so distributed; Cox,
+JRSS B 24 (1962)).
 Offsets and slopes are a maximum-likelihood fit to 170 verdicts on simulated sensors (`python -m
 benchmarks.study_likely`, whose simulator shares no code with this one), rounded.
 """
@@ -33,8 +34,8 @@ NAMED = (0.6, 3.2)
 NAMED_OF_FEW = (-0.6, 4.3)
 """... and with fewer, where it may also lose next to nothing in any run."""
 WORTH = (-1.2, 3.3)
-"""Offset and slope of lowering the error by enough; in runs left out, by which `diagnose` judges, it
-falls by less than what is expected of a fit to all."""
+"""Offset and slope of lowering the error by enough; in runs left out, by which `diagnose` judges,
+it falls by less than is expected of a fit to all."""
 MOST = 0.98
 """Not even a large effect is always named rightly."""
 
