@@ -167,6 +167,7 @@ class TermMachine(PathMachine):
     def run(self, node: Statement) -> bool:
         """Run a statement; tell whether it returns."""
         self._at = node.at
+        self.count_statement()
         match node:
             case CBlock():
                 outer = self.variables

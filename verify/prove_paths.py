@@ -18,6 +18,8 @@ from zerodrift.verify.prove_memory import (
 from zerodrift.verify.prove_terms import UndecidedError, Whole
 
 MOST_PATHS = 64
+MOST_STATEMENTS = 2_000_000
+"""On one path: golden models need 60,000 at most, and a loop within a loop may have no end."""
 
 
 @dataclass
@@ -42,6 +44,8 @@ class PathMachine(Numbers):
         """What was overwritten, the last one last."""
         self.depth = 0
         """Of calls."""
+        self.statements = 0
+        """That were run on this path."""
 
     # --- paths
 
@@ -50,6 +54,7 @@ class PathMachine(Numbers):
         script: list[int] = []
         for _ in range(MOST_PATHS):
             self.path, self.depth, self.log, self.variables = CPath(script), 0, [], {}
+            self.statements = 0
             run()
             yield self.path
             made = self.path.made
@@ -59,6 +64,16 @@ class PathMachine(Numbers):
                 return
             script = [way for way, _ in made[:-1]] + [made[-1][0] + 1]
         raise UndecidedError(f"more than {MOST_PATHS} paths")
+
+    def count_statement(self) -> None:
+        """Count one more statement of this path.
+
+        Raises:
+            UndecidedError: they are more than the C of a model has.
+        """
+        self.statements += 1
+        if self.statements > MOST_STATEMENTS:
+            raise UndecidedError(f"more than {MOST_STATEMENTS} statements on one path")
 
     def fork(self, ways: int) -> int:
         """Return which way to go; all are gone, one after the other."""

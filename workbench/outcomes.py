@@ -103,14 +103,15 @@ def _show_proposed(outcome: ProposeResult) -> list[Component]:
         f"{name} {tables.write_number(e.before)} to {tables.write_number(e.after)} {e.unit}"
         for name, e in outcome.rmse_left_out.items()
     )
-    command = f"zerodrift propose --write {outcome.kind}.py"
+    file = f"{outcome.kind}.py"
+    commands = f"zerodrift propose --write {file} && zerodrift add {file}"
     return [
         html.P([html.Code(outcome.formula), f" ({outcome.physics})"], className="standing"),
         html.P(f"RMSE on runs left out: {errors}."),
         show_picture(draw_remainder(outcome.curves, units)),
         *[html.P(told, className="note") for told in explain_black_boxes(outcome)],
         html.P(f"To confirm it: {outcome.next_experiment}", className="note"),
-        html.P(["To use it as an effect of your own: ", html.Code(command)], className="note"),
+        html.P(["To use it as an effect of your own: ", html.Code(commands)], className="note"),
     ]
 
 

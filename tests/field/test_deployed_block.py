@@ -180,3 +180,52 @@ def test_a_single_unit_with_a_block_goes_on_from_its_state(unit, tmp_path) -> No
         assert "learnt anew" not in told.stdout
         steps.append(json.loads(told.stdout)["steps_in_all"])
     assert steps == [1440, 2880]
+
+
+def run_over_logs(fleet: Path, out: Path, *more: object) -> pl.DataFrame:
+    """Return what `apply` writes of the first unit's test log."""
+    log = next((fleet / "fleet" / SENSORS[0]).glob("test_*.csv"))
+    words = ["apply", log, "-C", fleet, "--sensor", SENSORS[0], "--out", out, *more]
+    done = CliRunner().invoke(cli, [str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    return pl.read_csv(out)
+
+
+def test_apply_answers_as_program_and_block_do(fleet, tmp_path) -> None:
+    def predict(model: IntegerModel) -> np.ndarray:
+        """Return the drift [n, K] at the log's steps, in units."""
+        log = next((fleet / "fleet" / SENSORS[0]).glob("test_*.csv"))
+        config = load_unit(fleet, SENSORS[0])
+        deployed = Deployed(SENSORS[0], SENSORS[0], config, model, None, {})
+        steps = open_log(deployed, log, skip_invalid=False).steps
+        drift = chip.answer(chip.Chip(model), config, steps, with_range=False).drift
+        return drift / np.array([float(o.lsb_per_unit) for o in model.outputs])
+
+    names = [f"{output.name}_drift" for output in load_unit(fleet, SENSORS[0]).outputs]
+    told = run_over_logs(fleet, tmp_path / "applied.csv").select(names).to_numpy()
+    own = load_model(fleet / "build" / "fleet" / SENSORS[0] / "model.json")
+    assert told == pytest.approx(predict(find_model(fleet, SENSORS[0])), abs=1e-12)
+    assert np.abs(told - predict(own)).max() > 1e-9  # the coarser format shows
+
+    other = fleet / "firmware" / "blocks" / f"{SENSORS[1]}.bin"
+    named = run_over_logs(fleet, tmp_path / "named.csv", "--block", other)
+    assert named.select(names).to_numpy() == pytest.approx(
+        predict(find_model(fleet, SENSORS[1])), abs=1e-12
+    )
+
+
+def test_the_float_model_takes_no_block(fleet) -> None:
+    block = fleet / "firmware" / "blocks" / f"{SENSORS[0]}.bin"
+    log = next((fleet / "fleet" / SENSORS[0]).glob("test_*.csv"))
+    words = ["apply", log, "-C", fleet, "--sensor", SENSORS[0], "--model", "float"]
+    done = CliRunner().invoke(cli, [*map(str, words), "--block", str(block)])
+    assert "the float model takes no block" in str(done.exception)
+
+
+@pytest.mark.parametrize("kind", ["integer", "c"])
+def test_compare_says_which_block_was_run(fleet, kind) -> None:
+    words = ["compare", "-C", str(fleet), "--sensor", SENSORS[0], "--model", kind]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
+    text = " ".join(done.output.split())
+    assert f"run with the block of {SENSORS[0]} that was written last" in text

@@ -250,3 +250,58 @@ def test_user_effect_that_helps_is_added_like_a_built_in(project, zerodrift):
     told = json.loads(result.out)
     assert {row["output"] for row in told["coefficients"]} == {"Fz", "Mx"}
     assert {row["unit"] for row in told["coefficients"]} == {"N/K", "Nm/K"}
+
+
+OWN = """
+from zerodrift.physics.catalogue import register
+from zerodrift.physics.effect import Effect, Feature, Parameter
+
+
+def build(ops, signals, p):
+    return [Feature("k", ops.lowpass(signals.temperature_degC, p["tau_s"]), "K")]
+
+
+tau = Parameter("tau_s", "s", 1.0, 3000.0, (10.0, 300.0))
+needs = ("temperature",)
+register(Effect(kind="mine", title="my own", build=build, parameters=(tau,), needs=needs))
+"""
+MORE = """
+register(Effect(kind="other", title="other", build=build, parameters=(tau,), needs=needs))
+"""
+
+
+def test_a_file_of_one_effect_is_added_as_an_effect_is(project, zerodrift, monkeypatch):
+    file = project.directory / "own.py"
+    file.write_text(OWN)
+    before = project.toml.read_text()
+    monkeypatch.chdir(project.directory.parent)
+    seen_from_here = f"{project.directory.name}/own.py"
+    told = json.loads(zerodrift("add", seen_from_here, "-C", project.directory, "--json").out)
+    assert told["added"] and told["effect"] == "mine"
+    after = project.toml.read_text()
+    assert after == before.replace("\n[network]", '\n[[effect]]\nkind = "mine"\n\n[network]', 1) + (
+        '\n[plugins]\nfiles = ["own.py"]\n'
+    )
+    assert zerodrift("compare", "-C", project.directory).code == 0
+    # Named there already, it is not named twice.
+    project.toml.write_text(after.replace('\n[[effect]]\nkind = "mine"\n', ""))
+    assert zerodrift("add", "own.py", "-C", project.directory).code == 0
+    assert project.toml.read_text() == after
+
+
+def test_a_file_that_does_not_help_is_not_named(project, zerodrift):
+    zerodrift("add", "thermal_lag", "-C", project.directory)
+    (project.directory / "own.py").write_text(OWN)
+    before = project.read_all()
+    assert zerodrift("add", "own.py", "-C", project.directory).code == 1
+    assert project.read_all() == before
+
+
+def test_a_file_that_is_not_there_or_has_several_effects_is_refused(project, zerodrift):
+    before = project.read_all()
+    lacking = zerodrift("add", "own.py", "-C", project.directory)
+    assert lacking.code == 2 and "own.py: there is no such file of effects" in lacking.err
+    assert project.read_all() == before
+    (project.directory / "own.py").write_text(OWN + MORE)
+    several = zerodrift("add", "own.py", "-C", project.directory)
+    assert several.code == 2 and "declares 2 effects, mine, other; expected one" in several.err

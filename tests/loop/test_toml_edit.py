@@ -5,7 +5,7 @@ import tomllib
 import pytest
 
 from zerodrift.base.errors import InputError
-from zerodrift.base.toml_edit import add_effect, remove_effect, set_parameters
+from zerodrift.base.toml_edit import add_effect, add_plugin, remove_effect, set_parameters
 
 TEXT = """\
 # head
@@ -108,3 +108,31 @@ def test_text_that_looks_like_a_table_inside_a_string_is_left_alone():
     edited = remove_effect(add_effect(text, "b"), 0)
     assert kinds(edited) == ["b"]
     assert 'kind = "no"' in edited
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize(
+    ("table", "edited"),
+    [
+        ("", '\n[plugins]\nfiles = ["b.py"]\n'),
+        ("\n[plugins]  # own\n", '\n[plugins]  # own\nfiles = ["b.py"]\n'),
+        ("\n[plugins]\nfiles = []\n", '\n[plugins]\nfiles = ["b.py"]\n'),
+        (
+            "\n[plugins]\nfiles = ['a.py', ]  # two\n",
+            "\n[plugins]\nfiles = ['a.py', \"b.py\" ]  # two\n",
+        ),
+        (
+            '\n[plugins]\nfiles = ["a.py"]\n\n[fleet]\nname = "y"\n',
+            '\n[plugins]\nfiles = ["a.py", "b.py"]\n\n[fleet]\nname = "y"\n',
+        ),
+    ],
+)
+def test_a_file_of_effects_is_named_and_all_else_stays(table, edited, end):
+    text = (TEXT + table).replace("\n", end)
+    assert add_plugin(text, "b.py") == (TEXT + edited).replace("\n", end)
+
+
+def test_files_in_another_form_are_named_by_hand():
+    text = TEXT + '\n[plugins]\nfiles = [\n    "a.py",\n]\n'
+    with pytest.raises(InputError, match=r"list on one line\. Name b\.py there by hand"):
+        add_plugin(text, "b.py")

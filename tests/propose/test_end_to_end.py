@@ -48,10 +48,9 @@ def test_a_formula_is_proposed_written_added_and_becomes_checked_c(tmp_path, zer
         assert np.corrcoef(x, y)[0, 1] > 0.98 and abs(np.polyfit(x, y, 1)[0] - 1.0) < 0.05
     assert zerodrift("report", "-C", tmp_path, "--no-diagnose").code == 0
     assert told["formula"] in (tmp_path / "report.html").read_text()
-    toml = tmp_path / "zerodrift.toml"
-    toml.write_text(toml.read_text() + '\n[plugins]\nfiles = ["my_effect.py"]\n')
-    added = json.loads(zerodrift("add", told["kind"], "-C", tmp_path, "--json").out)
-    assert added["added"]
+    added = json.loads(zerodrift("add", file, "-C", tmp_path, "--json").out)
+    assert added["added"] and added["effect"] == told["kind"]
+    assert 'files = ["my_effect.py"]' in (tmp_path / "zerodrift.toml").read_text()
     value, std = (added["parameters"]["tau_s"][key] for key in ("value", "std_error"))
     assert abs(value - told["parameters"]["tau_s"]["value"]) < 3.0 * std
     built = json.loads(zerodrift("firmware", "-C", tmp_path, "--json").out)

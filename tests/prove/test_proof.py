@@ -11,6 +11,7 @@ from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate
 from zerodrift.codegen.names import name_prefix
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.verify import prove_paths
 from zerodrift.verify.object_proof import ProvenKernels
 from zerodrift.verify.prove import is_proven, prove
 from zerodrift.verify.prove_parts import OPEN, TESTED, ShownPart
@@ -168,6 +169,18 @@ HEADER = {
         "",
     ),
 }
+
+
+def test_a_self_test_without_an_end_is_not_proven(monkeypatch) -> None:
+    monkeypatch.setattr(prove_paths, "MOST_STATEMENTS", 60_000)
+    model = load("ordinary").model
+    texts = write(model)
+    source = f"{name_prefix(model)}.c"
+    loop = r"(_selftest\(void\).*?for \(uint32_t k = 0; k < )\d+u"
+    texts[source], count = re.subn(loop, r"\g<1>4294967295u", texts[source], flags=re.DOTALL)
+    assert count == 1
+    told = tell(prove(model, texts))
+    assert [one for one in told if one.startswith("selftest") and "60000 statements" in one]
 
 
 def test_a_table_wider_than_the_self_test_reads_is_not_proven() -> None:

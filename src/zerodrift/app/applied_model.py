@@ -10,6 +10,7 @@ from polars.exceptions import PolarsError
 from zerodrift.app.applied_rows import FLAGS
 from zerodrift.app.apply import PredictFloat
 from zerodrift.app.commands.built import read_uncertainty
+from zerodrift.app.deployed_block import find_deployed_block
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset
@@ -27,42 +28,58 @@ KINDS = INTEGER, FLOAT = ("integer", "float")
 
 @dataclass(frozen=True)
 class AppliedModel:
-    """The model of the last `firmware`."""
+    """The model of the last `firmware`, or what the unit's chip computes with its block."""
 
     model: IntegerModel
     uncertainty: Uncertainty | None
     predict_float: PredictFloat | None
     """The float model's prediction, where it was asked for."""
     notes: tuple[str, ...]
-    """Why there is no uncertainty, and what has changed since the firmware was built."""
+    """Why there is no uncertainty, what has changed since the firmware was built, which block."""
 
 
 def open_applied(
-    config: Config, kind: str = INTEGER, *, load_logs: Callable[[], Dataset]
+    config: Config,
+    kind: str = INTEGER,
+    *,
+    load_logs: Callable[[], Dataset],
+    block: Path | None = None,
 ) -> AppliedModel:
-    """Return the model of a project's last `firmware`.
+    """Return the model of a project's last `firmware`; of a block design, with the unit's block.
 
     Args:
         config: the project.
         kind: integer | float.
         load_logs: returns the project's logs, which the float model needs.
+        block: the block on the unit; None: as the registry says, else the one written last.
 
     Raises:
-        InputError: no firmware was built yet, it has other outputs, or `kind` is neither.
+        InputError: no firmware was built yet, it has other outputs, there is no such block, or
+            `kind` is neither.
     """
     if kind not in KINDS:
         raise InputError(f"model = {kind!r}: expected one of {', '.join(KINDS)}.")
+    if kind == FLOAT and block is not None:
+        raise InputError(
+            f"{block}: the float model takes no block; expected --model {INTEGER}, or no --block."
+        )
     model = load_model(config.build_directory / "model.json")
     refuse_other(config, model, str(config.build_directory / "model.json"))
     uncertainty, why = read_uncertainty(config, model.hash)
-    stale = [finding.text for finding in check_manifest(config).findings]
+    notes = [*([why] if why else []), *(f.text for f in check_manifest(config).findings)]
     predict = None
     if kind == FLOAT:
         dataset = load_logs()
         catalogue = load_catalogue(config.plugin_files)
         trained = Compensator.load(config.build_directory, catalogue)
         predict = describe_compensator(trained, config, dataset.train).predict_on_chip
-    return AppliedModel(model, uncertainty, predict, (*([why] if why else []), *stale))
+    else:
+        on_chip = find_deployed_block(config, block)
+        if on_chip is not None:
+            model = on_chip.model
+            refuse_other(config, model, str(block or on_chip.note))
+            notes.append(on_chip.note)
+    return AppliedModel(model, uncertainty, predict, tuple(notes))
 
 
 def refuse_other(config: Config, model: IntegerModel, where: str) -> None:

@@ -24,22 +24,23 @@ class DeployedBlock:
     """Which block it is, and where it was found."""
 
 
-def find_deployed_block(
-    directory: Path, config: Config, *, sensor: str | None, serial: str, file: Path | None
-) -> DeployedBlock | None:
+def find_serial(config: Config) -> str:
+    """Return the serial number under which the registry knows a project's unit."""
+    return _find_sensor(config) or config.block.serial or config.sensor_name
+
+
+def find_deployed_block(config: Config, file: Path | None = None) -> DeployedBlock | None:
     """Return what is on a unit: the block that is named, else that which the registry says was
     loaded, else that which was written last; None where a unit's coefficients are constants.
 
     Args:
-        directory: of zerodrift.toml.
         config: of the unit.
-        sensor: its name in a fleet; None without one.
-        serial: under which the registry knows it.
         file: of the block, where the user names one.
 
     Raises:
         InputError: there is no block or no design, or no chip of the design would take the block.
     """
+    directory, sensor, serial = config.directory, _find_sensor(config), find_serial(config)
     if file is not None:
         design = find_design_file(file) or _find_own_design(directory)
         if design is None:
@@ -74,6 +75,11 @@ def find_deployed_block(
         )
     model = apply(design, decode(design, read_block_file(own, design), str(own)))
     return DeployedBlock(model, f"run with the block of {serial} that was written last, {own}")
+
+
+def _find_sensor(config: Config) -> str | None:
+    """Return the unit's name in its fleet; None without one."""
+    return config.unit_build.name if config.unit_build is not None else None
 
 
 def _read_loaded(loaded: LoadedBlock, design: BlockDesign, serial: str) -> DeployedBlock:

@@ -286,7 +286,7 @@ class Project:
         The change of the errors is in the new project's `revision`.
 
         Args:
-            effect: its name, such as `diagnose().effect`.
+            effect: its name, such as `diagnose().effect`, or a file of one effect of your own.
             hold: parameter -> the value it is held at.
             signal: the thermometer that a thermal effect follows; "" for the chip's.
             force: add it even if runs left out are not predicted better.
@@ -303,6 +303,7 @@ class Project:
             True
         """
         from zerodrift.app.commands.revise import add_to_project
+        from zerodrift.app.effect_file import open_effect
         from zerodrift.diagnosis.revision import summarise_revision
 
         if effect is None:
@@ -311,11 +312,11 @@ class Project:
                 "nothing is missing, or nothing that the catalogue knows."
             )
         self._refuse_moved()
-        wanted = EffectConfig(effect, dict(hold or {}), {"signal": signal} if signal else {})
-        with hold_project(self.directory), show_progress(f"fitting without and with {effect}"):
-            revision, is_kept = add_to_project(
-                self.config, self.dataset, self._catalogue, wanted, force=force
-            )
+        config, kind = open_effect(self.config, effect)
+        catalogue = load_catalogue(config.plugin_files)
+        wanted = EffectConfig(kind, dict(hold or {}), {"signal": signal} if signal else {})
+        with hold_project(self.directory), show_progress(f"fitting without and with {kind}"):
+            revision, is_kept = add_to_project(config, self.dataset, catalogue, wanted, force=force)
         if not is_kept:
             raise CheckError(
                 f"{effect} was not added: {revision.reason}. `force=True` adds it all the same."

@@ -189,10 +189,7 @@ def explain_proposal(result: ProposeResult, directory: Path) -> list[str]:
         told.append(f"Its cost on the chip is not known: {result.cost_note}.")
     told.append(f"To confirm or refute it: {result.next_experiment}.")
     if result.written:
-        told.append(
-            f"Wrote {result.written}. To add it: name the file under [plugins] files in "
-            f"zerodrift.toml, then zerodrift add {result.kind}{where}"
-        )
+        told.append(f"Wrote {result.written}. To add it: zerodrift add {result.written}{where}")
     else:
         told.append(f"To write it as an effect: zerodrift propose --write {result.kind}.py{where}")
     return told

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Protocol
 
-from zerodrift.app.applied_model import open_applied, refuse_other
+from zerodrift.app.applied_model import open_applied
 from zerodrift.app.commands.project import open_config
-from zerodrift.app.deployed_block import find_deployed_block
+from zerodrift.app.deployed_block import find_serial
 from zerodrift.app.monitored_log import Deployed
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
@@ -90,22 +90,15 @@ def open_deployed(directory: Path, options: Options) -> tuple[Deployed, Path, tu
         CheckError: the files of the firmware are not those that were built and checked.
     """
     config = open_config(directory, options.sensor)
-    applied = open_applied(config, load_logs=load_nothing)
+    applied = open_applied(config, load_logs=load_nothing, block=options.block)
     changed = [f for f in check_manifest(config, wants_inputs=False).findings if not f.is_stale]
     if changed:
         raise CheckError("the firmware is not what was built and checked: " + changed[0].text)
     loads, when = _read_loads(config, options)
     name = options.sensor or config.sensor_name
-    serial = options.sensor or config.block.serial or name
-    model, notes = applied.model, applied.notes
-    block = find_deployed_block(
-        directory, config, sensor=options.sensor, serial=serial, file=options.block
-    )
-    if block is not None:
-        model, notes = block.model, (*notes, block.note)
-        refuse_other(config, model, str(options.block or block.note))
-    deployed = Deployed(name, serial, config, model, applied.uncertainty, loads, when)
-    return deployed, options.state or config.build_directory / FILE_NAME, notes
+    serial = find_serial(config)
+    deployed = Deployed(name, serial, config, applied.model, applied.uncertainty, loads, when)
+    return deployed, options.state or config.build_directory / FILE_NAME, applied.notes
 
 
 def load_nothing() -> Dataset:

@@ -1,4 +1,5 @@
-"""Adds an `[[effect]]` table to the text of zerodrift.toml or takes one out; all else stays.
+"""Adds an `[[effect]]` table to the text of zerodrift.toml or takes one out, and names a file of
+effects there; all else stays.
 
 The text is edited line by line: a library that rewrites the document moves the comment above the
 next table, and tables that stand apart, to other places. The result is read back and compared, so
@@ -14,6 +15,10 @@ from pathlib import Path
 from zerodrift.base.errors import InputError
 from zerodrift.base.toml_lines import index_lines
 
+_TABLES = "[[effect]] tables with one key to a line. Edit the effects by hand"
+_FILES = re.compile(
+    r"(?P<before>\s*files\s*=\s*\[[^\]#]*?)(?P<after>\s*\]\s*(?:#.*)?)\Z", re.DOTALL
+)
 _VALUE = re.compile(r"(?P<before>\s*[^=]+=\s*)[^#]*?(?P<after>\s*(?:#.*)?)\Z", re.DOTALL)
 
 
@@ -57,7 +62,43 @@ def add_effect(
         block = [end, *block] if not after else [*block, end]
     edited = "".join([*before, *block, *after])
     effects = [*_read_effects(text), table]
-    return _confirm(text, edited, effects, path)
+    return _confirm_effects(text, edited, effects, path)
+
+
+def add_plugin(text: str, name: str, *, path: Path = Path("zerodrift.toml")) -> str:
+    """Return the text with one more file under `[plugins] files`.
+
+    Args:
+        text: a valid zerodrift.toml.
+        name: of the file, as it is to stand there.
+        path: zerodrift.toml, for messages.
+
+    Raises:
+        InputError: the files stand in another form than a list on one line.
+    """
+    wanted = tomllib.loads(text.lstrip("\ufeff"))
+    is_there = "plugins" in wanted
+    table = wanted.setdefault("plugins", {})
+    has_files = bool(table.get("files"))
+    table["files"] = [*table.get("files", []), name]
+    rows = text.splitlines(keepends=True)
+    end = "\r\n" if any(row.endswith("\r\n") for row in rows) else "\n"
+    if rows and not rows[-1].endswith("\n"):
+        rows[-1] += end
+    lines = index_lines(text.lstrip("\ufeff"))
+    if not is_there:
+        rows += [end, f"[plugins]{end}", f"files = [{_write_value(name)}]{end}"]
+    elif ("plugins", "files") not in lines:
+        rows.insert(lines.get(("plugins",), 1), f"files = [{_write_value(name)}]{end}")
+    else:
+        at = lines[("plugins", "files")] - 1
+        parts = _FILES.match(rows[at])
+        if parts is not None:
+            comma = ", " if has_files else ""
+            before = parts["before"].rstrip().removesuffix(",")
+            rows[at] = f"{before}{comma}{_write_value(name)}{parts['after']}"
+    expected = f"[plugins] with its files in a list on one line. Name {name} there by hand"
+    return _confirm("".join(rows), wanted, path, expected)
 
 
 def set_parameters(
@@ -87,7 +128,7 @@ def set_parameters(
     edited = "".join([*rows[:last], *new, *rows[last:]])
     effects = _read_effects(text)
     effects[position] = {**effects[position], **held}
-    return _confirm(text, edited, effects, path)
+    return _confirm_effects(text, edited, effects, path)
 
 
 def remove_effect(text: str, position: int, *, path: Path = Path("zerodrift.toml")) -> str:
@@ -105,7 +146,7 @@ def remove_effect(text: str, position: int, *, path: Path = Path("zerodrift.toml
     edited = "".join(rows[:start] + rows[stop:])
     effects = _read_effects(text)
     del effects[position]
-    return _confirm(text, edited, effects, path)
+    return _confirm_effects(text, edited, effects, path)
 
 
 def _write_value(value: object) -> str:
@@ -172,19 +213,23 @@ def _find_model_tables(text: str) -> int:
     return len(rows)
 
 
-def _confirm(text: str, edited: str, effects: list[dict[str, object]], path: Path) -> str:
+def _confirm_effects(text: str, edited: str, effects: list[dict[str, object]], path: Path) -> str:
     """Return `edited` if it differs from `text` in its effects alone, and there as asked."""
     wanted = tomllib.loads(text.lstrip("\ufeff"))
     wanted["effect"] = effects
     if not effects:
         del wanted["effect"]
+    return _confirm(edited, wanted, path, _TABLES)
+
+
+def _confirm(edited: str, wanted: dict[str, object], path: Path, expected: str) -> str:
+    """Return `edited` if it holds what is wanted, and nothing else."""
     try:
         found = tomllib.loads(edited.lstrip("\ufeff"))
     except tomllib.TOMLDecodeError:
         found = {}
     if found != wanted:
         raise InputError(
-            f"{path}: its layout is not understood well enough to edit it; expected [[effect]] "
-            "tables with one key to a line. Edit the effects by hand."
+            f"{path}: its layout is not understood well enough to edit it; expected {expected}."
         )
     return edited

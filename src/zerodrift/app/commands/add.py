@@ -86,6 +86,9 @@ def command(
 ) -> None:
     """Add EFFECT to zerodrift.toml, refit all effects together, and show what it brought.
 
+    EFFECT may be a file of one effect, as `propose --write` writes it; it is then named under
+    [plugins] files, too.
+
     An effect whose held-out error is not better by more than runs differ is not kept: the command
     says so, leaves every file as it was and ends with exit code 1. --force keeps it.
 
@@ -96,6 +99,7 @@ def command(
     from zerodrift.app.commands.console import open_console, show_progress
     from zerodrift.app.commands.project import open_project, tell_design
     from zerodrift.app.commands.revise import add_to_project, print_revision
+    from zerodrift.app.effect_file import open_effect
     from zerodrift.base.config import EffectConfig
     from zerodrift.diagnosis.revision import summarise_revision
     from zerodrift.physics.catalogue import load_catalogue
@@ -104,8 +108,9 @@ def command(
     held, texts = read_held(hold), _split(options, "--set", "signal=body_temperature")
     with show_progress("reading logs") as say:
         config, dataset = open_project(directory, skip_invalid, sensor)
+        config, kind = open_effect(config, effect)
         catalogue = load_catalogue(config.plugin_files)
-        wanted = EffectConfig(effect, held, texts)
+        wanted = EffectConfig(kind, held, texts)
         revision, is_kept = add_to_project(config, dataset, catalogue, wanted, force=force, say=say)
     print_notes((*dataset.notes, *(tell_design(config, sensor) if is_kept else ())))
     if as_json:

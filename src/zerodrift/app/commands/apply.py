@@ -46,6 +46,14 @@ KINDS = INTEGER, FLOAT = ("integer", "float")
     show_default=True,
     help="The chip's integers, or the float model they were made from.",
 )
+@click.option(
+    "--block",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    default=None,
+    metavar="FILE",
+    help="The block on the unit, where coefficients lie in a block (default: as the registry says, "
+    "else the one written last).",
+)
 @json_option
 @skip_invalid_option
 def command(
@@ -54,6 +62,7 @@ def command(
     sensor: str | None,
     out: Path | None,
     kind: str,
+    block: Path | None,
     as_json: bool,
     skip_invalid: bool,
 ) -> None:
@@ -71,7 +80,12 @@ def command(
     config = open_config(directory, sensor)
     pairs = [(log, choose_file(log, out, len(logs) > 1)) for log in logs]
     refuse_taken(pairs)
-    opened = open_applied(config, kind, load_logs=lambda: open_project(directory, sensor=sensor)[1])
+    opened = open_applied(
+        config,
+        kind,
+        load_logs=lambda: open_project(directory, sensor=sensor)[1],
+        block=block,
+    )
     with show_progress("applying") as say:
         applied = apply_model(
             config,

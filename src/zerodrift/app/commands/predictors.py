@@ -259,18 +259,25 @@ def _open_network(compensator: "Compensator") -> Predictor:
 
 
 def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Predictor:
-    """Return the integer model, computed by its reference in Python or by its C on this host."""
+    """Return the integer model, computed by its reference in Python or by its C on this host.
+
+    Where coefficients lie in a block it is what the program computes with the unit's block.
+    """
+    from zerodrift.app.deployed_block import find_deployed_block
     from zerodrift.export.compose import predict_integer
     from zerodrift.export.model_files import load_model
 
     model = load_model(config.build_directory / "model.json")
+    block = find_deployed_block(config)
+    notes = () if block is None else (block.note,)
+    model = model if block is None else block.model
     physics = compensator.physics
     if kind == INTEGER:
-        return Predictor(INTEGER, lambda run: predict_integer(model, run), physics)
+        return Predictor(INTEGER, lambda run: predict_integer(model, run), physics, notes=notes)
     from zerodrift.c_runtime.host import HostModel
     from zerodrift.codegen.generate import generate
     from zerodrift.verify.errors_told import predict_by_c
 
     with tempfile.TemporaryDirectory(prefix="zerodrift-") as scratch:
         host = HostModel(model, generate(model), Path(scratch), observe=False)
-    return Predictor(C, lambda run: predict_by_c(host, run), physics)
+    return Predictor(C, lambda run: predict_by_c(host, run), physics, notes=notes)

@@ -8,7 +8,7 @@ from zerodrift.app.commands.console import open_console, open_table
 from zerodrift.base.config import Config, EffectConfig, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
-from zerodrift.base.toml_edit import add_effect, remove_effect, set_parameters
+from zerodrift.base.toml_edit import add_effect, add_plugin, remove_effect, set_parameters
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.changes import (
     ADD,
@@ -92,7 +92,7 @@ def add_to_project(
     """Add an effect to zerodrift.toml where that helps; return the change, and whether it is kept.
 
     Args:
-        config: the project.
+        config: the project; files of effects that zerodrift.toml does not name yet come with it.
         dataset: its runs.
         catalogue: the known effects.
         wanted: the effect, with its held parameters.
@@ -104,11 +104,15 @@ def add_to_project(
             richer form of it helps.
     """
     changes = propose_forms(config, dataset, catalogue, wanted)
-    text = read_text(config.path)
+    text = text_with_files = read_text(config.path)
+    for file in config.plugin_files[len(parse_config(text, config.path).plugin_files) :]:
+        home = config.path.parent
+        name = (file.relative_to(home) if file.is_relative_to(home) else file).as_posix()
+        text_with_files = add_plugin(text_with_files, name, path=config.path)
     texts_after = [
-        add_effect(text, wanted.kind, c.effect.held, wanted.options, path=config.path)
+        add_effect(text_with_files, wanted.kind, c.effect.held, wanted.options, path=config.path)
         if c.action == ADD
-        else set_parameters(text, c.place, c.effect.held, path=config.path)
+        else set_parameters(text_with_files, c.place, c.effect.held, path=config.path)
         for c in changes
     ]
     open_history(config)
