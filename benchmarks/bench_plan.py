@@ -81,8 +81,9 @@ class Expected:
     rise: tuple[float, ...]
     outgrow: tuple[float, ...]
     beside: tuple[float, ...]
+    apart: tuple[float, ...]
     disguised: tuple[float, ...]
-    """As `grow`, of the nearest rival in disguise."""
+    """Of the nearest rival."""
 
 
 @dataclass(frozen=True)
@@ -130,13 +131,18 @@ def expect(planned: Planned, truth: str) -> Expected:
     def list_draws(x: NDArray[np.float64]) -> tuple[float, ...]:
         return tuple(round(float(value), 4) for value in np.minimum(x[m], 1e6))
 
+    apart = np.minimum(told.apart, 1e30)
+    nearest = apart.argmin(axis=2)[:, :, None]
+    distance = np.take_along_axis(apart, nearest, axis=2)[:, :, 0]
+    disguised = np.take_along_axis(told.disguised, nearest, axis=2)[:, :, 0]
     return Expected(
         float(expect_verdicts(told)[m].mean()),
-        list_draws(grow(np.minimum(told.apart.min(axis=2), 1e30), told.gain)),
-        list_draws(rise(told.gain, told.nats, told.runs)),
+        list_draws(grow(distance, told.gain)),
+        list_draws(rise(told.gain, told.nats)),
         list_draws(outgrow(told.excess)),
         list_draws(told.beside),
-        list_draws(grow(np.minimum(told.disguised, 1e30), told.gain)),
+        list_draws(distance),
+        list_draws(disguised),
     )
 
 

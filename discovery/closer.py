@@ -9,8 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
-from zerodrift.diagnosis.candidates import AT_AN_END, AT_AN_END_UNITS
+from zerodrift.diagnosis.candidates import AT_AN_END, AT_AN_END_UNITS, OF_WHAT_IS_LEFT
+from zerodrift.diagnosis.examination import LIKE_BEST, LIKE_BEST_UNITS
 from zerodrift.discovery.contenders import (
     Contender,
     RivalForm,
@@ -149,7 +151,7 @@ def _change(
 
 
 def _tell(scene: Scene, told: Told, left: Sequence[Array]) -> Told:
-    """Return what is told, with rivals in disguise apart from the others.
+    """Return what is told, each rival in the form that `diagnose` would choose of it.
 
     An effect at a value that an end of its range does as well as is a simpler one, or another one,
     in disguise: `diagnose` takes it neither for the missing effect nor for a look-alike, if it sees
@@ -164,27 +166,59 @@ def _tell(scene: Scene, told: Told, left: Sequence[Array]) -> Told:
     gain = told.gain.ravel()
     each = np.arange(gain.size)
     apart = np.full((gain.size, count), np.inf)
-    disguised, beside = np.full(gain.size, np.inf), np.full(gain.size, np.inf)
+    disguised = np.zeros((gain.size, count))
+    beside = np.full(gain.size, np.inf)
     rest = iter(left)
     for r, contender in enumerate((*scene.contenders, *scene.outsiders)):
+        nearest, hidden = [], []
         for form in contender.forms:
             squares = next(rest).reshape(-1, gain.size, gain.size)[:, each, each]
-            if told.runs < form.fewest_runs:
-                continue
-            near = squares[0]
-            enough = np.maximum(AT_AN_END_UNITS, AT_AN_END * (gain - near))
-            hides = (squares[1:] - near <= enough).any(axis=0)
-            plain = np.where(hides, np.inf, near)
-            if r >= count:
-                beside = np.minimum(beside, plain)
-                continue
-            others = each // draws != r
-            apart[others, r] = np.minimum(apart[others, r], plain[others])
-            hidden = np.where(hides & others, near, np.inf)
-            disguised = np.minimum(disguised, hidden)
+            if told.runs >= form.fewest_runs:
+                nearest.append(squares[0])
+                hidden.append(expect_disguise(gain, squares, told.samples))
+        if not nearest:
+            continue
+        chosen = choose_forms(gain, np.stack(nearest))
+        near, hides = np.stack(nearest)[chosen, each], np.stack(hidden)[chosen, each]
+        if r >= count:
+            beside = np.minimum(beside, np.where(hides > 0.5, np.inf, near))
+            continue
+        others = each // draws != r
+        apart[others, r] = near[others]
+        disguised[others, r] = hides[others]
     return replace(
         told,
         apart=apart.reshape(count, draws, count),
         beside=beside.reshape(count, draws),
-        disguised=disguised.reshape(count, draws),
+        disguised=disguised.reshape(count, draws, count),
     )
+
+
+def choose_forms(gain: Array, nearest: Array) -> NDArray[np.int64]:
+    """Return [T] the simplest form of a rival that gains about as much as its best one.
+
+    Args:
+        gain: [T] of each truth.
+        nearest: [F, T] what each form leaves of it, simplest first.
+    """
+    gains = gain - nearest
+    best = gains.max(axis=0)
+    least = best - np.maximum(LIKE_BEST * np.abs(best), LIKE_BEST_UNITS)
+    return np.asarray((gains >= least).argmax(axis=0), dtype=np.int64)
+
+
+def expect_disguise(gain: Array, squares: Array, samples: float) -> Array:
+    """Return [T] the probability that an end of a range is seen to do as well as the best values.
+
+    What an end loses over these is a difference of two squared errors: with noise it spreads by
+    twice the root of what is expected of it.
+
+    Args:
+        gain: [T] of each truth.
+        squares: [1 + E, T] what the best values leave of it, and below these each end.
+        samples: of all outputs, each of which leaves a unit of noise.
+    """
+    near, lost = squares[0], np.maximum(squares[1:] - squares[0], 1e-9)
+    share = np.minimum(AT_AN_END * (gain - near), OF_WHAT_IS_LEFT * (samples + near))
+    enough = np.maximum(AT_AN_END_UNITS, share)
+    return np.asarray(ndtr((enough - lost) / (2.0 * np.sqrt(lost))).max(axis=0, initial=0.0))

@@ -40,6 +40,8 @@ NODES = {1: 7, 2: 4, 3: 3}
 MOST_FORMS = 2
 """An effect's plain forms that the search looks at; for the programme that is taken, all."""
 DRAWS = 6
+SLOWER_THAN_PLANS = ("ageing",)
+"""Effects of days, which no programme of hours shows."""
 MOST_SPREAD = 0.7
 """Largest standard deviation of a drawn value, in its own coordinate."""
 
@@ -152,9 +154,15 @@ def refuse_unknown(
     """Refuse effects that no experiment of these signals can tell.
 
     Raises:
-        InputError: an unknown effect, one that the model has, or one whose signal is lacking.
+        InputError: an unknown effect, one named twice, one that the model has, one whose signal is
+            lacking, or one that no programme of hours shows.
     """
     for kind in kinds:
+        if kinds.count(kind) > 1:
+            raise InputError(
+                f"--between {kind} {kind}: the same effect twice; expected two different ones to "
+                "tell apart. `zerodrift effects` lists them."
+            )
         if kind not in catalogue:
             raise InputError(
                 f"--between {kind}: no effect '{kind}'{nearest(kind, catalogue) or '.'} "
@@ -170,6 +178,12 @@ def refuse_unknown(
             raise InputError(
                 f"--between {kind}: no experiment can show it: {why}. Add the column to [inputs] "
                 "or the reference to [outputs], and what it can be set to under [experiment]."
+            )
+        if kind in SLOWER_THAN_PLANS:
+            raise InputError(
+                f"--between {kind}: {kind} shows over days, and a programme lasts hours; expected "
+                "an effect that hours can show. Leave it out, and put logs of several days under "
+                "[logs] train: `zerodrift diagnose` looks for it there."
             )
 
 

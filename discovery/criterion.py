@@ -59,8 +59,10 @@ class Told:
     """[M, D] gain of each truth in log-likelihood, the noise of each octave refitted beside either
     model; 0 of an effect that follows the time alone."""
     disguised: Array
-    """[M, D] squared distance from the nearest open rival at values that its ends do as well as;
-    infinite where there is none. `apart` and `beside` leave such rivals out."""
+    """[M, D, M] probability that a rival is seen to be another effect in disguise, at values that
+    the ends of their ranges do as well as; 0 in a search, which does not look there."""
+    samples: float
+    """Samples of all outputs, logs before included."""
 
 
 class _Seen(NamedTuple):
@@ -340,7 +342,10 @@ class Judge:
             excess.reshape(count, draws, -1),
             scale * apart[:, count:].min(axis=1, initial=np.inf).reshape(count, draws),
             nats.reshape(count, draws),
-            np.full((count, draws), np.inf),
+            np.zeros((count, draws, count)),
+            len(self.scene.plan.outputs)
+            * sum(s.lasts_s for s in seen)
+            / self.scene.plan.sample_period_s,
         )
         return told, [scale * squares for squares in left]
 

@@ -14,9 +14,10 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.case import open_case
 from zerodrift.diagnosis.diagnose import diagnose_config
 from zerodrift.diagnosis.diagnosis import Diagnosis
-from zerodrift.diagnosis.rules import ENOUGH_RUNS
+from zerodrift.diagnosis.rules import ALIKE, ENOUGH_RUNS
 from zerodrift.discovery.closer import judge_closely, look_closer
 from zerodrift.discovery.contenders import (
+    SLOWER_THAN_PLANS,
     Scene,
     describe_noise,
     find_placeable,
@@ -44,8 +45,8 @@ NOISE_PCT = 0.01
 a converter of 14 bits."""
 SIZE_IN_NOISE = 3.0
 """Size of an effect that has to be named, where no target is set, in noise RMS."""
-SLOWER_THAN_PLANS = ("ageing",)
-"""Effects of days, which no programme of hours shows."""
+AFTER_POWER_ON = "warm_up"
+"""The effect of which a log shows nothing that does not begin with the power-on."""
 NEAR_ENOUGH = 0.97
 """With an UNKNOWN, candidates that leave no more than this of the error are open."""
 MOST_NEAR = 4
@@ -240,6 +241,33 @@ def plan_experiment(
     )
 
 
+def refuse_alike(planned: Planned) -> None:
+    """Refuse effects of which the best programme tells none from the nearest other one.
+
+    `diagnose` takes two effects for look-alikes, however large they are, where one of them gains
+    nearly as much as the other.
+
+    Raises:
+        NothingLeftError: so it is, for all of them and all of their values.
+    """
+    told, kinds = planned.told, planned.kinds
+    if len(kinds) < 2:
+        return
+    gain = told.gain[:, :, None]
+    rivals = np.where(told.disguised > 0.5, np.inf, told.apart)
+    if (rivals > ALIKE * gain).all(axis=2).any():
+        return
+    left = float(np.minimum(rivals.min(axis=2), told.gain).max())
+    share = float((rivals.min(axis=2) / np.maximum(told.gain, 1e-9)).max())
+    raise NothingLeftError(
+        f"--between {' '.join(kinds)}: no programme that was tried tells one from another. In the "
+        f"best of {planned.best.tried} of {planned.programme.hours:.2g} h, refitting another one "
+        f"leaves at most {left:.2g} noise units, {100.0 * share:.2g} % of what the right one gains;"
+        f" expected more than {100.0 * ALIKE:g} %, which `diagnose` asks for. Allow more "
+        "temperatures, loads or inputs under [experiment], or give more --hours or --budget."
+    )
+
+
 def _weigh(judge: Judge, space: Space, point: Array) -> float:
     """Return what a programme tells, less a little for each line that somebody has to set."""
     lines = sum(len(log.settings) for log in space.list_patterns(point))
@@ -254,6 +282,15 @@ def leave_alone(limits: Limits, kinds: Sequence[str], catalogue: Catalogue) -> L
     inputs = {name: reach for name, reach in limits.inputs.items() if name in named}
     nominal = {name: limits.nominal[name] for name in inputs}
     return replace(limits, loads=loads, inputs=inputs, nominal=nominal)
+
+
+def _refuse_unpowered(kinds: Sequence[str], limits: Limits) -> None:
+    if AFTER_POWER_ON in kinds and not limits.power:
+        raise InputError(
+            f"--between {AFTER_POWER_ON}: [experiment] power is false, so no log begins with the "
+            "power-on, and none shows it; expected power = true. Leave the effect out, or allow "
+            "the power under [experiment]."
+        )
 
 
 def _refuse_single(kinds: Sequence[str], said: str) -> None:
@@ -299,10 +336,11 @@ def open_blank(
         if not find_placeable(effect, plan)
         and list_forms(catalogue, base, kind)
         and kind not in SLOWER_THAN_PLANS
-        and not (kind == "warm_up" and not limits.power)
+        and not (kind == AFTER_POWER_ON and not limits.power)
         and not (kind == "crosstalk" and len(limits.loads) < 2)
     )
     refuse_unknown(kinds, catalogue, base, plan)
+    _refuse_unpowered(kinds, limits)
     _refuse_single(kinds, "there are no logs yet")
     share = (config.experiment.noise_pct or NOISE_PCT) / 100.0
     if config.experiment.noise_pct is None:
@@ -333,6 +371,7 @@ def _open_logs(
     kinds = question.between
     if kinds:
         refuse_unknown(kinds, catalogue, case.terms, plan)
+        _refuse_unpowered(kinds, limits)
     else:
         kinds, untold, said = find_open(diagnose_config(config, dataset), len(case.campaign.groups))
         kinds = tuple(

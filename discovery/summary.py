@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from zerodrift.base.records import OPTIONAL
-from zerodrift.discovery.likely import MOST, expect_pairs, expect_verdicts
+from zerodrift.discovery.likely import MOST, expect_pairs, expect_verdicts, tell_rivals_apart
 from zerodrift.discovery.plan import Planned
 from zerodrift.discovery.precise import PlannedPrecisely, Width
 from zerodrift.discovery.precise_plan import COVERED
@@ -133,7 +135,7 @@ def summarise_plan(
     kinds = planned.kinds
     verdicts = expect_verdicts(planned.told)
     pairs = expect_pairs(planned.told)
-    apart = planned.told.apart.mean(axis=1)
+    rivals = tell_rivals_apart(planned.told).mean(axis=1) + np.eye(len(kinds))
     settings, logs = _lay_out(planned.programme)
     return PlanSummary(
         hours=round(planned.programme.hours, 4),
@@ -152,7 +154,7 @@ def summarise_plan(
                 kind,
                 round(float(verdicts[m].mean()), 3),
                 (round(float(verdicts[m].min()), 3), round(float(verdicts[m].max()), 3)),
-                kinds[int(apart[m].argmin())] if len(kinds) > 1 else None,
+                kinds[int(rivals[m].argmin())] if len(kinds) > 1 else None,
             )
             for m, kind in enumerate(kinds)
         ),

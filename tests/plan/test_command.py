@@ -67,6 +67,21 @@ def test_what_cannot_be_is_refused(tmp_path, zerodrift, options, told):
     assert told in found.err
 
 
+@pytest.mark.parametrize(
+    ("pair", "told"),
+    [
+        (("ageing", "creep"), "--between ageing: ageing shows over days"),
+        (("creep", "creep"), "--between creep creep: the same effect twice"),
+        (("dark_current", "creep"), "--between dark_current: the model has dark_current already"),
+        (("crep", "load_hysteresis"), "did you mean 'creep'?"),
+    ],
+)
+def test_pairs_that_nothing_can_tell_apart_are_refused(tmp_path, zerodrift, pair, told):
+    found = zerodrift("plan", "-C", write_blank(tmp_path), *QUICK, "--between", *pair)
+    assert found.code == 2 and not found.out
+    assert told in found.err
+
+
 def test_the_python_face_plans_too(tmp_path):
     project = zd.Project(write_blank(tmp_path))
     plan = project.plan(2.0, between=("creep", "load_hysteresis"), target=0.001, budget_s=2.0)

@@ -4,13 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from tests.plan.projects import EXPERIMENT, read
 from zerodrift.base.errors import InputError
-from zerodrift.discovery.closer import judge_closely, look_closer
+from zerodrift.diagnosis.evidence import SURE_NATS
+from zerodrift.diagnosis.examination import LIKE_BEST, LIKE_BEST_UNITS
+from zerodrift.diagnosis.rules import SURE_UNITS
+from zerodrift.discovery.closer import choose_forms, expect_disguise, judge_closely, look_closer
 from zerodrift.discovery.criterion import Judge, Told
-from zerodrift.discovery.likely import IN_DISGUISE, expect_pairs, expect_verdicts
-from zerodrift.discovery.plan import Question, plan_experiment
+from zerodrift.discovery.likely import (
+    expect_pairs,
+    expect_verdicts,
+    rise,
+    tell_disguised,
+    tell_rivals_apart,
+)
+from zerodrift.discovery.plan import NothingLeftError, Question, plan_experiment, refuse_alike
 from zerodrift.discovery.programme import Log, Setting
 from zerodrift.discovery.search import list_designs
 from zerodrift.physics.catalogue import load_catalogue
@@ -138,8 +148,39 @@ def test_a_slow_zero_shift_is_a_rival_of_a_gradient_once_there_are_four_logs():
     assert (four.apart[1, :, 0] < 0.3 * three.apart[1, :, 0]).all()
     assert planned.told.runs >= FEWEST_RUNS
     # It is one in disguise: with the shortest time constant that there is, it does as well.
-    assert (planned.told.disguised[1] < 0.01 * planned.told.gain[1]).all()
-    assert (planned.told.apart[1, :, 0] > planned.told.disguised[1]).all()
+    assert (planned.told.apart[1, :, 0] < 0.01 * planned.told.gain[1]).all()
+    assert (planned.told.disguised[1, :, 0] > 0.9).all()
+    # So it is no look-alike, unless it does better by chance.
+    distance = planned.told.apart[1, :, 0]
+    told_apart = tell_rivals_apart(planned.told)[1, :, 0]
+    assert told_apart == pytest.approx(ndtr(0.5 * np.sqrt(distance)), abs=0.02)
+    assert (planned.told.disguised[0, :, 1] < 0.5).all()
+
+
+def test_an_end_of_a_range_is_as_good_where_diagnose_says_so():
+    """A loss of 10 units at least, 2 % of the gain, but no more than 1 % of what is left."""
+    gain = np.array([100.0, 1e4, 1e4, 1e4, 1e4])
+    samples = 5000.0
+    lost = np.array([10.0, 10.0, 50.0, 90.0, 200.0])
+    squares = np.stack([np.zeros(5), np.full(5, 1e5), lost])
+    seen = expect_disguise(gain, squares, samples)
+    assert seen[0] == pytest.approx(0.5)
+    assert seen[1] > 0.99 and seen[2] == pytest.approx(0.5)
+    assert seen[3] < 0.05 and seen[4] < 1e-3
+    assert expect_disguise(gain, squares, 4.0 * samples)[4] == pytest.approx(0.5)
+    # Without values there is no end, and no disguise.
+    assert not expect_disguise(gain, squares[:1], samples).any()
+
+
+def test_the_form_of_a_rival_is_the_one_that_diagnose_would_choose():
+    gain = np.array([1000.0, 1000.0, 50.0])
+    nearest = np.array([[100.0, 40.0, 12.0], [0.0, 38.0, 3.0], [0.0, 0.0, 0.0]])
+    assert choose_forms(gain, nearest).tolist() == [1, 2, 1]
+
+
+def test_what_is_sure_is_what_diagnose_asks_for():
+    gain, nats = np.array([SURE_UNITS, 10.0, 10.0]), np.array([0.0, SURE_NATS, 10.0])
+    assert rise(gain, nats) == pytest.approx([0.0, 0.0, np.log(10.0 / SURE_NATS)], abs=1e-6)
 
 
 def test_a_closer_look_finds_rivals_nearer_than_the_grid_does(planned):
@@ -151,9 +192,12 @@ def test_a_closer_look_finds_rivals_nearer_than_the_grid_does(planned):
     grid = judge(closer).judge(space, point)
     near = judge_closely(judge, closer, space, point)
     assert near.gain == pytest.approx(grid.gain)
-    least = np.minimum(near.apart.min(axis=2), near.disguised)
-    assert (least <= grid.apart.min(axis=2) * (1.0 + 1e-9)).all()
-    assert (least < grid.apart.min(axis=2)).any()
+    least, before = near.apart.min(axis=2), grid.apart.min(axis=2)
+    # The form is chosen as `diagnose` does: a simpler one may leave a little more.
+    slack = np.maximum(LIKE_BEST * near.gain, LIKE_BEST_UNITS)
+    assert (least <= before + slack).all()
+    assert (least < before).any()
+    assert near.samples == pytest.approx(grid.samples)
 
 
 def test_long_logs_reach_every_temperature(planned):
@@ -166,30 +210,38 @@ def test_long_logs_reach_every_temperature(planned):
 LARGE = np.full((2, 4, 1), 100.0)
 FAR = np.full((2, 4), np.inf)
 NONE = np.zeros((2, 4))
+PLAIN = np.zeros((2, 4, 2))
 
 
 def test_probabilities_rise_with_what_is_told():
     gain = np.array([[50.0, 500.0, 5000.0, 5e5]] * 2)
     apart = np.full((2, 4, 2), np.inf)
     apart[0, :, 1] = apart[1, :, 0] = 0.5 * gain[0]
-    p = expect_verdicts(Told(gain, apart, 8, LARGE, FAR, NONE, FAR))
+    clear = Told(gain, apart, 8, LARGE, FAR, NONE, PLAIN, 1e4)
+    p = expect_verdicts(clear)
     assert (np.diff(p[0]) > 0.0).all() and p.min() > 0.0 and p.max() < 1.0
     close = apart.copy()
     close[0, :, 1] = 0.001 * gain[0]
-    assert (expect_verdicts(Told(gain, close, 8, LARGE, FAR, NONE, FAR))[0] < p[0]).all()
+    assert (expect_verdicts(replace(clear, apart=close))[0] < p[0]).all()
     # What lowers the error by 1 % is not named, however sure; nor what another effect does as well.
-    faint = expect_verdicts(Told(gain, apart, 8, np.full((2, 4, 1), 0.01), FAR, NONE, FAR))
+    faint = expect_verdicts(replace(clear, excess=np.full((2, 4, 1), 0.01)))
     assert (faint < 0.3 * p).all()
-    mistaken = expect_verdicts(Told(gain, apart, 8, LARGE, np.zeros((2, 4)), NONE, FAR))
+    mistaken = expect_verdicts(replace(clear, beside=np.zeros((2, 4))))
     assert mistaken == pytest.approx(0.5 * p)
-    hidden = expect_verdicts(Told(gain, apart, 8, LARGE, FAR, NONE, np.zeros((2, 4))))
-    assert hidden == pytest.approx((1.0 - IN_DISGUISE) * p, rel=0.01)
-    # Few runs are enough where the likelihood says so.
-    likely = Told(gain, apart, 3, LARGE, FAR, np.full((2, 4), 100.0), FAR)
-    assert (expect_verdicts(likely)[:, 0] > expect_verdicts(replace(likely, nats=NONE))[:, 0]).all()
-    pairs = expect_pairs(Told(gain, apart, 8, LARGE, FAR, NONE, FAR))
+    # A gain is sure by likelihood too, with few runs and with many.
+    for runs in (3, 8):
+        none = replace(clear, runs=runs)
+        likely = expect_verdicts(replace(none, nats=np.full((2, 4), 100.0)))
+        assert (likely[:, 0] > expect_verdicts(none)[:, 0]).all()
+    pairs = expect_pairs(clear)
     assert pairs[0, 1] == pairs[1, 0]
-    assert (expect_verdicts(Told(gain, apart, 3, LARGE, FAR, NONE, FAR)) < p)[:, :3].all()
+
+
+def test_a_rival_in_disguise_is_no_lookalike_unless_by_chance():
+    apart = np.array([0.0, 0.1, 0.9])
+    distance = np.array([0.0, 0.0, 100.0])
+    assert tell_disguised(apart, distance, np.zeros(3)) == pytest.approx(apart)
+    assert tell_disguised(apart, distance, np.ones(3)) == pytest.approx([0.5, 0.5, 1.0], abs=1e-6)
 
 
 def test_more_hours_tell_no_less():
@@ -210,9 +262,30 @@ def test_the_same_question_has_the_same_answer():
         (("zero_tempco", "dark_current"), "the model has dark_current already"),
         (("humidity",), "no input 'humidity'"),
         (("adc_saturation",), "seen directly"),
+        (("ageing", "creep"), "shows over days"),
+        (("creep", "creep"), "the same effect twice"),
     ],
 )
 def test_effects_that_cannot_be_planned_for_are_refused(between, told):
     with pytest.raises(InputError) as refused:
         plan(*between)
     assert told in str(refused.value)
+
+
+def test_a_warm_up_without_power_on_is_refused():
+    with pytest.raises(InputError, match="power is false"):
+        plan("warm_up", "creep", experiment=EXPERIMENT.replace("cooling", "power = false\ncooling"))
+
+
+def test_effects_that_no_programme_tells_apart_are_refused(planned):
+    refuse_alike(planned)
+    told = planned.told
+    alike = replace(
+        told, apart=np.where(np.isfinite(told.apart), 0.01 * told.gain[..., None], np.inf)
+    )
+    alike = replace(alike, disguised=np.zeros_like(told.disguised))
+    with pytest.raises(NothingLeftError) as refused:
+        refuse_alike(replace(planned, told=alike))
+    said = str(refused.value)
+    assert "--between creep load_hysteresis: no programme" in said
+    assert "1 % of what the right one gains" in said and "Allow more" in said

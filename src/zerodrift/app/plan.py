@@ -15,7 +15,7 @@ from zerodrift.base.toml_lines import index_lines
 from zerodrift.base.toml_table import TomlTable
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.selectors import NoLogsError, expand_selectors
-from zerodrift.discovery.plan import Planned, Question, plan_experiment
+from zerodrift.discovery.plan import Planned, Question, plan_experiment, refuse_alike
 from zerodrift.discovery.precise import PlannedPrecisely, plan_precisely
 from zerodrift.discovery.summary import PastPlan, summarise_plan, summarise_precise
 from zerodrift.physics.catalogue import Catalogue
@@ -104,6 +104,8 @@ def find_plan(
         return precise, PlanResult(**vars(summarise_precise(precise, units)))
     past = None if dataset is None else _compare_past(config, dataset, catalogue)
     planned = plan_experiment(config, dataset, catalogue, question, say)
+    if question.between:
+        refuse_alike(planned)
     summary = summarise_plan(planned, units, past)
     return planned, PlanResult(**vars(summary))
 

@@ -1,5 +1,6 @@
 """`zerodrift plan`: the next experiment, computed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,7 +35,7 @@ class PlanOptions:
     sensor: str | None
     hours: float | None
     within: str | None
-    between: tuple[str, ...]
+    between: tuple[tuple[str, str], ...]
     target: str | None
     budget: float
     criterion: str
@@ -136,7 +137,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOpt
         dataset = load_dataset(config, skip_invalid) if has_logs(config) else None
         question = Question(
             hours=options.hours or config.experiment.hours or HOURS,
-            between=tuple(dict.fromkeys(kind for pair in options.between for kind in pair)),
+            between=join_pairs(options.between),
             target=read_target(options.target),
             budget_s=options.budget,
             criterion=options.criterion,
@@ -161,6 +162,12 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOpt
         print_result(plan)
         return
     print_plan(plan, directory)
+
+
+def join_pairs(pairs: Sequence[tuple[str, str]]) -> tuple[str, ...]:
+    """Return the effects of all pairs, each once; a pair of one effect alone, to be refused."""
+    twice = next((pair for pair in pairs if pair[0] == pair[1]), None)
+    return twice or tuple(dict.fromkeys(kind for pair in pairs for kind in pair))
 
 
 def read_target(text: str | None) -> float | None:
