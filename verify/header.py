@@ -35,7 +35,7 @@ FLAGS = {
 FAULTS = {"REPLAY": 1, "TABLES": 2}
 _MISSING = -(2**63)
 """Stands for a macro that is not there; none has this value."""
-_SAVED_EXTRA_BYTES = 16
+SAVED_EXTRA_BYTES = 16
 _LONGEST_TEXT = 256
 _TEXTS = ("MODEL_HASH", "MANIFEST")
 
@@ -165,7 +165,7 @@ def check_header(
         del expected[manifest]
     saved, state = told[len(numbers) : len(numbers) + 2]
     values[f"{prefix.upper()}_SAVED_BYTES"] = saved
-    expected[f"{prefix.upper()}_SAVED_BYTES"] = state + _SAVED_EXTRA_BYTES
+    expected[f"{prefix.upper()}_SAVED_BYTES"] = state + SAVED_EXTRA_BYTES
     widths, places = told[-2 * len(channels) : -len(channels)], told[-len(channels) :]
     for k, (name, channel) in enumerate(zip(channels, model.channels, strict=True)):
         values[f"bits of {prefix}_input_t.{name}"] = 8 * widths[k]

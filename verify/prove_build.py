@@ -6,7 +6,7 @@ from functools import partial
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.verify.c_reader import parse_integer
 from zerodrift.verify.c_values import TYPES
-from zerodrift.verify.header import list_expected
+from zerodrift.verify.header import SAVED_EXTRA_BYTES, list_expected
 from zerodrift.verify.prove_checksum import prove_checksum
 from zerodrift.verify.prove_elapsed import TESTED_ALONE, make_elapsed_rules, say_span
 from zerodrift.verify.prove_layer_norm import NORM_TESTED, run_norm
@@ -170,7 +170,10 @@ class Proof:
             found = read_macro(macros.get(name, []))
             if found != wanted:
                 return f"{name} is {found}; the model gives {wanted}"
-        return ""
+        name = f"{self.prefix.upper()}_SAVED_BYTES"
+        size = f"({SAVED_EXTRA_BYTES}u+sizeof({self.prefix}_state_t))"
+        saved = "".join(macros.get(name, []))
+        return "" if saved == size else f"{name} is {saved}; a saved state takes {size}"
 
     def _fields_of(self, kind: str) -> list[tuple[str, str, tuple[int, ...]]]:
         fields = self.program.structs.get(f"{self.prefix}_{kind}_t", ())

@@ -163,6 +163,7 @@ HEADER = {
     "an index": ("#define FRONT_END_FX 0", "#define FRONT_END_FX 1"),
     "a unit": ("FRONT_END_FY_LSB_PER_UNIT 10", "FRONT_END_FY_LSB_PER_UNIT 100"),
     "a flag": ("RATE_RANGE UINT32_C(4)", "RATE_RANGE UINT32_C(2)"),
+    "the size of a saved state": ("SAVED_BYTES (16u", "SAVED_BYTES (-16u"),
     "the sample period": ("SAMPLE_PERIOD_US UINT32_C(500000)", "SAMPLE_PERIOD_US UINT32_C(50000)"),
     "the inputs' order": (
         "    int16_t temperature; /* temperature: 0 + 0.0078125 degC per count */\n",
