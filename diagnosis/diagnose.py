@@ -153,12 +153,15 @@ def _are_given_back(
     before: Sequence[Run], after: Sequence[Run], predicted: Sequence[Array]
 ) -> bool:
     """Return whether samples that are outliers no longer held much of what was left."""
-    held, left = 0.0, 0.0
-    for old, new, explained in zip(before, after, predicted, strict=True):
-        rest = old.steady_drift - explained
-        left = left + np.sum((rest - rest.mean(axis=0)) ** 2, axis=0)
-        held = held + np.sum((new.steady_drift - old.steady_drift) ** 2, axis=0)
-    return bool(np.any(np.asarray(held) > GIVEN_BACK * np.asarray(left)))
+    held = [_square(b.steady_drift - a.steady_drift) for a, b in zip(before, after, strict=True)]
+    rests = [run.steady_drift - explained for run, explained in zip(before, predicted, strict=True)]
+    left = [_square(rest - rest.mean(axis=0)) for rest in rests]
+    return bool(np.any(np.sum(held, axis=0) > GIVEN_BACK * np.sum(left, axis=0)))
+
+
+def _square(x: Array) -> Array:
+    """Return the sums of squares [K] of columns [n, K]."""
+    return np.asarray(np.sum(x**2, axis=0))
 
 
 def _conclude(case: Case) -> tuple[Diagnosis, tuple[Term, ...]]:

@@ -6,13 +6,13 @@ from pathlib import Path
 from zerodrift.app.trust import remember
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
-from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
 
 SUFFIX = ".py"
 
 
-def open_effect(config: Config, named: str) -> tuple[Config, str]:
-    """Return the project and the effect that is meant.
+def open_effect(config: Config, named: str) -> tuple[Config, Catalogue, str]:
+    """Return the project, its known effects, and the name of the one that is meant.
 
     Of a file it is the one that the file declares, and the project is one that has the file among
     its own; `zerodrift.toml` is not changed by this.
@@ -25,7 +25,7 @@ def open_effect(config: Config, named: str) -> tuple[Config, str]:
         InputError: there is no such file, it cannot be run, or it declares several effects.
     """
     if not named.endswith(SUFFIX):
-        return config, named
+        return config, load_catalogue(config.plugin_files), named
     file = next((p for p in (Path(named), config.directory / named) if p.is_file()), None)
     if file is None:
         raise InputError(
@@ -36,16 +36,15 @@ def open_effect(config: Config, named: str) -> tuple[Config, str]:
     place = config.path.parent / _name_in_project(config, file) if known is None else known
     if known is None:
         config = replace(config, plugin_files=(*config.plugin_files, place))
-    declared = [
-        e.kind for e in load_catalogue(config.plugin_files).listed() if e.file == str(place)
-    ]
+    catalogue = load_catalogue(config.plugin_files)
+    declared = [effect.kind for effect in catalogue.listed() if effect.file == str(place)]
     if len(declared) != 1:
         raise InputError(
             f"{named}: declares {len(declared)} effects, {', '.join(declared)}; expected one, as"
             " one is added at a time. Name the file under [plugins] files, then add them by name."
         )
     remember((file,))
-    return config, declared[0]
+    return config, catalogue, declared[0]
 
 
 def _name_in_project(config: Config, file: Path) -> str:

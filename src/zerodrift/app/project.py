@@ -312,8 +312,7 @@ class Project:
                 "nothing is missing, or nothing that the catalogue knows."
             )
         self._refuse_moved()
-        config, kind = open_effect(self.config, effect)
-        catalogue = load_catalogue(config.plugin_files)
+        config, catalogue, kind = open_effect(self.config, effect)
         wanted = EffectConfig(kind, dict(hold or {}), {"signal": signal} if signal else {})
         with hold_project(self.directory), show_progress(f"fitting without and with {kind}"):
             revision, is_kept = add_to_project(config, self.dataset, catalogue, wanted, force=force)

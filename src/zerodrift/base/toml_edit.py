@@ -1,4 +1,4 @@
-"""Adds an `[[effect]]` table to the text of zerodrift.toml or takes one out, and names a file of
+"""Adds an `[[effect]]` table to the text of zerodrift.toml, takes one out, or names a file of
 effects there; all else stays.
 
 The text is edited line by line: a library that rewrites the document moves the comment above the
@@ -44,7 +44,7 @@ def add_effect(
     """
     table: dict[str, object] = {"kind": kind, **(options or {}), **(held or {})}
     rows = text.splitlines(keepends=True)
-    end = "\r\n" if any(row.endswith("\r\n") for row in rows) else "\n"
+    end = _find_line_end(rows)
     block = ["[[effect]]" + end]
     block += [f"{key} = {_write_value(value)}{end}" for key, value in table.items()]
     blocks = _find_blocks(text, path)
@@ -82,7 +82,7 @@ def add_plugin(text: str, name: str, *, path: Path = Path("zerodrift.toml")) -> 
     has_files = bool(table.get("files"))
     table["files"] = [*table.get("files", []), name]
     rows = text.splitlines(keepends=True)
-    end = "\r\n" if any(row.endswith("\r\n") for row in rows) else "\n"
+    end = _find_line_end(rows)
     if rows and not rows[-1].endswith("\n"):
         rows[-1] += end
     lines = index_lines(text.lstrip("\ufeff"))
@@ -110,7 +110,7 @@ def set_parameters(
         InputError: the effects stand in an inline array, or a value is not on its key's line.
     """
     rows = text.splitlines(keepends=True)
-    end = "\r\n" if any(row.endswith("\r\n") for row in rows) else "\n"
+    end = _find_line_end(rows)
     start, stop = _find_blocks(text, path)[position]
     lines = index_lines(text.lstrip("\ufeff"))
     new = []
@@ -147,6 +147,10 @@ def remove_effect(text: str, position: int, *, path: Path = Path("zerodrift.toml
     effects = _read_effects(text)
     del effects[position]
     return _confirm_effects(text, edited, effects, path)
+
+
+def _find_line_end(rows: list[str]) -> str:
+    return "\r\n" if any(row.endswith("\r\n") for row in rows) else "\n"
 
 
 def _write_value(value: object) -> str:

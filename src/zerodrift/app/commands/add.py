@@ -102,14 +102,12 @@ def command(
     from zerodrift.app.effect_file import open_effect
     from zerodrift.base.config import EffectConfig
     from zerodrift.diagnosis.revision import summarise_revision
-    from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.report.results import AddResult
 
     held, texts = read_held(hold), _split(options, "--set", "signal=body_temperature")
     with show_progress("reading logs") as say:
         config, dataset = open_project(directory, skip_invalid, sensor)
-        config, kind = open_effect(config, effect)
-        catalogue = load_catalogue(config.plugin_files)
+        config, catalogue, kind = open_effect(config, effect)
         wanted = EffectConfig(kind, held, texts)
         revision, is_kept = add_to_project(config, dataset, catalogue, wanted, force=force, say=say)
     print_notes((*dataset.notes, *(tell_design(config, sensor) if is_kept else ())))
