@@ -321,7 +321,7 @@ class Reference:
         at, steps = self.model.guards.temperature_channel, len(codes)
         missing = self._find_missing(codes)
         codes = hold_readings(codes, missing, self._recall(state, codes[0]))
-        done = run_stretch(self.model, state, codes)
+        done = run_stretch(self.model, state.nodes, codes)
         temperature = codes[:, :, at]
         counted = np.minimum(state.steps + np.arange(steps + 1)[:, None], self._full)
         before = replace(

@@ -7,7 +7,6 @@ something from one step to the next do so step by step. Every number is the same
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +16,12 @@ from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.node import CODES, ELAPSED, IntegerNode, State
 from zerodrift.operations.tables import is_watched
 
-if TYPE_CHECKING:
-    from zerodrift.export.reference import ModelState
-
 STRETCH_ROWS = 1 << 14
 """Steps times sequences of one stretch; more than that leaves the processor's cache."""
 
 
 @dataclass(frozen=True)
-class Stretch:
+class StretchResult:
     """The nodes' part of some steps of a batch."""
 
     nodes: dict[str, State]
@@ -61,12 +57,14 @@ def hold_readings(codes: IntArray, missing: NDArray[np.bool_], last: IntArray) -
     return np.take_along_axis(np.concatenate([last[None], codes]), since, axis=0)
 
 
-def run_stretch(model: IntegerModel, state: "ModelState", codes: IntArray) -> Stretch:
+def run_stretch(
+    model: IntegerModel, nodes_before: Mapping[str, State], codes: IntArray
+) -> StretchResult:
     """Return what the nodes make of readings [T, B, C], from a state that is not new.
 
     Args:
         model: one that `can_stretch`.
-        state: before the first step.
+        nodes_before: their states before the first step.
         codes: the channels' codes, none of them missing.
     """
     steps, batch, _ = codes.shape
@@ -78,7 +76,7 @@ def run_stretch(model: IntegerModel, state: "ModelState", codes: IntArray) -> St
     hidden: list[IntArray] = []
     streaming = {layer.name for layer in model.recurrents if layer.streams}
     for node in model.nodes[:-1]:
-        before = state.nodes[node.name]
+        before = nodes_before[node.name]
         if not before:
             nodes[node.name], flat[node.name] = node.step(before, flat)
             continue
@@ -91,7 +89,7 @@ def run_stretch(model: IntegerModel, state: "ModelState", codes: IntArray) -> St
     drift = last.limit(unlimited)
     nodes[last.name] = {}
     shape = (steps, batch, -1)
-    return Stretch(nodes, unlimited.reshape(shape), drift.reshape(shape), hidden)
+    return StretchResult(nodes, unlimited.reshape(shape), drift.reshape(shape), hidden)
 
 
 def _go_on(

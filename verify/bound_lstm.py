@@ -11,7 +11,7 @@ from fractions import Fraction
 from functools import cached_property
 
 from zerodrift.verify import bound_numbers as numbers
-from zerodrift.verify.bound_parts import Line, list_parts
+from zerodrift.verify.bound_parts import GateLine, list_parts
 from zerodrift.verify.bound_sums import (
     NO_CONTRACTION,
     NONE,
@@ -222,7 +222,7 @@ class _LstmCheck(RowSums):
         weights = [list(map(abs, self.w_h(j, g))) for g in range(4)]
         return LstmUnitRule(rules, weights, self.tanh_off + Fraction(1, 1 << 17))
 
-    def _line(self, j: int, g: int) -> Line:
+    def _line(self, j: int, g: int) -> GateLine:
         """Return a gate's argument as the choice of parts has it."""
         c, shift = self._c, self._c.shifts[g]
         count = 0.5 ** (shift + (16 if g == 2 else 15))
@@ -239,7 +239,7 @@ class _LstmCheck(RowSums):
         )
         wrong = (c.bias[row] - (1 << shift >> 1)) * count - bias
         wrongs = [w * count - real for w, real in zip(whole, slopes, strict=True)]
-        return Line(bias, slopes, around, wrong, wrongs, apart)
+        return GateLine(bias, slopes, around, wrong, wrongs, apart)
 
     def _part(self, j: int, features: Sequence[FeatureRange]) -> LstmPartRule:
         """Return what bounds the next error while the features are within given ones."""

@@ -17,7 +17,7 @@ FAR = 40.0
 
 
 @dataclass(frozen=True)
-class Line:
+class GateLine:
     """What a gate's argument is of, in floating point."""
 
     bias: float
@@ -44,7 +44,7 @@ class Badness:
     of_top: float
 
 
-def list_parts(lines: Sequence[Line], whole: Part) -> list[Part]:
+def list_parts(lines: Sequence[GateLine], whole: Part) -> list[Part]:
     """Return parts that together are the whole.
 
     Args:
@@ -70,7 +70,7 @@ def list_parts(lines: Sequence[Line], whole: Part) -> list[Part]:
     return [part for part, _ in found]
 
 
-def _halve(lines: Sequence[Line], part: Part) -> list[Part]:
+def _halve(lines: Sequence[GateLine], part: Part) -> list[Part]:
     """Return both halves by the feature that the arguments differ most by."""
     widths = [
         (last - first) * sum(abs(line.slopes[k]) for line in lines)
@@ -85,7 +85,7 @@ def _halve(lines: Sequence[Line], part: Part) -> list[Part]:
     return [lower, upper]
 
 
-def _rate(lines: Sequence[Line], part: Part) -> Badness:
+def _rate(lines: Sequence[GateLine], part: Part) -> Badness:
     ends, offs = [], []
     for line in lines:
         products = [sorted((w * a, w * b)) for w, (a, b) in zip(line.slopes, part, strict=True)]

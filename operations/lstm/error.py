@@ -66,7 +66,7 @@ from zerodrift.operations.gate_sums import RealUnit, propose_errors, weigh
 from zerodrift.operations.gru.cell import RELAX_STEPS
 from zerodrift.operations.lstm.cell import IntegerLstm
 from zerodrift.operations.lstm.parts import FloatGate, halve
-from zerodrift.operations.lstm.step_error import ONE, QUARTER, LstmStep, Moved, StepRules
+from zerodrift.operations.lstm.step_error import ONE, QUARTER, LstmStepError, Moved, StepRules
 from zerodrift.operations.table_error import bound_sigmoid
 
 TRIES = 40
@@ -76,7 +76,7 @@ TRIES = 40
 class LstmGrowth:
     """What a step makes of the errors e of all outputs, for one unit: F(e), K(e) within it."""
 
-    parts: tuple[LstmStep, ...]
+    parts: tuple[LstmStepError, ...]
     """One for each part of what the features can be."""
     gains: tuple[tuple[Fraction, ...], ...]
     """[4][H] how much the argument of i, f, g, o is moved by each error."""
@@ -114,7 +114,7 @@ class LstmGrowth:
         cell = of_cell.grow_cell(moved, self.size)
         return of_output.grow_output(moved, cell, self.bend) + self.start.total
 
-    def find_worst(self, moved: Moved) -> tuple[LstmStep, LstmStep]:
+    def find_worst(self, moved: Moved) -> tuple[LstmStepError, LstmStepError]:
         """Return the part with the largest K(e), and that with the largest F(e)."""
         cells = [part.grow_cell(moved, self.size) for part in self.parts]
         cell = max(cells)

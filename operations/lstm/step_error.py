@@ -66,7 +66,7 @@ class Forget:
 
 
 @dataclass(frozen=True)
-class LstmStep:
+class LstmStepError:
     """What a step of one unit adds to errors while the features lie in one part.
 
     The errors e of the outputs move the arguments of i, f, g, o by four numbers, which are given.
@@ -126,7 +126,7 @@ class StepRules(GateSums):
         """Return [4][H] how much the argument of i, f, g, o is moved by each output's error."""
         return tuple(tuple(map(abs, row)) for row in self._units[j].w_h)
 
-    def bound_step(self, j: int, features: Sequence[Known]) -> LstmStep:
+    def bound_step(self, j: int, features: Sequence[Known]) -> LstmStepError:
         """Return what one step makes of the errors, for unit j and features within a part.
 
         Raises:
@@ -142,7 +142,7 @@ class StepRules(GateSums):
         reach = (i.most * g.most + rounded) / forget.left
         after = Error(table=self._tanh, rounding=OF_BEND).scale(o.most) + Error(rounding=OF_OUTPUT)
         own = added.scale(1 / forget.left)
-        return LstmStep(own, of_input, of_candidate, forget, size, reach, o, after)
+        return LstmStepError(own, of_input, of_candidate, forget, size, reach, o, after)
 
     def _bound_gate(self, g: int, j: int, features: Sequence[Known]) -> Gate:
         """Return what is known of the input or output gate."""

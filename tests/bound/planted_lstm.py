@@ -8,7 +8,7 @@ from tests.bound.planted_recurrent import Patch
 from zerodrift.operations.errors import NONE, Error
 from zerodrift.operations.lstm import error, step_error
 from zerodrift.operations.lstm.parts import Box, FloatGate
-from zerodrift.operations.lstm.step_error import LstmStep, StepRules
+from zerodrift.operations.lstm.step_error import LstmStepError, StepRules
 from zerodrift.operations.table_error import SigmoidError
 
 ZERO = Fraction(0)
@@ -19,7 +19,7 @@ def _patch(target: object, name: str, value: object) -> Callable[[Patch], None]:
 
 
 _right_halve, _right_step, _right_solve = error.halve, StepRules.bound_step, error._solve
-_right_cell, _right_slope = LstmStep.grow_cell, step_error.bound_slope
+_right_cell, _right_slope = LstmStepError.grow_cell, step_error.bound_slope
 
 
 def _halve_one_side(gates: Sequence[FloatGate], box: Box) -> list[Box]:
@@ -28,7 +28,7 @@ def _halve_one_side(gates: Sequence[FloatGate], box: Box) -> list[Box]:
     return [part for part in _right_halve(gates, box) if part[0][0] <= middle]
 
 
-def _change_step(change: Callable[[LstmStep], LstmStep]) -> Callable[[Patch], None]:
+def _change_step(change: Callable[[LstmStepError], LstmStepError]) -> Callable[[Patch], None]:
     return _patch(StepRules, "bound_step", lambda rules, *given: change(_right_step(rules, *given)))
 
 
@@ -39,7 +39,7 @@ def _halved(states: list[Error]) -> list[Error]:
 RULES: dict[str, Callable[[Patch], None]] = {
     "parts on one side": _patch(error, "halve", _halve_one_side),
     "size of each part": _patch(
-        LstmStep, "grow_cell", lambda part, moved, size: _right_cell(part, moved, part.size)
+        LstmStepError, "grow_cell", lambda part, moved, size: _right_cell(part, moved, part.size)
     ),
     "table of tanh": _patch(step_error, "bound_tanh", lambda: ZERO),
     "table of the sigmoid": _patch(

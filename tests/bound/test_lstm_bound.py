@@ -26,7 +26,7 @@ from zerodrift.operations.lstm import IntegerLstmLayer, error
 from zerodrift.operations.lstm.parts import HALVINGS, FloatGate, halve
 from zerodrift.operations.lstm.step_error import StepRules
 from zerodrift.verify import bound_lstm
-from zerodrift.verify.bound_parts import Line, list_parts
+from zerodrift.verify.bound_parts import GateLine, list_parts
 from zerodrift.verify.certificate_check import compare
 
 KINDS = (
@@ -117,7 +117,9 @@ def test_a_check_that_leaves_parts_out_would_confirm_what_an_input_exceeds(
         claim["bound"] = 0.9 * found
     assert len(compare(told, texts).failures) == len(told["error_bound"])
 
-    def leave_out(lines: list[Line], whole: list[tuple[int, int]]) -> list[list[tuple[int, int]]]:
+    def leave_out(
+        lines: list[GateLine], whole: list[tuple[int, int]]
+    ) -> list[list[tuple[int, int]]]:
         return [part for part in list_parts(lines, whole) if part[0][0] <= sum(whole[0]) // 2]
 
     monkeypatch.setattr(bound_lstm, "list_parts", leave_out)
@@ -129,12 +131,12 @@ def test_parts_cover_what_features_can_be_once_and_are_the_same_in_both_derivati
     inputs: int,
 ) -> None:
     rng = np.random.default_rng(inputs)
-    gates, lines = list[FloatGate](), list[Line]()
+    gates, lines = list[FloatGate](), list[GateLine]()
     for _ in range(4):
         weights, gaps = (1e-4 * rng.normal(size=inputs)).tolist(), rng.normal(size=inputs).tolist()
         gaps = [1e-9 * gap for gap in gaps]
         gates.append(FloatGate(0.3, tuple(weights), 0.2, 1e-6, tuple(gaps), 1e-5))
-        lines.append(Line(0.3, weights, 0.2, 1e-6, gaps, 1e-5))
+        lines.append(GateLine(0.3, weights, 0.2, 1e-6, gaps, 1e-5))
     box = ((-32768, 32767), (-300, 20000), (7, 7), (0, 1), (-5, 9000))[:inputs]
     parts = halve(gates, box)
     assert HALVINGS // 2 < len(parts) <= HALVINGS + 1  # a part that is a point stays
@@ -149,7 +151,7 @@ def test_parts_cover_what_features_can_be_once_and_are_the_same_in_both_derivati
 def test_a_point_has_one_part() -> None:
     gate = FloatGate(0.0, (1.0,), 0.0, 0.0, (0.0,), 0.0)
     assert halve([gate] * 4, ((3, 3),)) == [((3, 3),)]
-    line = Line(0.0, [1.0], 0.0, 0.0, [0.0], 0.0)
+    line = GateLine(0.0, [1.0], 0.0, 0.0, [0.0], 0.0)
     assert list_parts([line] * 4, [(3, 3)]) == [[(3, 3)]]
 
 
