@@ -31,7 +31,7 @@ def test_two_effects_that_hide_each_other_are_both_named(
 
 
 @pytest.mark.parametrize(
-    ("seed", "effect", "size"), [(516946873, "ambient_light", 3.0), (1627773399, "warm_up", 10.0)]
+    ("seed", "effect", "size"), [(516946873, "ambient_light", 30.0), (1627773399, "warm_up", 10.0)]
 )
 def test_an_effect_of_an_unlike_form_is_named_where_nothing_else_explains_it(
     seed: int, effect: str, size: float, tmp_path: Path
