@@ -8,7 +8,7 @@ what the answers stand for (`Real`) and asks each integer node for its error (`b
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from zerodrift.base.errors import NoRuleError
@@ -21,10 +21,13 @@ from zerodrift.operations.gate_sums import COPY
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.load import IntegerLoad
-from zerodrift.operations.recurrent import IntegerRecurrent
+from zerodrift.operations.recurrent import STATE, WAYS, IntegerRecurrent
 from zerodrift.operations.signals import Real, Signal
 
 HOLDS = "same start, any input, any run length; the float model is limited where the chip is"
+BY_RANGE = (
+    "; of the network's states no more is shown than that they lie between -1 and 1 on both sides"
+)
 EXACT = "; both are given the same raw codes, the float model exactly converted"
 ROUNDS = 60
 """Of the loop in which a load's error is that of the drift before; it closes, or no bound holds."""
@@ -41,7 +44,7 @@ class ErrorBound:
     outputs: tuple[Error, ...]
     """Per output in its unit; empty where nothing is proven."""
     why: str = ""
-    """Why nothing is proven."""
+    """Why nothing is proven, or nothing but what the range of a network's states gives."""
     answers: tuple[Signal, ...] = ()
     """What the bound is about: the drifts' signals, and by `meaning` all that they stand for."""
     holds: str = HOLDS
@@ -55,26 +58,66 @@ def bound_errors(quantized: Quantized) -> ErrorBound:
     the rules give back no larger, put in its place, holds by induction over the steps.
     """
     known = _prove_intervals(quantized.model)
-    last = quantized.model.drift
-    spans = [
-        Fraction(high - low, output.lsb_per_unit)
-        for low, high, output in zip(last.low, last.high, quantized.model.outputs, strict=True)
-    ]
+    found = _close(quantized.model, known, quantized.answers)
+    if found.outputs:
+        return found
+    ranged = _rest_on_range(quantized.answers)
+    if all(a is b for a, b in zip(ranged, quantized.answers, strict=True)):
+        return found
+    again = _close(quantized.model, known, ranged)
+    spans = _list_spans(quantized.model)
+    if any(error.total >= span for error, span in zip(again.outputs, spans, strict=False)):
+        return found  # the limits of the answer say as much
+    return replace(again, why=found.why, holds=again.holds + BY_RANGE) if again.outputs else found
+
+
+def _close(
+    model: IntegerModel, known: Mapping[str, Sequence[Interval]], answers: tuple[Signal, ...]
+) -> ErrorBound:
+    """Return the errors of answers, those of the loads closed over the steps."""
+    spans = _list_spans(model)
     try:
-        drift = [NONE] * len(quantized.model.outputs)
-        holds = HOLDS + (EXACT if quantized.model.conversions else "")
+        drift = [NONE] * len(model.outputs)
+        holds = HOLDS + (EXACT if model.conversions else "")
         for _ in range(ROUNDS):
-            found = _Pass(quantized.model, known, drift).bound(quantized.answers)
-            if all(a.covers(b) for a, b in zip(drift, found, strict=True)):
-                return ErrorBound(tuple(found), answers=quantized.answers, holds=holds)
-            if not quantized.model.feeds_back:
-                return ErrorBound(tuple(found), answers=quantized.answers, holds=holds)
+            found = _Pass(model, known, drift).bound(answers)
+            closed = all(a.covers(b) for a, b in zip(drift, found, strict=True))
+            if closed or not model.feeds_back:
+                return ErrorBound(tuple(found), answers=answers, holds=holds)
             if any(error.total > span for error, span in zip(found, spans, strict=True)):
                 break
             drift = [error.scale(1 + SPARE) for error in found]
     except NoRuleError as error:
         return ErrorBound((), str(error))
     return ErrorBound((), "effects of the load give an error of the drift back enlarged")
+
+
+def _list_spans(model: IntegerModel) -> list[Fraction]:
+    """Return how far apart the limits of each output are, in its unit."""
+    last = model.drift
+    ends = zip(last.low, last.high, model.outputs, strict=True)
+    return [Fraction(high - low, output.lsb_per_unit) for low, high, output in ends]
+
+
+def _rest_on_range(answers: Sequence[Signal]) -> tuple[Signal, ...]:
+    """Return the answers, made of a network's topmost states of which only the range is known."""
+    done: dict[int, Signal] = {}
+
+    def rest(signal: Signal) -> Signal:
+        real = signal.meaning
+        if real is None:
+            return signal
+        if id(real) not in done:
+            if real.operation in WAYS:
+                done[id(real)] = signal.standing_for(STATE)
+            else:
+                inputs = [rest(x) for x in real.inputs]
+                same = all(a is b for a, b in zip(inputs, real.inputs, strict=True))
+                made = signal.standing_for(real.operation, inputs, *real.numbers)
+                done[id(real)] = signal if same else made
+        return done[id(real)]
+
+    return tuple(rest(answer) for answer in answers)
 
 
 def round_up(x: Fraction) -> float:
@@ -156,6 +199,8 @@ class _Pass:
             return bound_in_place(signal, real, out, inputs)
         node = self._nodes[signal.node]
         if isinstance(node, IntegerRecurrent):
+            if real.operation == STATE:
+                return Error(range=1 + out.magnitude)
             error = self._bound_states(node, inputs)[signal.index]
             return error + OF_COPY if signal.node in self._copied else error
         if real.operation == "load":

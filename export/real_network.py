@@ -81,15 +81,18 @@ def describe_layered(
 ) -> list[Signal]:
     """Return the head's signals [K] of a network whose layers may read several others.
 
-    Where it is more than one LSTM over the features, no more is said of it than that it carries
-    errors on.
+    Where it is more than one LSTM over the features, no more is said of what the head reads than
+    that it carries errors on: of each state, where it is the states of one recurrent layer.
     """
-    recurrent = next(node for node in nodes if isinstance(node, IntegerRecurrent))
-    state = Signal(recurrent.name, 2.0**-STATE_BITS).standing_for("recurrent", features)
-    states, gains = [state], [[1.0]] * len(network.head)
+    read = next(node for node in nodes if node.name in nodes[-1].inputs)
+    width, gains = 1, [[1.0]] * len(network.head)
+    if isinstance(read, IntegerRecurrent):
+        width, gains = read.width, network.head.tolist()
+    carried = [Signal(read.name, 2.0**-STATE_BITS, index=j) for j in range(width)]
+    states = [state.standing_for("recurrent", features) for state in carried]
     only = network.layers[0] if network.reads == (1,) and len(network.layers) == 1 else None
     if only is not None and isinstance(only.cell, FloatLstm) and only.reads == (0,):
-        states, gains = _describe_lstm(recurrent.name, only.cell, features), network.head.tolist()
+        states = _describe_lstm(read.name, only.cell, features)
     heads = []
     for k, row in enumerate(gains):
         head = Signal("head", 2.0 ** -int(scales.head[k]), index=k)

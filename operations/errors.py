@@ -37,6 +37,8 @@ class Error:
     """The answer, rounded to a count of the output."""
     conversion: Fraction = ZERO
     """Raw codes that a table brings to the quantity."""
+    range: Fraction = ZERO
+    """States of a recurrent layer of which no more is shown than where they lie."""
 
     @cached_property
     def total(self) -> Fraction:

@@ -13,6 +13,10 @@ from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, State, Values, Writer
 from zerodrift.operations.signals import Real
 
+STATE = "state"
+"""What a state stands for of which no more is said than that it lies between -1 and 1."""
+WAYS = ("gru_after", "gru_before", "lstm", "recurrent")
+"""What states of recurrent layers stand for by the way they came about."""
 NO_RULE = "a recurrent layer of this kind carries errors on, and no contraction is shown"
 
 

@@ -43,7 +43,8 @@ class Real:
     "gru_before": a unit of a GRU over the features, or over int16 copies of the states below, with
     its biases r, u, n, n inside the reset product, its weights of the inputs for r, u, n and those
     of the state; and "lstm": a unit of an LSTM, with its biases i, f, g, o and the weights of
-    these. The other units of a layer are those of the same node.
+    these. The other units of a layer are those of the same node. "state" is a state of any
+    recurrent layer, of which no more is said than that it lies between -1 and 1.
     """
 
     operation: str

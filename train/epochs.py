@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from zerodrift.train.attempts import Attempt, Problem, Standing, Stored
-from zerodrift.train.contraction import measure_reach
+from zerodrift.train.contraction import measure_reach, measure_swing
 from zerodrift.train.courses import (
     STEPS_AT_ONCE,
     Batch,
@@ -68,6 +68,9 @@ class Training:
         most = max(map(len, reach))
         self._reach = torch.tensor([[*r, *[0.0] * (most - len(r))] for r in reach], device=device)
         """[A, I] largest absolute values of the features that the chip can hold."""
+        swing = [measure_swing(self._problems[owner].sequences) for owner in self._owner]
+        self._swing = torch.tensor(swing, device=device)
+        """[A, K] half the distance of the lowest and highest target."""
         self._constrain()
         self._course = self._open_course()
         self._held = (
@@ -191,7 +194,7 @@ class Training:
 
     def _constrain(self) -> None:
         """Bring all weights to what their kind of network allows."""
-        self._network.constrain_many(self._stack.read(), self._reach)
+        self._network.constrain_many(self._stack.read(), self._reach, self._swing)
 
     def _judge(self, train_rmse: Array, due: Sequence[int]) -> None:
         """Keep the weights of those that are at their best; with nothing held out, the latest."""

@@ -19,7 +19,13 @@ from zerodrift.base.config import NetworkConfig
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.lstm.cell import FloatLstm
-from zerodrift.train.contraction import contract, contract_lstm, round_weights, trim_weights
+from zerodrift.train.contraction import (
+    contract,
+    contract_lstm,
+    limit_head,
+    round_weights,
+    trim_weights,
+)
 from zerodrift.train.lstm_recurrence import LstmWeights, run_lstm, settle_lstm
 from zerodrift.train.recurrence import GruWeights, run_gru, settle
 
@@ -64,12 +70,13 @@ class Network(ABC, torch.nn.Module):
             x: features.
         """
 
-    def constrain_many(self, parameters: Parameters, reach: Tensor) -> None:
+    def constrain_many(self, parameters: Parameters, reach: Tensor, swing: Tensor) -> None:
         """Bring the parameters of S networks to what is allowed, in place; anything is.
 
         Args:
             parameters: of the S networks; this network's own are not read.
             reach: [S, I] largest absolute value of each feature.
+            swing: [S, K] half the distance of the lowest and highest target of each output.
         """
 
     def _alone(self) -> Parameters:
@@ -99,11 +106,17 @@ class GruNetwork(Network):
     """A gated recurrent unit and a linear head."""
 
     def __init__(
-        self, features: int, hidden: int, outputs: int, form: str, *, contracting: bool = False
+        self,
+        features: int,
+        hidden: int,
+        outputs: int,
+        form: str,
+        forgets: bool = False,
+        limited: bool = False,
     ) -> None:
         super().__init__()
         self.reset = FORMS[form]
-        self.contracting = contracting
+        self.contracting, self.limited = forgets, limited
         self.w_x = torch.nn.Parameter(torch.zeros(3, hidden, features))
         self.w_h = torch.nn.Parameter(torch.zeros(3, hidden, hidden))
         self.bias = torch.nn.Parameter(torch.zeros(4, hidden))
@@ -141,8 +154,13 @@ class GruNetwork(Network):
         drift = torch.matmul(parameters["head"], states) + parameters["head_bias"][..., None]
         return drift, states
 
-    def constrain_many(self, parameters: Parameters, reach: Tensor) -> None:
-        """Shrink recurrent weights until an error of the state shrinks, if that is asked for."""
+    def constrain_many(self, parameters: Parameters, reach: Tensor, swing: Tensor) -> None:
+        """Shrink recurrent weights until an error of the state shrinks, if that is asked for.
+
+        And those of the head, until it reaches no further than what it learns, if that is.
+        """
+        if self.limited:
+            limit_head(parameters["head"], swing)
         if self.contracting:
             w_x, w_h, bias = (parameters[name] for name in ("w_x", "w_h", "bias"))
             contract(w_x, w_h, bias, self.reset, reach)
@@ -165,10 +183,15 @@ class LstmNetwork(Network):
     """A long short-term memory and a linear head; the state is h beside c."""
 
     def __init__(
-        self, features: int, hidden: int, outputs: int, *, contracting: bool = False
+        self,
+        features: int,
+        hidden: int,
+        outputs: int,
+        forgets: bool = False,
+        limited: bool = False,
     ) -> None:
         super().__init__()
-        self.contracting = contracting
+        self.contracting, self.limited = forgets, limited
         self.w_x = torch.nn.Parameter(torch.zeros(4, hidden, features))
         self.w_h = torch.nn.Parameter(torch.zeros(4, hidden, hidden))
         self.bias = torch.nn.Parameter(torch.zeros(4, hidden))
@@ -207,8 +230,10 @@ class LstmNetwork(Network):
         drift = torch.matmul(parameters["head"], shown) + parameters["head_bias"][..., None]
         return drift, states
 
-    def constrain_many(self, parameters: Parameters, reach: Tensor) -> None:
-        """Shrink weights until an error of the state shrinks, if that is asked for."""
+    def constrain_many(self, parameters: Parameters, reach: Tensor, swing: Tensor) -> None:
+        """Shrink weights as `GruNetwork.constrain_many` does, if that is asked for."""
+        if self.limited:
+            limit_head(parameters["head"], swing)
         if self.contracting:
             w_x, w_h, bias = (parameters[name] for name in ("w_x", "w_h", "bias"))
             contract_lstm(w_x, w_h, bias, reach)
@@ -388,13 +413,13 @@ def build_network(
 ) -> GruNetwork | LstmNetwork | MlpNetwork | TcnNetwork:
     """Return the untrained network of a project, its weights drawn from `generator`."""
     network: GruNetwork | LstmNetwork | MlpNetwork | TcnNetwork
-    forgets = bool(config.options.get("contracting", False))
+    forgets, limited = (bool(config.options.get(k, False)) for k in ("contracting", "limited"))
     match config.kind:
         case "gru":
             form = str(config.options.get("form", "reset_after"))
-            network = GruNetwork(features, config.hidden, outputs, form, contracting=forgets)
+            network = GruNetwork(features, config.hidden, outputs, form, forgets, limited)
         case "lstm":
-            network = LstmNetwork(features, config.hidden, outputs, contracting=forgets)
+            network = LstmNetwork(features, config.hidden, outputs, forgets, limited)
         case "tcn":
             network = TcnNetwork(features, config.hidden, outputs, int(config.memory))
         case _:

@@ -127,8 +127,7 @@ def mark_inputs(config: Config, dataset: Dataset, settings: Settings | None = No
         list(config.inputs),
     ]
     form = config.network.options.get("form", "reset_after")
-    if config.network.options.get("contracting"):
-        network.append("contracting")
+    network += [key for key in ("contracting", "limited") if config.network.options.get(key)]
     values = [
         effects,
         network,

@@ -75,8 +75,8 @@ def _mark(problem: Problem) -> str:
     network = problem.build(torch.Generator().manual_seed(0))
     for name, p in network.named_parameters():
         digest.update(f"{name} {tuple(p.shape)}".encode())
-    if isinstance(network, GruNetwork | LstmNetwork) and network.contracting:
-        digest.update(b"contracting")
+    if isinstance(network, GruNetwork | LstmNetwork):
+        digest.update(b"contracting" * network.contracting + b"limited" * network.limited)
     for use in (problem.sequences, problem.held_out):
         for s in use:
             digest.update(f"{s.group} {s.features.shape} {s.skip}".encode())

@@ -134,6 +134,8 @@ class _BoundCheck:
     def _derive(self, line: FloatLine, inputs: list[Has]) -> Has:
         if line.operation in RECURRENT:
             return self._state(line, inputs)
+        if line.operation == "state":
+            return self._any_state(line)
         vector = line.node in ("features", "head") or line.node.startswith("dense_")
         if line.node == "drift":
             claim = self._claims[line.index]
@@ -401,6 +403,20 @@ class _BoundCheck:
         if copied:
             most, error = most + (1 << STATE - COPY >> 1) >> STATE - COPY, error + HALF * line.scale
         return Has(line, -most, most, line.scale, _up(error))
+
+    def _any_state(self, line: FloatLine) -> Has:
+        """Return a topmost state of a recurrent layer that may be anything from -1 to 1."""
+        layers = {**self._model.grus, **self._model.lstms}
+        top, level = line.node, 0
+        while f"{line.node}.{level}" in layers:
+            top, level = f"{line.node}.{level}", level + 1
+        width = layers[top].hidden if top in layers else 0
+        if line.of or line.numbers or not 0 <= line.index < width:
+            raise NotUnderstoodError(f"{line.node}[{line.index}] is no state of a recurrent layer")
+        if line.scale != Fraction(1, 1 << STATE) or line.offset:
+            raise NotUnderstoodError(f"{line.node}: a state in another format")
+        most = self._model.h_limit
+        return Has(line, -most, most, line.scale, 1 + most * line.scale)
 
     def _find_layer(self, line: FloatLine) -> tuple[str, str, bool]:
         """Return a layer's name, what it reads, and whether it is read as an int16 copy.

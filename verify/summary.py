@@ -47,6 +47,8 @@ class ErrorCauses:
     """The answer, rounded to a count."""
     conversion: float = field(default=0.0, metadata=OPTIONAL)
     """Raw codes that a table brings to the quantity."""
+    range: float = field(default=0.0, metadata=OPTIONAL)
+    """A network's states of which no more is shown than that they lie between -1 and 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +64,7 @@ class ProvenError:
     causes: ErrorCauses | None = field(default=None, metadata=OPTIONAL)
     """They add up to the value."""
     why: str = field(default="", metadata=OPTIONAL)
-    """Why nothing is proven."""
+    """Why nothing is proven, or nothing but what the range of a network's states gives."""
 
 
 @dataclass(frozen=True, kw_only=True)

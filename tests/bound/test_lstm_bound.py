@@ -155,7 +155,7 @@ def test_a_point_has_one_part() -> None:
     assert list_parts([line] * 4, [(3, 3)]) == [[(3, 3)]]
 
 
-def test_lstms_on_top_of_each_other_have_no_bound() -> None:
+def test_of_lstms_on_top_of_each_other_only_the_range_is_claimed() -> None:
     case = make_lstm(KINDS[1])
     network = case.described.network
     assert isinstance(network, FloatLayeredNetwork)
@@ -163,7 +163,8 @@ def test_lstms_on_top_of_each_other_have_no_bound() -> None:
     layers = (*network.layers, FloatLayer(upper, (1,)))
     described = replace(case.described, network=replace(network, layers=layers, reads=(2,)))
     bound = type(case).of(described, case.calibration).bound()
-    assert bound.outputs == () and "no contraction is shown" in bound.why
+    assert all(error.range > 0.99 * error.total for error in bound.outputs)
+    assert "no contraction is shown" in bound.why
 
 
 @pytest.mark.parametrize("kind", KINDS[:2], ids=str)

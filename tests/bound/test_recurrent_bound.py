@@ -86,10 +86,11 @@ def test_a_gru_whose_errors_may_grow_has_no_bound_and_it_is_said_why() -> None:
     assert "contracting = true" in bound.why
 
 
-def test_a_gru_that_hardly_moves_has_no_bound() -> None:
+def test_of_a_gru_that_hardly_moves_only_the_range_is_claimed() -> None:
     gru = draw_gru(Forgetful(update=-14.0))
     bound = make_case(gru, np.ones((2, 1))).bound()
-    assert bound.outputs == () and "near to 0" in bound.why
+    assert all(error.range > 0.99 * error.total for error in bound.outputs)
+    assert "near to 0" in bound.why
 
 
 @pytest.mark.parametrize("ends", [(-3, 3), (-8, 8), (-9, 1), (2, 6), (-1, 15), (-17, 17)])

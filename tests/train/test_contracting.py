@@ -27,7 +27,9 @@ from zerodrift.train.contraction import (
     SPREAD,
     contract,
     contract_lstm,
+    limit_head,
     measure_reach,
+    measure_swing,
     trim_weights,
 )
 from zerodrift.train.engine import Problem, Result, train_networks
@@ -131,9 +133,9 @@ def test_recurrent_weights_of_an_lstm_are_rounded_towards_nothing():
     assert 0.0 < np.abs(left - trained).max() < FINE_GRID
 
 
-def pose(options, seed=5):
+def pose(options, seed=5, kind="gru"):
     sequences = draw_sequences(np.random.default_rng(seed), (80, 60), 2)
-    config = NetworkConfig(kind="gru", hidden=5, options=options)
+    config = NetworkConfig(kind=kind, hidden=5, options=options)
     settings = replace(SETTINGS, epochs=30)
     return Problem(lambda g: build_network(config, 2, 2, g), sequences, sequences[:1], settings)
 
@@ -208,3 +210,42 @@ def test_the_firmware_of_one_has_a_bound_and_training_says_what_it_costs(kind, w
         bound = json.loads(result.stdout)["error_bound"][name]
         assert 0.0 < bound["value"] < 0.005 * full_scale
     assert CliRunner().invoke(cli, ["verify", "-C", str(tmp_path)]).exit_code == 0
+
+
+def test_a_head_is_shrunk_row_by_row_where_it_reaches_too_far():
+    head = torch.randn(4, 3, 6, generator=torch.Generator().manual_seed(5))
+    swing = torch.full((4, 3), 1.5)
+    swing[0, 0] = 100.0
+    before = head.clone()
+    limit_head(head, swing)
+    reach = head.abs().sum(dim=2)
+    assert (reach <= swing * (1.0 + 1e-6)).all()
+    small = before.abs().sum(dim=2) <= swing
+    assert torch.equal(head[small], before[small])
+    ratio = (head / before)[~small]
+    assert torch.allclose(ratio, ratio[:, :1].expand_as(ratio))
+
+
+@pytest.mark.parametrize("kind", ["gru", "lstm"])
+def test_a_limited_network_answers_no_further_than_it_learnt(kind):
+    """And a free one, trained on the same, does."""
+    reach = {}
+    for limited in (False, True):
+        problem = pose({"limited": limited}, kind=kind)
+        (found,) = train_networks([problem])
+        assert isinstance(found, Result)
+        assert found.rmse < found.rmse_without
+        reach[limited] = np.abs(found.weights["head"]).sum(axis=1)
+    swing = np.array(measure_swing(problem.sequences))
+    assert (reach[True] <= swing * (1.0 + 1e-5)).all()
+    assert (reach[False] > swing).any()
+
+
+def test_only_recurrent_networks_are_limited():
+    text = TOML + NETWORK.replace('"gru"', '"mlp"').replace("contracting", "limited")
+    with pytest.raises(InputError, match="its answer has limits"):
+        parse_config(text, Path("/project/zerodrift.toml"))
+
+
+def test_a_limited_training_is_another_one():
+    assert mark_problems([pose({})]) != mark_problems([pose({"limited": True})])

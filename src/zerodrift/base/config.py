@@ -46,7 +46,7 @@ MODEL_TABLES = (
 NETWORK_KINDS = ("lag_bank", "gru", "lstm", "mlp", "mlp_seq", "tcn", "none", AUTO)
 CHOSEN_BY_AUTO = (
     *("hidden", "memory", "spacing_s", "form", "learning_rate", "lags_s"),
-    "contracting",
+    *("contracting", "limited"),
 )
 """Keys that mean nothing beside kind = "auto"."""
 RECURRENT_KINDS = ("gru", "lstm")
@@ -63,7 +63,10 @@ MAX_OUTPUTS = 16
 MAX_HIDDEN = 256
 GRU_FORMS = ("reset_after", "reset_before")
 NETWORK_KEYS = ("kind", "hidden", "memory", "seed", "lags_s")
-NETWORK_OPTIONS = ("starts", "epochs", "form", "learning_rate", "spacing_s", "contracting")
+NETWORK_OPTIONS = (
+    *("starts", "epochs", "form", "learning_rate", "spacing_s"),
+    *("contracting", "limited"),
+)
 
 
 @dataclass(frozen=True)
@@ -431,14 +434,16 @@ def _read_network(table: TomlTable) -> NetworkConfig:
     for key in CHOSEN_BY_AUTO if kind == AUTO else ():
         if key in table.values:
             raise table.error(key, f'kind = "auto" chooses that by itself; leave `{key}` out.')
-    if table.flag("contracting"):
+    for key, what in (("contracting", "it forgets"), ("limited", "its answer has limits")):
+        if not table.flag(key):
+            continue
         if kind not in RECURRENT_KINDS:
             raise table.error(
-                "contracting",
-                f"only a GRU or LSTM is trained so that it forgets, and `kind` is '{kind}';"
+                key,
+                f"only a GRU or LSTM is trained so that {what}, and `kind` is '{kind}';"
                 ' leave it out, or write kind = "gru".',
             )
-        options["contracting"] = True
+        options[key] = True
     if kind in WINDOWED_KINDS and memory == "stream":
         memory = WINDOW
     if memory != "stream" and kind not in (*WINDOWED_KINDS, *RECURRENT_KINDS):

@@ -236,6 +236,7 @@ def summarise_bound(bound: "ErrorBound", model: "IntegerModel") -> dict[str, Pro
             value=round_up(error.total),
             unit=output.unit,
             holds=bound.holds,
+            why=bound.why,
             causes=ErrorCauses(*map(round_up, error.parts())),
         )
         for output, error in zip(model.outputs, bound.outputs, strict=True)
@@ -373,8 +374,9 @@ def _print_bound(told: FirmwareSummary, firmware: "Firmware", console: "Console"
         console.print(f"no bound is proven on the chip's distance from the float model: {why}")
         return
     causes = [cause.name for cause in fields(ErrorCauses)]
-    if not any(bound.causes.conversion for bound in proven.values() if bound.causes):
-        causes.remove("conversion")
+    for cause in ("conversion", "range"):
+        if not any(getattr(bound.causes, cause) for bound in proven.values()):
+            causes.remove(cause)
     table = open_table(
         "Proven: the chip is never further from the float model than this, by cause",
         ("output", "unit"),
@@ -388,6 +390,8 @@ def _print_bound(told: FirmwareSummary, firmware: "Firmware", console: "Console"
         table.add_row(name, bound.unit, f"{bound.value:.3g}", f"{percent:.2g}", *shares)
     console.print(table)
     console.print(f"It holds for: {firmware.bound.holds}.")
+    if "range" in causes:
+        console.print(f"A smaller one is not proven: {firmware.bound.why}.")
 
 
 def _print_budget(firmware: "Firmware", console: "Console") -> None:
