@@ -71,7 +71,7 @@ def measure(first: int, seeds: int, rounds: int, sizes: Sequence[int], kind: str
     Args:
         first: number of the first specimen, and seed of the search.
         seeds: specimens.
-        rounds: of the search.
+        rounds: of the search; 0: none.
         sizes: hidden units.
         kind: of the network, "gru" or "lstm".
     """
@@ -102,6 +102,8 @@ def measure(first: int, seeds: int, rounds: int, sizes: Sequence[int], kind: str
             f" {MARK_COST}"
         )
     ratios = [ratio for b in every["contracting"] for ratio in b.ratios]
+    if not ratios:
+        return True
     print(
         f"contracting: bound / worst found, {len(ratios)} outputs: median {np.median(ratios):.1f},"
         f" mark {MARK_RATIO:g}"
@@ -184,7 +186,7 @@ def bound(config: Config, dataset: Dataset, trained: Trained, seed: int, rounds:
         return Bounded(error, float("inf"), ())
     limits = np.array([float(of_output.total) for of_output in proven])
     percent = float((100.0 * limits / full_scale).max())
-    if any(of_output.range for of_output in proven):
+    if rounds == 0 or any(of_output.range for of_output in proven):
         return Bounded(error, percent, ())
     worst = search(case, limits, np.random.default_rng(seed), rounds)
     return Bounded(error, percent, tuple((limits / worst).tolist()))
