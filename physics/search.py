@@ -248,9 +248,9 @@ def refine(
             if without is not None and gradient @ step < _find_enough(found, without):
                 return found
             trial = np.clip(u + step, bounds[:, 0], bounds[:, 1])
-            if known is not None and target is not None and known.cost <= found.cost:
-                if float(np.abs(trial - target).max()) < NEAR:
-                    return known
+            is_there = target is not None and float(np.abs(trial - target).max()) < NEAR
+            if known is not None and is_there and known.cost <= found.cost:
+                return known
             attempt = assess(campaign, set_coordinates(found.terms, coordinates, trial), weights)
             if attempt.cost < found.cost:
                 better = attempt
