@@ -67,7 +67,6 @@ def test_a_step_is_found_whatever_the_first_values_are(digits: int, step: float)
     values = np.round(np.random.default_rng(4).normal(0.0, 40.0, 256), digits)
     assert measure_step(values) == pytest.approx(step)
     assert measure_step(np.append(np.arange(4.0), 0.5)) == 0.5  # the first four are whole
-    assert measure_step(np.array([np.nan, 1.0, 2.0])) == 0.0
 
 
 def test_a_drift_spike_is_found_beside_a_wide_range() -> None:
