@@ -121,6 +121,10 @@ class HostModel:
         )
         for function in (self._size, self._selftest, self._pack):
             function.restype = ctypes.c_uint32
+        # Told once, so that addresses are passed as they are, call after call.
+        place = ctypes.c_void_p
+        self._run.argtypes = [place, place, ctypes.c_uint32, place, place, place]
+        self._pack.argtypes = [place, place]
         self._state = ctypes.create_string_buffer(self._size() + 16)
 
     @property
@@ -254,7 +258,7 @@ class HostModel:
         for number in range(len(states)):
             first = number * chunk
             places.run(self._run, self._state, first, min(chunk, len(codes) - first))
-            count = self._pack(self._state, ctypes.c_void_p(at + number * states.strides[0]))
+            count = self._pack(self._state, at + number * states.strides[0])
             _check_width(int(count), width)
         return trace, states
 
@@ -289,11 +293,9 @@ class _Places:
     ) -> None:
         """Go on by some steps, the first of which is row `first`."""
         codes, drift, flags, nodes = (
-            ctypes.c_void_p(at + first * stride)
-            for at, stride in zip(self._firsts, self._strides, strict=True)
+            at + first * stride for at, stride in zip(self._firsts, self._strides, strict=True)
         )
-        last = nodes if self._traced else None
-        function(state, codes, ctypes.c_uint32(steps), drift, flags, last)
+        function(state, codes, steps, drift, flags, nodes if self._traced else None)
 
 
 def _check_width(count: int, expected: int) -> None:

@@ -33,7 +33,7 @@ from zerodrift.fleet.result import (
     save_result,
 )
 from zerodrift.fleet.sensors import configure_sensor
-from zerodrift.fleet.spool import unspool
+from zerodrift.fleet.spool import Spooled, unspool
 from zerodrift.fleet.work import MODEL, PARAMETERS, describe_sensor
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.train.compensator import Compensator
@@ -73,9 +73,10 @@ class _Unit:
     sensor: str
     config: Config
     result: SensorResult
+    compensator: Compensator
+    kept: Spooled
     own: IntegerModel
     """In its own format."""
-    compensator: Compensator
 
 
 def try_units(run: BlockRun, sensors: Sequence[str]) -> list[SensorOutcome]:
@@ -105,13 +106,12 @@ def _open_host(program: SharedProgram, scratch: Path) -> HostModel:
 
 def _load(design: Design, sensor: str, catalogue: Catalogue) -> _Unit:
     folder = design.build_folder(sensor)
-    return _Unit(
-        sensor,
-        configure_sensor(design.config, sensor),
-        read_result((folder / RESULT).read_bytes()),
-        load_model(folder / MODEL),
-        Compensator.load(folder, catalogue),
-    )
+    config = configure_sensor(design.config, sensor)
+    result = read_result((folder / RESULT).read_bytes())
+    compensator = Compensator.load(folder, catalogue)
+    kept = unspool(design, config, sensor, compensator, result.mark)
+    own = kept.model or load_model(folder / MODEL)
+    return _Unit(sensor, config, result, compensator, kept, own)
 
 
 def _try(run: BlockRun, host: HostModel, sensor: str, catalogue: Catalogue) -> SensorOutcome:
@@ -126,7 +126,7 @@ def _try(run: BlockRun, host: HostModel, sensor: str, catalogue: Catalogue) -> S
         return SensorOutcome(unit.sensor, result, tried=TriedBlock(why_none=str(error)))
     notes = note_block(design, unit.sensor)
     content = encode(common, fitted, notes, compute_answers(common, fitted))
-    kept = unspool(design, unit.config, unit.sensor, unit.compensator, unit.result.mark)
+    kept = unit.kept
     tried = replace(tried, vectors=compare_block(host, fitted, content, kept.dataset))
     judge = choose_judge(kept.left_out, kept.dataset)
     place = design.place(unit.config, unit.sensor)

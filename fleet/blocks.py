@@ -88,7 +88,7 @@ def write_blocks(
     """
     found = {outcome.sensor: outcome for outcome in outcomes}
     own = {
-        sensor: load_model(design.build_folder(sensor) / MODEL)
+        sensor: outcome.model or load_model(design.build_folder(sensor) / MODEL)
         for sensor, outcome in found.items()
         if outcome.result is not None
     }

@@ -8,7 +8,7 @@ from zerodrift.fleet.design import Design
 from zerodrift.fleet.parcels import at_hand
 from zerodrift.fleet.result import SensorOutcome
 from zerodrift.fleet.sensors import configure_sensor
-from zerodrift.verify.manifest import hash_inputs
+from zerodrift.verify.manifest import hash_logs
 
 
 def enter_fleet(design: Design, outcomes: Sequence[SensorOutcome]) -> None:
@@ -31,7 +31,7 @@ def enter_fleet(design: Design, outcomes: Sequence[SensorOutcome]) -> None:
             if (outcome.sensor, result.model_hash) in known:
                 continue
             with at_hand(design, outcome.sensor) as near:
-                logs = hash_inputs(configure_sensor(near.config, outcome.sensor)).logs
+                logs = hash_logs(configure_sensor(near.config, outcome.sensor))
             registry.add_calibration(
                 outcome.sensor,
                 design.config.sensor_name,

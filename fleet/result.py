@@ -11,6 +11,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
 from zerodrift.base.records import MEASURED, from_json, to_dict
 from zerodrift.base.sealed import read_sealed, render_sealed
+from zerodrift.export.integer_model import IntegerModel
 
 FORMAT = 4
 """Of result.json; another one is computed anew."""
@@ -114,6 +115,8 @@ class SensorOutcome:
     """Whether an earlier run had done it."""
     tried: TriedBlock | None = None
     """With blocks, once it was tried in the one program."""
+    model: IntegerModel | None = None
+    """With blocks, what this run has written as its integer model."""
 
 
 def save_result(

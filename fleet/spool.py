@@ -7,6 +7,7 @@ from pathlib import Path
 from zerodrift.base.config import Config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
+from zerodrift.export.integer_model import IntegerModel
 from zerodrift.fleet.design import Design
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.refits import Original
@@ -22,6 +23,8 @@ class Spooled:
     """Of the design and of the unit's logs."""
     dataset: Dataset
     left_out: LeftOut | None
+    model: IntegerModel | None = None
+    """In its own format; None: it has to be loaded."""
 
 
 def spool(folder: Path | None, sensor: str, content: Spooled) -> None:

@@ -139,7 +139,7 @@ def _set_aside(design: Design, job: _Job, batch: UnitBatch) -> None:
     assert job.trained is not None
     _leave_out(design, job, job.trained.compensator)
     _finish(design, job, batch, None)
-    spool(design.spool, job.sensor, Spooled(job.mark, job.dataset, job.left_out))
+    spool(design.spool, job.sensor, Spooled(job.mark, job.dataset, job.left_out, job.model))
 
 
 def _train_again(design: Design, jobs: Sequence[_Job]) -> None:
@@ -235,7 +235,9 @@ def _finish(
             design, job, verdict, replay, [o.noise_floor for o in result.outputs.values()]
         )
     batch.outcomes[job.sensor] = SensorOutcome(
-        job.sensor, save_result(design.build_folder(job.sensor), design.directory, result, files)
+        job.sensor,
+        save_result(design.build_folder(job.sensor), design.directory, result, files),
+        model=job.model if design.in_block else None,
     )
 
 

@@ -259,6 +259,8 @@ def estimate_errors(
     curvature = np.zeros((count, count))
     by_octave = np.zeros((count, count))
     by_run = np.zeros((len(campaign.groups), count))
+    counts = sums.counts.sum(axis=0)
+    weighted = per_octave = np.zeros(0)
     for k in range(outputs):
         seen = np.flatnonzero(sums.mask[:, k])
         plain = np.concatenate([seen, offsets]).astype(int)
@@ -266,17 +268,18 @@ def estimate_errors(
         design = np.zeros((sums.products.shape[-1], plain.size + count))
         design[plain, np.arange(plain.size)] = 1.0
         design[:, plain.size :] = along[k]
-        weighted = np.einsum("l,glab->gab", weights[:, k], sums.products)
+        if k == 0 or (weights[:, k] != weights[:, k - 1]).any():
+            weighted = np.einsum("l,glab->gab", weights[:, k], sums.products)
+            per_octave = np.einsum("l,glab->lab", weights[:, k], sums.products)
         gram = design.T @ weighted.sum(axis=0) @ design
         inverse = invert_scaled(gram)
         residual = solution.residual[k]
-        per_octave = np.einsum("l,glab->lab", weights[:, k], sums.products)
-        squares = np.einsum("c,lcd,d->l", residual, per_octave, residual)
-        inner = np.einsum("ca,lcd,db->lab", design, per_octave, design, optimize=True)
+        squares = (per_octave @ residual) @ residual
+        inner = design.T @ per_octave @ design
         leverage = np.einsum("lab,ba->l", inner, inverse)
-        freedom = np.maximum(sums.counts.sum(axis=0) - leverage, 1.0)
+        freedom = np.maximum(counts - leverage, 1.0)
         meat = np.einsum("l,lab->ab", squares / freedom, inner)
-        scores = owners @ np.einsum("ca,gcd,d->ga", design, weighted, residual, optimize=True)
+        scores = owners @ ((weighted @ residual) @ design)
         scores *= np.sqrt(len(scores) / max(len(scores) - 1, 1))
         variance = np.diag(inverse @ meat @ inverse)
         if clustered:

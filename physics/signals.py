@@ -102,7 +102,8 @@ def _find_rails(run: Run, k: int) -> Array:
     if run.outliers is not None:
         # A spike beyond the rail would be the extreme; its neighbours show what was measured.
         light = run.outliers.weights[:, k] < 1.0
-        measured = np.where(light, take_medians(measured), measured)
+        if light.any():
+            measured = np.where(light, take_medians(measured), measured)
     return find_rails(measured, run.reference[:, k])
 
 

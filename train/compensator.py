@@ -112,6 +112,11 @@ class Compensator:
             drift = drift + self._run_network(features)
         return np.asarray(drift)
 
+    @property
+    def is_physics_alone(self) -> bool:
+        """Whether nothing was learnt beside the physical model."""
+        return self.bank is None and self.front_end is None
+
     def predict_all(self, runs: Sequence[Run]) -> list[Array]:
         """Return `predict` [n, K] of every run; each chain of stretches is computed once."""
         return predict_all(self.predict, runs)

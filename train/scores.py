@@ -150,8 +150,10 @@ def measure(
         rest = [g - g.mean(axis=0) if tared else g for g in groups]
         return np.asarray(np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0)))
 
+    physics = rmse(compensator.physics.predict_all(runs))
+    is_alone = compensator.is_physics_alone and all(run.before is None for run in runs)
     return StageRmse(
         uncompensated=rmse([np.zeros_like(run.drift) for run in runs]),
-        physics=rmse(compensator.physics.predict_all(runs)),
-        compensated=rmse(compensator.predict_all(runs)),
+        physics=physics,
+        compensated=physics if is_alone else rmse(compensator.predict_all(runs)),
     )

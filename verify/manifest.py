@@ -187,12 +187,21 @@ def hash_inputs(config: Config, network: tuple[Path, ...] = ()) -> Inputs:
     Raises:
         InputError: a selector matches no log, or a file cannot be read.
     """
-    paths = {path for use in USES for s in expand_selectors(config, use) for path in s.files}
     return Inputs(
         configuration=_hash_configuration(config),
-        logs={_name(path, config.directory): hash_file(path) for path in paths},
+        logs=hash_logs(config),
         network={_name(path, config.directory): hash_file(path) for path in network},
     )
+
+
+def hash_logs(config: Config) -> dict[str, str]:
+    """Return the hash of each log of a project by its name.
+
+    Raises:
+        InputError: a selector matches no log, or a file cannot be read.
+    """
+    paths = {path for use in USES for s in expand_selectors(config, use) for path in s.files}
+    return {_name(path, config.directory): hash_file(path) for path in paths}
 
 
 def _hash_configuration(config: Config) -> dict[str, str]:

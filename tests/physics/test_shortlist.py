@@ -90,3 +90,18 @@ def test_a_campaign_that_shares_columns_gives_what_one_of_its_own_gives():
     ):
         assert one.cost == other.cost
         assert np.array_equal(one.sums.products, other.sums.products)
+
+
+def test_a_second_start_ends_where_the_first_one_did(monkeypatch):
+    found, looks = [], []
+    count = module.assess
+    monkeypatch.setattr(module, "assess", lambda *given: looks.append(len(found)) or count(*given))
+    for near, same in ((module.NEAR, module.SAME), (0.0, -1.0)):
+        monkeypatch.setattr(module, "NEAR", near)
+        monkeypatch.setattr(module, "SAME", same)
+        campaign, choices = pose(2, True)
+        found.append(search(campaign, choices[0], flat_weights(campaign)))
+    assert found[0].cost == pytest.approx(found[1].cost, abs=1e-6)
+    for one, other in zip(found[0].terms, found[1].terms, strict=True):
+        assert one.values == pytest.approx(other.values, rel=1e-5)
+    assert looks.count(0) < looks.count(1)
