@@ -207,6 +207,18 @@ def test_long_logs_reach_every_temperature(planned):
     assert {planned.limits.low_degC, planned.limits.high_degC} <= reached
 
 
+def test_an_effect_is_as_large_whatever_the_hours():
+    """A short plan had taken for a target what it can move within its own time."""
+
+    def list_sizes(hours):
+        contenders = plan("thermal_lag", "creep", hours=hours, budget_s=0.1).scene.contenders
+        return [truth.coefficients for c in contenders for truth in c.truths]
+
+    for short, long in zip(list_sizes(0.5), list_sizes(8.0), strict=True):
+        assert np.any(short != 0.0)
+        assert short == pytest.approx(long)
+
+
 LARGE = np.full((2, 4, 1), 100.0)
 FAR = np.full((2, 4), np.inf)
 NONE = np.zeros((2, 4))
