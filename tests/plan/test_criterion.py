@@ -137,7 +137,8 @@ def test_coefficients_are_those_of_the_octaves_over_their_noise(planned):
     assert white.whiten(x, 0)[0, :, 0] == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_slow_zero_shift_is_a_rival_of_a_gradient_once_there_are_four_logs():
+def test_a_slow_zero_shift_is_a_rival_of_a_gradient_once_there_are_four_logs(monkeypatch):
+    monkeypatch.setattr("zerodrift.discovery.plan.FEW", ())
     planned = plan("thermal_lag", "thermal_gradient", hours=4.0)
     (lag, gradient) = planned.scene.contenders
     assert [form.fewest_runs for form in lag.forms] == [0, 0, FEWEST_RUNS]
