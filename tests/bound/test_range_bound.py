@@ -10,7 +10,7 @@ import pytest
 from tests.bound.cases import Case
 from tests.bound.lstms import Forgetful as Gated
 from tests.bound.lstms import draw_lstm
-from tests.bound.recurrent import STEPS, Forgetful, draw_all_codes, draw_gru, draw_upper, make_case
+from tests.bound.recurrent import Forgetful, draw_all_codes, draw_gru, draw_upper, make_case
 from zerodrift.export.error_bound import round_up
 from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.verify.certificate_check import compare
@@ -64,7 +64,7 @@ def test_what_lies_within_a_range_is_off_by_no_more(name: str) -> None:
     assert all(error.range > 0.99 * error.total for error in bound.outputs)
     assert "no contraction is shown" in bound.why
     assert "between -1 and 1" in bound.holds
-    codes = draw_all_codes(case.calibration.code_limits, np.random.default_rng(3), STEPS)
+    codes = draw_all_codes(case.calibration.code_limits, np.random.default_rng(3), 104)
     assert (replace(case, codes=codes).measure() <= told).all()
 
 
