@@ -11,7 +11,7 @@ from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.sources import open_sources
 from zerodrift.dataset.tables import LogTable, Source, label_log, read_table
 from zerodrift.dataset.text_format import UNNAMED
-from zerodrift.dataset.times import SAMPLE, Clock, find_clock, find_number_clock
+from zerodrift.dataset.times import SAMPLE, Clock, find_clock
 
 COMMON = "[logs] common"
 
@@ -203,10 +203,6 @@ def find_log_clock(config: Config, source: Source) -> Clock | None:
         return Clock((), "rows", name, period_s=period_s, offset_s=offset_s)
     if any(column not in source.names for column in time.columns):
         return None
-    text = source.text
-    if text is not None and text.is_plain_numbers and len(time.columns) == 1 and not time.format:
-        clock = find_number_clock(time)
-        return replace(clock, name=config.time_column, offset_s=offset_s)
     first = source.sample(time.columns, SAMPLE)
     if not len(first[0]):
         return None

@@ -92,13 +92,9 @@ def _find_drift_spikes(run: Run, index: int) -> list[int]:
     drift = run.measured[:, index] - run.reference[:, index]
     if drift.size < 3:
         return []
-    apart = _spread(drift.size)
-    steps = np.abs(np.diff(drift))
-    usual = find_median(steps[::apart])
-    if float(steps.max()) <= SPIKE_STEPS * usual:
-        return []  # so it is with most logs, whatever their range
-    some = drift[:-1:apart]
-    low, high = (find_quantile(some, share) for share in (0.01, 0.99))
+    some = np.arange(0, drift.size - 1, _spread(drift.size))
+    low, high = (find_quantile(drift[some], share) for share in (0.01, 0.99))
+    usual = find_median(np.abs(drift[some + 1] - drift[some]))
     least = max(SPIKE_RANGES * (high - low), SPIKE_STEPS * usual)
     return [int(row) for row in _find_spikes(drift, least)] if least > 0 else []
 

@@ -135,27 +135,7 @@ def take_medians(x: Array) -> Array:
     """Return the median [n] of each sample and its neighbours: one of the measured values."""
     from scipy.ndimage import median_filter
 
-    if x.size < NEIGHBOURS or not np.isfinite(x).all():
-        return np.asarray(median_filter(x, NEIGHBOURS, mode="mirror"))
-    reach = NEIGHBOURS // 2
-    padded = np.concatenate([x[reach:0:-1], x, x[-2 : -2 - reach : -1]])
-    # Each three in order, once for all windows; the median of nine is that of the largest low,
-    # the middle middle and the smallest high of its three threes.
-    a, b, c = padded[:-2], padded[1:-1], padded[2:]
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    middle = np.maximum(low, np.minimum(high, c))
-    low, high = np.minimum(low, c), np.maximum(high, c)
-    lows, middles, highs = ((y[:-6], y[3:-3], y[6:]) for y in (low, middle, high))
-    return _take_middle(
-        np.maximum(np.maximum(*lows[:2]), lows[2]),
-        _take_middle(*middles),
-        np.minimum(np.minimum(*highs[:2]), highs[2]),
-    )
-
-
-def _take_middle(a: Array, b: Array, c: Array) -> Array:
-    """Return the median of each three values."""
-    return np.asarray(np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c)))
+    return np.asarray(median_filter(x, NEIGHBOURS, mode="mirror"))
 
 
 def _measure_distance(x: Array, step: float) -> tuple[Array, Array]:

@@ -1,7 +1,5 @@
 """The step in which a column's values are written: a converter's code, or its last digit."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,8 +9,6 @@ DIGITS = 1e-8
 """What is smaller than this share of a value is its arithmetic's, not the sensor's."""
 MOST_DIGITS = 7
 """More digits than this are as good as all of them."""
-FIRST = 4
-"""Values that are looked at before all of them: most steps that are too coarse fail on these."""
 BLOCK = 256
 """Samples that are looked at together."""
 BLOCKS = 16
@@ -25,8 +21,8 @@ def measure_step(values: Array) -> float:
 
     Decimal digits, a converter's step and single precision all count as steps.
     """
-    sorted_values = _list_different(values)
-    gaps = _list_different(sorted_values[1:] - sorted_values[:-1])
+    sorted_values = np.unique(values)
+    gaps = np.unique(np.diff(sorted_values))
     if gaps.size == 0:
         return 0.0
     largest = float(np.abs(sorted_values[[0, -1]]).max())
@@ -48,29 +44,12 @@ def measure_step(values: Array) -> float:
     return decimal
 
 
-def _list_different(values: Array) -> Array:
-    """Return the different values, sorted, as `numpy.unique` does, which goes a longer way."""
-    ordered = np.sort(values)
-    if ordered.size and np.isnan(ordered[-1]):
-        return np.unique(values)
-    kept = np.empty(ordered.size, dtype=np.bool_)
-    kept[:1] = True
-    np.not_equal(ordered[1:], ordered[:-1], out=kept[1:])
-    return ordered[kept]
-
-
 def _measure_decimals(values: Array, largest: float) -> float:
     """Return the power of ten of which all values are multiples; 0 where there is none."""
-    if not math.isfinite(largest):
-        return 0.0
-    first: list[float] = values[:FIRST].tolist()
     for digits in range(10):
+        scaled = values * 10.0**digits
         if 10.0**-digits < DIGITS * largest:
             break
-        least = 1e-15 * largest * 10.0**digits
-        if any(not abs((x := value * 10.0**digits) - round(x)) <= least for value in first):
-            continue
-        scaled = values * 10.0**digits
         if np.all(np.abs(scaled - np.rint(scaled)) <= 1e-15 * largest * 10.0**digits):
             return 10.0**-digits
     return 0.0
@@ -126,15 +105,7 @@ def _count_digits(values: Array) -> int:
     some = values[values != 0]
     first = np.floor(np.log10(np.abs(some)))
     for digits in range(1, MOST_DIGITS + 1):
-        few = 10.0 ** (first[:FIRST] + 1 - digits)
-        if not np.all(np.abs(some[:FIRST] / few - np.rint(some[:FIRST] / few)) < _near(digits)):
-            continue
         steps = 10.0 ** (first + 1 - digits)
-        if np.all(np.abs(some / steps - np.rint(some / steps)) < _near(digits)):
+        if np.all(np.abs(some / steps - np.rint(some / steps)) < 1e-9 * 10.0**digits):
             return digits
     return MOST_DIGITS + 1
-
-
-def _near(digits: int) -> float:
-    """Return what a value of so many digits may be off, in its last digit."""
-    return 1e-9 * 10.0**digits

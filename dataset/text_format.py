@@ -16,7 +16,6 @@ from itertools import count, islice
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.plain_rows import find_plain_header
 
 DELIMITERS = ("\t", ";", "|", ",", " ")
 """In the order in which they are preferred where a file could be split by several."""
@@ -65,8 +64,6 @@ class TextFormat:
     """Fields have spaces around them."""
     notes: tuple[str, ...] = ()
     """What the user should know of it."""
-    is_plain_numbers: bool = False
-    """Whether the first rows hold nothing but plain numbers."""
 
     @property
     def is_plain(self) -> bool:
@@ -87,8 +84,6 @@ def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
         InputError: it has no line of text, or names a column twice.
     """
     encoding, text = _decode(head, is_whole)
-    if (plain := _sniff_plain(text, label, encoding)) is not None:
-        return plain
     lines = text.replace("\r\n", "\n").split("\n") if "\n" in text else text.split("\r")
     if not is_whole and len(lines) > 1:
         lines.pop()
@@ -139,24 +134,6 @@ def sniff_text(head: bytes, label: str, is_whole: bool) -> TextFormat:
         padded=is_padded or "\n" not in text,
     )
     return replace(found, notes=_tell(found, label, given))
-
-
-def _sniff_plain(text: str, label: str, encoding: str) -> TextFormat | None:
-    """Return what `sniff_text` finds where the first line names columns of plain numbers.
-
-    None: it takes a closer look.
-    """
-    if "\r" in text or any(mark in text for mark in COMMENTS):
-        return None
-    lines = text.split("\n", SAMPLE_LINES)
-    if len(lines) <= SAMPLE_LINES or not all(lines):
-        return None
-    header = find_plain_header(lines[:-1])
-    if header is None or any(_is_value(field, comma=False) for field in header):
-        return None
-    names = _name_columns(header, len(header), label, 1)
-    found = TextFormat(names=names, separator=",", encoding=encoding, is_plain_numbers=True)
-    return replace(found, notes=_tell(found, label, header))
 
 
 def split_fields(line: str, separator: str) -> list[str]:

@@ -156,7 +156,8 @@ def find_clock(
     usual = Clock(time.columns, "number", time.name, zone=time.zone)
     first = values[0].drop_nulls()
     if first.dtype.is_numeric() and len(time.columns) == 1:
-        return find_number_clock(time)
+        unit = time.unit or read_time_unit(time.columns[0]) or "s"
+        return replace(usual, unit_s=TIME_UNITS[unit])
     if first.dtype.is_temporal():
         is_zoned = isinstance(first.dtype, pl.Datetime) and first.dtype.time_zone is not None
         of_day = first.dtype in (pl.Time, pl.Duration)
@@ -168,7 +169,8 @@ def find_clock(
         kind = "zoned" if "%z" in written or "%#z" in written else "local" if has_date else "day"
         return replace(usual, kind=kind, format=written, has_comma=_have_comma(texts))
     if not texts or (len(time.columns) == 1 and _are_numbers(texts)):
-        return find_number_clock(time)
+        unit = time.unit or read_time_unit(time.columns[0]) or "s"
+        return replace(usual, unit_s=TIME_UNITS[unit])
     formats = agree_on_formats(texts)
     if len(formats) > 1 and find_all is not None:
         formats = agree_on_formats(join_texts([series.cast(pl.String) for series in find_all()]))
@@ -195,12 +197,6 @@ def find_clock(
         has_comma=_have_comma(texts),
         is_even=is_even,
     )
-
-
-def find_number_clock(time: TimeConfig) -> Clock:
-    """Return how times are read that are written as numbers, in one column."""
-    unit = time.unit or read_time_unit(time.columns[0]) or "s"
-    return Clock(time.columns, "number", time.name, unit_s=TIME_UNITS[unit], zone=time.zone)
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,7 @@ from zerodrift.operations.recurrent import STATE, WAYS, IntegerRecurrent
 from zerodrift.operations.signals import Real, Signal
 
 HOLDS = "same start, any input, any run length; the float model is limited where the chip is"
-BY_RANGE = (
-    "; of the network's states no more is shown than that they lie between -1 and 1 on both sides"
-)
+BY_RANGE = "; the network's states may lie anywhere between -1 and 1, in chip and float model"
 EXACT = "; both are given the same raw codes, the float model exactly converted"
 ROUNDS = 60
 """Of the loop in which a load's error is that of the drift before; it closes, or no bound holds."""
@@ -65,10 +63,12 @@ def bound_errors(quantized: Quantized) -> ErrorBound:
     if all(a is b for a, b in zip(ranged, quantized.answers, strict=True)):
         return found
     again = _close(quantized.model, known, ranged)
+    if not again.outputs:
+        return found
     spans = _list_spans(quantized.model)
-    if any(error.total >= span for error, span in zip(again.outputs, spans, strict=False)):
+    if any(error.total >= span for error, span in zip(again.outputs, spans, strict=True)):
         return found  # the limits of the answer say as much
-    return replace(again, why=found.why, holds=again.holds + BY_RANGE) if again.outputs else found
+    return replace(again, why=found.why, holds=again.holds + BY_RANGE)
 
 
 def _close(

@@ -61,24 +61,6 @@ def measure_reach(sequences: Sequence[Sequence32]) -> list[float]:
     return [float(2.0 ** np.ceil(np.log2(max(HEADROOM * x, TINY)))) for x in largest.tolist()]
 
 
-def measure_swing(sequences: Sequence[Sequence32]) -> list[float]:
-    """Return half the distance between the lowest and the highest target of each output [K]."""
-    low = np.min([s.target.min(axis=0) for s in sequences], axis=0)
-    high = np.max([s.target.max(axis=0) for s in sequences], axis=0)
-    return [float(x) for x in (0.5 * (high - low)).tolist()]
-
-
-def limit_head(head: Tensor, swing: Tensor) -> None:
-    """Shrink the rows of S heads, in place, until states of up to 1 add no more than that.
-
-    Args:
-        head: [S, K, H].
-        swing: [S, K] the most that a row may add, to either side.
-    """
-    most = head.abs().sum(dim=2).clamp(min=TINY)
-    head.mul_((swing / most).clamp(max=1.0)[:, :, None])
-
-
 def round_weights(w_h: Array) -> Array:
     """Return recurrent weights as they leave the training."""
     return np.asarray(np.round(w_h / GRID) * GRID)

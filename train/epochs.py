@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from zerodrift.train.attempts import Attempt, Problem, Standing, Stored
-from zerodrift.train.contraction import measure_reach, measure_swing
+from zerodrift.train.contraction import measure_reach
 from zerodrift.train.courses import (
     STEPS_AT_ONCE,
     Batch,
@@ -19,6 +19,7 @@ from zerodrift.train.courses import (
     StreamCourse,
     WindowCourse,
 )
+from zerodrift.train.head_limit import measure_swing
 from zerodrift.train.optimise import Stack, draw_seed, explain_divergence, one_cycle
 
 Array = NDArray[np.float64]

@@ -15,17 +15,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from zerodrift.base.config import NetworkConfig
+from zerodrift.base.config import CONSTRAINTS, NetworkConfig
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.lstm.cell import FloatLstm
-from zerodrift.train.contraction import (
-    contract,
-    contract_lstm,
-    limit_head,
-    round_weights,
-    trim_weights,
-)
+from zerodrift.train.contraction import contract, contract_lstm, round_weights, trim_weights
+from zerodrift.train.head_limit import limit_head
 from zerodrift.train.lstm_recurrence import LstmWeights, run_lstm, settle_lstm
 from zerodrift.train.recurrence import GruWeights, run_gru, settle
 
@@ -45,6 +40,8 @@ class Network(ABC, torch.nn.Module):
 
     state_type = torch.float32
     """Of the states."""
+    contracting = limited = False
+    """See `[network]`; recurrent networks may be."""
 
     @property
     @abstractmethod
@@ -71,13 +68,15 @@ class Network(ABC, torch.nn.Module):
         """
 
     def constrain_many(self, parameters: Parameters, reach: Tensor, swing: Tensor) -> None:
-        """Bring the parameters of S networks to what is allowed, in place; anything is.
+        """Bring the parameters of S networks to what is allowed, in place.
 
         Args:
             parameters: of the S networks; this network's own are not read.
             reach: [S, I] largest absolute value of each feature.
             swing: [S, K] half the distance of the lowest and highest target of each output.
         """
+        if self.limited:
+            limit_head(parameters["head"], swing)
 
     def _alone(self) -> Parameters:
         return {name: p[None] for name, p in self.named_parameters()}
@@ -111,12 +110,13 @@ class GruNetwork(Network):
         hidden: int,
         outputs: int,
         form: str,
-        forgets: bool = False,
+        *,
+        contracting: bool = False,
         limited: bool = False,
     ) -> None:
         super().__init__()
         self.reset = FORMS[form]
-        self.contracting, self.limited = forgets, limited
+        self.contracting, self.limited = contracting, limited
         self.w_x = torch.nn.Parameter(torch.zeros(3, hidden, features))
         self.w_h = torch.nn.Parameter(torch.zeros(3, hidden, hidden))
         self.bias = torch.nn.Parameter(torch.zeros(4, hidden))
@@ -155,12 +155,8 @@ class GruNetwork(Network):
         return drift, states
 
     def constrain_many(self, parameters: Parameters, reach: Tensor, swing: Tensor) -> None:
-        """Shrink recurrent weights until an error of the state shrinks, if that is asked for.
-
-        And those of the head, until it reaches no further than what it learns, if that is.
-        """
-        if self.limited:
-            limit_head(parameters["head"], swing)
+        """Shrink recurrent weights until an error of the state shrinks, if that is asked for."""
+        super().constrain_many(parameters, reach, swing)
         if self.contracting:
             w_x, w_h, bias = (parameters[name] for name in ("w_x", "w_h", "bias"))
             contract(w_x, w_h, bias, self.reset, reach)
@@ -187,11 +183,12 @@ class LstmNetwork(Network):
         features: int,
         hidden: int,
         outputs: int,
-        forgets: bool = False,
+        *,
+        contracting: bool = False,
         limited: bool = False,
     ) -> None:
         super().__init__()
-        self.contracting, self.limited = forgets, limited
+        self.contracting, self.limited = contracting, limited
         self.w_x = torch.nn.Parameter(torch.zeros(4, hidden, features))
         self.w_h = torch.nn.Parameter(torch.zeros(4, hidden, hidden))
         self.bias = torch.nn.Parameter(torch.zeros(4, hidden))
@@ -231,9 +228,8 @@ class LstmNetwork(Network):
         return drift, states
 
     def constrain_many(self, parameters: Parameters, reach: Tensor, swing: Tensor) -> None:
-        """Shrink weights as `GruNetwork.constrain_many` does, if that is asked for."""
-        if self.limited:
-            limit_head(parameters["head"], swing)
+        """Shrink weights until an error of the state shrinks, if that is asked for."""
+        super().constrain_many(parameters, reach, swing)
         if self.contracting:
             w_x, w_h, bias = (parameters[name] for name in ("w_x", "w_h", "bias"))
             contract_lstm(w_x, w_h, bias, reach)
@@ -413,13 +409,13 @@ def build_network(
 ) -> GruNetwork | LstmNetwork | MlpNetwork | TcnNetwork:
     """Return the untrained network of a project, its weights drawn from `generator`."""
     network: GruNetwork | LstmNetwork | MlpNetwork | TcnNetwork
-    forgets, limited = (bool(config.options.get(k, False)) for k in ("contracting", "limited"))
+    asked = {key: True for key in CONSTRAINTS if config.options.get(key)}
     match config.kind:
         case "gru":
             form = str(config.options.get("form", "reset_after"))
-            network = GruNetwork(features, config.hidden, outputs, form, forgets, limited)
+            network = GruNetwork(features, config.hidden, outputs, form, **asked)
         case "lstm":
-            network = LstmNetwork(features, config.hidden, outputs, forgets, limited)
+            network = LstmNetwork(features, config.hidden, outputs, **asked)
         case "tcn":
             network = TcnNetwork(features, config.hidden, outputs, int(config.memory))
         case _:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.base.config import RECURRENT_KINDS, Config, NetworkConfig
+from zerodrift.base.config import CONSTRAINTS, RECURRENT_KINDS, Config, NetworkConfig
 from zerodrift.base.extras import TRAIN, require
 from zerodrift.dataset.runs import Dataset
 from zerodrift.physics.catalogue import Catalogue
@@ -127,7 +127,7 @@ def mark_inputs(config: Config, dataset: Dataset, settings: Settings | None = No
         list(config.inputs),
     ]
     form = config.network.options.get("form", "reset_after")
-    network += [key for key in ("contracting", "limited") if config.network.options.get(key)]
+    network += [key for key in CONSTRAINTS if config.network.options.get(key)]
     values = [
         effects,
         network,

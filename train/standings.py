@@ -15,7 +15,6 @@ from zerodrift.base.lock import tell
 from zerodrift.base.records import Json, from_json
 from zerodrift.train.attempts import Attempt, Problem, Standing, Stored
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from zerodrift.train.networks import GruNetwork, LstmNetwork
 
 NUMBERS = ("epoch", "best_epoch", "best_rmse", "last_rmse", "rmse_without")
 MOMENTS = ("weights", "exp_avg", "exp_avg_sq")
@@ -75,8 +74,9 @@ def _mark(problem: Problem) -> str:
     network = problem.build(torch.Generator().manual_seed(0))
     for name, p in network.named_parameters():
         digest.update(f"{name} {tuple(p.shape)}".encode())
-    if isinstance(network, GruNetwork | LstmNetwork):
-        digest.update(b"contracting" * network.contracting + b"limited" * network.limited)
+    for asked, mark in ((network.contracting, b"contracting"), (network.limited, b"limited")):
+        if asked:
+            digest.update(mark)
     for use in (problem.sequences, problem.held_out):
         for s in use:
             digest.update(f"{s.group} {s.features.shape} {s.skip}".encode())

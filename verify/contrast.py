@@ -22,10 +22,6 @@ FEWEST_RUNS = 3
 """Runs, or blocks, from which a standard error is taken."""
 UNCORRELATED = 0.05
 """The residual's correlation is summed up to the lag at which it falls below this."""
-SHORT = 48
-"""Lags that are looked at one by one before the whole spectrum is taken."""
-ROUND_OFF = 1e-9
-"""Where so little decides, the spectrum does: both ways differ by round-off."""
 
 
 @dataclass(frozen=True)
@@ -97,33 +93,11 @@ def measure_correlation(residual: Array) -> int:
     power = float(x @ x)
     if count < 2 or power == 0.0:
         return max(int(count), 1)
-    if (short := _measure_short(x, power)) is not None:
-        return short
     spectrum = np.fft.rfft(x, 2 * count)
     lags = np.fft.irfft(spectrum * np.conj(spectrum))[:count] / power
     below = np.flatnonzero(lags < UNCORRELATED)
     end = int(below[0]) if below.size else count
     return min(int(count), math.ceil(2.0 * (1.0 + 2.0 * float(lags[1:end].sum()))))
-
-
-def _measure_short(x: Array, power: float) -> int | None:
-    """Return what `measure_correlation` does of a centred residual that soon forgets itself.
-
-    None: it does not, or round-off might decide.
-    """
-    total = 0.0
-    for lag in range(1, min(SHORT, x.size - 1)):
-        correlation = float(x[:-lag] @ x[lag:]) / power
-        if abs(correlation - UNCORRELATED) < ROUND_OFF:
-            return None
-        if correlation < UNCORRELATED and lag == 1:
-            return min(x.size, 2)
-        if correlation < UNCORRELATED:
-            length = 2.0 * (1.0 + 2.0 * total)
-            ends = {math.ceil(length - SHORT * ROUND_OFF), math.ceil(length + SHORT * ROUND_OFF)}
-            return min(x.size, ends.pop()) if len(ends) == 1 else None
-        total += correlation
-    return None
 
 
 def _sum_blocks(part: Array, length: int) -> tuple[Array, Array]:

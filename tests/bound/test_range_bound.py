@@ -11,8 +11,10 @@ from tests.bound.cases import Case
 from tests.bound.lstms import Forgetful as Gated
 from tests.bound.lstms import draw_lstm
 from tests.bound.recurrent import Forgetful, draw_all_codes, draw_gru, draw_upper, make_case
+from tests.effects_on_chip.random_graphs import LSBS
 from zerodrift.export.error_bound import round_up
 from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
+from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.verify.certificate_check import compare
 
 KIND = Forgetful(hidden=4, upper=(3,), coupling=0.9)
@@ -75,6 +77,24 @@ def test_the_check_derives_it_and_refuses_less(name: str) -> None:
     for claim in told["error_bound"]:
         claim["bound"] *= 1.0 - 1e-3
     assert len(compare(told, texts).failures) == len(told["error_bound"])
+
+
+def test_chip_and_float_model_can_be_as_far_apart_as_that() -> None:
+    """A state that leaves 0 to either side: a rounded weight decides for the chip, no other way."""
+    weight, push = 0.758, -1e-7
+    w_x, w_h, bias = np.zeros((3, 1, 2)), np.zeros((3, 1, 1)), np.zeros((4, 1))
+    w_x[2, 0, 0], w_h[2], bias[0] = weight, 4.0, 6.0
+    head = np.full((2, 1), 0.1)
+    case = make_case(FloatGru(w_x, w_h, bias, "after"), head)
+    low, high = np.array(case.calibration.code_limits).T
+    codes = (low + high) // 2 + (high - low) // 5
+    feature = np.array([codes[0] * LSBS[0] / 47.0, codes[1] * LSBS[1] / 9.0 + 0.13])
+    feature = case.described.whitening @ (feature - case.described.tap_mean)
+    bias[2] = push - weight * feature[0]
+    case = make_case(FloatGru(w_x, w_h, bias, "after"), head)
+    told = [round_up(error.total) for error in case.bound().outputs]
+    found = replace(case, codes=np.tile(codes, (1, 200, 1))).measure().max(axis=(0, 1))
+    assert (0.999 * np.array(told) <= found).all() and (found <= told).all()
 
 
 def test_where_the_limits_of_the_answer_say_as_much_nothing_is_told() -> None:

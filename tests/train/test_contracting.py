@@ -27,12 +27,11 @@ from zerodrift.train.contraction import (
     SPREAD,
     contract,
     contract_lstm,
-    limit_head,
     measure_reach,
-    measure_swing,
     trim_weights,
 )
 from zerodrift.train.engine import Problem, Result, train_networks
+from zerodrift.train.head_limit import limit_head, measure_swing
 from zerodrift.train.networks import build_network
 from zerodrift.train.standings import mark_problems
 

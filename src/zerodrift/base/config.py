@@ -44,9 +44,11 @@ MODEL_TABLES = (
     "calibration",
 )
 NETWORK_KINDS = ("lag_bank", "gru", "lstm", "mlp", "mlp_seq", "tcn", "none", AUTO)
+CONSTRAINTS = ("contracting", "limited")
+"""Keys by which a recurrent network's weights are kept small."""
 CHOSEN_BY_AUTO = (
     *("hidden", "memory", "spacing_s", "form", "learning_rate", "lags_s"),
-    *("contracting", "limited"),
+    *CONSTRAINTS,
 )
 """Keys that mean nothing beside kind = "auto"."""
 RECURRENT_KINDS = ("gru", "lstm")
@@ -65,7 +67,7 @@ GRU_FORMS = ("reset_after", "reset_before")
 NETWORK_KEYS = ("kind", "hidden", "memory", "seed", "lags_s")
 NETWORK_OPTIONS = (
     *("starts", "epochs", "form", "learning_rate", "spacing_s"),
-    *("contracting", "limited"),
+    *CONSTRAINTS,
 )
 
 
@@ -434,7 +436,7 @@ def _read_network(table: TomlTable) -> NetworkConfig:
     for key in CHOSEN_BY_AUTO if kind == AUTO else ():
         if key in table.values:
             raise table.error(key, f'kind = "auto" chooses that by itself; leave `{key}` out.')
-    for key, what in (("contracting", "it forgets"), ("limited", "its answer has limits")):
+    for key, what in zip(CONSTRAINTS, ("it forgets", "its answer has limits"), strict=True):
         if not table.flag(key):
             continue
         if kind not in RECURRENT_KINDS:

@@ -111,26 +111,21 @@ def _link(temporary: Path, path: Path) -> None:
             temporary.replace(path)
 
 
-def write_beside(path: Path, content: bytes, *, like: Path | None, durable: bool = True) -> None:
+def write_beside(path: Path, content: bytes, *, like: Path, durable: bool = True) -> None:
     """Write a new file and wait until the disk has it.
 
     Args:
         path: of the new file, which must not be there.
         content: its bytes.
-        like: the file whose permissions it takes, where that exists; None: there is none.
+        like: the file whose permissions it takes, where that exists.
         durable: False does not wait for the disk.
     """
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
-    try:
-        left = memoryview(content)
-        while left:
-            left = left[os.write(handle, left) :]
+    with os.fdopen(handle, "wb") as file:
+        file.write(content)
+        file.flush()
         if durable:
-            os.fsync(handle)
-    finally:
-        os.close(handle)
-    if like is None:
-        return
+            os.fsync(file.fileno())
     with suppress(OSError):  # a file system without permissions, or no file there yet
         shutil.copymode(like, path)
 

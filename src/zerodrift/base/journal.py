@@ -16,7 +16,6 @@ and the old contents are restored. After each step the data is flushed to the di
 import hashlib
 import os
 import secrets
-import stat
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -301,15 +300,14 @@ def _change(state: Path, contents: Mapping[Path, bytes | None], durable: bool) -
     forward = begin.with_suffix(FORWARD)
     try:
         state.mkdir(parents=True, exist_ok=True)
-        write_beside(begin, record.to_bytes(_find_project(state)), like=None, durable=durable)
+        write_beside(begin, record.to_bytes(_find_project(state)), like=begin, durable=durable)
         for directory in record.made:
             place = Path(directory)
             place.mkdir(exist_ok=True)
         for step, content in zip(record.steps, contents.values(), strict=True):
             place = Path(step.path)
             if content is not None:
-                like = place if step.old else None
-                write_beside(Path(step.new), content, like=like, durable=durable)
+                write_beside(Path(step.new), content, like=place, durable=durable)
             if step.old:
                 _keep_old(place, Path(step.old), durable)
         _sync(record, [*(Path(d).parent for d in record.made), *record.directories, state])
@@ -325,7 +323,7 @@ def _change(state: Path, contents: Mapping[Path, bytes | None], durable: bool) -
         if isinstance(error, OSError):
             raise explain_write(place, error, told) from error
         raise
-    _clean(forward, record, all_put=True)
+    _clean(forward, record)
 
 
 def _plan(name: str, contents: Mapping[Path, bytes | None], durable: bool) -> _Record:
@@ -336,56 +334,29 @@ def _plan(name: str, contents: Mapping[Path, bytes | None], durable: bool) -> _R
     """
     steps = []
     made: dict[str, None] = {}
-    folders: dict[Path, tuple[Path, list[Path]]] = {}
     for number, (given, content) in enumerate(contents.items()):
-        with telling_of_writes(given):
-            if given.parent not in folders:
-                folders[given.parent] = _look_at_folder(given.parent)
-            folder, missing = folders[given.parent]
-            path = folder / given.name
-            found = None if missing else _look_at(path)
-            if found is not None and stat.S_ISLNK(found.st_mode):
-                path = Path(os.path.realpath(given))
-                found = _look_at(path)
-                missing = _look_at_folder(path.parent)[1]
-        if found is not None and stat.S_ISDIR(found.st_mode):
+        path = Path(os.path.realpath(given))
+        if path.is_dir():
             raise InputError(
                 f"{given}: is a directory; expected a file, or nothing, in this place. Move it"
                 f" away, or name another by -C. {AS_BEFORE}"
             )
         with telling_of_writes(given):
-            old_sha256 = "" if found is None else _hash(path)
+            there = path.exists()
+            old_sha256 = _hash(path) if there else ""
+            missing = [p for p in (path.parent, *path.parent.parents) if not p.exists()]
         made |= dict.fromkeys(str(p) for p in reversed(missing))
         stem = str(path.with_name(f".{name}.{number}"))
         steps.append(
             _FileStep(
                 path=str(path),
                 new="" if content is None else stem + REMAINDER,
-                old="" if found is None else stem + OLD,
+                old=stem + OLD if there else "",
                 new_sha256="" if content is None else hashlib.sha256(content).hexdigest(),
                 old_sha256=old_sha256,
             )
         )
     return _Record(tuple(steps), tuple(made), durable)
-
-
-def _look_at_folder(folder: Path) -> tuple[Path, list[Path]]:
-    """Return a folder without links in its path, and which of it and those above do not exist."""
-    real = Path(os.path.realpath(folder))
-    missing = []
-    for place in (real, *real.parents):
-        if place.exists():
-            break
-        missing.append(place)
-    return real, missing
-
-
-def _look_at(path: Path) -> os.stat_result | None:
-    """Return what is at a path, a link as such; None where there is nothing."""
-    try:
-        return path.lstat()
-    except (FileNotFoundError, NotADirectoryError):
-        return None
 
 
 def _keep_old(path: Path, old: Path, durable: bool) -> None:
@@ -443,19 +414,14 @@ def _return_old(record: _Record) -> list[str]:
     return foreign
 
 
-def _clean(place: Path, record: _Record, *, all_put: bool = False) -> None:
+def _clean(place: Path, record: _Record) -> None:
     """Remove second names and what was not put in place, then the record; the files stay.
 
     The next command repeats what fails here.
-
-    Args:
-        place: the record's file.
-        record: what it says.
-        all_put: every new file was put in its place.
     """
     with suppress(OSError):
         for step in record.steps:
-            for name in (step.old,) if all_put else (step.new, step.old):
+            for name in (step.new, step.old):
                 if name:
                     Path(name).unlink(missing_ok=True)
         place.unlink(missing_ok=True)
