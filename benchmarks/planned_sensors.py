@@ -32,6 +32,11 @@ AS_LARGE = 0.03
 SCALINGS = 6
 """... within so many corrections."""
 PERIOD_S = 2.0
+REST_S = 180.0
+"""After each log, in either programme."""
+CAMPAIGN_H = 8
+"""Hours of the twin's own chamber programme over which a sensor's effect has its size, whatever is
+recorded of it."""
 LOOKED_AT = ("Fz", "Mx")
 """Outputs of the six that are logged, which saves time."""
 TARGET = 0.0001
@@ -58,17 +63,20 @@ humidity = { range = [15, 85], change_s = 90, hold_s = 400 }
 
 
 def make_sensor(
-    pair: Sequence[str], truth: str, size: float, seed: int, hours: float
+    pair: Sequence[str], truth: str, size: float, seed: int, hours: int, log_s: float = 3600.0
 ) -> Simulation:
-    """Return a sensor that hides one effect, with so many hours of the default programme."""
+    """Return a sensor that hides one effect, with so many logs of the default programme.
+
+    Over these, what the model leaves of the effect has the size, RMS over that of the noise.
+    """
     told = [name for name in ("zero_tempco", "dark_current") if name not in pair]
     if "zero_tempco" in pair:
         told = ["zero_tempco"]
     hidden = EffectChoice(truth)
     recipe = Recipe(
         seed=seed,
-        train=("chamber",) * max(1, round(hours)),
-        duration_s=3600.0 * min(1.0, hours),
+        train=("chamber",) * hours,
+        duration_s=log_s,
         test=(),
         told=tuple(EffectChoice(name) for name in told if name != truth),
         hidden=(hidden,),
@@ -76,6 +84,27 @@ def make_sensor(
         sample_period_s=PERIOD_S,
     )
     return simulate(recipe)
+
+
+@cache
+def make_whole(pair: tuple[str, ...], truth: str, size: float, seed: int) -> Simulation:
+    """Return a sensor that hides one effect, with the whole of the default programme.
+
+    Its numbers are those of this campaign, however much of it is recorded, and whatever else is
+    done to the sensor.
+    """
+    return make_sensor(pair, truth, size, seed, CAMPAIGN_H, 3600.0 - REST_S)
+
+
+def record_default(simulation: Simulation, hours: float) -> Dataset:
+    """Return the first logs of the default programme, rests counted, the last one cut short."""
+    dataset = to_dataset(simulation)
+    kept = []
+    for number, run in enumerate(dataset.train):
+        left_s = min(3600.0 * (hours - number), 3600.0) - REST_S
+        if left_s > 0.0:
+            kept.append(run.take(slice(0, round(left_s / PERIOD_S))))
+    return replace(dataset, train=tuple(kept))
 
 
 def list_effects(pair: Sequence[str]) -> list[EffectConfig]:
@@ -148,7 +177,7 @@ def make_as_large(
     """
     asked = size
     for _ in range(SCALINGS):
-        simulation = make_sensor(pair, truth, asked, seed, 2.0)
+        simulation = make_sensor(pair, truth, asked, seed, 2)
         found = measure(simulation, planned)
         if abs(np.log(found)) < AS_LARGE:
             return simulation

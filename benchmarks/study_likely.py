@@ -6,7 +6,8 @@ The trials are those of `bench_plan probability` with these seeds, 1, 2 and 9100
 plans for each and a budget of 2 s, as many as there is time for. Maximum likelihood, with a wide
 Gaussian prior that a number keeps to where no verdict depends on it. Prints offsets and slopes in
 their order there, then predicted and observed rates in four bands, on the trials that they were
-fitted to: a judgement needs other seeds.
+fitted to: a judgement needs other seeds. With few logs two curves hold: one below ENOUGH_RUNS, and
+NAMED_OF_FEWEST, which `study_few_logs` fits and which stays as it is, below MANY_RUNS.
 """
 
 import argparse
@@ -20,8 +21,9 @@ from scipy.optimize import minimize
 from scipy.special import ndtr
 
 from benchmarks.bench_plan import Expected, Trial, list_probability, run_trials
+from zerodrift.diagnosis.judgement import MANY_RUNS
 from zerodrift.diagnosis.rules import ENOUGH_RUNS
-from zerodrift.discovery.likely import MOST, logistic, tell_disguised
+from zerodrift.discovery.likely import MOST, NAMED_OF_FEWEST, logistic, tell_disguised
 
 Array = NDArray[np.float64]
 
@@ -32,8 +34,20 @@ BANDS = (0.0, 0.2, 0.5, 0.8, 1.0)
 STARTS = 3
 
 
-def expect(expected: Sequence[Expected], few: Array, numbers: Array) -> Array:
-    """Return the probabilities [N] of the trials by these numbers [4, 2]."""
+def expect(
+    expected: Sequence[Expected],
+    runs: Array,
+    numbers: Array,
+    fewest: tuple[float, float] = NAMED_OF_FEWEST,
+) -> Array:
+    """Return the probabilities [N] of the trials by these numbers [4, 2].
+
+    Args:
+        expected: what their plans expect.
+        runs: [N] logs of each.
+        numbers: offset and slope of NAMES.
+        fewest: the same of what is named of fewer than MANY_RUNS.
+    """
 
     def stack(name: str) -> Array:
         return np.array([getattr(one, name) for one in expected])
@@ -43,7 +57,9 @@ def expect(expected: Sequence[Expected], few: Array, numbers: Array) -> Array:
         return logistic(offset, slope, x)
 
     rise = stack("rise")
-    sure = np.where(few[:, None], curve("NAMED_OF_FEW", rise), curve("NAMED", rise))
+    few, least = (runs[:, None] < most for most in (ENOUGH_RUNS, MANY_RUNS))
+    sure = np.where(few, curve("NAMED_OF_FEW", rise), curve("NAMED", rise))
+    sure = np.where(least, logistic(*fewest, rise), sure)
     apart = curve("APART", stack("grow"))
     alone = tell_disguised(apart, stack("apart"), stack("disguised"))
     worth = curve("WORTH", stack("outgrow"))
@@ -55,11 +71,11 @@ def fit(trials: Sequence[Trial]) -> tuple[Array, Array]:
     """Return the numbers [4, 2], and the trials' probabilities [N] by them."""
     expected = [t.expected for t in trials if t.expected is not None]
     right = np.array([t.right for t in trials])
-    few = np.array([t.runs < ENOUGH_RUNS for t in trials])
+    runs = np.array([t.runs for t in trials])
 
     def cost(x: Array) -> float:
         numbers = x.reshape(PRIOR.shape)
-        p = np.clip(expect(expected, few, numbers), 1e-4, 1.0 - 1e-4)
+        p = np.clip(expect(expected, runs, numbers), 1e-4, 1.0 - 1e-4)
         likelihood = np.where(right, np.log(p), np.log(1.0 - p)).sum()
         return float(0.5 * np.sum(((numbers - PRIOR) / SPREAD) ** 2) - likelihood)
 
@@ -69,7 +85,7 @@ def fit(trials: Sequence[Trial]) -> tuple[Array, Array]:
     found = [minimize(cost, x, method="Nelder-Mead", options=options) for x in starts]
     best = min(found, key=lambda one: float(one.fun))
     numbers = np.asarray(best.x).reshape(PRIOR.shape)
-    return numbers, expect(expected, few, numbers)
+    return numbers, expect(expected, runs, numbers)
 
 
 def main() -> None:

@@ -20,7 +20,8 @@ WORTHWHILE = 0.985
 WORTHWHILE_ON_ONE = 0.97
 """... or that of one output below this, ..."""
 WORTHWHILE_ON_FEW = 0.9
-"""... or below this where fewer than MANY_RUNS runs show how runs differ."""
+"""... or below this where fewer than MANY_RUNS runs show how runs differ, unless the gain in
+likelihood is more than slow noise explains."""
 MANY_RUNS = 3
 AS_GOOD = 1.005
 """A model without an effect is as good if its RMSE is below this share of what it was."""
@@ -154,10 +155,13 @@ def judge(before: Fitted, after: Fitted, units: Sequence[str]) -> tuple[bool, st
             f"outputs, at best {told}"
         )
     one = before.is_one_run
-    if one and measure_nats(before, after) >= SURE_NATS:
+    few = one or runs < MANY_RUNS
+    sure = few and measure_nats(before, after) >= SURE_NATS
+    if one and sure:
         # Where slow noise hides a large fall, neither a small one nor a bad stretch is chance.
         return True, f"the held-out error falls by more than slow noise explains: {told}"
-    if (runs < MANY_RUNS or one) and ratio[best] > WORTHWHILE_ON_FEW:
+    # Of two runs a small fall is no more chance than of one; but both have to get better.
+    if few and not sure and ratio[best] > WORTHWHILE_ON_FEW:
         count = (
             "stretches of one run" if one else f"{runs} held-out {'run' if runs == 1 else 'runs'}"
         )

@@ -7,7 +7,9 @@ among the open ones is named instead where noise makes up for its expected dista
 by twice its root (the log-likelihood ratio of two models of Gaussian noise is so distributed; Cox,
 JRSS B 24 (1962)).
 Offsets and slopes are a maximum-likelihood fit to 290 verdicts on simulated sensors (`python -m
-benchmarks.study_likely`, whose simulator shares no code with this one), rounded.
+benchmarks.study_likely`, whose simulator shares no code with this one), rounded; what one or two
+logs show, to the first 29 of 40 further ones (`python -m benchmarks.study_few_logs`), when two logs
+had two patterns; two of them that `add` refused then are counted as right.
 """
 
 import numpy as np
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from zerodrift.diagnosis.evidence import SURE_NATS
+from zerodrift.diagnosis.judgement import MANY_RUNS
 from zerodrift.diagnosis.rules import (
     ALIKE_UNITS,
     ALIKE_UNLESS_SURE,
@@ -32,7 +35,9 @@ APART = (-0.2, 2.4)
 NAMED = (1.1, 3.7)
 """Offset and slope of being named at all with enough runs, ..."""
 NAMED_OF_FEW = (-0.5, 2.6)
-"""... and with fewer, where it may also lose next to nothing in any run."""
+"""... and with fewer, where it may also lose next to nothing in any run, ..."""
+NAMED_OF_FEWEST = (2.0, 2.6)
+"""... but with one or two, whose pieces are the evidence; the slope is that of few."""
 WORTH = (-1.4, 2.9)
 """Offset and slope of lowering the error by enough; in runs left out, by which `diagnose` judges,
 it falls by less than is expected of a fit to all."""
@@ -65,6 +70,7 @@ def logistic(offset: float, slope: float, x: Array) -> Array:
 def _expect_naming(told: Told) -> Array:
     """Return the probability [M, D] that each truth is named at all, before any other effect."""
     sure = NAMED if told.runs >= ENOUGH_RUNS else NAMED_OF_FEW
+    sure = NAMED_OF_FEWEST if told.runs < MANY_RUNS else sure
     named = logistic(*sure, rise(told.gain, told.nats))
     worth = logistic(*WORTH, outgrow(told.excess))
     return np.asarray(MOST * named * worth * ndtr(0.5 * np.sqrt(np.maximum(told.beside, 0.0))))

@@ -6,6 +6,7 @@ ramps that would be too fast are made as fast as the chamber, and excursions tha
 into their segment are shortened.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,12 @@ MOST_STEPS = 12
 SMALL_K = 1.0
 CROSSINGS = 20.0
 """Log over the time from the coldest to the hottest, in which every segment has time for it."""
+USE_CROSSINGS = 6.0
+"""The same of a log that uses all that the limits allow, ..."""
+USE_S = 3600.0
+"""... and lasts so long at least."""
+FEW = (2, 1)
+"""Logs, each long enough for slow effects and for the whole range of temperatures."""
 QUIET_S = 60.0
 """Each log begins at rest and unloaded for so long, for its tare."""
 SIGNS = hadamard(32)
@@ -40,6 +47,8 @@ class Space:
     limits: Limits
     logs: int
     log_s: float
+    patterns: int = PATTERNS
+    """Different logs at most."""
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -54,13 +63,13 @@ class Space:
     @property
     def size(self) -> int:
         """Numbers of a point."""
-        return PATTERNS * self.per_pattern
+        return self.patterns * self.per_pattern
 
     @property
     def repeats(self) -> Array:
-        """[PATTERNS] how many logs each pattern stands for."""
-        each, more = divmod(self.logs, PATTERNS)
-        return np.array([each + (p < more) for p in range(PATTERNS)], dtype=np.float64)
+        """[patterns] how many logs each pattern stands for."""
+        each, more = divmod(self.logs, self.patterns)
+        return np.array([each + (p < more) for p in range(self.patterns)], dtype=np.float64)
 
     def lengthen(self, crossings: float = CROSSINGS) -> "Space":
         """Return the space with logs long enough for every temperature that the limits allow.
@@ -77,21 +86,31 @@ class Space:
         """Return the different logs of a point."""
         return [
             _decode(self, part, p)
-            for p, part in enumerate(np.split(point, PATTERNS))
+            for p, part in enumerate(np.split(point, self.patterns))
             if self.repeats[p] > 0
         ]
+
+    def use_all(self) -> "Space":
+        """Return the space with a log of each pattern that uses all that the limits allow.
+
+        It is the same whatever the hours: in it effects have their sizes.
+        """
+        least = replace(self, logs=PATTERNS, patterns=PATTERNS, log_s=max(self.limits.log_s, USE_S))
+        return least.lengthen(USE_CROSSINGS)
 
     def build(self, point: Array) -> SetProgramme:
         """Return the programme of a point."""
         patterns = self.list_patterns(point)
         logs = []
         for number in range(self.logs):
-            log = patterns[number % PATTERNS]
-            logs.append(_mirror(log, self.limits) if (number // PATTERNS) % 2 else log)
+            log = patterns[number % self.patterns]
+            logs.append(_mirror(log, self.limits) if (number // self.patterns) % 2 else log)
         return SetProgramme(tuple(logs), self.limits.rest_s, self.limits.start_degC)
 
 
-def choose_spaces(limits: Limits, hours: float, runs: int, wanted: int = 8) -> list[Space]:
+def choose_spaces(
+    limits: Limits, hours: float, runs: int, wanted: int = 8, few: Sequence[int] = ()
+) -> list[Space]:
     """Return the numbers of logs worth a look, the likeliest first.
 
     Args:
@@ -99,14 +118,19 @@ def choose_spaces(limits: Limits, hours: float, runs: int, wanted: int = 8) -> l
         hours: in all.
         runs: logs that there are already.
         wanted: runs that evidence calls for.
+        few: numbers of logs that are worth a look too, after the others. Before any log these are
+            of one pattern: either has to predict the other, at temperatures that both have seen.
     """
     most = int((3600.0 * hours + 1e-6) // (limits.log_s + limits.rest_s))
     counts = {max(1, min(most, wanted - runs)), max(1, min(most, wanted)), max(1, min(most, 4))}
     counts |= {max(1, min(most, 12))}
     spaces = []
-    for count in sorted(counts, key=lambda n: (abs(n - max(wanted - runs, 4)), n)):
+    likely = sorted(counts, key=lambda n: (abs(n - max(wanted - runs, 4)), n))
+    for count in dict.fromkeys((*likely, *(max(1, min(most, n)) for n in few))):
         log_s = 3600.0 * hours / count - limits.rest_s
-        spaces.append(Space(limits, count, float(10.0 * np.floor(log_s / 10.0 + 1e-9))))
+        patterns = 1 if count in few and runs == 0 else PATTERNS
+        log_s = float(10.0 * np.floor(log_s / 10.0 + 1e-9))
+        spaces.append(Space(limits, count, log_s, patterns))
     return spaces
 
 

@@ -29,7 +29,7 @@ from zerodrift.discovery.contenders import (
 from zerodrift.discovery.criterion import CLOSE_ROWS, Judge, Told
 from zerodrift.discovery.likely import weigh
 from zerodrift.discovery.limits import Limits, resolve_limits
-from zerodrift.discovery.patterns import Space, choose_spaces
+from zerodrift.discovery.patterns import FEW, Space, choose_spaces
 from zerodrift.discovery.programme import SetProgramme
 from zerodrift.discovery.search import Best, find_programme, list_designs
 from zerodrift.physics.catalogue import Catalogue
@@ -198,12 +198,13 @@ def plan_experiment(
         before = [replace(run, before=None) for run in runs]
         outputs = tuple(np.argsort(-_rank_outputs(scene, floor))[:3].tolist())
     limits = leave_alone(limits, [c.kind for c in scene.contenders], catalogue)
-    spaces = choose_spaces(limits, question.hours, scene.runs)
+    spaces = choose_spaces(limits, question.hours, scene.runs, few=FEW)
     full_scale = np.array([output.full_scale for output in config.outputs])
     size = SIZE_IN_NOISE * floor if question.target is None else question.target * full_scale
-    everything = list_designs(spaces[0])[1]
+    use = spaces[0].use_all()
+    everything = list_designs(use)[1]
     scene = Judge(scene, limits, (), outputs, CLOSE_ROWS).scale(
-        spaces[0].list_patterns(everything), spaces[0].lengthen().list_patterns(everything), size
+        use.list_patterns(everything), use.lengthen().list_patterns(everything), size
     )
     judge = Judge(scene, limits, before, outputs)
     first_s = [0.0]
@@ -233,7 +234,7 @@ def plan_experiment(
         scene,
         best.space.build(best.point),
         told,
-        spaces[0].build(everything),
+        use.build(everything),
         best,
         tuple(notes),
         time.process_time() - begin,

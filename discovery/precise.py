@@ -15,7 +15,7 @@ from zerodrift.diagnosis.examination import fit_base, measure_rest
 from zerodrift.discovery.contenders import Scene, Truth, draw_fitted, spread_typical
 from zerodrift.discovery.criterion import ROWS, Judge
 from zerodrift.discovery.limits import Limits, resolve_limits
-from zerodrift.discovery.patterns import choose_spaces
+from zerodrift.discovery.patterns import USE_CROSSINGS, choose_spaces
 from zerodrift.discovery.plan import Question, leave_alone, open_blank
 from zerodrift.discovery.precise_plan import (
     FoundPrecise,
@@ -32,8 +32,6 @@ from zerodrift.physics.projection import list_coordinates
 
 Array = NDArray[np.float64]
 
-USE_CROSSINGS = 6.0
-"""Length of a log that uses all that the limits allow, over the time from coldest to hottest."""
 DRIFT = 0.01
 """RMS of the drift over full scale before the first log, over a programme that moves everything."""
 SEED = 1

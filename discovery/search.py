@@ -12,13 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.discovery.patterns import PATTERNS, PER_SEGMENT, SEGMENTS, Space
+from zerodrift.discovery.patterns import PER_SEGMENT, SEGMENTS, Space
 
 Array = NDArray[np.float64]
 
 POPULATION = 24
 SEED = 20
 """Of the search; the same question has the same answer, but for where time ends it."""
+DESIGNED = 0.35
+"""Share of the time after which no more designed programmes are tried."""
 ENOUGH = 0.999
 """A worth beyond which nothing is left to be gained."""
 
@@ -90,7 +92,7 @@ def list_designs(space: Space) -> list[Array]:
     for i in range(len(_DESIGNS)):
         for j in (i, (i + 1) % len(_DESIGNS)):
             parts = [encode(_DESIGNS[i], 0.9), encode(_DESIGNS[j], 0.1)]
-            points.append(np.concatenate(parts[:PATTERNS]))
+            points.append(np.concatenate(parts[: space.patterns]))
     return points
 
 
@@ -132,11 +134,12 @@ def find_programme(
 
     try:
         designed: list[tuple[Space, float, Array]] = []
-        for space in spaces:
-            for point in list_designs(space):
+        # By turns: a short search has looked at every number of logs too.
+        for turn in zip(*(list_designs(space) for space in spaces), strict=True):
+            for space, point in zip(spaces, turn, strict=True):
                 designed.append((space, assess(space, point), point))
-                if tried > 1 and time.process_time() - begin > 0.35 * budget_s:
-                    break
+            if time.process_time() - begin > DESIGNED * budget_s:
+                break
         assert best is not None
         first(best)
         space = best.space

@@ -42,6 +42,30 @@ def test_an_output_that_never_moves_waters_nothing_down():
     assert change.ratio.tolist() == pytest.approx([np.sqrt(0.96), 1.0, 1.0])
 
 
+@pytest.mark.parametrize(
+    ("after", "nats", "helps"),
+    [
+        ([0.9, 0.9], 30.0, True),  # more than slow noise explains, as in the stretches of one run
+        ([0.9, 0.9], 5.0, False),  # a fall of 5 % that may be chance
+        ([0.6, 0.6], 5.0, True),
+        ([0.5, 1.3], 30.0, False),  # one of both gets worse
+    ],
+)
+def test_two_runs_are_no_weaker_evidence_than_one(after, nats, helps, monkeypatch):
+    def leave(squares: list[float]) -> SimpleNamespace:
+        return SimpleNamespace(
+            squares=np.array(squares)[:, None],
+            model=SimpleNamespace(outputs=("Fz",)),
+            judged_steady_rmse=np.sqrt([np.mean(squares)]),
+            is_one_run=False,
+        )
+
+    monkeypatch.setattr(judgement, "measure_nats", lambda before, after: nats)
+    found, reason = judgement.judge(leave([1.0, 1.0]), leave(after), ("N",))
+    assert found is helps
+    assert ("may be chance" in reason) is (not helps and nats < judgement.SURE_NATS)
+
+
 def test_the_logs_are_judged_as_they_were_read(monkeypatch):
     """Also where outliers were looked for once more, and where an output stands still."""
     rng = np.random.default_rng(4)

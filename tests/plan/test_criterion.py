@@ -137,7 +137,8 @@ def test_coefficients_are_those_of_the_octaves_over_their_noise(planned):
     assert white.whiten(x, 0)[0, :, 0] == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_slow_zero_shift_is_a_rival_of_a_gradient_once_there_are_four_logs():
+def test_a_slow_zero_shift_is_a_rival_of_a_gradient_once_there_are_four_logs(monkeypatch):
+    monkeypatch.setattr("zerodrift.discovery.plan.FEW", ())
     planned = plan("thermal_lag", "thermal_gradient", hours=4.0)
     (lag, gradient) = planned.scene.contenders
     assert [form.fewest_runs for form in lag.forms] == [0, 0, FEWEST_RUNS]
@@ -205,6 +206,18 @@ def test_long_logs_reach_every_temperature(planned):
     wide = space.lengthen().list_patterns(list_designs(space)[1])
     reached = {s.temperature_degC for log in wide for s in log.settings}
     assert {planned.limits.low_degC, planned.limits.high_degC} <= reached
+
+
+def test_an_effect_is_as_large_whatever_the_hours():
+    """A short plan had taken for a target what it can move within its own time."""
+
+    def list_sizes(hours):
+        contenders = plan("thermal_lag", "creep", hours=hours, budget_s=0.1).scene.contenders
+        return [truth.coefficients for c in contenders for truth in c.truths]
+
+    for short, long in zip(list_sizes(0.5), list_sizes(8.0), strict=True):
+        assert np.any(short != 0.0)
+        assert short == pytest.approx(long)
 
 
 LARGE = np.full((2, 4, 1), 100.0)

@@ -6,7 +6,7 @@ import pytest
 from tests.plan.projects import read
 from zerodrift.discovery.files import list_protocols
 from zerodrift.discovery.limits import resolve_limits
-from zerodrift.discovery.patterns import Space, choose_spaces
+from zerodrift.discovery.patterns import FEW, Space, choose_spaces
 from zerodrift.discovery.programme import (
     Log,
     SetProgramme,
@@ -55,9 +55,31 @@ def test_the_check_of_limits_sees_what_breaks_them():
 
 
 def test_hours_count_logs_and_rests():
-    for space in choose_spaces(LIMITS, 4.0, runs=2):
+    for space in choose_spaces(LIMITS, 4.0, runs=2, few=FEW):
         assert space.build(list_designs(space)[0]).hours <= 4.0 + 1e-9
         assert space.log_s >= LIMITS.log_s
+
+
+def test_few_long_logs_are_worth_a_look_beside_the_likeliest():
+    likely = choose_spaces(LIMITS, 4.0, runs=0)
+    spaces = choose_spaces(LIMITS, 4.0, runs=0, few=FEW)
+    assert spaces == [*likely, *spaces[len(likely) :]]
+    assert {space.logs for space in spaces} == {space.logs for space in likely} | set(FEW)
+    # Of two logs, either is judged by the other: they go to the same temperatures.
+    two = next(space for space in spaces if space.logs == 2)
+    logs = two.build(list_designs(two)[2]).logs
+    settings = [[(s.from_s, s.temperature_degC) for s in log.settings] for log in logs]
+    assert len(logs) == 2 and settings[0] == settings[1]
+    # Where one log is all that there is time for, it is named once.
+    assert [space.logs for space in choose_spaces(LIMITS, 0.5, runs=0, few=FEW)] == [1]
+
+
+def test_what_uses_all_the_limits_is_the_same_whatever_the_hours():
+    use = [space.use_all() for h in (0.5, 4.0, 40.0) for space in choose_spaces(LIMITS, h, 0)]
+    assert all(one == use[0] for one in use)
+    points = list_designs(use[0])
+    reached = [s.temperature_degC for log in use[0].list_patterns(points[1]) for s in log.settings]
+    assert min(reached) == LIMITS.low_degC and max(reached) == LIMITS.high_degC
 
 
 def test_the_thermometer_follows_the_chamber_late():

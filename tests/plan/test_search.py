@@ -1,5 +1,7 @@
 """The search keeps the best programme, whatever ends it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from tests.plan.test_programme import SPACE
@@ -32,3 +34,15 @@ def test_an_interrupt_keeps_the_best_so_far():
     best = find_programme([SPACE], worth, 60.0, lambda text: None)
     assert best.interrupted
     assert best.worth == max(seen) and best.tried == 40
+
+
+def test_a_search_without_time_has_looked_at_every_number_of_logs():
+    spaces = [replace(SPACE, logs=n) for n in (6, 2, 1)]
+    seen: list[int] = []
+
+    def worth(space, point):
+        seen.append(space.logs)
+        return 0.0
+
+    find_programme(spaces, worth, 1e-9, lambda text: None)
+    assert seen[:3] == [6, 2, 1]
