@@ -198,7 +198,9 @@ def plan_experiment(
         before = [replace(run, before=None) for run in runs]
         outputs = tuple(np.argsort(-_rank_outputs(scene, floor))[:3].tolist())
     limits = leave_alone(limits, [c.kind for c in scene.contenders], catalogue)
-    spaces = choose_spaces(limits, question.hours, scene.runs, few=FEW)
+    # "Nothing more is missing" takes that many runs: logs that go on with others have to reach them.
+    few = [n for n in FEW if scene.runs == 0 or scene.runs + n >= ENOUGH_RUNS]
+    spaces = choose_spaces(limits, question.hours, scene.runs, few=few)
     full_scale = np.array([output.full_scale for output in config.outputs])
     size = SIZE_IN_NOISE * floor if question.target is None else question.target * full_scale
     use = spaces[0].use_all()

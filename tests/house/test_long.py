@@ -1,5 +1,7 @@
 """The list of tests that take longest names tests that there are."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 from tests.conftest import LONG
@@ -14,6 +16,15 @@ def test_every_long_test_is_there() -> None:
         if file not in texts:
             texts[file] = (ROOT / file).read_text(encoding="utf-8")
         assert f"def {function.rpartition('::')[2]}(" in texts[file], name
+
+
+def test_every_long_test_is_collected() -> None:
+    """A parameter that has another name by now would bring a long test back into `make test`."""
+    files = sorted({name.partition("::")[0] for name in LONG})
+    command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run([*command, *files], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    assert not LONG - set(done.stdout.splitlines())
 
 
 def test_the_list_is_sorted_and_leaves_the_main_job_to_make_test() -> None:
