@@ -7,7 +7,6 @@ rule. Shares no code with what derived the bound first and needs the standard li
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 
 from zerodrift.verify import bound_numbers as numbers
@@ -16,42 +15,28 @@ from zerodrift.verify.bound_conversion import ConversionCheck
 from zerodrift.verify.bound_forms import CODE, LOAD, NodeForm, find_list, read_forms
 from zerodrift.verify.bound_gru import bound_gru
 from zerodrift.verify.bound_lstm import bound_lstm
+from zerodrift.verify.bound_signals import (
+    COPY,
+    Has,
+    bound_constant_power,
+    bound_limited,
+    bound_limits,
+    bound_linear,
+    bound_power,
+    copy_short,
+    expect,
+    list_gains,
+    reach_sum,
+    round_up,
+)
 from zerodrift.verify.bound_sums import FeatureRange
 from zerodrift.verify.c_model import Model
 from zerodrift.verify.c_values import Block, NotUnderstoodError, Pointer, Struct
 
 HALF = Fraction(1, 2)
-COPY, STATE = 15, 30
+STATE = 30
 EXPONENT_BITS, RING_BITS, LOWPASS_BITS, TABLE_BITS = 24, 31, 24, 16
 RECURRENT = ("gru_after", "gru_before", "lstm")
-DIGITS = 200
-"""Bits that a fraction is shortened to, upwards."""
-
-
-@dataclass(frozen=True)
-class Has:
-    """A signal: its integers' range and meaning, and how far that is from the float model."""
-
-    line: FloatLine
-    low: int
-    high: int
-    scale: Fraction
-    error: Fraction
-
-    def at(self, q: int) -> Fraction:
-        """Return what an integer stands for."""
-        return q * self.scale + self.line.offset
-
-    @property
-    def ends(self) -> tuple[Fraction, Fraction]:
-        """The lowest and highest value."""
-        low, high = sorted((self.at(self.low), self.at(self.high)))
-        return low, high
-
-    @property
-    def size(self) -> Fraction:
-        """The largest absolute value."""
-        return max(map(abs, self.ends))
 
 
 def check_bound(told: Mapping[str, object], model: Model) -> tuple[int, list[str]]:
@@ -140,30 +125,30 @@ class _BoundCheck:
         if line.node == "drift":
             claim = self._claims[line.index]
             scale = Fraction(1, claim.counts_per_unit)
-            return Has(line, 0, 0, scale, _up(self._drift(line, inputs, scale)))
+            return Has(line, 0, 0, scale, round_up(self._drift(line, inputs, scale)))
         if vector:
             low, high, error = self._row(line, inputs)
             self._vectors.setdefault(line.node, []).append((low, high))
             if len(self._vectors[line.node]) != line.index + 1:
                 raise NotUnderstoodError(f"{line.node}: rows out of their order")
-            return Has(line, low, high, line.scale, _up(error))
+            return Has(line, low, high, line.scale, round_up(error))
         low, high = self._range(line)
         out = Has(line, low, high, line.scale, Fraction(0))
         moving = [x for x in inputs if x.line.node]
         if line.operation == "constant":
-            error = abs(line.offset - _given(line.numbers[0]))
+            error = abs(line.offset - expect(line.numbers[0]))
         elif not line.node or (moving and all(x.line.place == line.place for x in moving)):
             error = self._same_integers(line, out, inputs)
         else:
             error = self._by_form(line, out, inputs, self._forms[line.node])
-        return Has(line, low, high, line.scale, _up(error))
+        return Has(line, low, high, line.scale, round_up(error))
 
     # --- rules of signals without integers of their own
 
     def _same_integers(self, line: FloatLine, out: Has, inputs: list[Has]) -> Fraction:
         if line.operation in ("linear", "same"):
             own = {line.place: line.scale} if line.node else {}
-            return _linear(_gains(line), inputs, own, line.offset)
+            return bound_linear(list_gains(line), inputs, own, line.offset)
         if line.operation == "product":
             a, b = inputs if not inputs[1].line.node else (inputs[1], inputs[0])
             c = b.line.offset
@@ -175,13 +160,13 @@ class _BoundCheck:
                 x.error + max(abs(out.at(q) - x.at(q)) for q in (x.low, x.high)) for x in inputs
             )
         if line.operation in ("clip", "maximum", "minimum"):
-            return _limited(line, out.ends, inputs)
+            return bound_limited(line, out.ends, inputs)
         if line.operation == "delay":
-            steps = max(_given(line.numbers[0]), Fraction(0)) / _given(line.numbers[1])
+            steps = max(expect(line.numbers[0]), Fraction(0)) / expect(line.numbers[1])
             x = inputs[0]
             return x.error + steps * (x.high - x.low) * abs(x.scale)
         if line.operation in ("exp2", "power") and not line.node:
-            return _constant_power(line, inputs[0])
+            return bound_constant_power(line, inputs[0])
         raise NotUnderstoodError(f"{line.operation} without a node of its own")
 
     # --- rules by what the C computes
@@ -210,7 +195,7 @@ class _BoundCheck:
     def _input(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         if form.call != CODE or form.shift:
             raise NotUnderstoodError(f"{line.node} is no limited code")
-        lsb, offset, taken_off = map(_given, line.numbers)
+        lsb, offset, taken_off = map(expect, line.numbers)
         factor = form.terms[(CODE,)]
         low, high = form.numbers
         gaps = []
@@ -222,14 +207,14 @@ class _BoundCheck:
     def _load(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         if form.call != LOAD or form.constant or form.shift:
             raise NotUnderstoodError(f"{line.node} is no load")
-        (lsb,) = map(_given, line.numbers)
+        (lsb,) = map(expect, line.numbers)
         if line.scale * form.terms[(LOAD,)] != lsb or line.offset:
             raise NotUnderstoodError(f"{line.node}: its counts are not those of its code")
         claim = self._claims[form.load]
         return claim.bound * claim.counts_per_unit * lsb
 
     def _counter(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
-        if form.call != "count" or line.scale != _given(line.numbers[0]) or line.offset:
+        if form.call != "count" or line.scale != expect(line.numbers[0]) or line.offset:
             raise NotUnderstoodError(f"{line.node} counts another time")
         return Fraction(0)
 
@@ -245,7 +230,7 @@ class _BoundCheck:
         half = 1 << form.shift >> 1
         constant = (form.constant - (0 if form.rounded else half)) * unit + line.offset
         rounded = HALF * abs(line.scale) if form.shift else Fraction(0)
-        return _linear(_gains(line), inputs, own, constant) + rounded
+        return bound_linear(list_gains(line), inputs, own, constant) + rounded
 
     def _product(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         a, b = inputs
@@ -269,7 +254,7 @@ class _BoundCheck:
         if (moving[0].scale, moving[0].line.offset) != (line.scale, line.offset):
             raise NotUnderstoodError(f"{line.node} has another meaning than what it limits")
         low, high = sorted((out.at(form.low), out.at(form.high)))
-        return _limited(line, (low, high), inputs)
+        return bound_limited(line, (low, high), inputs)
 
     def _extreme(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         if form.low is not None:
@@ -292,7 +277,7 @@ class _BoundCheck:
         (x,) = inputs
         self._follows(line, x, form, "zd_lowpass")
         c_q24, m_q31, shift = form.numbers
-        tau_s, period_s = map(_given, line.numbers)
+        tau_s, period_s = map(expect, line.numbers)
         a, c = Fraction(m_q31, 1 << (shift + 22)), Fraction(c_q24, 1 << LOWPASS_BITS)
         # real: y' = y + A (x - y) + C (x' - x)
         forgets = [1 - kept for kept in numbers.exp(-period_s / tau_s)]
@@ -310,7 +295,7 @@ class _BoundCheck:
         (x,) = inputs
         share = Fraction(form.numbers[0], 1 << RING_BITS) if form.call == "between" else Fraction(0)
         self._follows(line, x, form, "between" if share else "ring")
-        delay_s, period_s = map(_given, line.numbers)
+        delay_s, period_s = map(expect, line.numbers)
         fields = self._model.program.structs[f"{self._model.prefix}_state_t"]
         (ring,) = [f for f in fields if f.name == f"{line.node}_line"]
         steps = self._model.constant(ring.sizes[0])
@@ -320,7 +305,7 @@ class _BoundCheck:
     def _play(self, line: FloatLine, out: Has, inputs: list[Has], form: NodeForm) -> Fraction:
         (x,) = inputs
         self._follows(line, x, form, "zd_play")
-        width = _given(line.numbers[0]) / abs(x.scale)
+        width = expect(line.numbers[0]) / abs(x.scale)
         span = x.high - x.low
         if width >= span and form.numbers[0] >= span:  # neither moves but by what x is off
             return 3 * x.error
@@ -333,7 +318,7 @@ class _BoundCheck:
         unit = Fraction(1, 1 << (form.shift + EXPONENT_BITS))
         own = {(factors[0], 0): c * unit for factors, c in form.terms.items() if len(factors) == 1}
         constant = (form.constant - (1 << form.shift >> 1)) * unit
-        off = _linear([Fraction(1)], [x], own, constant)
+        off = bound_linear([Fraction(1)], [x], own, constant)
         off += HALF / (1 << EXPONENT_BITS) if form.shift else 0
         (top,) = form.numbers
         if off > 1 or line.scale != Fraction(2) ** (top - 27) or line.offset:
@@ -352,7 +337,7 @@ class _BoundCheck:
             raise NotUnderstoodError(f"{line.node} is no power of its input")
         if x.line.offset or x.scale <= 0 or line.offset or not isinstance(table, Struct):
             raise NotUnderstoodError(f"{line.node}: a power of what is not counted from 0")
-        exponent = _given(line.numbers[0])
+        exponent = expect(line.numbers[0])
         octave, gains = (self._column(table.tables[name]) for name in ("octave", "gains"))
         low, high, shift = (_one(table.fields[name]) for name in ("low", "high", "shift"))
         top = numbers.power(Fraction(2), exponent)[1] * low
@@ -367,7 +352,7 @@ class _BoundCheck:
             worst_gain = max(worst_gain, gap * top / low)
             worst_octave = max(worst_octave, off * gain * unit)
         rounded = line.scale * HALF if shift else Fraction(0)
-        return worst_gain + worst_octave + rounded + _pass_power(x, exponent)
+        return worst_gain + worst_octave + rounded + bound_power(x, exponent)
 
     def _column(self, pointer: object) -> list[int]:
         if not isinstance(pointer, Pointer):
@@ -381,10 +366,10 @@ class _BoundCheck:
             return self._feature(line, inputs)
         if line.node == "head":
             weights = self._weights("head_weights", line.index, len(inputs))
-            copies = [_copy(x) for x in inputs]
+            copies = [copy_short(x) for x in inputs]
             own = {x.line.place: w * line.scale for x, w in zip(inputs, weights, strict=True)}
-            low, high = _reach(weights, copies)
-            return low, high, _linear(_gains(line), copies, own, line.offset)
+            low, high = reach_sum(weights, copies)
+            return low, high, bound_linear(list_gains(line), copies, own, line.offset)
         return self._dense(line, inputs)
 
     def _state(self, line: FloatLine, inputs: list[Has]) -> Has:
@@ -402,7 +387,7 @@ class _BoundCheck:
         most, error = self._model.h_limit, errors[line.index]
         if copied:
             most, error = most + (1 << STATE - COPY >> 1) >> STATE - COPY, error + HALF * line.scale
-        return Has(line, -most, most, line.scale, _up(error))
+        return Has(line, -most, most, line.scale, round_up(error))
 
     def _any_state(self, line: FloatLine) -> Has:
         """Return a topmost state of a recurrent layer that may be anything from -1 to 1."""
@@ -440,7 +425,7 @@ class _BoundCheck:
         if not alike or [x.index for x in rows] != list(range(len(rows))):
             raise NotUnderstoodError(f"{line.node}: its units are not listed one by one")
         features = [FeatureRange(x.low, x.high, x.scale, x.error) for x in inputs]
-        given = [[_given(number) for number in x.numbers] for x in rows]
+        given = [[expect(number) for number in x.numbers] for x in rows]
         lines = tuple(self._model.tanh_lines)
         if line.operation == "lstm":
             if line.node not in self._model.lstms:
@@ -476,7 +461,7 @@ class _BoundCheck:
             ends = sorted((weight * first, weight * last))
             low, high = low + ends[0], high + ends[1]
         constant = (bias - (1 << shift >> 1)) * unit + line.offset
-        error = _linear(_gains(line), inputs, own, constant)
+        error = bound_linear(list_gains(line), inputs, own, constant)
         held = [min(max(end >> shift, -32768), 32767) for end in (low, high)]
         return held[0], held[1], error + (HALF * line.scale if shift else 0)
 
@@ -487,9 +472,9 @@ class _BoundCheck:
     def _dense(self, line: FloatLine, inputs: list[Has]) -> tuple[int, int, Fraction]:
         if line.operation not in ("dense_tanh", "dense_clip"):
             raise NotUnderstoodError(f"{line.node}: {line.operation}")
-        given, gains = line.numbers[:2], [_given(x) for x in line.numbers[3:]]
-        bias = _given(line.numbers[2])
-        copies = inputs if inputs[0].line.node == "features" else [_copy(x) for x in inputs]
+        given, gains = line.numbers[:2], [expect(x) for x in line.numbers[3:]]
+        bias = expect(line.numbers[2])
+        copies = inputs if inputs[0].line.node == "features" else [copy_short(x) for x in inputs]
         weights = self._weights(f"{line.node}_weights", line.index, len(inputs))
         own_bias = self._cells(f"{line.node}_bias")[line.index]
         shift = self._cells(f"{line.node}_shift")[line.index]
@@ -497,11 +482,11 @@ class _BoundCheck:
         copy = Fraction(1, 1 << TABLE_BITS) if tanh else line.scale * (1 << COPY)
         own = {x.line.place: w * copy / (1 << shift) for x, w in zip(inputs, weights, strict=True)}
         constant = (own_bias - (1 << shift >> 1)) * copy / (1 << shift) - bias
-        error = _linear(gains, copies, own, constant) + (HALF * copy if shift else 0)
-        low, high = (end + own_bias >> shift for end in _reach(weights, copies))
+        error = bound_linear(gains, copies, own, constant) + (HALF * copy if shift else 0)
+        low, high = (end + own_bias >> shift for end in reach_sum(weights, copies))
         if not tanh:
             ends = [self._cells(f"{line.node}_{end}")[line.index] for end in ("low", "high")]
-            gap = _limit_gap(given, (low * copy, high * copy), (ends[0] * copy, ends[1] * copy))
+            gap = bound_limits(given, (low * copy, high * copy), (ends[0] * copy, ends[1] * copy))
             held = [min(max(end, ends[0]), ends[1]) << COPY for end in (low, high)]
             return held[0], held[1], error + gap
         if line.scale != Fraction(1, 1 << 30):
@@ -526,125 +511,7 @@ class _BoundCheck:
             own[(name, int(index or 0))] = c * unit
         constant = (form.constant - (1 << form.shift >> 1)) * unit
         rounded = HALF * scale if form.shift else Fraction(0)
-        return _linear(_gains(line), inputs, own, constant) + rounded
-
-
-def _linear(
-    gains: Sequence[Fraction],
-    inputs: Sequence[Has],
-    own: Mapping[Place, Fraction],
-    constant: Fraction,
-) -> Fraction:
-    """Return how far own . q + constant can be from the sum of gains times real inputs."""
-    total = Fraction(0)
-    left = dict(own)
-    ranges: dict[Place, Has] = {}
-    for gain, x in zip(gains, inputs, strict=True):
-        total += abs(gain) * x.error
-        constant -= gain * x.line.offset
-        if x.line.node:
-            left[x.line.place] = left.get(x.line.place, Fraction(0)) - gain * x.scale
-            ranges[x.line.place] = x
-    low = high = constant
-    for place, rest in left.items():
-        if rest:
-            if place not in ranges:
-                raise NotUnderstoodError(f"{place[0]} is added and stands for nothing")
-            ends = (rest * ranges[place].low, rest * ranges[place].high)
-            low, high = low + min(ends), high + max(ends)
-    return total + max(abs(low), abs(high))
-
-
-def _gains(line: FloatLine) -> list[Fraction]:
-    return [_given(x) for x in line.numbers] if line.operation == "linear" else [Fraction(1)]
-
-
-def _limited(line: FloatLine, chip: tuple[Fraction, Fraction], inputs: list[Has]) -> Fraction:
-    """Return the error of an input limited to `chip`, in the float model to its own limits."""
-    if line.operation == "clip":
-        return inputs[0].error + _limit_gap(line.numbers[:2], inputs[0].ends, chip)
-    x, fixed = inputs if not inputs[1].line.node else (inputs[1], inputs[0])
-    end = fixed.line.offset
-    given = (end, None) if line.operation == "maximum" else (None, end)
-    return x.error + fixed.error + _limit_gap(given, x.ends, chip)
-
-
-def _limit_gap(
-    given: Sequence[Fraction | None],
-    reach: tuple[Fraction, Fraction],
-    chip: tuple[Fraction, Fraction],
-) -> Fraction:
-    """Return how far two limits of one number can leave it apart; the second may be any two."""
-    corners = [*reach]
-    ends = [end for end in (*given, *chip) if end is not None]
-    corners += [end for end in ends if reach[0] <= end <= reach[1]]
-
-    def held(x: Fraction, low: Fraction | None, high: Fraction | None) -> Fraction:
-        x = x if low is None else max(x, low)
-        return x if high is None else min(x, high)
-
-    return max(abs(held(x, *given) - held(x, *chip)) for x in corners)
-
-
-def _constant_power(line: FloatLine, x: Has) -> Fraction:
-    """Return how far a power of a constant, computed in floats, can be from the real one."""
-    off = []
-    for value in (x.line.offset - x.error, x.line.offset + x.error):
-        if line.operation == "exp2":
-            ends = numbers.exp2(min(max(value, Fraction(-60)), Fraction(60)))
-        else:
-            exponent = _given(line.numbers[0])
-            whole = round(exponent)
-            if abs(exponent - whole) < Fraction(1, 10**12):
-                slope = whole * (abs(x.line.offset) + x.error) ** max(whole - 1, 0)
-                return abs(line.offset - x.line.offset**whole) + slope * x.error
-            ends = numbers.power(max(value, Fraction(0)), exponent)
-        off += [abs(line.offset - end) for end in ends]
-    return max(off)
-
-
-def _pass_power(x: Has, exponent: Fraction) -> Fraction:
-    """Return how far apart powers of numbers are that are x.error apart."""
-    e = x.error
-    if not e:
-        return e
-    low, high = max(x.ends[0] - e, Fraction(0)), max(x.ends[1] + e, Fraction(0))
-    found = []
-    steep = low if exponent < 1 else high
-    if steep > 0:
-        inverse = numbers.power(steep, abs(exponent - 1))
-        slope = inverse[1] if exponent > 1 else 1 / inverse[0]
-        found.append(exponent * slope * e)
-    elif exponent > 1:
-        return Fraction(0)
-    if exponent < 1:
-        found.append(numbers.power(e, exponent)[1])
-    return min(found)
-
-
-def _copy(x: Has) -> Has:
-    """Return the int16 copy of a value with 15 more bits."""
-    half = 1 << (COPY - 1)
-    low, high = (x.low + half) >> COPY, (x.high + half) >> COPY
-    return Has(x.line, low, high, x.scale * (1 << COPY), x.error + abs(x.scale) * half)
-
-
-def _reach(weights: Sequence[int], inputs: Sequence[Has]) -> tuple[int, int]:
-    pairs = [sorted((w * x.low, w * x.high)) for w, x in zip(weights, inputs, strict=True)]
-    return sum(low for low, _ in pairs), sum(high for _, high in pairs)
-
-
-def _up(x: Fraction) -> Fraction:
-    """Return x >= 0 or a little more."""
-    surplus = x.numerator.bit_length() - x.denominator.bit_length() - DIGITS
-    power = Fraction(2) ** surplus
-    return -(-x // power) * power
-
-
-def _given(x: Fraction | None) -> Fraction:
-    if x is None:
-        raise NotUnderstoodError("a number without an end")
-    return x
+        return bound_linear(list_gains(line), inputs, own, constant) + rounded
 
 
 def _one(block: Block) -> int:
