@@ -14,6 +14,8 @@ BLOCK = 256
 BLOCKS = 16
 RECURRING, LEAST_SHARE = 3, 0.2
 """A code recurs that many times, and codes that recur are this share of a coarse log."""
+BY_CHANCE = 0.02
+"""What recurs less often than this share of the commonest value is a mixture met by chance."""
 
 
 def measure_step(values: Array) -> float:
@@ -55,18 +57,26 @@ def _measure_decimals(values: Array, largest: float) -> float:
     return 0.0
 
 
-def measure_resolution(values: Array) -> float:
-    """Return the step of a coarse converter, of which the values [n] that recur are multiples.
+def count_codes(values: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the different values [m] in order, how often each is met, and whether it is a code.
 
-    Rows between two samples are mixtures of two codes and seldom recur. 0 where few values do, so
-    that the step is small beside the noise, or where what recurs are multiples of nothing.
+    A code recurs. Rows between two samples are mixtures of two codes and seldom do.
     """
     ordered = np.sort(values)
     # A mixture of two equal codes is off by the last bits of its arithmetic.
     apart = np.diff(ordered) > 1e-4 * DIGITS * float(np.abs(values).max(initial=0.0))
     starts = np.flatnonzero(np.append(True, apart))
-    levels, counts = ordered[starts], np.diff(np.append(starts, values.size))
-    recurring = counts >= RECURRING
+    counts = np.diff(np.append(starts, values.size))
+    return ordered[starts], counts, counts >= max(RECURRING, BY_CHANCE * counts.max())
+
+
+def measure_resolution(values: Array) -> float:
+    """Return the step of a coarse converter, of which the values [n] that recur are multiples.
+
+    0 where few values recur, so that the step is small beside the noise, or where what recurs are
+    multiples of nothing.
+    """
+    levels, counts, recurring = count_codes(values)
     if counts[recurring].sum() < LEAST_SHARE * values.size:
         return 0.0
     # A converter's rails are no two codes side by side.

@@ -198,7 +198,7 @@ def plan_experiment(
         before = [replace(run, before=None) for run in runs]
         outputs = tuple(np.argsort(-_rank_outputs(scene, floor))[:3].tolist())
     limits = leave_alone(limits, [c.kind for c in scene.contenders], catalogue)
-    # "Nothing more is missing" takes that many runs: logs that go on with others have to reach them.
+    # "Nothing more is missing" takes so many runs: logs that go on with others have to reach them.
     few = [n for n in FEW if scene.runs == 0 or scene.runs + n >= ENOUGH_RUNS]
     spaces = choose_spaces(limits, question.hours, scene.runs, few=few)
     full_scale = np.array([output.full_scale for output in config.outputs])

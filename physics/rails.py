@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.dataset.resolution import LEAST_SHARE, count_codes
+
 Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 5
@@ -12,7 +14,7 @@ RESOLVED = 0.2
 PILED = 3.0
 """There the extreme must be met this many times more often than any value next to it."""
 NEIGHBOURS = 4
-"""Values next to the extreme that it is compared with where noise is resolved."""
+"""Values, and codes that recur, next to the extreme, with which it is compared there."""
 RARITY = 5.0
 """The extreme must last, or be met, this many times longer than any other value."""
 FEWEST_VISITS = 20
@@ -29,7 +31,8 @@ def find_rails(measured: Array, reference: Array) -> Array:
     Limits: with noise, a value that is not clipped hardly ever repeats its exact extreme. In a log
         of few distinct values every value lasts, and the extreme must last much longer to count.
         Where no load moves, the drift may stay at the end of its range; there the extreme must
-        occur much more often than the neighbouring values, over which noise would spread it.
+        occur much more often than the neighbouring values, over which noise would spread it. Rows
+        between two samples of a coarse converter are mixtures of two codes: there the codes count.
     """
     measured, reference = np.ascontiguousarray(measured), np.ascontiguousarray(reference)
     flags = np.zeros(measured.size)
@@ -45,6 +48,9 @@ def find_rails(measured: Array, reference: Array) -> Array:
     still = float(np.ptp(reference)) == 0.0
     if still and not resolved:
         return flags
+    if still and np.count_nonzero(~between) >= LEAST_SHARE * measured.size:
+        if all(np.count_nonzero(standing) >= FEWEST_SAMPLES for standing in ends):
+            return flags  # two codes of a coarse converter: no drift goes from rail to rail
     lasts = None if still else _measure_stands(np.abs(np.diff(measured)) <= same)
     elsewhere = 1.0 if lasts is None else float(lasts[between].max(initial=1.0))
     for sign, standing in zip((1.0, -1.0), ends, strict=True):
@@ -52,7 +58,7 @@ def find_rails(measured: Array, reference: Array) -> Array:
         count = int(standing.sum())
         if count < FEWEST_SAMPLES:
             continue
-        if resolved and count >= max(FEWEST_SAMPLES, PILED * _count_next(height, between, same)):
+        if resolved and count >= PILED * _count_next(height, between):
             flags[standing] = 1.0
             continue
         if still:
@@ -89,10 +95,12 @@ def _is_resolved(measured: Array, between: NDArray[np.bool_], same: float) -> bo
     return turns.size > 0 and float(turns.mean()) > RESOLVED
 
 
-def _count_next(height: Array, between: NDArray[np.bool_], same: float) -> int:
-    """Return how often the most frequent of the values next to the extreme is met."""
-    values, counts = np.unique(np.round(height[between] / same), return_counts=True)
-    return int(counts[-NEIGHBOURS:].max(initial=1)) if values.size else 1
+def _count_next(height: Array, between: NDArray[np.bool_]) -> int:
+    """Return how often the most frequent of the values, and of the codes, next to it is met."""
+    if not between.any():
+        return 1
+    _, counts, recurring = count_codes(height[between])
+    return int(max(counts[-NEIGHBOURS:].max(), counts[recurring][-NEIGHBOURS:].max(initial=1)))
 
 
 def _measure_stands(unchanged: NDArray[np.bool_]) -> Array:

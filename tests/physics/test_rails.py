@@ -60,3 +60,31 @@ def test_plateau_of_an_unloaded_log_is_no_rail():
     coarse = np.round((drift + 0.001 * rng.normal(size=2000)) / 0.02) * 0.02
     assert not find_rails(fine, np.zeros(2000)).any()
     assert not find_rails(coarse, np.zeros(2000)).any()
+
+
+def resample(codes, rng):
+    """Return samples between two neighbours each, as a log of an uneven clock has them."""
+    at = np.arange(codes.size) + rng.uniform(-0.4, 0.4, size=codes.size)
+    return np.interp(np.arange(codes.size), at, codes)
+
+
+@pytest.mark.parametrize("levels", [1.0, 4.0])
+def test_mixtures_of_a_coarse_converters_codes_make_no_rail(levels):
+    rng = np.random.default_rng(7)
+    drift = (levels + 0.4) * np.sin(np.arange(2000) / 300.0)
+    for _ in range(10):
+        coarse = np.round(drift + 0.35 * rng.normal(size=2000))
+        assert not find_rails(resample(coarse, rng), np.zeros(2000)).any()
+
+
+def test_a_coarse_converter_of_an_uneven_clock_has_rails_too():
+    rng = np.random.default_rng(8)
+    drift = 6.0 * np.sin(np.arange(2000) / 300.0) + 0.35 * rng.normal(size=2000)
+    clipped = resample(np.minimum(np.round(drift), 3.0), rng)
+    assert (find_rails(clipped, np.zeros(2000)) == (clipped >= 3.0 - 1e-9)).all()
+
+
+def test_two_codes_are_no_rails_of_an_unloaded_log():
+    rng = np.random.default_rng(9)
+    coarse = np.round(0.5 + 0.3 * rng.normal(size=600)).clip(0.0, 1.0)
+    assert not find_rails(resample(coarse, rng), np.zeros(600)).any()
