@@ -48,9 +48,9 @@ def find_rails(measured: Array, reference: Array) -> Array:
     still = float(np.ptp(reference)) == 0.0
     if still and not resolved:
         return flags
-    if still and np.count_nonzero(~between) >= LEAST_SHARE * measured.size:
-        if all(np.count_nonzero(standing) >= FEWEST_SAMPLES for standing in ends):
-            return flags  # two codes of a coarse converter: no drift goes from rail to rail
+    many = np.count_nonzero(~between) >= LEAST_SHARE * measured.size
+    if still and many and min(map(np.count_nonzero, ends)) >= FEWEST_SAMPLES:
+        return flags  # two codes of a coarse converter: no drift goes from rail to rail
     lasts = None if still else _measure_stands(np.abs(np.diff(measured)) <= same)
     elsewhere = 1.0 if lasts is None else float(lasts[between].max(initial=1.0))
     for sign, standing in zip((1.0, -1.0), ends, strict=True):
