@@ -76,7 +76,7 @@ flash-image: $(READY) ## ELF and BIN of the example firmware for QEMU's Cortex-M
 	@test -f $(SENSOR)/build/model.json || $(MAKE) --no-print-directory firmware-model
 	$(RUN) examples/firmware/build.py $(SENSOR)
 
-test: $(READY) ## the tests (under 6 minutes on two cores)
+test: $(READY) ## the tests (six to eleven minutes on two cores)
 	$(RUN) -m pytest -q -n 2 -m "not slow and not long" tests
 
 test-long: $(READY) ## the few hundred tests that take longest, which `make test` leaves out; CI runs both
