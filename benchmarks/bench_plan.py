@@ -2,7 +2,8 @@
 
     python -m benchmarks.bench_plan hours [--seed N] [--sensors N] [--pairs N] [--hours H,H]
                                            [--file FILE] [--minutes M]
-    python -m benchmarks.bench_plan probability [--seed N] [--plans N] [--draws N] [--file FILE]
+    python -m benchmarks.bench_plan probability [--seed N [N ...]] [--plans N] [--draws N]
+                                                [--file FILE] [--minutes M]
     python -m benchmarks.bench_plan time
 
 The sensors are those of `lab/twin`, which shares no code with what plans. Each hides one effect of
@@ -20,6 +21,7 @@ bounds are one-sided, 95 %, Clopper-Pearson.
 """
 
 import argparse
+import itertools
 import json
 import sys
 import time
@@ -357,7 +359,7 @@ def main(arguments: Sequence[str]) -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("what", choices=("hours", "probability", "time"))
-    parser.add_argument("--seed", type=int, default=100)
+    parser.add_argument("--seed", type=int, nargs="+", default=[100])
     parser.add_argument("--sensors", type=int, default=5)
     parser.add_argument("--pairs", type=int, default=len(PAIRS))
     parser.add_argument("--hours", default=",".join(f"{h:g}" for h in HOURS))
@@ -370,10 +372,11 @@ def main(arguments: Sequence[str]) -> None:
     print("simulated sensors; all logs here are simulated")
     if options.what == "hours":
         hours = [float(h) for h in options.hours.split(",")]
-        wanted = list_hours(options.seed, options.sensors, hours, options.pairs)
+        wanted = list_hours(options.seed[0], options.sensors, hours, options.pairs)
         tell_hours(run_trials(wanted, options.file, options.minutes, options.budget), hours)
     elif options.what == "probability":
-        trials = list_probability(options.seed, options.plans, options.draws)
+        seeds = [list_probability(seed, options.plans, options.draws) for seed in options.seed]
+        trials = itertools.chain.from_iterable(seeds)
         tell_probability(run_trials(trials, options.file, options.minutes, options.budget))
     else:
         tell_time()

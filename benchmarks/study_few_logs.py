@@ -18,7 +18,7 @@ from benchmarks.bench_plan import PAIRS, Key, Trial, choose_truth, run_trials
 from benchmarks.study_likely import expect
 from zerodrift.discovery import likely, plan
 from zerodrift.discovery.limits import Limits
-from zerodrift.discovery.patterns import Space
+from zerodrift.discovery.patterns import choose_spaces
 
 PLANS = ((1, 1.0, 0.6), (2, 2.0, 0.5), (2, 1.25, 0.8), (1, 1.75, 0.45))
 """Logs, hours and size."""
@@ -41,9 +41,11 @@ def run(seed: int, file: Path | None, minutes: float) -> list[Trial]:
     found = []
     for number, (logs, hours, size) in enumerate(PLANS):
 
-        def choose(limits: Limits, hours: float, *_: int, few: object, logs: int = logs) -> object:
-            lasts_s = 10.0 * np.floor((3600.0 * hours / logs - limits.rest_s) / 10.0 + 1e-9)
-            return [Space(limits, logs, float(lasts_s))]
+        def choose(
+            limits: Limits, hours: float, runs: int, few: object, logs: int = logs
+        ) -> object:
+            found = choose_spaces(limits, hours, runs, few=(logs,))
+            return [space for space in found if space.logs == logs]
 
         with patch.object(plan, "choose_spaces", choose):
             wanted = list_trials(hours, size, seed + TOLD * number)

@@ -11,6 +11,7 @@ from zerodrift.dataset.roles import OUTPUT, RAW_THERMOMETER, STEADY, TEMPERATURE
 from zerodrift.dataset.selectors import LOG_SUFFIXES, list_files, order_path
 from zerodrift.dataset.sources import open_sources
 from zerodrift.dataset.survey import Survey, survey_source, write_range
+from zerodrift.dataset.text_format import NUMBER
 
 
 @dataclass(frozen=True)
@@ -287,12 +288,13 @@ def _explain_lacks(run: FoundRun, period_s: float | None) -> str:
         "a quantity that drifts": "name one with its unit, such as Fz_N, or add the file with it",
     }
     columns = [_tell_column(file, role) for file in run.files for role in file.roles]
-    columns += [
-        f"{name} '{values[0][:24]}' and more text"
+    texts = [
+        _tell_text(name, values)
         for file in run.files
         for name, values in file.survey.texts.items()
         if values
     ]
+    columns += texts
     seen = "; ".join(columns)
     found = "; ".join(told[lack] for lack in lacks)
     if any(RAW_THERMOMETER in role.why for file in run.files for role in file.roles):
@@ -301,10 +303,17 @@ def _explain_lacks(run: FoundRun, period_s: float | None) -> str:
             '{ column = ..., convert = "ntc", ... }'
         )
     todo = "; ".join(remedies[lack] for lack in lacks)
+    todo += ", or mend the text of a column that should hold numbers" if texts else ""
     return (
         f"{who}{line}: {found} (found: {seen or 'no numbers'}); expected {' and '.join(lacks)}. "
         f"To go on: {todo}."
     )
+
+
+def _tell_text(name: str, values: Sequence[str]) -> str:
+    """Return a column of text with the first value that is no number."""
+    odd = next((value for value in values if not NUMBER.fullmatch(value.strip())), values[0])
+    return f"{name} holds text, such as '{odd[:24]}'"
 
 
 def _tell_column(file: SurveyedFile, role: Role) -> str:

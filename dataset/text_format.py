@@ -28,7 +28,7 @@ LONGEST_FIELD = csv.field_size_limit()
 UNNAMED = "\0"
 """Begins the names of columns that have none, which no config can hold."""
 _UTF16 = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _TIME = re.compile(
     r"(\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}|\d{1,2}[- ][A-Za-z]{3}[- ]\d{2,4}|\d{8}T\d{4,6})"
@@ -253,7 +253,7 @@ def _has_decimal_comma(fields: Sequence[Sequence[str]], separator: str) -> bool:
     if not commas:
         return False
     values = [field.strip() for row in fields for field in row]
-    points = sum("." in value and _NUMBER.fullmatch(value) is not None for value in values)
+    points = sum("." in value and NUMBER.fullmatch(value) is not None for value in values)
     if separator == ",":
         # Quoted fields alone can hold one: a file in which one does is more likely a mistake.
         return commas > max(points, len(fields) // 2)
@@ -265,14 +265,14 @@ def _is_value(field: str, comma: bool) -> bool:
     bare = field.strip()
     if comma and _COMMA_NUMBER.fullmatch(bare):
         return True
-    return _NUMBER.fullmatch(bare) is not None or _TIME.fullmatch(bare) is not None
+    return NUMBER.fullmatch(bare) is not None or _TIME.fullmatch(bare) is not None
 
 
 def _is_mostly_values(rows: Sequence[Sequence[str]], column: int, comma: bool) -> bool:
     """Tell whether more than half of the rows have a value in a column."""
     held = [row[column] for row in rows if len(row) > column]
     enough = len(rows) // 2 + 1
-    numbers = filter(None, map(_NUMBER.fullmatch, held))  # in nearly all logs that is enough
+    numbers = filter(None, map(NUMBER.fullmatch, held))  # in nearly all logs that is enough
     if sum(1 for _ in islice(numbers, enough)) == enough:
         return True
     return sum(_is_value(field, comma) for field in held) >= enough
@@ -327,7 +327,7 @@ def _read_commented_header(
         above.append((number, line))
     for number, line in reversed(above):
         names = [name.strip() for name in split_fields(line.lstrip(comment + " \t"), separator)]
-        if len(names) == width and not all(_NUMBER.fullmatch(name) for name in names):
+        if len(names) == width and not all(NUMBER.fullmatch(name) for name in names):
             return number, names
     return None
 

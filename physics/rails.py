@@ -14,7 +14,7 @@ RESOLVED = 0.2
 PILED = 3.0
 """There the extreme must be met this many times more often than any value next to it."""
 NEIGHBOURS = 4
-"""Values, and codes that recur, next to the extreme, with which it is compared there."""
+"""Values next to the extreme, and codes, with which it is compared there."""
 RARITY = 5.0
 """The extreme must last, or be met, this many times longer than any other value."""
 FEWEST_VISITS = 20
@@ -96,7 +96,7 @@ def _is_resolved(measured: Array, between: NDArray[np.bool_], same: float) -> bo
 
 
 def _count_next(height: Array, between: NDArray[np.bool_]) -> int:
-    """Return how often the most frequent of the values, and of the codes, next to it is met."""
+    """Return how often the most frequent value or code next to the extreme is met."""
     if not between.any():
         return 1
     _, counts, recurring = count_codes(height[between])

@@ -136,7 +136,11 @@ def test_codes_that_are_no_temperature_are_marked(tmp_path: Path) -> None:
 def test_what_holds_text_is_shown_where_something_lacks(tmp_path: Path) -> None:
     force = [f'"{1000 + f:,.3f}"' for f in FORCE_N]
     log = write(tmp_path / "log.csv", "time_s,temp_c,F_N", range(COUNT), T, force)
-    with pytest.raises(InputError, match=r"F_N '1,0\d+\.\d+' and more text\); expected a"):
+    with pytest.raises(InputError, match=r"F_N holds text, such as '1,0\d+\.\d+'\); expected a"):
+        guess_project([log])
+    force = ["abc" if row == 3 else f"{f:.3f}" for row, f in enumerate(FORCE_N[:8])]
+    log = write(tmp_path / "short.csv", "time_s,temp_c,F_N", range(8), T[:8], force)
+    with pytest.raises(InputError, match=r"F_N holds text, such as 'abc'\);.* or mend the text"):
         guess_project([log])
 
 

@@ -1,20 +1,16 @@
 """What the comparison gives other methods: offsets left open, and the same rows for all."""
 
 import numpy as np
-from benchmarks.bench_peers import (
+from benchmarks.bench_peers import Trial, gather, run_trials, tell, try_peer
+from benchmarks.bench_propose import RIGHT
+from benchmarks.formula_cases import FORMS, simulate
+from benchmarks.formula_peers import (
     TrainingRows,
-    Trial,
     centre,
-    gather,
     learn_forward,
     list_library,
     list_views,
-    run_trials,
-    tell,
-    try_peer,
 )
-from benchmarks.bench_propose import RIGHT
-from benchmarks.formula_cases import FORMS, simulate
 
 
 def test_forward_selection_finds_columns_whatever_the_offsets_of_runs():
