@@ -21,7 +21,7 @@ NAMES = (
     *("bench_gate", "bench_copies", "bench_memory", "crash_points"),
     *("bench_apply", "bench_uncertainty", "bench_install", "bench_bound"),
     "bench_contracting",
-    *("bench_proof", "bench_object_proof"),
+    *("bench_proof", "bench_object_proof", "bench_lexical"),
     *("bench_steps", "bench_wasm", "bench_small", "bench_kinds"),
 )
 """Modules of this folder, each with `main(quick: bool)`."""
