@@ -24,7 +24,10 @@ def test_every_long_test_is_collected() -> None:
     command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider"]
     done = subprocess.run([*command, *files], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
-    assert not LONG - set(done.stdout.splitlines())
+    collected = set(done.stdout.splitlines())
+    # a file whose library is not installed is skipped whole
+    there = {name.partition("::")[0] for name in collected}
+    assert not {name for name in LONG - collected if name.partition("::")[0] in there}
 
 
 def test_the_list_is_sorted_and_leaves_the_main_job_to_make_test() -> None:
