@@ -26,7 +26,7 @@ def test_every_long_test_is_collected() -> None:
     done = subprocess.run([*command, *files], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
     collected = set(done.stdout.splitlines())
-    # a file whose library is not installed is skipped whole, a compiler that is not here names no case
+    # a file whose library is missing is skipped whole; a compiler that is missing has no cases
     there = {name.partition("::")[0] for name in collected}
     left = {name for name in LONG - collected if name.partition("::")[0] in there}
     assert not {name for name in left if not re.search(r"[\[-](gcc|clang)[\]-]", name)}
