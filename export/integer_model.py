@@ -2,15 +2,15 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field, is_dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from zerodrift.base.files import write_whole
-from zerodrift.base.records import Json, list_fields
+from zerodrift.base.records import OPTIONAL, Json, to_dict
 from zerodrift.operations.arithmetic import CodeArray, IntArray
 from zerodrift.operations.conversion import IntegerConversion
 from zerodrift.operations.drift import IntegerDrift
@@ -25,11 +25,6 @@ FORMAT = 3
 OLDER_FORMAT = 2
 """Knows neither codes that mean no reading nor ranges of other inputs; a model that has none of
 either is written in it, and computes the same."""
-NEWER_FIELDS = (
-    *("no_reading", "ranges", "conversion"),
-    *("junction", "junction_degC", "fraction_bits", "couple", "times"),
-)
-"""Left out of a model's file where they are empty."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +42,9 @@ class Channel:
     """16 or 32: width of the code."""
     source: str = ""
     """Where a log has it: temperature_degC, measured:Fz or an input's name; empty for the name."""
-    no_reading: int | None = None
+    no_reading: int | None = field(default=None, metadata=OPTIONAL)
     """The code that means that there is no reading; None: every code is one."""
-    conversion: IntegerConversion | None = None
+    conversion: IntegerConversion | None = field(default=None, metadata=OPTIONAL)
     """From the raw code that the chip is given to the code; None: they are the same."""
 
     @property
@@ -137,7 +132,7 @@ class Guards:
     """Codes; outside them the range flag is set."""
     rate_max: int
     """Temperature codes per step; a larger change sets the rate flag."""
-    ranges: tuple[tuple[int, int, int], ...] = ()
+    ranges: tuple[tuple[int, int, int], ...] = field(default=(), metadata=OPTIONAL)
     """(channel, lowest, highest code) of other inputs; outside them their range flag is set."""
 
 
@@ -165,15 +160,15 @@ class IntegerModel:
     nodes: tuple[IntegerNode, ...]
     outputs: tuple[OutputFormat, ...]
     guards: Guards
-    notes: dict[str, str] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)
     """For people (where it came from); part of the file, not of the hash."""
-    prefix: str = ""
+    prefix: str = field(default="", metadata=OPTIONAL)
     """What the C's names begin with; empty for the name."""
-    guarded: bool = False
+    guarded: bool = field(default=False, metadata=OPTIONAL)
     """Whether the state has a checksum, which every step checks and updates."""
-    tare: bool = False
+    tare: bool = field(default=False, metadata=OPTIONAL)
     """Whether the drift can be counted from a moment on."""
-    variable_step: bool = False
+    variable_step: bool = field(default=False, metadata=OPTIONAL)
     """Whether each step is given the time since the last one; `sample_period_s` is then the logs'
     period, and that of calls without a time."""
 
@@ -277,20 +272,8 @@ class IntegerModel:
 
     def to_json(self) -> dict[str, Json]:
         """Return plain dicts, lists, numbers and strings."""
-        return {
-            "format": self.format,
-            "name": self.name,
-            "sample_period_s": self.sample_period_s,
-            "channels": [_list_fields(c) for c in self.channels],
-            "nodes": [{"kind": n.kind, **_list_fields(n)} for n in self.nodes],
-            "outputs": [_list_fields(o) for o in self.outputs],
-            "guards": _list_fields(self.guards),
-            "notes": dict(sorted(self.notes.items())),
-            **({"prefix": self.prefix} if self.prefix else {}),
-            **({"guarded": True} if self.guarded else {}),
-            **({"tare": True} if self.tare else {}),
-            **({"variable_step": True} if self.variable_step else {}),
-        }
+        nodes: list[Json] = [{"kind": node.kind, **to_dict(node)} for node in self.nodes]
+        return {"format": self.format, **to_dict(self), "nodes": nodes}
 
     def to_text(self) -> str:
         """Return the model's file: canonical JSON with its hash."""
@@ -304,26 +287,3 @@ class IntegerModel:
 def canonical_json(body: Json) -> str:
     """Return the one JSON text of a value: sorted keys, no spaces, no NaN."""
     return json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
-
-
-def _plain(value: object) -> Json:
-    if isinstance(value, np.ndarray):
-        return {
-            "dtype": value.dtype.name,
-            "shape": list(value.shape),
-            "data": value.ravel().tolist(),
-        }
-    if isinstance(value, np.integer):
-        return int(value)
-    if is_dataclass(value):
-        return _list_fields(value)
-    if isinstance(value, tuple | list):
-        return [_plain(v) for v in value]
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    raise TypeError(f"{type(value).__name__} has no form in a model's file")
-
-
-def _list_fields(record: object) -> dict[str, Json]:
-    values = {field.name: getattr(record, field.name) for field, _ in list_fields(type(record))}
-    return {k: _plain(v) for k, v in values.items() if k not in NEWER_FIELDS or v not in ((), None)}

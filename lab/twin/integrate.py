@@ -43,8 +43,9 @@ def solve_network(system: Array, drive: Array, step_s: float, start: Array) -> t
     Returns x [n, m] and dx/dt [n, m].
     """
     eigenvalues, modes = np.linalg.eig(system)
-    if np.iscomplexobj(eigenvalues) or np.any(eigenvalues >= 0.0):
+    if np.any(eigenvalues.imag != 0.0) or np.any(eigenvalues.real >= 0.0):
         raise ValueError("a passive thermal network has real negative eigenvalues only")
+    eigenvalues, modes = eigenvalues.real, modes.real  # complex in type since NumPy 2.5
     to_modes = np.linalg.inv(modes)
     modal_drive = drive @ to_modes.T
     modal_start = to_modes @ start

@@ -1,6 +1,6 @@
 """From the hardware's raw code to the code of the quantity, by a table of straight lines."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import ClassVar
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from zerodrift.base.conversion_config import ConversionConfig, sum_formula
 from zerodrift.base.errors import CheckError
+from zerodrift.base.records import OPTIONAL
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray, saturate
 from zerodrift.operations.c_text import CTable, format_int32, format_int64, make_table
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_limits, check_shift
@@ -77,9 +78,9 @@ class IntegerConversion(IntegerNode):
     quantity's unit."""
     worth: tuple[float, float] = (0.0, 0.0)
     """Smallest and largest step of the quantity per raw code, in the quantity's unit."""
-    junction: "IntegerConversion | None" = None
+    junction: "IntegerConversion | None" = field(default=None, metadata=OPTIONAL)
     """From the code of the cold junction's channel to a voltage in counts of the sum."""
-    fraction_bits: int | None = None
+    fraction_bits: int | None = field(default=None, metadata=OPTIONAL)
     """Of the sum, beyond those of the raw code."""
 
     @property

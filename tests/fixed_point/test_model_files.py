@@ -70,7 +70,7 @@ EDITS: dict[str, tuple[Edit, str]] = {
     "unknown kind": (lambda b: find_node(b, "head").update(kind="heads"), "unknown kind 'heads'"),
     "field missing": (lambda b: find_node(b, "lowpass").pop("c_q24"), "expected the fields"),
     "field added": (lambda b: find_node(b, "lowpass").update(tau=1), "expected the fields"),
-    "channels missing": (lambda b: b.pop("channels"), "'channels' is missing"),
+    "channels missing": (lambda b: b.pop("channels"), "lacks 'channels'"),
     "shape": (lambda b: find_node(b, "head")["weights"].update(shape=[2, 2]), "do not fill shape"),
     "negative shape": (lambda b: find_node(b, "head")["weights"].update(shape=[-1]), "shape"),
     "float dtype": (lambda b: find_node(b, "head")["weights"].update(dtype="float64"), "integers"),

@@ -1,8 +1,9 @@
 """How a column of the logs becomes the quantity that the model takes, by zerodrift.toml."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
+from zerodrift.base.records import OPTIONAL
 from zerodrift.base.toml_table import TomlTable
 
 KINDS = ("ntc", "pt100", "pt1000", "thermocouple", "table", "polynomial")
@@ -67,13 +68,13 @@ class ConversionConfig:
     coefficients: tuple[float, ...] = ()
     lacks: float | None = None
     """The logged value that means that there is no reading."""
-    couple: str | None = None
+    couple: str | None = field(default=None, metadata=OPTIONAL)
     """Type of the thermocouple; value * scale + offset is its voltage."""
-    junction: str | None = None
+    junction: str | None = field(default=None, metadata=OPTIONAL)
     """The input that measures its cold junction, in degC."""
-    junction_degC: float | None = None
+    junction_degC: float | None = field(default=None, metadata=OPTIONAL)
     """Temperature of a cold junction that is constant, in degC."""
-    times: float | None = None
+    times: float | None = field(default=None, metadata=OPTIONAL)
 
 
 def read_conversion(table: TomlTable, *, of_code: bool = True) -> ConversionConfig | None:

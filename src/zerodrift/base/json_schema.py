@@ -9,8 +9,8 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import is_dataclass
 from functools import cache
-from types import NoneType, UnionType
-from typing import Literal, Union, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Literal, Union, get_type_hints
 
 from zerodrift.base.records import (
     SCHEMA_KEY,
@@ -18,6 +18,7 @@ from zerodrift.base.records import (
     get_aliases,
     get_schema_name,
     list_fields,
+    take_apart,
 )
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -89,15 +90,15 @@ def _annotate(schema: dict[str, Json], text: str) -> dict[str, Json]:
 
 def _describe(hint: object, definitions: Definitions) -> dict[str, Json]:
     """Return the schema of a type; dataclasses are named under `$defs`."""
-    origin, arguments = get_origin(hint), get_args(hint)
-    if isinstance(hint, type) and hint in PLAIN_NAMES:
-        return {"type": PLAIN_NAMES[hint]}
-    if isinstance(hint, type) and is_dataclass(hint):
-        if hint.__name__ not in definitions:
-            definitions[hint.__name__] = None  # it may hold itself
-            definitions[hint.__name__] = _describe_record(hint, definitions)
-        return {"$ref": f"#/$defs/{hint.__name__}"}
-    if origin in (Union, UnionType):
+    origin, arguments = take_apart(hint)
+    if isinstance(origin, type) and origin in PLAIN_NAMES:
+        return {"type": PLAIN_NAMES[origin]}
+    if isinstance(origin, type) and is_dataclass(origin):
+        if origin.__name__ not in definitions:
+            definitions[origin.__name__] = None  # it may hold itself
+            definitions[origin.__name__] = _describe_record(origin, definitions)
+        return {"$ref": f"#/$defs/{origin.__name__}"}
+    if origin is Union:
         return {"anyOf": [_describe(one, definitions) for one in arguments]}
     if origin is Literal:
         return {"enum": list(arguments)}
@@ -109,7 +110,7 @@ def _describe(hint: object, definitions: Definitions) -> dict[str, Json]:
         count = len(arguments)
         items: list[Json] = [_describe(one, definitions) for one in arguments]
         return {"type": "array", "prefixItems": items, "minItems": count, "maxItems": count}
-    if origin in (dict, Mapping):
+    if origin is Mapping:
         return {"type": "object", "additionalProperties": _describe(arguments[1], definitions)}
     raise TypeError(f"{hint} has no schema")
 

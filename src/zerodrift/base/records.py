@@ -2,7 +2,8 @@
 
 A field is a key of its own name. One of metadata `OPTIONAL` is left out where it has its default,
 one of metadata `UNWRITTEN` always; of one of metadata `MEASURED`, NaN and infinity, which JSON
-lacks, are null. Arrays are lists. A class may have two attributes:
+lacks, are null. Arrays of floats are lists; those of integers are objects of `dtype`, `shape` and
+`data`, since their width is part of what they say. A class may have two attributes:
 
     SCHEMA: ClassVar[str] = "compare/1"      the key `schema`, written first
     ALIASES: ClassVar = ("rmse_heldout",)    properties that are written too: older names
@@ -12,8 +13,23 @@ import math
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
+from numbers import Integral
 from types import NoneType, UnionType
-from typing import Literal, TypeAlias, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Literal,
+    TypeAlias,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
 
 T = TypeVar("T")
 
@@ -31,6 +47,8 @@ MEASURED = {"measured": True}
 """Metadata of a float, or a mapping to floats, that may be NaN or infinite: null in the JSON, and
 NaN where it is read."""
 SCHEMA_KEY = "schema"
+ARRAY_KEYS = {"dtype", "shape", "data"}
+"""Of an array of integers."""
 
 
 def to_dict(record: object) -> dict[str, Json]:
@@ -58,9 +76,29 @@ def _null(value: Json) -> Json:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _is_array(kind: object) -> bool:
+def is_array(kind: object) -> bool:
     """Return whether this is NumPy's array, which need not be imported to know."""
     return getattr(kind, "__module__", "") == "numpy" and getattr(kind, "__name__", "") == "ndarray"
+
+
+@cache
+def take_apart(kind: object) -> tuple[object, tuple[Any, ...]]:
+    """Return what an annotation is made of, in whichever way it is spelt.
+
+    All that read annotations of fields ask here.
+
+    Returns:
+        (origin, arguments): (Union, choices), (Literal, values), (tuple, types), (Mapping, (key,
+        value)), (frozenset, (type,)) or (ndarray, (scalar type,)); of a class (class, ()).
+    """
+    origin, arguments = get_origin(kind), get_args(kind)
+    meant = getattr(origin or kind, "__value__", None)
+    if meant is not None:  # `type NDArray[T] = ...`, as NumPy writes it since 2.5
+        return take_apart(meant[arguments] if arguments else meant)
+    if is_array(origin):
+        return origin, get_args(arguments[1])
+    same = {UnionType: Union, dict: Mapping, None: kind}
+    return same.get(origin, origin), arguments
 
 
 def get_schema_name(kind: type) -> str:
@@ -83,46 +121,53 @@ def to_json(value: object) -> Json:
         return [to_json(one) for one in value]
     if isinstance(value, (set, frozenset)):
         return [to_json(one) for one in sorted(value)]
-    if _is_array(type(value)):
-        found: Json = value.tolist()  # type: ignore[attr-defined]
-        return found
+    if is_array(type(value)):
+        return _write_array(value)
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
+    if isinstance(value, Integral):  # NumPy's
+        return int(value)
     raise TypeError(f"{type(value).__name__} has no form in JSON")
 
 
-def from_json(kind: type[T], value: object, where: str = "") -> T:
-    """Return JSON values as a type: a dataclass, Mapping[str, ...], tuple, union or plain type.
+def _write_array(array: Any) -> Json:
+    """Return an array; one of integers with its type."""
+    listed: Json = array.tolist()
+    if array.dtype.kind != "i":
+        return listed
+    return {
+        "dtype": array.dtype.name,
+        "shape": list(array.shape),
+        "data": array.ravel().tolist(),
+    }
 
-    Keys that the type does not have are ignored.
+
+def from_json(kind: type[T], value: object, where: str = "", *, exact: bool = False) -> T:
+    """Return JSON values as a type: a dataclass, Mapping[str, ...], tuple, union or plain type.
 
     Args:
         kind: what is expected.
         value: as `to_json` gives it.
         where: of the value, for the error.
+        exact: nothing is let in that `to_json` does not write: no key that the type does not have
+            (else ignored), no field left out that has a default, no number that is not finite.
 
     Raises:
         ValueError: something is missing or of another type.
     """
-    return cast(T, _read(kind, value, where))
+    return cast(T, _read(kind, value, where, exact))
 
 
-def _read(kind: object, value: object, where: str) -> object:
+def _read(kind: object, value: object, where: str, exact: bool) -> object:
     """Return a value as a type, which may be an alias such as `tuple[int, ...]`."""
-    origin, arguments = get_origin(kind), get_args(kind)
-    if isinstance(kind, type) and kind in PLAIN:
-        if type(value) in PLAIN[kind]:
+    origin, arguments = take_apart(kind)
+    if isinstance(origin, type) and origin in PLAIN:
+        if type(value) in PLAIN[origin] and not (exact and _null(value) != value):
             return value
-    elif isinstance(kind, type) and is_dataclass(kind) and isinstance(value, dict):
-        return _read_record(kind, value, where)
-    elif origin in (Union, UnionType):
-        if value is None and NoneType in arguments:
-            return None
-        choices = [one for one in arguments if one is not NoneType]
-        fitting = [one for one in choices[:-1] if one in PLAIN and type(value) in PLAIN[one]]
-        fitting += [one for one in choices if get_origin(one) is tuple and isinstance(value, list)]
-        fitting += [one for one in choices[::-1] if is_dataclass(one) and isinstance(value, dict)]
-        return _read(fitting[0] if fitting else choices[-1], value, where)
+    elif isinstance(origin, type) and is_dataclass(origin) and isinstance(value, dict):
+        return _read_record(origin, value, where, exact)
+    elif origin is Union:
+        return _read(_choose(arguments, value), value, where, exact)
     elif origin is Literal:
         if value in arguments:
             return value
@@ -130,23 +175,46 @@ def _read(kind: object, value: object, where: str) -> object:
         kinds = arguments[:1] * len(value) if arguments[1:] == (...,) else arguments
         if len(kinds) == len(value):
             pairs = zip(kinds, value, strict=True)
-            return tuple(_read(k, one, f"{where}[{i}]") for i, (k, one) in enumerate(pairs))
-    elif origin in (dict, Mapping) and isinstance(value, dict):
-        return {key: _read(arguments[1], one, f"{where}[{key!r}]") for key, one in value.items()}
+            return tuple(_read(k, one, f"{where}[{i}]", exact) for i, (k, one) in enumerate(pairs))
+    elif origin is Mapping and isinstance(value, dict):
+        of = arguments[1]
+        return {key: _read(of, one, f"{where}[{key!r}]", exact) for key, one in value.items()}
     elif origin is frozenset and isinstance(value, list):
-        return frozenset(_read(arguments[0], one, where) for one in value)
-    elif _is_array(origin):
-        return _read_array(value, where)
-    elif kind is object:
+        return frozenset(_read(arguments[0], one, where, exact) for one in value)
+    elif is_array(origin):
+        return _read_array(arguments[0], value, where)
+    elif origin is object:
         return value
-    expected = getattr(kind, "__name__", str(kind))
+    expected = getattr(origin, "__name__", str(kind))
     raise ValueError(f"{where or 'it'}: is {value!r:.40}; expected {expected}")
 
 
-def _read_array(value: object, where: str) -> object:
-    """Return lists of numbers as an array of doubles."""
+def _choose(choices: tuple[object, ...], value: object) -> object:
+    """Return which type of a union a value is of, by its form; the last one that is not None where
+    it is of none, so that the error names that."""
+    others = [one for one in choices if one is not NoneType]
+    if value is None and NoneType in choices:
+        return NoneType
+    fitting = [one for one in others[:-1] if one in PLAIN and type(value) in PLAIN[one]]
+    if isinstance(value, list):
+        fitting += [one for one in others if take_apart(one)[0] is tuple]
+    elif isinstance(value, dict):
+        fitting += [one for one in others[::-1] if is_dataclass(one)]
+        fitting += [one for one in others if _is_array_of(one, value.get("dtype"))]
+    return fitting[0] if fitting else others[-1]
+
+
+def _is_array_of(kind: object, dtype: object) -> bool:
+    origin, arguments = take_apart(kind)
+    return is_array(origin) and bool(arguments[0].__name__ == dtype)
+
+
+def _read_array(scalar: type, value: object, where: str) -> object:
+    """Return an array of doubles from lists of numbers, or one of integers from its object."""
     import numpy as np
 
+    if issubclass(scalar, np.integer):
+        return _read_integers(scalar, value, where)
     try:
         if isinstance(value, list):
             return np.array(value, dtype=np.float64)
@@ -155,21 +223,64 @@ def _read_array(value: object, where: str) -> object:
     raise ValueError(f"{where or 'it'}: is {value!r:.40}; expected a list of numbers")
 
 
-def _read_record(kind: type[T], value: dict[str, object], where: str) -> T:
+def _read_integers(scalar: "type[np.integer[Any]]", value: object, where: str) -> object:
+    """Return an array of integers whose type, shape and entries are as stated and fit."""
+    import numpy as np
+
+    if not isinstance(value, dict) or not set(value) >= ARRAY_KEYS:
+        raise ValueError(f"{where}: is {value!r:.40}; expected an array with dtype, shape and data")
+    dtype, shape, data = (value[key] for key in ("dtype", "shape", "data"))
+    if dtype != scalar.__name__ or not _are_integers(shape) or any(n < 0 for n in shape):
+        raise ValueError(
+            f"{where}: array of {dtype!r} with shape {shape!r:.40}; expected integers of type "
+            f"{scalar.__name__}"
+        )
+    if not _are_integers(data) or len(data) != math.prod(shape):
+        count = len(data) if isinstance(data, list) else "no"
+        raise ValueError(f"{where}: {count} entries do not fill shape {shape}")
+    info = np.iinfo(scalar)
+    if any(v < info.min or v > info.max for v in data):
+        raise ValueError(f"{where}: an entry does not fit {dtype}")
+    return np.array(data, dtype=scalar).reshape(shape)
+
+
+def _are_integers(value: object) -> bool:
+    return isinstance(value, list) and all(type(one) is int for one in value)
+
+
+def _read_record(kind: type[T], value: dict[str, object], where: str, exact: bool) -> T:
+    written = {one.name: one for one, _ in list_fields(kind) if not one.metadata.get("unwritten")}
+    if exact:
+        _check_keys(written, value, where)
     read: dict[str, object] = {}
     for one, hint in list_fields(kind):
         place = f"{where}.{one.name}" if where else one.name
-        if one.metadata.get("unwritten"):
+        if one.name not in written:
             continue
         if one.name in value:
             found = value[one.name]
-            is_none = found is None and NoneType in get_args(hint)
+            is_none = found is None and NoneType in take_apart(hint)[1]
             if one.metadata.get("measured") and not is_none:
                 found = _restore(found)
-            read[one.name] = _read(hint, found, place)
+            read[one.name] = _read(hint, found, place, exact)
         elif one.default is MISSING and one.default_factory is MISSING:
             raise ValueError(f"{place}: is missing")
     return kind(**read)
+
+
+def _check_keys(
+    written: Mapping[str, "Field[object]"], value: dict[str, object], where: str
+) -> None:
+    """Raise where a record has other keys than those that are written."""
+    needed = [key for key, one in written.items() if not one.metadata.get("optional")]
+    lacks = [key for key in needed if key not in value]
+    beside = [key for key in value if key not in written]
+    if lacks or beside:
+        told = [f"lacks {', '.join(map(repr, lacks))}"] * bool(lacks)
+        told += [f"has {', '.join(map(repr, beside))} too"] * bool(beside)
+        raise ValueError(
+            f"{where or 'it'}: expected the fields {sorted(written)}; it {' and '.join(told)}"
+        )
 
 
 def _restore(value: object) -> object:
