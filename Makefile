@@ -5,6 +5,7 @@ SHELL := /bin/bash
 VENV ?= .venv
 PYTHON ?= python3
 RUN := $(VENV)/bin/python
+PIP := $(RUN) -m pip install --quiet --disable-pip-version-check
 SENSOR ?= examples/ft40
 READY := $(VENV)/.ready
 # Where there is no C compiler, the clang inside the ziglang wheel is one.
@@ -14,20 +15,21 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup-frama-c frama-c test-long setup-peers setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: setup-newest test-newest test-oldest lock setup-frama-c frama-c test-long setup-peers setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
 
 setup: $(READY) ## create .venv with the pinned dependencies and zerodrift itself
 
-$(READY): requirements.lock pyproject.toml setup.py $(wildcard */__init__.py)
+$(READY): requirements.lock requirements-torch.lock pyproject.toml setup.py $(wildcard */__init__.py)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "zerodrift needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1). Set PYTHON=."; exit 2; }
 	@echo "installing into $(VENV): some minutes, and on Linux 6 GB, most of it PyTorch's"
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements.lock
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(PIP) --require-hashes -r requirements.lock
+	$(PIP) -r requirements-torch.lock
+	$(PIP) --no-deps --no-build-isolation -e .
 	@touch $@
 
 setup-qemu: ## QEMU and the GNU cross-compilers, by apt (root): the second opinion on every core
@@ -36,16 +38,19 @@ setup-qemu: ## QEMU and the GNU cross-compilers, by apt (root): the second opini
 
 setup-fuzz: $(READY) ## what fuzzing needs: clang with libFuzzer by apt (root), and atheris
 	$(RUN) -m tests.fuzz --have-clang || .ci/apt-install clang libclang-rt-dev? libc6-dev
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-fuzz.lock
+	$(PIP) --require-hashes -r requirements-fuzz.lock
 
 setup-frama-c: ## Frama-C, by apt (root): an outside witness of the overflow certificate
 	.ci/apt-install frama-c-base
 
 setup-formats: $(READY) ## what reads Excel, HDF5, MCAP, rosbag2, ULog and ArduPilot logs
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-formats.lock
+	$(PIP) --require-hashes -r requirements-formats.lock
+
+setup-newest: ## a Debian of its own with the newest Python, in build/newest, by debootstrap (root)
+	.ci/in-debian sid build/newest/debian true
 
 setup-peers: $(READY) ## the other methods that benchmarks.bench_peers compares with: PySINDy, pyoperon, gplearn
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check --no-deps -r requirements-peers.lock
+	$(PIP) --require-hashes --no-deps -r requirements-peers.lock
 
 setup-record: ## an MQTT broker, by apt (root), for the tests of `zerodrift record`
 	.ci/apt-install mosquitto
@@ -54,7 +59,7 @@ mutated-logs: $(READY) ## 2,000 mutated logs of every format: each read or refus
 	$(RUN) -m tests.fuzz.mutated_logs $(MUTATED)
 
 setup-browser: $(READY) ## what the browser tests need: Playwright, and Chromium from the system's packages
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-browser.lock
+	$(PIP) --require-hashes -r requirements-browser.lock
 	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || { \
 	  SUDO=$$([ "$$(id -u)" = 0 ] || echo sudo); \
 	  $$SUDO apt-get update -q && $$SUDO apt-get install -y -q --no-install-recommends chromium; }
@@ -63,7 +68,7 @@ readme-picture: $(READY) ## docs/assets/loop.svg: the loop walked by its command
 	$(RUN) -m manual.loop_picture
 
 docs: $(READY) ## the manual as a site, in build/site
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r requirements-docs.lock
+	$(PIP) --require-hashes -r requirements-docs.lock
 	$(RUN) .ci/link_packages.py
 	NO_MKDOCS_2_WARNING=1 DISABLE_MKDOCS_2_WARNING=true $(RUN) -m mkdocs build --quiet --strict
 	@echo "build/site/index.html; for its search, serve it: $(RUN) -m http.server -b 127.0.0.1 -d build/site"
@@ -94,6 +99,16 @@ test-worlds: $(READY) ## after setup-formats: the sessions of the pages on where
 test-wheel: $(READY) ## build the wheel, install it elsewhere, and go from a log to checked C with it
 	$(RUN) -m pytest -q tests/house/test_wheel.py tests/house/test_extras.py
 
+# Folders and files in which another version of Python or of a library shows first.
+FIRST := tests/config tests/twin
+VERSIONS := -q -n 2 -m "not slow and not long and not board" $(if $(SHORT),$(FIRST),--ignore=tests/chips tests)
+
+test-newest: ## the tests, boards and browser left out, on Debian's newest Python and the newest libraries (SHORT=1)
+	.ci/test-newest $(VERSIONS)
+
+test-oldest: ## the same on Python 3.11 and the lowest versions that pyproject.toml allows (SHORT=1)
+	.ci/test-oldest $(VERSIONS)
+
 test-all: $(READY) ## every test, the long proofs included
 	$(RUN) -m pytest -q -n 2 tests
 
@@ -112,6 +127,9 @@ format: $(READY) ## rewrite Python and C in the project's format
 	$(VENV)/bin/ruff format .
 	$(VENV)/bin/ruff check --fix .
 	$(VENV)/bin/clang-format -i c_runtime/include/zerodrift/*.h c_runtime/tests/*.c
+
+lock: ## write the hashes in requirements*.lock again, after a version was changed; read the diff
+	.ci/lock
 
 schemas: $(READY) ## write the JSON Schemas of what the commands print again
 	$(RUN) -m zerodrift.app.schemas

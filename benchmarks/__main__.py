@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import sys
 import time
 
 NAMES = (
@@ -24,21 +25,27 @@ NAMES = (
     *("bench_proof", "bench_object_proof", "bench_lexical"),
     *("bench_steps", "bench_wasm", "bench_small", "bench_kinds"),
 )
-"""Modules of this folder, each with `main(quick: bool)`."""
+"""Modules of this folder, each with `main(quick: bool)`, which returns how many of its marks are
+missed, or None where it has none."""
 
 
-def main() -> None:
-    """Run the benchmarks named on the command line, or all."""
+def main() -> int:
+    """Run the benchmarks named on the command line, or all; return 1 where one misses a mark."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}")
     parser.add_argument("--quick", action="store_true", help="a reduced form, for CI")
     arguments = parser.parse_args()
+    missed = []
     for name in arguments.names or NAMES:
         print(f"== {name}", flush=True)
         start = time.perf_counter()
-        importlib.import_module(f"benchmarks.{name}").main(arguments.quick)
+        if importlib.import_module(f"benchmarks.{name}").main(arguments.quick):
+            missed.append(name)
         print(f"   ({time.perf_counter() - start:.1f} s)\n", flush=True)
+    if missed:
+        print(f"missed a mark: {', '.join(missed)}")
+    return int(bool(missed))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

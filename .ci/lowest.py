@@ -1,0 +1,38 @@
+"""Prints each dependency at the lowest version that pyproject.toml allows, one a line, for pip.
+
+python .ci/lowest.py EXTRA...
+"""
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+
+
+def list_lowest(project: dict[str, object], extras: list[str]) -> list[str]:
+    """Return `NAME==VERSION` of each dependency, those of extras included.
+
+    Args:
+        project: the table [project] of pyproject.toml.
+        extras: names of optional dependencies.
+
+    Raises:
+        ValueError: one has no lower bound, so that its oldest version is not known.
+    """
+    wanted = list(project["dependencies"])
+    for extra in extras:
+        wanted += project["optional-dependencies"][extra]
+    lowest = set()
+    for one in wanted:
+        found = re.fullmatch(r"([\w.-]+(?:\[[\w,]+\])?)>=([\d.]+)", one)
+        if found is None:
+            raise ValueError(f"pyproject.toml: '{one}'; expected NAME>=VERSION")
+        lowest.add(f"{found[1]}=={found[2]}")
+    return sorted(lowest)
+
+
+if __name__ == "__main__":
+    tables = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    print("\n".join(list_lowest(tables["project"], sys.argv[1:])))
