@@ -100,8 +100,9 @@ test-wheel: $(READY) ## build the wheel, install it elsewhere, and go from a log
 	$(RUN) -m pytest -q tests/house/test_wheel.py tests/house/test_extras.py
 
 # Folders and files in which another version of Python or of a library shows first.
-FIRST := tests/config tests/twin
-VERSIONS := -q -n 2 -m "not slow and not long and not board" $(if $(SHORT),$(FIRST),--ignore=tests/chips tests)
+FIRST := tests/config tests/twin tests/frozen tests/fixed_point/test_model_files.py tests/dataset \
+  tests/main_job tests/physics tests/face tests/apply
+VERSIONS := -q -n $(if $(SHORT),1,2) -m "not slow and not long and not board" $(if $(SHORT),$(FIRST),--ignore=tests/chips tests)
 
 test-newest: ## the tests, boards and browser left out, on Debian's newest Python and the newest libraries (SHORT=1)
 	.ci/test-newest $(VERSIONS)

@@ -46,8 +46,20 @@ def test_what_cannot_be_installed_is_not_here_and_no_failure(tmp_path: Path) -> 
 
 def test_a_step_that_hangs_or_whose_need_is_unknown_has_failed(tmp_path: Path) -> None:
     code, table, told = run_steps("step one within 1 -- sleep 60", tmp_path)
-    assert (code, table) == (1, {"one": "FAILED"}) and "ended after 1 s" in told
+    assert (code, table) == (1, {"one": "FAILED"}) and "ended at its limit" in told
     assert run_steps("step one after nothing -- true", tmp_path)[:2] == (1, {"one": "not run"})
+
+
+def test_a_step_beside_the_next_one_counts_as_any(tmp_path: Path) -> None:
+    body = (
+        "aside one -- bash -c 'while [ ! -e {0}/two ]; do sleep 0.01; done; echo told; exit 3'\n"
+        "step two -- touch {0}/two\naside three -- true\nstep four after three -- true\n"
+        "aside five after one -- true\nstep six after five -- true\naside seven -- false\n"
+    )
+    code, table, told = run_steps(body.format(tmp_path), tmp_path)
+    assert code == 1 and "told" in told
+    failed = {"one": "FAILED", "five": "not run", "six": "not run", "seven": "FAILED"}
+    assert table == dict.fromkeys(("two", "three", "four"), "passed") | failed
 
 
 @pytest.mark.parametrize("end", ["exit 0", "kill $$", "nonsense=$unset"])
@@ -60,10 +72,10 @@ def test_the_script_of_ci_hides_no_failure_and_tests_what_the_readme_tells() -> 
     script = (CI / "run").read_text(encoding="utf-8")
     assert "||" not in script and "set +" not in script
     assert script.rstrip().endswith("finish")
-    steps = re.findall(r"^(?:step|have) (\S+) .*-- (.*)$", script, re.M)
+    steps = re.findall(r"^(?:step|have|aside) (\S+) .*-- (.*)$", script, re.M)
     assert ("test", "make test") in steps and "make test" in (ROOT / "README.md").read_text("utf-8")
     known = {name for name, _ in steps}
-    for needs in re.findall(r'^(?:step|have) .*? after ("[^"]*"|\S+) ', script, re.M):
+    for needs in re.findall(r'^(?:step|have|aside) .*? after ("[^"]*"|\S+) ', script, re.M):
         assert set(needs.strip('"').split()) <= known
     targets = set(re.findall(r"^([a-z][a-z0-9-]*):", (ROOT / "Makefile").read_text("utf-8"), re.M))
     assert {
