@@ -19,6 +19,7 @@ from zerodrift.base.records import (
     get_schema_name,
     list_fields,
     take_apart,
+    to_json,
 )
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -101,7 +102,7 @@ def _describe(hint: object, definitions: Definitions) -> dict[str, Json]:
     if origin is Union:
         return {"anyOf": [_describe(one, definitions) for one in arguments]}
     if origin is Literal:
-        return {"enum": list(arguments)}
+        return {"enum": [to_json(one) for one in arguments]}
     if origin is frozenset:
         return {"type": "array", "items": _describe(arguments[0], definitions)}
     if origin is tuple:

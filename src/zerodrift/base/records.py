@@ -17,7 +17,6 @@ from numbers import Integral
 from types import NoneType, UnionType
 from typing import (
     TYPE_CHECKING,
-    Any,
     Literal,
     TypeAlias,
     TypeVar,
@@ -30,6 +29,7 @@ from typing import (
 
 if TYPE_CHECKING:
     import numpy as np
+    from numpy.typing import NDArray
 
 T = TypeVar("T")
 
@@ -82,7 +82,7 @@ def is_array(kind: object) -> bool:
 
 
 @cache
-def take_apart(kind: object) -> tuple[object, tuple[Any, ...]]:
+def take_apart(kind: object) -> tuple[object, tuple[object, ...]]:
     """Return what an annotation is made of, in whichever way it is spelt.
 
     All that read annotations of fields ask here.
@@ -122,7 +122,7 @@ def to_json(value: object) -> Json:
     if isinstance(value, (set, frozenset)):
         return [to_json(one) for one in sorted(value)]
     if is_array(type(value)):
-        return _write_array(value)
+        return _write_array(cast("NDArray[np.generic]", value))
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, Integral):  # NumPy's
@@ -130,7 +130,7 @@ def to_json(value: object) -> Json:
     raise TypeError(f"{type(value).__name__} has no form in JSON")
 
 
-def _write_array(array: Any) -> Json:
+def _write_array(array: "NDArray[np.generic]") -> Json:
     """Return an array; one of integers with its type."""
     listed: Json = array.tolist()
     if array.dtype.kind != "i":
@@ -162,7 +162,8 @@ def _read(kind: object, value: object, where: str, exact: bool) -> object:
     """Return a value as a type, which may be an alias such as `tuple[int, ...]`."""
     origin, arguments = take_apart(kind)
     if isinstance(origin, type) and origin in PLAIN:
-        if type(value) in PLAIN[origin] and not (exact and _null(value) != value):
+        is_finite = not isinstance(value, float) or math.isfinite(value)
+        if type(value) in PLAIN[origin] and (is_finite or not exact):
             return value
     elif isinstance(origin, type) and is_dataclass(origin) and isinstance(value, dict):
         return _read_record(origin, value, where, exact)
@@ -195,7 +196,8 @@ def _choose(choices: tuple[object, ...], value: object) -> object:
     others = [one for one in choices if one is not NoneType]
     if value is None and NoneType in choices:
         return NoneType
-    fitting = [one for one in others[:-1] if one in PLAIN and type(value) in PLAIN[one]]
+    plain = [one for one in others[:-1] if isinstance(one, type) and one in PLAIN]
+    fitting: list[object] = [one for one in plain if type(value) in PLAIN[one]]
     if isinstance(value, list):
         fitting += [one for one in others if take_apart(one)[0] is tuple]
     elif isinstance(value, dict):
@@ -206,14 +208,14 @@ def _choose(choices: tuple[object, ...], value: object) -> object:
 
 def _is_array_of(kind: object, dtype: object) -> bool:
     origin, arguments = take_apart(kind)
-    return is_array(origin) and bool(arguments[0].__name__ == dtype)
+    return is_array(origin) and getattr(arguments[0], "__name__", None) == dtype
 
 
-def _read_array(scalar: type, value: object, where: str) -> object:
+def _read_array(scalar: object, value: object, where: str) -> object:
     """Return an array of doubles from lists of numbers, or one of integers from its object."""
     import numpy as np
 
-    if issubclass(scalar, np.integer):
+    if isinstance(scalar, type) and issubclass(scalar, np.signedinteger):
         return _read_integers(scalar, value, where)
     try:
         if isinstance(value, list):
@@ -223,7 +225,7 @@ def _read_array(scalar: type, value: object, where: str) -> object:
     raise ValueError(f"{where or 'it'}: is {value!r:.40}; expected a list of numbers")
 
 
-def _read_integers(scalar: "type[np.integer[Any]]", value: object, where: str) -> object:
+def _read_integers(scalar: "type[np.signedinteger]", value: object, where: str) -> object:
     """Return an array of integers whose type, shape and entries are as stated and fit."""
     import numpy as np
 
