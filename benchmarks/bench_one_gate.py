@@ -1,7 +1,7 @@
 """One gate, seen from outside: wrong data, leaks, clean sets and real files through the commands.
 
-    python -m benchmarks.bench_one_gate wrong|leaks|clean|files [--seeds N] [--first SEED] [--only KIND]
-                                        [--jobs N] [--results FILE] [--fresh]
+    python -m benchmarks.bench_one_gate wrong|leaks|clean|files [--seeds N] [--first SEED]
+                                        [--only KIND] [--jobs N] [--results FILE] [--fresh]
 
 `wrong`: 24 kinds of wrong data in one training run of five, 5 seeds each; `leaks`: a test run that
 is a training run; `clean`: 100 clean sets of each of three simulators; `files`: real logs beside

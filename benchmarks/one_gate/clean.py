@@ -23,19 +23,23 @@ REFEREE, GATE, READ, PASSES, CRASH = (
 )
 
 
+def draw_wanted(simulator: str, seed: int, attempt: int = 0) -> Wanted:
+    """Return what a set is drawn for."""
+    rng = np.random.default_rng([seed, SIMULATORS.index(simulator), attempt])
+    return Wanted(
+        seed=int(rng.integers(2**31)),
+        train=int(rng.integers(1, 13)),
+        tests=int(rng.integers(0, MOST_TESTS + 1)),
+        dwell=bool(rng.random() < 0.5),
+        lacks=bool(rng.random() < 0.4),
+        coarse_K=float(rng.choice(COARSE_K)) if rng.random() < 0.25 else 0.0,
+    )
+
+
 def draw_clean(simulator: str, seed: int) -> Sensor:
     """Return a set without a fault."""
     for attempt in range(100):
-        rng = np.random.default_rng([seed, SIMULATORS.index(simulator), attempt])
-        wanted = Wanted(
-            seed=int(rng.integers(2**31)),
-            train=int(rng.integers(1, 13)),
-            tests=int(rng.integers(0, MOST_TESTS + 1)),
-            dwell=bool(rng.random() < 0.5),
-            lacks=bool(rng.random() < 0.4),
-            coarse_K=float(rng.choice(COARSE_K)) if rng.random() < 0.25 else 0.0,
-        )
-        sensor = draw_sensor(simulator, wanted)
+        sensor = draw_sensor(simulator, draw_wanted(simulator, seed, attempt))
         if sensor is not None:
             return sensor
     raise RuntimeError(f"{simulator}: no sensor for seed {seed}")
