@@ -1,13 +1,14 @@
 """One gate, seen from outside: wrong data, leaks, clean sets and real files through the commands.
 
-    python -m benchmarks.bench_one_gate wrong|leaks|clean|files [--seeds N] [--first SEED]
+    python -m benchmarks.bench_one_gate wrong|leaks|clean|files|monitor [--seeds N] [--first SEED]
                                         [--only KIND] [--jobs N] [--results FILE] [--fresh]
 
 `wrong`: 24 kinds of wrong data in one training run of five, 5 seeds each; `leaks`: a test run that
 is a training run; `clean`: 100 clean sets of each of three simulators; `files`: real logs beside
-the repository, labelled before anything was run. What was found is kept in a file, from which the
-same command goes on; `--fresh` begins anew, as is needed after a change of the code that is judged.
-All sensors but those of `files` are simulated. Nothing is read but exit codes and JSON.
+the repository, labelled before anything was run; `monitor`: changes within a gap of weeks, and
+swapped units. What was found is kept in a file, from which the same command goes on; `--fresh`
+begins anew, as is needed after a change of the code that is judged. All sensors but those of
+`files` are simulated. Nothing is read but exit codes and JSON.
 """
 
 import argparse
@@ -19,12 +20,13 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("POLARS_MAX_THREADS", "1")
 
-from benchmarks.one_gate import clean, draw, leaks, real_files, results, wrong
+from benchmarks.one_gate import clean, draw, leaks, real_files, results, watched, wrong
 
 PARTS = {
     "wrong": (wrong, tuple(wrong.KINDS), wrong.SEEDS),
     "leaks": (leaks, leaks.KINDS, leaks.SEEDS),
     "clean": (clean, draw.SIMULATORS, clean.COUNT),
+    "monitor": (watched, watched.KINDS, watched.SEEDS),
     "files": (real_files, tuple(project.name for project in real_files.PROJECTS), 1),
 }
 """Part -> its module, its kinds of case, and the seeds of each."""
