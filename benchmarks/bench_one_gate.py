@@ -3,7 +3,7 @@
     python -m benchmarks.bench_one_gate wrong|leaks|clean|files|monitor [--seeds N] [--first SEED]
                                         [--only KIND] [--jobs N] [--results FILE] [--fresh]
 
-`wrong`: 24 kinds of wrong data in one training run of five, 5 seeds each; `leaks`: a test run that
+`wrong`: 26 kinds of wrong data in one training run of five, 5 seeds each; `leaks`: a test run that
 is a training run; `clean`: 100 clean sets of each of three simulators; `files`: real logs beside
 the repository, labelled before anything was run; `monitor`: changes within a gap of weeks, and
 swapped units. What was found is kept in a file, from which the same command goes on; `--fresh`

@@ -51,6 +51,7 @@ class Wanted:
         dwell: whether a dwell is logged.
         lacks: whether the told model lacks an effect.
         coarse_K: step of the thermometer; 0 = the simulator's own.
+        memory: whether a twin's told model has a lag in any case.
     """
 
     seed: int
@@ -59,6 +60,7 @@ class Wanted:
     dwell: bool = True
     lacks: bool = False
     coarse_K: float = 0.0
+    memory: bool = False
 
 
 def draw_sensor(simulator: str, wanted: Wanted) -> Sensor | None:
@@ -103,7 +105,7 @@ def follow(values: Array, tau_s: float, step_s: float) -> Array:
 
 
 def _draw_twin(wanted: Wanted, rng: np.random.Generator) -> Sensor | None:
-    lagging = bool(rng.random() < 0.4)
+    lagging = bool(rng.random() < 0.4) or wanted.memory
     hidden = [name for name in HIDDEN["twin"] if not (lagging and name == "thermal_lag")]
     lacks = str(rng.choice(hidden)) if wanted.lacks else ""
     told = ["zero_tempco", "dark_current"] + ["thermal_lag"] * lagging

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks.one_gate.sensor import Array, Columns, Log, Sensor
+from benchmarks.one_gate.sensor import TIME, Array, Columns, Log, Sensor
 
 DOUBLE = 2.0
 """A fault counts as harmful where it at least doubles the error on unseen runs."""
@@ -45,7 +45,18 @@ def weigh_harm(sound: Sensor, spoilt: Sensor) -> float:
     return worst
 
 
+def bring_to_period(columns: Columns, period_s: float) -> Columns:
+    """Return a log whose rows are closer than the sensor's period, averaged to it; else the log."""
+    time = columns[TIME]
+    rows = round(period_s / float(np.median(np.diff(time))))
+    if rows < 2:
+        return columns
+    whole = time.size // rows * rows
+    return {name: v[:whole].reshape(-1, rows).mean(axis=1) for name, v in columns.items()}
+
+
 def _prepare(sensor: Sensor, columns: Columns, output: int) -> tuple[Array, Array]:
+    columns = bring_to_period(columns, sensor.period_s)
     terms, drift = sensor.basis(columns, output), sensor.drift(columns, output)
     rows = sensor.tare_rows
     if rows:

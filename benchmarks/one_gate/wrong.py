@@ -1,9 +1,8 @@
-"""Twenty-four kinds of wrong data, one training run of five spoilt, and whether they are told.
+"""Twenty-six kinds of wrong data, one training run of five spoilt, and whether they are told.
 
 Each drawn case at least doubles the error that a plain model has on unseen runs (`harm`); one that
-does not is drawn again with a larger fault, then with another sensor. Times in another unit and a
-part cut out are no kinds here: a run of 1,500 rows whose minutes are read as seconds is averaged to
-25 rows, which move nothing, and a cut leaves one transient.
+does not is drawn again with a larger fault, then with another sensor. Times in minutes and a part
+cut out harm only where the model has a memory, and seldom; those that do are drawn.
 """
 
 import re
@@ -19,12 +18,12 @@ from benchmarks.one_gate.draw import SIMULATORS, Wanted, draw_sensor
 from benchmarks.one_gate.drive import Answer, Entry, ask
 from benchmarks.one_gate.harm import DOUBLE, fit_plainly, weigh_harm
 from benchmarks.one_gate.results import Row, scratch, tell_rate
-from benchmarks.one_gate.sensor import TEMPERATURE, Array, Log, Sensor, write_csv
+from benchmarks.one_gate.sensor import TEMPERATURE, TIME, Array, Log, Sensor, write_csv
 
 TRAIN = 5
 SEEDS = 5
 SIZES = (1.0, 2.0, 4.0)
-DRAWS = 60
+DRAWS = 100
 """Sensors of one simulator that are tried before the next simulator is."""
 
 
@@ -83,6 +82,10 @@ class Scene:
     def row(self) -> int:
         """Return a row in the middle of the run."""
         return int(self.rng.uniform(0.3, 0.7) * self.columns[TEMPERATURE].size)
+
+
+MEMORY = ("thermal_lag", "thermal_gradient", "thermal_hysteresis", "creep", "warm_up", "humidity")
+"""Effects whose columns follow from what was before, so that times matter."""
 
 
 class UnfitError(Exception):
@@ -251,6 +254,31 @@ def _spike(scene: Scene) -> None:
     values[hit] += (size * scene.rng.choice([-1.0, 1.0], values.size))[hit]
 
 
+def _need_memory(scene: Scene) -> None:
+    if not any(effect["kind"] in MEMORY for effect in scene.sensor.effects):
+        raise UnfitError("nothing follows time")
+
+
+def _tell_minutes(scene: Scene) -> None:
+    _need_memory(scene)
+    for column in {TIME, scene.sensor.inputs.get("clock", TIME)}:
+        scene.columns[column] /= 60.0
+        scene.touched.append(column)
+
+
+def _cut_out(scene: Scene) -> None:
+    _need_memory(scene)
+    time = scene.columns[TIME]
+    first = int(scene.rng.uniform(0.2, 0.5) * time.size)
+    last = int(np.searchsorted(time, time[first] + 1000.0 * scene.size))
+    if not first + 5 <= last <= 0.8 * time.size:
+        raise UnfitError("the run is too short, or its rows are too far apart")
+    lost_s = time[last] - time[first]
+    time[last:] -= lost_s
+    scene.columns = {name: np.delete(v, slice(first, last)) for name, v in scene.columns.items()}
+    scene.touched += scene.columns
+
+
 GAIN = r"gain|factor|scale|unit\b|units\b|times (as|too)"
 SWAP = r"swap|exchang|interchang|permut"
 STUCK = r"stuck|frozen|froze|constant|repeat|stands still|does not move|one value|same value"
@@ -303,8 +331,20 @@ KINDS: dict[str, tuple[Callable[[Scene], None], str]] = {
         r"missing|no reference|does not (move|follow)|unloaded|all zero|is zero|are zero|" + STUCK,
     ),
     "spikes": (_spike, r"spike|outlier|glitch|impuls|lone|isolated"),
+    "minutes read as seconds": (
+        _tell_minutes,
+        r"minute|time.unit|unit of (the )?time|too (fast|slow)|faster|slower|times as (fast|slow)",
+    ),
+    "1000 s cut out": (
+        _cut_out,
+        r"cut out|stitch|\bgap|left out|splice|joined|jump|discontinu|lost|rows? (is|are) missing",
+    ),
 }
 """Kind -> what is done to a run, and words, one of which must stand in an entry's kind or text."""
+
+
+OF_TIME = ("minutes read as seconds", "1000 s cut out")
+"""Kinds that harm only a model with a memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,6 +393,7 @@ def draw_wrong(kind: str, seed: int) -> Case:
                 dwell=bool(rng.random() < 0.5),
                 lacks=bool(rng.random() < 0.25),
                 coarse_K=float(rng.choice([0.0, 0.0, 0.0, 0.0625, 0.5])),
+                memory=kind in OF_TIME,
             )
             sensor = draw_sensor(simulator, wanted)
             if sensor is None:
@@ -374,7 +415,7 @@ def _spoil(kind: str, sensor: Sensor, rng: np.random.Generator, size: float) -> 
         change(scene)
     except UnfitError:
         return None
-    spoilt = sensor.with_log(Log(log.name, log.use, copied))
+    spoilt = sensor.with_log(Log(log.name, log.use, scene.columns))
     return Case(
         kind=kind,
         sound=sensor,
@@ -392,6 +433,7 @@ def _list_names(sensor: Sensor, touched: list[str]) -> list[str]:
     names += [o.name for o in sensor.outputs if {o.measured, o.reference} & {*touched}]
     names += [name for name, column in sensor.inputs.items() if column in touched]
     names += ["temperature", "thermometer"] * (TEMPERATURE in touched)
+    names += ["time"] * (TIME in touched)
     return list(dict.fromkeys(names))
 
 

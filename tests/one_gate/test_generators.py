@@ -7,12 +7,13 @@ import pytest
 from benchmarks.one_gate import clean, leaks, wrong
 from benchmarks.one_gate.draw import SIMULATORS, SPARE, Wanted, draw_sensor, replace_tests
 from benchmarks.one_gate.drive import Answer, Entry
-from benchmarks.one_gate.harm import DOUBLE, fit_plainly, leave, weigh_harm
+from benchmarks.one_gate.harm import DOUBLE, bring_to_period, fit_plainly, leave, weigh_harm
 from benchmarks.one_gate.results import examine_all, tell_rate
 from benchmarks.one_gate.sensor import TEMPERATURE, Log, Sensor
 
 
 def differ(one: Log, two: Log) -> list[str]:
+    """Return the columns that are not the same."""
     assert list(one.columns) == list(two.columns)
     return [
         name for name in one.columns if not np.array_equal(one.columns[name], two.columns[name])
@@ -46,8 +47,15 @@ def test_a_case_is_drawn_the_same_again() -> None:
     assert (one.run, one.harm, one.columns) == (two.run, two.harm, two.columns)
 
 
-def test_there_are_twenty_four_kinds() -> None:
-    assert len(wrong.KINDS) == 24
+def test_there_are_twenty_six_kinds() -> None:
+    assert len(wrong.KINDS) == 26
+
+
+def test_rows_that_are_too_close_are_averaged_before_harm_is_weighed() -> None:
+    columns = {"time_s": np.arange(120) / 60.0, "y": np.arange(120.0)}
+    brought = bring_to_period(columns, 1.0)
+    assert brought["y"].tolist() == [29.5, 89.5]
+    assert bring_to_period(brought, 1.0) is brought
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
