@@ -20,13 +20,13 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("POLARS_MAX_THREADS", "1")
 
-from benchmarks.one_gate import clean, draw, leaks, real_files, results, watched, wrong
+from benchmarks.one_gate import clean, draw, in_use, leaks, real_files, results, watched, wrong
 
 PARTS = {
     "wrong": (wrong, tuple(wrong.KINDS), wrong.SEEDS),
     "leaks": (leaks, leaks.KINDS, leaks.SEEDS),
     "clean": (clean, draw.SIMULATORS, clean.COUNT),
-    "monitor": (watched, watched.KINDS, watched.SEEDS),
+    "monitor": (watched, in_use.KINDS, in_use.SEEDS),
     "files": (real_files, tuple(project.name for project in real_files.PROJECTS), 1),
 }
 """Part -> its module, its kinds of case, and the seeds of each."""
