@@ -20,10 +20,20 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("POLARS_MAX_THREADS", "1")
 
-from benchmarks.one_gate import clean, draw, in_use, leaks, real_files, results, watched, wrong
+from benchmarks.one_gate import (
+    clean,
+    draw,
+    faults,
+    in_use,
+    leaks,
+    real_files,
+    results,
+    watched,
+    wrong,
+)
 
 PARTS = {
-    "wrong": (wrong, tuple(wrong.KINDS), wrong.SEEDS),
+    "wrong": (wrong, tuple(faults.KINDS), wrong.SEEDS),
     "leaks": (leaks, leaks.KINDS, leaks.SEEDS),
     "clean": (clean, draw.SIMULATORS, clean.COUNT),
     "monitor": (watched, in_use.KINDS, in_use.SEEDS),

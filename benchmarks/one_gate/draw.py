@@ -1,6 +1,5 @@
 """Sensors drawn from each of the three simulators, in one form."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -262,17 +261,16 @@ def _draw_foreign(wanted: Wanted, rng: np.random.Generator) -> Sensor | None:
 
 def _draw_third(wanted: Wanted, rng: np.random.Generator) -> Sensor | None:
     lacks = str(rng.choice(HIDDEN["third"])) if wanted.lacks else ""
-    asked: Mapping[str, object] = {"effect": lacks} if lacks else {}
     try:
         case = draw_case(
             wanted.seed,
+            effect=lacks or None,
             runs=max(2, wanted.train),
             tests=SPARE,
             dwell=wanted.dwell,
             size=float(rng.choice([1.0, 3.0, 10.0])),
             noise=str(rng.choice(["white", "flicker", "mixed", "coarse"])),
             temperature_rows=int(rng.choice([1, 1, 1, 10])),
-            **asked,  # type: ignore[typeddict-item]
         )
     except ValueError:
         return None

@@ -110,7 +110,7 @@ def make_log(
     start_s: float, warm: Array, drift: Array, rng: np.random.Generator
 ) -> dict[str, Array]:
     """Return a log of a unit's drift [n] at temperatures [n], with noise."""
-    time_s = start_s + PERIOD_S * np.arange(warm.size)
+    time_s: Array = start_s + PERIOD_S * np.arange(warm.size, dtype=np.float64)
     measured = drift + NOISE * rng.standard_normal(warm.size)
     return {"time_s": time_s, "temperature_degC": warm, "y_N": measured}
 

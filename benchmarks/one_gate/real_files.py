@@ -86,7 +86,9 @@ HANDHELD = "as_logged/20170603-resistor-tempco-datalog-1"
 CHAMBER = "as_logged/20180505-dmm-chamber"
 
 
-def _tempcos(name: str, runs: Sequence[int], label: str, why: str, **more: str) -> Project:
+def _tempcos(
+    name: str, runs: Sequence[int], label: str, why: str, words: str = "", run: str = ""
+) -> Project:
     logs = tuple((f"{TEMPCOS}/run{n}/tempco.csv", f"run{n}.csv") for n in runs)
     toml = _write_toml(
         [f"run{n}.csv" for n in runs],
@@ -94,7 +96,7 @@ def _tempcos(name: str, runs: Sequence[int], label: str, why: str, **more: str) 
         sensor=('time = "Timestamp"', 'temperature = "Oven (C)"', "sample_period_s = 5"),
         effects=LAGGING,
     )
-    return Project(name, label, why, logs, toml, **more)
+    return Project(name, label, why, logs, toml, words=words, run=run)
 
 
 def _foils(name: str, runs: Sequence[str], label: str, why: str) -> Project:
