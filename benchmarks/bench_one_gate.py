@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, help="cases of each kind")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--only", default="", help="only kinds whose name has this")
-    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1, help="processes; 0 = this one")
     parser.add_argument("--results", type=Path, help="default: build/one_gate/PART.jsonl")
     parser.add_argument("--fresh", action="store_true", help="forget what the file has")
     options = parser.parse_args(arguments)

@@ -1,9 +1,12 @@
 """Runs the command line on a folder and reads nothing but its exit code and its JSON."""
 
 import json
-from collections.abc import Mapping
+import signal
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from click.testing import CliRunner
@@ -12,7 +15,29 @@ from zerodrift.app.cli import cli
 from zerodrift.base.threads import use_one_thread
 
 CRASHED = -1
-"""Stands for an exit code where a command ended with an error of its own making."""
+"""Stands for an exit code where a command ended with an error of its own making, or not at all."""
+LIMIT_S = 120.0
+"""Processor time of one command; on such small logs a firmware takes 1 to 3 s."""
+
+
+class TooLongError(Exception):
+    """A command went on beyond its processor time."""
+
+
+@contextmanager
+def limit(seconds: float) -> Iterator[None]:
+    """Raise TooLongError once what is within has taken so much processor time of this process."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise TooLongError(f"no answer within {seconds:g} s of processor time")
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 @dataclass(frozen=True)
@@ -60,7 +85,8 @@ class Answer:
 def ask(folder: Path, command: str, *words: str) -> Answer:
     """Run `zerodrift COMMAND -C FOLDER --json WORDS` in this process."""
     use_one_thread()
-    done = CliRunner().invoke(cli, [command, "-C", str(folder), "--json", *words])
+    with limit(LIMIT_S):
+        done = CliRunner().invoke(cli, [command, "-C", str(folder), "--json", *words])
     code, message = done.exit_code, done.stderr.strip()
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         code = int(getattr(done.exception, "exit_code", CRASHED))

@@ -15,6 +15,9 @@ from typing import Any
 from benchmarks.bench_conditions import bound
 
 Row = dict[str, Any]
+RENEWED = 25
+"""Cases after which a process is renewed: a command is made to run once in a process, and keeps
+some 10 MB of what it read."""
 Examine = Callable[[str, int], Row]
 """Kind and seed of a case -> what became of it."""
 
@@ -28,7 +31,7 @@ def examine_all(
         examine: a function of a module.
         cases: kind and seed of each.
         kept: file of one row a line, appended to.
-        jobs: processes.
+        jobs: processes; 0 = this one.
     """
     kept.parent.mkdir(parents=True, exist_ok=True)
     rows = {(row["kind"], row["seed"]): row for row in read_rows(kept)}
@@ -55,10 +58,11 @@ def read_rows(kept: Path) -> list[Row]:
 def _work(
     examine: Callable[[tuple[str, int]], Row], cases: Sequence[tuple[str, int]], jobs: int
 ) -> Iterator[Row]:
-    if jobs == 1:
+    if not jobs:
         yield from map(examine, cases)
         return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    spawn = get_context("spawn")
+    with ProcessPoolExecutor(jobs, spawn, max_tasks_per_child=RENEWED) as pool:
         yield from pool.map(examine, cases)
 
 

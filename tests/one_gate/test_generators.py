@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.one_gate import clean, leaks, wrong
 from benchmarks.one_gate.draw import SIMULATORS, SPARE, Wanted, draw_sensor, replace_tests
-from benchmarks.one_gate.drive import Answer, Entry
+from benchmarks.one_gate.drive import Answer, Entry, TooLongError, limit
 from benchmarks.one_gate.harm import DOUBLE, bring_to_period, fit_plainly, leave, weigh_harm
 from benchmarks.one_gate.results import examine_all, tell_rate
 from benchmarks.one_gate.sensor import TEMPERATURE, Log, Sensor
@@ -187,10 +187,16 @@ def test_what_was_found_is_kept_and_not_run_again(tmp_path: Path) -> None:
         return {"outcome": seed}
 
     kept = tmp_path / "kept" / "part.jsonl"
-    examine_all(examine, [("a", 0), ("a", 1)], kept, 1)
-    rows = examine_all(examine, [("a", 1), ("b", 0)], kept, 1)
+    examine_all(examine, [("a", 0), ("a", 1)], kept, 0)
+    rows = examine_all(examine, [("a", 1), ("b", 0)], kept, 0)
     assert ran == [("a", 0), ("a", 1), ("b", 0)]
     assert [row["kind"] for row in rows] == ["a", "b"]
+
+
+def test_what_goes_on_for_too_long_is_ended() -> None:
+    with pytest.raises(TooLongError, match="no answer within"), limit(0.05):
+        while True:
+            pass
 
 
 def test_a_rate_has_its_bound() -> None:
