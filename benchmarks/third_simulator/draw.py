@@ -39,6 +39,7 @@ class Wanted(TypedDict, total=False):
 
     family: str | None
     runs: int
+    tests: int
     effect: str | tuple[str, ...] | None
     size: float
     outliers: float
@@ -52,6 +53,7 @@ class _Request:
     seed: int
     family: Family
     runs: int
+    tests: int
     effects: tuple[str, ...]
     size: float
     outliers: float
@@ -75,8 +77,9 @@ def draw_case(seed: int, **wanted: Unpack[Wanted]) -> Case:
     Args:
         seed: decides everything that is not asked for.
         **wanted: `family`: one of `FAMILIES`; left out, drawn among those that have the effects.
-            `runs`: training runs, 2 to 12 (6); two test runs and, with `dwell` (true), a dwell come
-            on top. `effect`: what is hidden, a name of `EFFECTS` or `OUTSIDE`, several, or None.
+            `runs`: training runs, 2 to 12 (6); `tests`: test runs, on top of them (2); `dwell`: a
+            dwell on top (true). `effect`: what is hidden, a name of `EFFECTS` or `OUTSIDE`,
+            several, or None.
             `size`: RMS that the base model leaves of each over RMS of the noise, on the training
             runs, at the output that feels it most (3). `outliers`: share of wild rows (0).
             `noise`: one of `KINDS` ("white"). `temperature_rows`: the thermometer is read once
@@ -147,6 +150,7 @@ def _read(seed: int, wanted: Wanted) -> _Request:
         seed=seed,
         family=FAMILIES[chosen] if chosen else having[place],
         runs=runs,
+        tests=wanted.get("tests", TEST_RUNS),
         effects=effects,
         size=wanted.get("size", 3.0),
         outliers=wanted.get("outliers", 0.0),
@@ -189,7 +193,7 @@ def _draw_runs(
     logged, moved = _list_inputs(request, known)
     style = str(rng.choice([*CHAMBERS, "any", "any"]))
     names = [f"train_{n + 1}" for n in range(request.runs)]
-    names += [f"test_{n + 1}" for n in range(TEST_RUNS)]
+    names += [f"test_{n + 1}" for n in range(request.tests)]
     starts = np.cumsum(rng.uniform(0.3, 3.0, len(names) + 1)) * 86400.0
     order = rng.permutation(len(names))
     runs = []
