@@ -62,7 +62,7 @@ def show_rows(name: str, pattern: str = "", becomes: str = "") -> list[ShownPart
     prefix = name_prefix(model)
     texts[f"{prefix}.c"], count = re.subn(pattern, becomes, texts[f"{prefix}.c"], count=1)
     assert count == 1
-    shown = show_kernels(model, texts, prefix, ProvenKernels())
+    shown = show_kernels(model, texts, prefix, ProvenKernels(), small=True)
     return [one for one in shown if "KERNEL_ROWS" in one.build]
 
 
