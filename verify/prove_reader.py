@@ -8,6 +8,7 @@ Source: C99, 6.10 (preprocessing). Needs the standard library only.
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from zerodrift.verify.prove_directives import OwnFile, refuse
 from zerodrift.verify.prove_syntax import Tokens
@@ -51,9 +52,7 @@ class Preprocessor:
         """
         if len(self._inside) > DEEPEST:
             raise RefusedError(f"{name}: includes itself")
-        lines = split(self.texts[name], name, is_runtime(name))
-        if not is_runtime(name):
-            OwnFile(name, self.prefix, lines).check()
+        lines = split_checked(self.texts[name], name, self.prefix)
         self._inside.append(name)
         words: list[tuple[str, str]] = []
         states: list[tuple[bool, bool]] = []  # whether this arm is read, whether one was
@@ -261,6 +260,20 @@ class Condition:
                 }[operator]
             )
         return left
+
+
+@lru_cache(maxsize=64)
+def split_checked(text: str, file: str, prefix: str) -> tuple[Line, ...]:
+    """Return the lines of a file; of a model's own one, each that begins with # is one of those
+    that the generator writes.
+
+    Raises:
+        RefusedError: something that it never writes.
+    """
+    lines = split(text, file, is_runtime(file))
+    if not is_runtime(file):
+        OwnFile(file, prefix, lines).check()
+    return lines
 
 
 def is_runtime(name: str) -> bool:

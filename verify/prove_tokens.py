@@ -35,7 +35,7 @@ def _any_of(signs: Sequence[str]) -> str:
 
 
 SCANNER = re.compile(
-    r"(?P<line>\n)|(?P<space> +)|(?P<joined>\\\n)|(?P<rest>//)|(?P<comment>/\*.*?\*/)"
+    r"(?P<line>\n)|(?P<space> +)|(?P<joined>\\\n)|(?P<rest>//)|(?P<comment>/\*.*?\*/)|(?P<open>/\*)"
     rf"|(?P<{NAME}>[A-Za-z_][A-Za-z0-9_]*)"
     rf"|(?P<{NUMBER}>\.?[0-9](?:[eEpP][+-]|[A-Za-z0-9_.])*)"
     rf'|(?P<{TEXT}>"(?:[ !#-\[\]-~]|\\n)*")'
@@ -48,7 +48,6 @@ STRANGE = {
     "'": "a character constant",
     '"': "a text that does not end on its line, or with an escape other than \\n",
     "\\": "a backslash",
-    "/": "a comment that does not end",
     "\t": "a tab",
     "\r": "a carriage return",
 }
@@ -152,6 +151,8 @@ class Scanner:
     def _check_between(self, kind: str, word: str, at: int) -> None:
         if kind == "rest":
             raise self._error(at, "a comment to the end of the line")
+        if kind == "open":
+            raise self._error(at, "a comment that does not end")
         if kind == "refused":
             raise self._error(at, f"'{word}'")
         if kind == "comment" and ("/*" in word[2:] or JOINED.search(word)):

@@ -119,6 +119,8 @@ def show_kernels(
         proven: what is proven of object code.
         small: whether plain C with ZD_SMALL is proven by itself.
     """
+    if not list_asked(texts[f"{prefix}.c"], f"{prefix}.c") & {*CHOICES, DERIVED}:
+        return
     ways = list(list_ways(texts, prefix))
     plain = ways[0][1]
     for way, program in ways[1:]:
