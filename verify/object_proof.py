@@ -10,17 +10,20 @@ import re
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
 from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers
-from zerodrift.verify.c_gru import unpack_before, unpack_bytes, unpack_pairs
 from zerodrift.verify.object_image import Image, Kernel, read_image
 from zerodrift.verify.object_kernels import Ranges, prove_kernel
 from zerodrift.verify.prove_kernels import Layers, Numbered
-from zerodrift.verify.prove_rules import hold_packed
-from zerodrift.verify.prove_terms import UndecidedError
+from zerodrift.verify.prove_packing import (
+    Tables,
+    pack_before,
+    pack_bytes,
+    pack_lstm_bytes,
+    pack_pairs,
+)
 
 ARMV6M, ARMV7EM = 6, 7
 """What the C's ZD_ASSEMBLY says."""
@@ -100,8 +103,7 @@ class ProvenKernels:
 
     def hold(self, defined: Mapping[str, int], layers: Collection[str]) -> bool:
         """Return whether layers are proven of a way through the C's conditions."""
-        assembly = defined.get("ZD_ASSEMBLY", defined.get("ZD_GRU_ASSEMBLY", 0))
-        key = assembly, "ZD_SMALL" in defined, "ZD_UNALIGNED" in defined
+        key = defined.get("ZD_GRU_ASSEMBLY", 0), "ZD_SMALL" in defined, "ZD_UNALIGNED" in defined
         return {*layers} <= self.layers.get(key, set())
 
 
@@ -231,15 +233,13 @@ def _find_difference(image: Image, kernel: Kernel, layer: Numbered) -> str:
         int.from_bytes(content[k : k + 4], "little", signed=True)
         for k in range(0, len(content), 4)
     ]  # fmt: skip
-    ways: dict[str, Callable[..., object]] = {
-        "gru": unpack_bytes if layer.multiplier else unpack_pairs,
-        "gru before": unpack_before,
-        "lstm": partial(unpack_pairs, gates=4),
+    scaled = bool(layer.multiplier)
+    orders: dict[str, Callable[[Numbered], Tables]] = {
+        "gru": pack_bytes if scaled else pack_pairs,
+        "gru before": pack_before,
+        "lstm": pack_lstm_bytes if scaled else pack_pairs,
     }
-    try:
-        rows = ways[layer.kind](words, layer.inputs, layer.hidden)
-        hold_packed(layer, rows, layer.shift, layer.multiplier_shift)
-    except (UndecidedError, ValueError, StopIteration, RuntimeError):
+    if orders[layer.kind](layer) != (words,):
         return (
             f"{layer.name}_stream holds other numbers than model.json: the program was built from"
             " another model or before the last `zerodrift firmware`"

@@ -84,8 +84,8 @@ def list_shown(
             same = first is not None and proof.is_own_text(first)
             yield from proof.run(whole=not same)
             first = first or proof
+        proven = ProvenKernels()
         if model.recurrents and first is not None:
-            proven = ProvenKernels()
             layers = first.meaning.layers
             if objects:
                 yield from show_objects(model, texts, layers, proven, progress)
@@ -93,8 +93,9 @@ def list_shown(
                 progress(f"proving {program}")
                 names = find_assembly(texts, prefix, layers)
                 yield from map(_judge_kernel, show_program(program, layers, names))
-            progress("other kernels' tables")
-            yield from show_kernels(model, texts, prefix, proven)
+        if first is not None:
+            progress("other ways to compile it")
+            yield from show_kernels(model, texts, prefix, proven, len(builds) > 1)
     except UNCHECKED as error:
         yield ShownPart("the C", "", OPEN, tell(error))
 

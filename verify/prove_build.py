@@ -4,11 +4,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.verify.c_reader import parse_integer
-from zerodrift.verify.c_values import TYPES
-from zerodrift.verify.header import SAVED_EXTRA_BYTES, list_expected
 from zerodrift.verify.prove_checksum import prove_checksum
 from zerodrift.verify.prove_elapsed import TESTED_ALONE, make_elapsed_rules, say_span
+from zerodrift.verify.prove_header import find_difference
 from zerodrift.verify.prove_layer_norm import NORM_TESTED, run_norm
 from zerodrift.verify.prove_lemmas import prove_exp2, prove_layer, prove_power, prove_tanh
 from zerodrift.verify.prove_machine import TermMachine
@@ -35,7 +33,9 @@ from zerodrift.verify.prove_reader import preprocess
 from zerodrift.verify.prove_rules import Used, exact, make_rules
 from zerodrift.verify.prove_specification import Outcome, Specification
 from zerodrift.verify.prove_state import CHECK, DRIFT, IDENTITY, SLEPT, STEPS, TARED, State
+from zerodrift.verify.prove_syntax import TypeName
 from zerodrift.verify.prove_terms import UndecidedError, Whole
+from zerodrift.verify.prove_types import TYPES
 
 
 class Proof:
@@ -52,11 +52,11 @@ class Proof:
         """Read the C.
 
         Raises:
-            NotUnderstoodError, FaultError, UndecidedError: something without a rule.
+            RefusedError, UndecidedError: something without a rule.
         """
         self.model, self.prefix, self.build = model, prefix, build
-        self.tokens = preprocess(texts, f"{prefix}.c", defined)
-        self.program = parse_all(self.tokens)
+        self.tokens = preprocess(texts, prefix, defined)
+        self.program = parse_all(self.tokens, prefix)
         self.used = Used()
         self.sound: Callable[[TermMachine], Whole] | None = None
         rules = make_rules(prefix, lambda: self.meaning.layers, self.used)
@@ -165,34 +165,26 @@ class Proof:
     # --- header and structs
 
     def _header(self) -> str:
-        macros = self.tokens.macros
-        for name, wanted in list_expected(self.model, self.prefix).items():
-            found = read_macro(macros.get(name, []))
-            if found != wanted:
-                return f"{name} is {found}; the model gives {wanted}"
-        name = f"{self.prefix.upper()}_SAVED_BYTES"
-        size = f"({SAVED_EXTRA_BYTES}u+sizeof({self.prefix}_state_t))"
-        saved = "".join(macros.get(name, []))
-        return "" if saved == size else f"{name} is {saved}; a saved state takes {size}"
+        return find_difference(self.model, self.prefix, self.program)
 
-    def _fields_of(self, kind: str) -> list[tuple[str, str, tuple[int, ...]]]:
+    def _compare_fields(self, kind: str, wanted: list[tuple[str, str, tuple[int, ...]]]) -> str:
+        """Compare names, types and sizes, in order: how a struct lies in memory."""
         fields = self.program.structs.get(f"{self.prefix}_{kind}_t", ())
-        return [
+        plain = all(f.type == TypeName(f.type.name) for f in fields)
+        found = [
             (f.name, f.type.name, tuple(exact(self.machine.evaluate(s)) for s in f.sizes))
             for f in fields
         ]
+        return "" if found == wanted and plain else f"{found}; the model gives {wanted}"
 
     def _input_fields(self) -> str:
         kinds = [f"{channel.raw_type}_t" for channel in self.model.channels]
         names = zip(self.meaning.channels, kinds, strict=True)
-        wanted: list[tuple[str, str, tuple[int, ...]]] = [(n, k, ()) for n, k in names]
-        found = self._fields_of("input")
-        return "" if found == wanted else f"{found}; the model gives {wanted}"
+        return self._compare_fields("input", [(name, kind, ()) for name, kind in names])
 
     def _state_fields(self) -> str:
         wanted = [(f.name, f.type, f.sizes) for f in self.meaning.fields]
-        found = self._fields_of("state")
-        return "" if found == wanted else f"{found}; the model gives {wanted}"
+        return self._compare_fields("state", wanted)
 
     # --- states and inputs
 
@@ -567,17 +559,3 @@ class Proof:
         if len(found) != 1 or not isinstance(found[0], Number) or found[0].term.exact != 0:
             return "it does not answer 0"
         return ""
-
-
-def read_macro(words: Sequence[str]) -> int | str | None:
-    """Return the number or text that a macro stands for."""
-    words = [w for w in words if w not in ("UINT32_C", "INT32_C", "(", ")")]
-    if not words:
-        return None
-    if words[0][0] == '"':
-        return words[0].strip('"') if len(words) == 1 else None
-    sign = -1 if words[0] == "-" else 1
-    words = words[1:] if sign < 0 else words
-    if len(words) != 1 or not words[0][0].isdigit():
-        return None
-    return sign * parse_integer(words[0])[0]

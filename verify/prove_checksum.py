@@ -12,6 +12,7 @@ from zerodrift.verify.prove_memory import AddressOf, Number
 from zerodrift.verify.prove_specification import Specification
 from zerodrift.verify.prove_state import IDENTITY, STEPS
 from zerodrift.verify.prove_terms import Terms, Whole
+from zerodrift.verify.prove_types import TYPES
 
 LONG = 512
 
@@ -20,8 +21,6 @@ def prove_checksum(machine: TermMachine, meaning: Specification, prefix: str) ->
     """Return where the C's checksum is another; "" where it is not."""
     terms = machine.terms
     instance = machine.make_instance(f"{prefix}_state_t", "s")
-    from zerodrift.verify.c_values import TYPES
-
     state: dict[str, list[Whole]] = {}
     for field in meaning.fields:
         low, high = TYPES[field.type]

@@ -8,37 +8,6 @@ Shares no code with what wrote the C.
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
-from zerodrift.verify.c_nodes import (
-    CAlone,
-    CAssign,
-    CBinary,
-    CBlock,
-    CCall,
-    CCast,
-    CChoose,
-    CDeclare,
-    CField,
-    CFor,
-    CIf,
-    CIndex,
-    CInteger,
-    CList,
-    CName,
-    CNode,
-    CNumbers,
-    CReturn,
-    CSizeof,
-    CUnary,
-    CWhile,
-    Expression,
-    Initialiser,
-    Program,
-    Statement,
-    Variable,
-    walk,
-)
-from zerodrift.verify.c_reader import LIMITS
-from zerodrift.verify.c_values import TYPES
 from zerodrift.verify.prove_memory import (
     AddressOf,
     Cell,
@@ -50,14 +19,42 @@ from zerodrift.verify.prove_memory import (
     Spot,
 )
 from zerodrift.verify.prove_paths import PathMachine
+from zerodrift.verify.prove_syntax import (
+    CAlone,
+    CAssign,
+    CBinary,
+    CBlock,
+    CCall,
+    CCast,
+    CChoose,
+    CDeclare,
+    CField,
+    CIf,
+    CIndex,
+    CInteger,
+    CList,
+    CName,
+    CNode,
+    CNumbers,
+    CReturn,
+    CSizeof,
+    CTyped,
+    CUnary,
+    CWhile,
+    Expression,
+    Initialiser,
+    Program,
+    Statement,
+    Variable,
+    walk,
+)
 from zerodrift.verify.prove_terms import UndecidedError, Whole
+from zerodrift.verify.prove_types import LIMITS, TYPES
 
 MOST_ROUNDS = 200_000
 DEEPEST = 40
 MOST_CELLS = 1_000_000
 """Of one array: no chip has room for more."""
-SIZEOF = "sizeof"
-"""The rule for sizes of structs."""
 Rule: TypeAlias = "Callable[[TermMachine, list[Found]], Found]"
 """What a function does that is not run."""
 
@@ -189,8 +186,6 @@ class TermMachine(PathMachine):
                 self._assign(node)
             case CAlone():
                 self.evaluate(node.of)
-            case CFor():
-                raise UndecidedError("a loop of the other parser")
         return False
 
     def _branch(self, node: CIf) -> bool:
@@ -378,6 +373,8 @@ class TermMachine(PathMachine):
         match node:
             case CInteger():
                 return self._literal(node)
+            case CTyped():
+                return self.constant(node.number, node.type)
             case CBinary():
                 return self._binary(node)
             case CName() | CField() | CIndex():
@@ -394,7 +391,7 @@ class TermMachine(PathMachine):
             case CChoose():
                 return self._choose(node)
             case CSizeof():
-                return self.rules[SIZEOF](self, [])
+                return self._size_of(node)
         raise UndecidedError("a list where an expression is expected")
 
     def locate(self, node: Expression) -> Found:
@@ -445,8 +442,6 @@ class TermMachine(PathMachine):
 
     def _literal(self, node: CInteger) -> Number:
         kinds = ["int32_t", "uint32_t", "int64_t", "uint64_t"]
-        if node.longs:
-            kinds = kinds[2:]
         decimal = node.token[0] != "0" or node.number == 0
         for kind in kinds:
             signed = not kind.startswith("u")
@@ -455,6 +450,22 @@ class TermMachine(PathMachine):
             if node.number <= TYPES[kind][1]:
                 return self.constant(node.number, kind)
         raise UndecidedError(f"{node.token} has no type")
+
+    def _size_of(self, node: CSizeof) -> Number:
+        """Return the size of a struct: a number of its own for each, which a compiler knows."""
+        kind = node.of
+        if not isinstance(kind, str):
+            of = self.locate(kind)
+            if not isinstance(of, Instance):
+                raise UndecidedError("the size of something that is no struct")
+            kind = of.type
+        if kind not in self.program.structs:
+            raise UndecidedError(f"the size of {kind}")
+        return self.size_of(kind)
+
+    def size_of(self, kind: str) -> Number:
+        """Return the size of a struct."""
+        return Number(self.terms.symbol(f"sizeof {kind}", 1, 2**31), "uint64_t")
 
     def _binary(self, node: CBinary) -> Found:
         if node.operator in ("&&", "||"):
@@ -537,13 +548,6 @@ class TermMachine(PathMachine):
 
     def _call(self, node: CCall) -> Found:
         name = node.name
-        if name in ("UINT32_C", "INT64_C", "UINT64_C", "INT32_C"):
-            value = self.number(node.arguments[0])
-            kind = f"{name[:-2].lower()}_t"
-            low, high = TYPES[kind]
-            if len(node.arguments) != 1 or not low <= value.term.low <= high:
-                raise UndecidedError(f"{name} of this")
-            return self.convert(value, kind)
         arguments = [self.evaluate(argument) for argument in node.arguments]
         self._at = node.at
         rule = self.rules.get(name)
@@ -566,15 +570,10 @@ def _returns(node: CNode) -> bool:
     return any(isinstance(part, CReturn) for part in walk(node))
 
 
-PURE = frozenset({"INT64_C", "UINT32_C", "INT32_C", "UINT64_C"})
-
-
 def _has_effect(node: CNode) -> bool:
     """Whether it calls anything that is not known to change nothing."""
     calls = [part.name for part in walk(node) if isinstance(part, CCall)]
     return any(
-        name not in PURE
-        and not name.startswith("zd_round_shift")
-        and not name.endswith(("_is_sound", "_sum_up"))
+        not name.startswith("zd_round_shift") and not name.endswith(("_is_sound", "_sum_up"))
         for name in calls
     )

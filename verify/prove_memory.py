@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from zerodrift.verify.c_values import BITS, TYPES, is_signed
 from zerodrift.verify.prove_terms import Terms, UndecidedError, Whole
+from zerodrift.verify.prove_types import BITS, TYPES, is_signed
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-from zerodrift.verify.c_nodes import CNode, Variable
-from zerodrift.verify.c_values import FaultError, NotUnderstoodError
+from zerodrift.verify.prove_syntax import CNode, Variable
 from zerodrift.verify.prove_terms import UndecidedError
+from zerodrift.verify.prove_tokens import RefusedError
 
-UNCHECKED = (UndecidedError, NotUnderstoodError, FaultError, RecursionError, KeyError, ValueError)
+UNCHECKED = (UndecidedError, RefusedError, RecursionError, KeyError, ValueError)
 PROVEN, TESTED, OPEN = "proven", "tested, not proven", "not proven"
 
 

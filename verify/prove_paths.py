@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from zerodrift.verify.c_values import TYPES
 from zerodrift.verify.prove_memory import (
     AddressOf,
     Cell,
@@ -16,6 +15,7 @@ from zerodrift.verify.prove_memory import (
     list_positions,
 )
 from zerodrift.verify.prove_terms import UndecidedError, Whole
+from zerodrift.verify.prove_types import TYPES
 
 MOST_PATHS = 64
 MOST_STATEMENTS = 2_000_000

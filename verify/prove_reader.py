@@ -1,20 +1,26 @@
-"""The C of a firmware folder, runtime included, as a plain C99 compiler sees it: tokens.
+"""The C of a firmware folder as a compiler of C99 sees it: words, macros replaced.
 
-No macro of a compiler or a processor is defined but those that are given: what is read is the text
-for a target without extensions. Needs the standard library only.
+No macro of a compiler or a processor is defined but those that are given. A model's own files may
+ask for none of these (`prove_directives`); the runtime's do, and its text is known by its hash.
+Source: C99, 6.10 (preprocessing). Needs the standard library only.
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
-from zerodrift.verify.c_reader import COMMENT, TOKEN, Tokens, parse_integer
-from zerodrift.verify.c_values import FaultError, NotUnderstoodError
+from zerodrift.verify.prove_directives import OwnFile, refuse
+from zerodrift.verify.prove_syntax import Tokens
+from zerodrift.verify.prove_tokens import NAME, NUMBER, SIGN, TEXT, Line, RefusedError, Token, split
 
-KEPT = frozenset({"ZD_CLAIM"})
-"""Macros with parameters for which the parser has a rule."""
 PRECEDENCE = {"||": 1, "&&": 2, "==": 3, "!=": 3, "<": 4, ">": 4, "<=": 4, ">=": 4}
 DEEPEST = 64
+KEPT = frozenset({"ZD_CLAIM", "ZD_OBSERVE", "ZD_QUIET"})
+"""Macros for which the parser has a rule."""
+SYSTEM = ("stdint.h", "stddef.h")
+"""Headers of C whose types and limits are known here."""
+RUNTIME_ID = "ZD_RUNTIME_ID"
 
 
 @dataclass(frozen=True)
@@ -30,7 +36,11 @@ class Preprocessor:
     """Reads a file and what it includes."""
 
     texts: Mapping[str, str]
+    prefix: str
+    """Of the model."""
     macros: dict[str, Macro]
+    with_runtime: bool
+    """Whether the runtime's files are read where they are included."""
     found: Tokens = field(default_factory=Tokens)
     _inside: list[str] = field(default_factory=list)
 
@@ -38,86 +48,96 @@ class Preprocessor:
         """Take a file's tokens.
 
         Raises:
-            NotUnderstoodError: a directive without a rule.
-            FaultError: it does not compile.
+            RefusedError: something without a rule, or that does not compile.
         """
         if len(self._inside) > DEEPEST:
-            raise NotUnderstoodError(f"{name}: includes itself")
+            raise RefusedError(f"{name}: includes itself")
+        lines = split_checked(self.texts[name], name, self.prefix)
         self._inside.append(name)
         words: list[tuple[str, str]] = []
         states: list[tuple[bool, bool]] = []  # whether this arm is read, whether one was
-        for place, tokens in split(self.texts[name], name):
-            if tokens[0] != "#":
+        for line in lines:
+            if line[0].text != "#":
                 if all(active for active, _ in states):
-                    words += [(token, place) for token in tokens]
+                    words += [(token.text, token.place) for token in line]
                 continue
-            directive = tokens[1] if len(tokens) > 1 else ""
+            directive = line[1].text if len(line) > 1 else ""
             if directive in ("if", "ifdef", "ifndef", "elif", "else", "endif"):
-                self._branch(directive, tokens[2:], states, place)
+                self._branch(directive, line, states)
             elif all(active for active, _ in states):
                 self._expand(words)
                 words = []
-                self._direct(directive, tokens[2:], place)
+                self._direct(directive, line)
         if states:
-            raise NotUnderstoodError(f"{name}: an #if without #endif")
+            raise refuse(lines[-1], "an #if without #endif")
         self._expand(words)
         self._inside.pop()
 
-    def _branch(
-        self, word: str, tokens: Sequence[str], states: list[tuple[bool, bool]], place: str
-    ) -> None:
+    def _branch(self, word: str, line: Line, states: list[tuple[bool, bool]]) -> None:
         if word in ("if", "ifdef", "ifndef"):
             outside = all(active for active, _ in states)
-            true = outside and self._holds(word, tokens, place)
+            true = outside and self._holds(word, line)
             states.append((true, true or not outside))
             return
         if not states:
-            raise NotUnderstoodError(f"{place}: #{word} without #if")
+            raise refuse(line, f"#{word} without #if")
         _, taken = states.pop()
         if word != "endif":
-            true = not taken and (word == "else" or self._holds("if", tokens, place))
+            true = not taken and (word == "else" or self._holds("if", line))
             states.append((true, taken or true))
 
-    def _holds(self, word: str, tokens: Sequence[str], place: str) -> bool:
+    def _holds(self, word: str, line: Line) -> bool:
         if word != "if":
-            if len(tokens) != 1:
-                raise NotUnderstoodError(f"{place}: #{word}")
-            return (tokens[0] in self.macros) == (word == "ifdef")
-        return bool(CCondition(self.macros, list(tokens), place).read())
+            if len(line) != 3 or line[2].kind != NAME:
+                raise refuse(line, f"#{word}")
+            return (line[2].text in self.macros) == (word == "ifdef")
+        return bool(Condition(self.macros, [token.text for token in line[2:]], line).read())
 
-    def _direct(self, word: str, tokens: Sequence[str], place: str) -> None:
+    def _direct(self, word: str, line: Line) -> None:
         if word == "include":
-            file = "".join(tokens).strip('"<>')
-            if file in self.texts:
-                self.read(file)
-            elif file not in ("stdint.h", "stddef.h"):
-                raise NotUnderstoodError(f"{place}: {file} is no file of the folder")
+            self._include(line)
         elif word == "define":
-            self._define(tokens, place)
+            self._define(line)
         elif word == "error":
-            raise FaultError(f"{place}: does not compile: {' '.join(tokens)}")
+            raise refuse(line, f"does not compile: {' '.join(t.text for t in line[2:])}")
         else:
-            raise NotUnderstoodError(f"{place}: #{word}")
+            raise refuse(line, f"#{word}")
 
-    def _define(self, tokens: Sequence[str], place: str) -> None:
-        name, rest = tokens[0], list(tokens[1:])
+    def _include(self, line: Line) -> None:
+        own = len(line) == 3 and line[2].kind == TEXT
+        file = line[2].text.strip('"') if own else "".join(t.text for t in line[3:-1])
+        if not own:
+            if file not in SYSTEM or file in self.texts:
+                raise refuse(line, f"<{file}> is none of C's headers that are known here")
+        elif file not in self.texts or not (is_runtime(file) or file == f"{self.prefix}.h"):
+            raise refuse(line, f"{file} is no file of the runtime or the model")
+        elif self.with_runtime or not is_runtime(file):
+            self.read(file)
+
+    def _define(self, line: Line) -> None:
+        name, rest = line[2].text, [token.text for token in line[3:]]
         if name in KEPT:
             return
-        bracketed = re.search(rf"\b{name}\(", self._line(place)) is not None
         parameters: tuple[str, ...] | None = None
-        if bracketed:
+        if len(line) > 3 and line[3].text == "(" and not line[3].spaced:
             end = rest.index(")")
             parameters = tuple(t for t in rest[1:end] if t != ",")
             rest = rest[end + 1 :]
-        if len(rest) == 1 and re.fullmatch(rf"{name}_[0-9a-f]{{8}}", rest[0]):
-            return  # the linker's name of the same thing
-        macro = Macro(parameters, tuple(rest))
-        if self.macros.setdefault(name, macro) != macro:
-            raise FaultError(f"{place}: {name} is defined twice")
+        if self._is_linker_name(name, rest):
+            return
+        if name in self.macros and self.macros[name] != Macro(parameters, tuple(rest)):
+            raise refuse(line, f"{name} is defined again, as something else")
+        self.macros[name] = Macro(parameters, tuple(rest))
 
-    def _line(self, place: str) -> str:
-        name, _, number = place.rpartition(":")
-        return self.texts[name].split("\n")[int(number) - 1]
+    def _is_linker_name(self, name: str, body: Sequence[str]) -> bool:
+        """Whether a macro of the runtime gives the linker's name of the same thing.
+
+        It ends with the runtime's own identity; a model's files define no such macro.
+        """
+        identity = self.macros.get(RUNTIME_ID)
+        if not name.startswith("zd_") or identity is None or len(identity.body) != 1:
+            return False
+        return list(body) == [f"{name}_{identity.body[0].removeprefix('0x')}"]
 
     def _expand(self, words: list[tuple[str, str]]) -> None:
         for word, place in self._replace(words, frozenset()):
@@ -143,7 +163,7 @@ class Preprocessor:
                     continue
                 arguments, at = _split_arguments(words, at + 1, place)
                 if len(arguments) != len(macro.parameters):
-                    raise FaultError(f"{place}: {word} of {len(arguments)} arguments")
+                    raise RefusedError(f"{place}: {word} of {len(arguments)} arguments")
                 given = dict(zip(macro.parameters, arguments, strict=True))
                 body = [
                     pair
@@ -170,16 +190,16 @@ def _split_arguments(
             arguments.append([])
         else:
             arguments[-1].append(words[at - 1])
-    raise NotUnderstoodError(f"{place}: a macro without its bracket")
+    raise RefusedError(f"{place}: a macro without its bracket")
 
 
 @dataclass
-class CCondition:
+class Condition:
     """What stands behind #if."""
 
     macros: Mapping[str, Macro]
     words: list[str]
-    place: str
+    line: Line
 
     def read(self) -> int:
         """Return its value."""
@@ -188,8 +208,8 @@ class CCondition:
             raise self._error()
         return value
 
-    def _error(self) -> NotUnderstoodError:
-        return NotUnderstoodError(f"{self.place}: a condition of the preprocessor")
+    def _error(self) -> RefusedError:
+        return refuse(self.line, "a condition without a rule")
 
     def _take(self, expected: str = "") -> str:
         if not self.words or (expected and self.words[0] != expected):
@@ -213,7 +233,7 @@ class CCondition:
         if word in ("UINT32_C", "INT32_C"):
             return self._single()
         if word[0].isdigit():
-            return parse_integer(word)[0]
+            return read_integer(word)
         macro = self.macros.get(word)
         if macro is None:
             return 0  # as C takes an unknown name
@@ -242,42 +262,123 @@ class CCondition:
         return left
 
 
-def split(text: str, name: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield the lines that hold anything, as place and tokens; continued ones as one."""
-    if "??" in text or not text.isascii():
-        raise NotUnderstoodError(f"{name}: a trigraph or a letter beyond ASCII")
-
-    def blank(match: re.Match[str]) -> str:
-        return match[0] if match[0][0] == '"' else " " + "\n" * match[0].count("\n")
-
-    begun: list[str] = []
-    for number, line in enumerate(COMMENT.sub(blank, text).split("\n"), 1):
-        begun += TOKEN.findall(line)
-        if begun and begun[-1] == "\\":
-            begun.pop()
-            continue
-        if begun:
-            yield f"{name}:{number}", begun
-            begun = []
-
-
-def preprocess(texts: Mapping[str, str], start: str, defined: Mapping[str, str]) -> Tokens:
-    """Return the tokens of a file and all that it includes.
-
-    Args:
-        texts: file name -> content.
-        start: the file to begin with.
-        defined: what the build defines.
+@lru_cache(maxsize=64)
+def split_checked(text: str, file: str, prefix: str) -> tuple[Line, ...]:
+    """Return the lines of a file; of a model's own one, each that begins with # is one of those
+    that the generator writes.
 
     Raises:
-        NotUnderstoodError: something without a rule.
-        FaultError: it does not compile.
+        RefusedError: something that it never writes.
+    """
+    lines = split(text, file, is_runtime(file))
+    if not is_runtime(file):
+        OwnFile(file, prefix, lines).check()
+    return lines
+
+
+def is_runtime(name: str) -> bool:
+    """Return whether a file is one of the runtime, the text of which is known by its hash."""
+    return name.startswith("zd_")
+
+
+def read_integer(word: str) -> int:
+    """Return the number of a literal that ends with u or with nothing.
+
+    Raises:
+        RefusedError: it is written otherwise.
+    """
+    if not re.fullmatch(r"(?:0|[1-9][0-9]*|0x[0-9A-Fa-f]+)u?", word):
+        raise RefusedError(f"'{word}' is no whole number as generator and runtime write it")
+    return int(word.removesuffix("u"), 0)
+
+
+def preprocess(
+    texts: Mapping[str, str], prefix: str, defined: Mapping[str, str], with_runtime: bool = True
+) -> Tokens:
+    """Return the tokens of a model's source and all that it includes.
+
+    Args:
+        texts: file name -> content, of the model's files and the runtime's.
+        prefix: of the model.
+        defined: what the build defines.
+        with_runtime: whether the runtime's files are read too; else its structs alone are.
+
+    Raises:
+        RefusedError: something without a rule, or that does not compile.
     """
     given = {**defined, "NULL": "0"}
-    macros = {n: Macro(None, tuple(TOKEN.findall(body))) for n, body in given.items()}
-    reader = Preprocessor(texts, macros)
-    reader.read(start)
+    macros = {name: Macro(None, tuple(_list_words(body))) for name, body in given.items()}
+    reader = Preprocessor(texts, prefix, macros, with_runtime)
+    for token in [] if with_runtime else list_structs(texts):
+        reader.found.words.append(token.text)
+        reader.found.places.append(token.place)
+    reader.read(f"{prefix}.c")
     reader.found.macros = {
         name: list(macro.body) for name, macro in macros.items() if macro.parameters is None
     }
     return reader.found
+
+
+class _Chooser(Preprocessor):
+    """Finds which lines are read, and replaces no macro."""
+
+    def _expand(self, words: list[tuple[str, str]]) -> None:
+        self.found.places += [place for _, place in words]
+
+
+def choose_lines(
+    texts: Mapping[str, str], prefix: str, defined: Mapping[str, str]
+) -> tuple[str, ...]:
+    """Return the places of the words of a model's own files that a build reads."""
+    macros = {name: Macro(None, (body,)) for name, body in defined.items()}
+    reader = _Chooser(texts, prefix, macros, with_runtime=False)
+    reader.read(f"{prefix}.c")
+    return tuple(reader.found.places)
+
+
+def _list_words(text: str) -> Iterable[str]:
+    return [token.text for line in split(f"{text}\n", "the build", True) for token in line]
+
+
+def list_asked(text: str, file: str) -> set[str]:
+    """Return the names that the conditions of a file ask for."""
+    return {
+        token.text
+        for line in split(text, file, is_runtime(file))
+        if line[0].text == "#" and line[1].text in ("if", "elif", "ifdef", "ifndef")
+        for token in line[2:]
+        if token.kind == NAME
+    }
+
+
+def read_numbers(texts: Mapping[str, str], names: Iterable[str]) -> dict[str, str]:
+    """Return macros that zd_runtime.h defines as one number, once and behind no choice.
+
+    Raises:
+        RefusedError: one that it does not define so.
+    """
+    found: dict[str, list[str]] = {name: [] for name in names}
+    for line in split(texts["zd_runtime.h"], "zd_runtime.h", True):
+        if _is_definition(line) and line[2].text in found:
+            found[line[2].text] += [token.text for token in line[3:]]
+    for name, words in found.items():
+        if len(words) != 1:
+            raise RefusedError(f"zd_runtime.h: {name} is not one number")
+    return {name: words[0] for name, words in found.items()}
+
+
+def _is_definition(line: Line) -> bool:
+    words = [token.text for token in line[:2]]
+    return words == ["#", "define"] and len(line) > 3 and line[3].kind in (NUMBER, SIGN)
+
+
+def list_structs(texts: Mapping[str, str]) -> list[Token]:
+    """Return the tokens of the structs that the runtime defines."""
+    found: list[Token] = []
+    for name in sorted(filter(is_runtime, texts)):
+        tokens = [t for line in split(texts[name], name, True) if line[0].text != "#" for t in line]
+        for at, token in enumerate(tokens):
+            if token.text == "typedef" and tokens[at + 1].text == "struct":
+                end = next(k for k in range(at, len(tokens)) if tokens[k].text == "}")
+                found += tokens[at : end + 3]
+    return found

@@ -11,21 +11,31 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeAlias
 
-from zerodrift.verify.c_gru import (
-    unpack_before,
-    unpack_bytes,
-    unpack_columns,
-    unpack_pairs,
-    unpack_rows,
-    unpack_rows_before,
-)
-from zerodrift.verify.c_lstm import unpack_lstm_bytes, unpack_lstm_rows
 from zerodrift.verify.prove_kernels import TANH, Layers, Numbered, Power, find_exp2, find_power
 from zerodrift.verify.prove_machine import Rule, TermMachine, refuse_other_type
 from zerodrift.verify.prove_memory import AddressOf, Found, Instance, Number, Spot
+from zerodrift.verify.prove_packing import (
+    Tables,
+    pack_before,
+    pack_bytes,
+    pack_columns,
+    pack_lstm_bytes,
+    pack_pairs,
+    pack_rows,
+    pack_rows_before,
+)
 from zerodrift.verify.prove_terms import Opaque, UndecidedError, Whole
+from zerodrift.verify.prove_types import TYPES
 
 SHIFT = "shift"
+ASSEMBLY: dict[str, Callable[[Numbered], Tables]] = {
+    "zd_gru_pairs_t": pack_pairs,
+    "zd_gru_before_t": pack_before,
+    "zd_gru_bytes_t": pack_bytes,
+    "zd_lstm_pairs_t": pack_pairs,
+    "zd_lstm_bytes_t": pack_lstm_bytes,
+}
+"""Constants of a layer in assembly -> the order of its table."""
 
 
 @dataclass
@@ -63,7 +73,6 @@ def make_rules(prefix: str, layers: Callable[[], Layers], used: Used) -> dict[st
         "zd_crc32_word": _crc_word,
         "zd_save": lambda m, a: _save(m, a, prefix, used),
         "zd_restore": lambda m, a: _restore(m, a, prefix, used),
-        "sizeof": lambda m, _: Number(m.terms.symbol("sizeof", 1, 2**31), "uint64_t"),
         "ZD_PAIR_SCRATCH": lambda m, a: _size(m, scratch_of_pairs(*map(exact, a))[0][1]),
         "ZD_ROW_VECTORS": lambda m, a: _size(m, -(-exact(a[0]) // 8)),
         "ZD_ROW_UNITS": lambda m, a: _size(m, -(-exact(a[0]) // 4) * 4),
@@ -72,13 +81,13 @@ def make_rules(prefix: str, layers: Callable[[], Layers], used: Used) -> dict[st
     }
     of_rows = ("weights", "bytes", "bias", "multiplier")
     packed = {
-        "zd_gru_step_pairs": Packed("gru", ("stream",), unpack_pairs, scratch_of_pairs),
-        "zd_gru_step_columns": Packed("gru", ("stream",), unpack_columns, scratch_of_columns),
-        "zd_gru_step_rows": Packed("gru", of_rows, unpack_rows, scratch_of_rows),
+        "zd_gru_step_pairs": Packed("gru", ("stream",), pack_pairs, scratch_of_pairs),
+        "zd_gru_step_columns": Packed("gru", ("stream",), pack_columns, scratch_of_columns),
+        "zd_gru_step_rows": Packed("gru", of_rows, pack_rows, scratch_of_rows),
         "zd_gru_step_rows_before": Packed(
-            "gru before", of_rows, unpack_rows_before, scratch_of_rows_before
+            "gru before", of_rows, pack_rows_before, scratch_of_rows_before
         ),
-        "zd_lstm_step_rows": Packed("lstm", of_rows, unpack_lstm_rows, scratch_of_rows),
+        "zd_lstm_step_rows": Packed("lstm", of_rows, pack_rows, scratch_of_rows),
     }
     for name, kernel in packed.items():
         rules[name] = _make_packed(layers, kernel)
@@ -99,8 +108,8 @@ class Packed:
     """Of its layers: gru | gru before | lstm."""
     tables: tuple[str, ...]
     """Fields of its constants."""
-    unpack: Callable[..., object]
-    """From the tables, inputs and units to the rows."""
+    pack: Callable[[Numbered], Tables]
+    """From a layer to the tables."""
     scratch: Scratch
 
 
@@ -300,9 +309,9 @@ def _make_packed(layers: Callable[[], Layers], kernel: Packed) -> Rule:
         address, inputs, hidden, x, h, *given, mode = arguments
         layer = _find_layer(address, layers(), kernel.kind, exact(inputs), exact(hidden))
         assert isinstance(address, AddressOf)
-        tables = [list_numbers(address.of, name) for name in kernel.tables]
+        tables = tuple(list_numbers(address.of, name) for name in kernel.tables)
         shift, more, bits = _read_shifts(address.of)
-        hold_packed(layer, kernel.unpack(*tables, layer.inputs, layer.hidden), shift, more)
+        hold_packed(layer, tables, kernel.pack, shift, more)
         lstm = layer.kind == "lstm"
         cell = as_place(given.pop(0), "int32_t") if lstm else None
         _hold_mode(layer, mode, bits)
@@ -338,19 +347,13 @@ def _hold_mode(layer: Numbered, mode: Found, bits: Sequence[int]) -> None:
 def make_assembly(layers: Callable[[], Layers], layer: Numbered, constants: Instance) -> Rule:
     """Return the rule of a layer's function in assembly, whose text is known elsewhere."""
     shift, more, bits = _read_shifts(constants)
-    ways: dict[str, Callable[..., object]] = {
-        "zd_gru_before_t": unpack_before,
-        "zd_gru_bytes_t": unpack_bytes,
-        "zd_lstm_pairs_t": partial(unpack_pairs, gates=4),
-        "zd_lstm_bytes_t": unpack_lstm_bytes,
-    }
-    unpack = ways.get(constants.type, unpack_pairs)
+    pack = ASSEMBLY[constants.type]
 
     def rule(machine: TermMachine, arguments: list[Found]) -> Found:
         stream, h, x, *cell, mode = arguments
         place, lstm = as_place(stream, "int32_t"), layer.kind == "lstm"
         numbers = [c.low for c in place.block.cells if isinstance(c, Whole)]
-        hold_packed(layer, unpack(numbers, layer.inputs, layer.hidden), shift, more)
+        hold_packed(layer, (numbers,), pack, shift, more)
         _hold_mode(layer, mode, bits)
         if len(cell) != int(lstm):
             raise UndecidedError(f"{layer.name}: a cell state of another kind of layer")
@@ -373,19 +376,17 @@ def list_numbers(instance: Instance, name: str) -> list[int]:
 
 
 def hold_packed(
-    layer: Numbered, rows: object, shift: Sequence[int], multiplier_shift: Sequence[int] = ()
+    layer: Numbered,
+    tables: Tables,
+    pack: Callable[[Numbered], Tables],
+    shift: Sequence[int],
+    multiplier_shift: Sequence[int] = (),
 ) -> None:
-    """Raise where a kernel's table is not the model's weights in its order."""
-    flat: tuple[list[int], ...] = (
-        [w for row in layer.w_x for w in row],
-        [w for row in layer.w_h for w in row],
-        list(layer.bias),
-    )
+    """Raise where a kernel's tables are not the model's numbers in its order."""
     same = list(shift) == list(layer.shift)
     if layer.multiplier:
-        flat = (*flat, list(layer.multiplier))
         same = same and list(multiplier_shift) == list(layer.multiplier_shift)
-    if rows != flat or not same:
+    if not same or tables != pack(layer):
         raise UndecidedError(f"{layer.name}: the kernel's table holds other numbers than the model")
 
 
@@ -416,7 +417,7 @@ def _hold_saved(
 ) -> int:
     if not isinstance(state, AddressOf) or not state.bytes or state.of.type != f"{prefix}_state_t":
         raise UndecidedError("what is saved or restored is not the state")
-    if as_number(size).term is not machine.terms.symbol("sizeof", 1, 2**31):
+    if as_number(size).term is not machine.convert(machine.size_of(state.of.type), "uint32_t").term:
         raise UndecidedError("the state's size")
     return exact(identity)
 
@@ -439,8 +440,6 @@ def _restore(machine: TermMachine, arguments: list[Found], prefix: str, used: Us
         used.restored = 1
         return Number(machine.terms.symbol("refused", 1, 2**32 - 1), "uint32_t")
     used.restored = 0
-    from zerodrift.verify.c_values import TYPES
-
     for name, block in state.of.fields.items():
         low, high = TYPES[block.type]
         for k in range(len(block.cells)):

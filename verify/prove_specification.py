@@ -23,7 +23,6 @@ from zerodrift.export.integer_model import (
 )
 from zerodrift.operations.conversion import IntegerConversion
 from zerodrift.operations.recurrent import IntegerRecurrent
-from zerodrift.verify.c_values import TYPES
 from zerodrift.verify.prove_elapsed import say_fast
 from zerodrift.verify.prove_nodes import NodeMeaning
 from zerodrift.verify.prove_state import (
@@ -41,6 +40,7 @@ from zerodrift.verify.prove_state import (
     list_fields,
 )
 from zerodrift.verify.prove_terms import Terms, UndecidedError, Whole
+from zerodrift.verify.prove_types import TYPES
 
 START_PASSES = 4
 

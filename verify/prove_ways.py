@@ -1,13 +1,10 @@
-"""The kernels of other cores: what may differ from the plain C, and what their tables hold."""
+"""Every other way to compile a model: what may differ from the plain C, and what tables hold."""
 
+import itertools
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.verify.c_kernels import STRUCTS
-from zerodrift.verify.c_model import Runtime
-from zerodrift.verify.c_nodes import CInteger, Program, TypeName, Variable
-from zerodrift.verify.c_reader import PreprocessorWay, Tokens, read_ways
 from zerodrift.verify.object_proof import (
     ProvenKernels,
 )
@@ -31,66 +28,117 @@ from zerodrift.verify.prove_parts import (
     shape_variable,
     tell,
 )
+from zerodrift.verify.prove_reader import choose_lines, list_asked, preprocess, read_numbers
 from zerodrift.verify.prove_rules import Used, make_assembly, make_rules
 from zerodrift.verify.prove_specification import Specification
+from zerodrift.verify.prove_syntax import Function, Program
 
 INTRINSICS = ("zd_gru_pairs_t", "zd_gru_rows_t", "zd_gru_columns_t", "zd_lstm_rows_t")
 """Constants of kernels that have intrinsics, where they are not in assembly."""
+KERNELS = ("PORTABLE", "PAIRS", "ROWS", "COLUMNS")
+PAIRS = 1
+CHOICES: dict[str, tuple[int | None, ...]] = {
+    "ZD_KERNEL": (0, 1, 2, 3),
+    "ZD_GRU_ASSEMBLY": (None, 6, 7),
+    "ZD_SMALL": (None, 1),
+    "ZD_UNALIGNED": (None, 1),
+}
+"""What a build may define that a model's files ask for, and as what; None: not at all."""
+DERIVED = "ZD_ASSEMBLY"
+"""What the runtime makes of the first two: assembly of layers without a kernel in C for pairs."""
+FIXED = ("ZD_RUNTIME_FORMAT", "ZD_RUNTIME_ID", *(f"ZD_KERNEL_{name}" for name in KERNELS))
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way through the conditions of a model's files."""
+
+    defined: Mapping[str, int]
+
+    @property
+    def name(self) -> str:
+        """What a build of this kind defines."""
+        words = []
+        for macro, value in self.defined.items():
+            if macro == "ZD_KERNEL":
+                words.append(f"ZD_KERNEL_{KERNELS[value]}")
+            else:
+                words.append(macro if value == 1 else f"{macro} {value}")
+        return ", ".join(words)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether every layer is a kernel in plain C."""
+        is_portable = self.defined.get("ZD_KERNEL", 0) == 0
+        return is_portable and "ZD_GRU_ASSEMBLY" not in self.defined
+
+    @property
+    def macros(self) -> dict[str, str]:
+        """All that a model's files can ask for, ZD_ASSEMBLY too."""
+        assembly = self.defined.get("ZD_GRU_ASSEMBLY", 0)
+        derived = assembly if self.defined.get("ZD_KERNEL", 0) == PAIRS else 0
+        given = {"ZD_KERNEL": 0, **self.defined, DERIVED: derived}
+        return {name: str(value) for name, value in given.items()}
+
+
+def list_ways(texts: Mapping[str, str], prefix: str) -> Iterator[tuple[Way, Program]]:
+    """Yield every different text that the choices of a build make of a model's files.
+
+    Raises:
+        RefusedError: something without a rule.
+    """
+    asked = list_asked(texts[f"{prefix}.c"], f"{prefix}.c")
+    if DERIVED in asked:
+        asked |= {"ZD_KERNEL", "ZD_GRU_ASSEMBLY"}
+    free = [name for name in CHOICES if name in asked]
+    fixed = read_numbers(texts, FIXED)
+    seen = set()
+    for values in itertools.product(*(CHOICES[name] for name in free)):
+        given = {n: v for n, v in zip(free, values, strict=True) if v is not None}
+        way = Way(given)
+        lines = choose_lines(texts, prefix, {**fixed, **way.macros})
+        if lines not in seen:
+            seen.add(lines)
+            tokens = preprocess(texts, prefix, {**fixed, **way.macros}, with_runtime=False)
+            yield way, parse_all(tokens, prefix)
 
 
 def show_kernels(
-    model: IntegerModel, texts: Mapping[str, str], prefix: str, proven: ProvenKernels
+    model: IntegerModel, texts: Mapping[str, str], prefix: str, proven: ProvenKernels, small: bool
 ) -> Iterator[ShownPart]:
     """Yield what is shown of each other way to compile the model.
 
     Nothing but the layers' tables and the calls of their kernels may differ from the plain C, and
     each kernel's table must hold the model's weights in its order. Intrinsics themselves are tested
     (docs/reference/kernels.md), not proven; assembly is where `proven` holds its object code.
+
+    Args:
+        model: as its file has it.
+        texts: file name -> content.
+        prefix: of the model.
+        proven: what is proven of object code.
+        small: whether plain C with ZD_SMALL is proven by itself.
     """
-    runtime = Runtime(texts)
-    ways = read_ways(texts, prefix, runtime.numbers)
-    programs = [(way, _parse_way(tokens)) for way, tokens in ways]
-    plain = next(p for way, p in programs if _is_plain(way))
-    for way, program in programs:
-        if _is_plain(way):
+    if not list_asked(texts[f"{prefix}.c"], f"{prefix}.c") & {*CHOICES, DERIVED}:
+        return
+    ways = list(list_ways(texts, prefix))
+    plain = ways[0][1]
+    for way, program in ways[1:]:
+        if way.is_plain and small and "ZD_UNALIGNED" not in way.defined:
             continue
         try:
             why = _hold_way(model, program, plain, prefix)
         except UNCHECKED as error:
             why = tell(error)
-        verdict = PROVEN if _is_covered(way, program, proven) else TESTED
+        verdict = PROVEN if way.is_plain or _is_covered(way, program, proven) else TESTED
         yield ShownPart("kernels of recurrent layers", way.name, OPEN if why else verdict, why)
 
 
-def _is_covered(way: PreprocessorWay, program: Program, proven: ProvenKernels) -> bool:
+def _is_covered(way: Way, program: Program, proven: ProvenKernels) -> bool:
     """Return whether every kernel of a way is plain C, or assembly that is proven."""
     ends = {name.removesuffix("_assembly") for name in program.assembly}
     intrinsics = {v.name for v in program.constants if v.type.name in INTRINSICS} - ends
     return bool(ends) and not intrinsics and proven.hold(way.defined, ends)
-
-
-def _is_plain(way: PreprocessorWay) -> bool:
-    assembly = {"ZD_GRU_ASSEMBLY", "ZD_ASSEMBLY"} & {*way.defined}
-    return way.defined.get("ZD_KERNEL", 0) == 0 and not assembly
-
-
-def _parse_way(tokens: Tokens) -> Program:
-    program = parse_all(tokens, tuple(STRUCTS))
-    for name, fields in STRUCTS.items():
-        program.structs[name] = tuple(
-            Variable(
-                TypeName(of.removeprefix("const ").removesuffix(" *"), True, of.endswith("*")),
-                field,
-                () if not count else (_integer(count),),
-                0,
-            )
-            for field, of, count in fields
-        )
-    return program
-
-
-def _integer(value: int) -> CInteger:
-    return CInteger(0, str(value), value)
 
 
 def _hold_way(model: IntegerModel, program: Program, plain: Program, prefix: str) -> str:
@@ -110,6 +158,8 @@ def _hold_way(model: IntegerModel, program: Program, plain: Program, prefix: str
     }
     if why := _find_difference(program, plain, apart, names | tables):
         return why
+    if unknown := {*program.assembly} - {f"{name}_assembly" for name in names}:
+        return f"{min(unknown)} is the assembly of no layer"
     for variable in own:
         machine._declare(variable, machine.globals)
     for name in sorted(names):
@@ -157,7 +207,7 @@ def _find_difference(program: Program, plain: Program, apart: set[str], tables: 
             if name in apart:
                 continue
             twin = other.functions.get(name)
-            if twin is None or shape(twin.body) != shape(function.body):
+            if twin is None or _shape_function(twin) != _shape_function(function):
                 return f"{name} is another than in plain C"
         for variable in one.constants:
             if variable.name in tables:
@@ -172,3 +222,8 @@ def _find_difference(program: Program, plain: Program, apart: set[str], tables: 
             if own != [shape_variable(v) for v in other.structs[name]]:
                 return f"{name} is another than in plain C"
     return ""
+
+
+def _shape_function(function: Function) -> tuple[object, ...]:
+    parameters = tuple(shape_variable(v) for v in function.parameters)
+    return function.result, parameters, shape(function.body)

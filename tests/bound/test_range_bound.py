@@ -97,9 +97,14 @@ def test_chip_and_float_model_can_be_as_far_apart_as_that() -> None:
     assert (0.999 * np.array(told) <= found).all() and (found <= told).all()
 
 
-def test_where_the_limits_of_the_answer_say_as_much_nothing_is_told() -> None:
+def make_wide_gru() -> Case:
+    """Return a model whose answer is limited before the range of its states says anything."""
     gru = draw_gru(KIND)
-    bound = make_case(replace(gru, w_h=9.0 * gru.w_h), 20.0 * HEAD).bound()
+    return make_case(replace(gru, w_h=9.0 * gru.w_h), 20.0 * HEAD)
+
+
+def test_where_the_limits_of_the_answer_say_as_much_nothing_is_told() -> None:
+    bound = make_wide_gru().bound()
     assert bound.outputs == () and "no contraction is shown" in bound.why
 
 

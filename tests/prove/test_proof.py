@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 
 import pytest
+from benchmarks.mutants.subjects import draw_subject
 
 from tests.golden.models import CASES
 from tests.golden.vectors import load
@@ -62,7 +63,7 @@ def show_rows(name: str, pattern: str = "", becomes: str = "") -> list[ShownPart
     prefix = name_prefix(model)
     texts[f"{prefix}.c"], count = re.subn(pattern, becomes, texts[f"{prefix}.c"], count=1)
     assert count == 1
-    shown = show_kernels(model, texts, prefix, ProvenKernels())
+    shown = show_kernels(model, texts, prefix, ProvenKernels(), small=True)
     return [one for one in shown if "KERNEL_ROWS" in one.build]
 
 
@@ -228,3 +229,35 @@ def test_runtime_that_computes_something_else_is_not_proven(what: str) -> None:
     texts[name] = texts[name].replace(before, after)
     found = [one for one in tell(prove(model, texts)) if not one.startswith("runtime, by its hash")]
     assert found
+
+
+BUILDS = {
+    "a small build": ("#if defined(ZD_SMALL)\n#else\n", "#endif\n"),
+    "a build for words at any address": ("#if !defined(ZD_UNALIGNED)\n", "#endif\n"),
+    "a build of another kernel": ("#if ZD_KERNEL == ZD_KERNEL_ROWS\n#else\n", "#endif\n"),
+    "a build with assembly": ("#if ZD_ASSEMBLY == 7\n#else\n", "#endif\n"),
+}
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_a_statement_that_one_build_leaves_out_is_not_proven(build: str) -> None:
+    """Of a model without recurrent layers, which has no choice of the generator's own."""
+    model = draw_subject("physics")
+    texts = write(model)
+    source = f"{name_prefix(model)}.c"
+    statement = re.search(r"    s->previous_temperature = \S*temperature;\n(?!\})", texts[source])
+    assert statement is not None
+    begin, end = BUILDS[build]
+    changed = texts[source].replace(statement[0], f"{begin}{statement[0]}{end}")
+    told = tell(prove(model, {**texts, source: changed}))
+    assert any("is another than in plain C" in one for one in told)
+
+
+def test_the_size_of_a_pointer_is_not_that_of_the_state() -> None:
+    model = draw_subject("physics")
+    texts = write(model)
+    source = f"{name_prefix(model)}.c"
+    changed = texts[source].replace("(uint32_t)sizeof(*s)", "(uint32_t)sizeof(s)")
+    told = tell(prove(model, {**texts, source: changed}))
+    assert [one for one in told if one.startswith("save ")]
+    assert [one for one in told if one.startswith("restore ")]
