@@ -19,36 +19,46 @@ TOKEN = re.compile(
     r"|%:%:|\.\.\.|<<=|>>=|->|\+\+|--|<<|>>|&&|\|\||##|<:|:>|<%|%>|%:|::|[-+*/%&|^<>=!]=|\S",
     re.ASCII,
 )
-"""Words as C cuts them, the longest first; those that are not written are found and then refused."""
-OPERATORS = frozenset(
-    "( ) [ ] { } , ; . ? : = -> ++ + - * / % & | << >> < > <= >= == != && || += &= |=".split()
+"""Words as C cuts them, the longest first; what is never written is found, and then refused."""
+OPERATORS = frozenset("()[]{},;.?:=+-*/%&|<>") | frozenset(
+    {"->", "++", "<<", ">>", "<=", ">=", "==", "!=", "&&", "||", "+=", "&=", "|="}
 )
 INTEGER = re.compile(r"(0|[1-9][0-9]*|0x[0-9A-F]+)(u?)")
 WORD = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*")
 CAPITALS = re.compile(r"[A-Z][A-Z0-9]*(?:_[A-Z0-9]+)*")
 LINE_OF_ASSEMBLY = re.compile(r'"[^"\\]*(?:\\n)?"')
-COMMENT = re.compile(r'/\*.*?\*/|"(?:[^"\\\n]|\\n)*"', re.S)
+COMMENT = re.compile(r'//|/\*.*?\*/|"(?:[^"\\\n]|\\n)*"', re.S)
 
 WRITTEN = frozenset(
     {"const", "else", "for", "if", "return", "sizeof", "static", "struct", "typedef", "void"}
 ) | {"volatile", "__asm", "__attribute__"}
 """The words of C that the generator writes, beside names of types."""
 NEVER = frozenset(
-    "auto bool break case char complex constexpr continue default do double enum extern false float"
-    " goto imaginary inline int long nullptr register restrict short signed static_assert switch"
-    " thread_local true typeof typeof_unqual union unsigned while alignas alignof asm wchar_t"
-    " and and_eq bitand bitor compl not not_eq or or_eq xor xor_eq".split()
+    re.findall(
+        r"\w+",
+        "auto break case char continue default do double enum extern float goto inline int long"
+        " register restrict short signed switch union unsigned while"
+        " alignas alignof bool constexpr false nullptr static_assert thread_local true typeof"
+        " typeof_unqual asm wchar_t"
+        " and and_eq bitand bitor compl not not_eq or or_eq xor xor_eq",
+    )
 )
 """Words of C99 to C23, of GNU's C, and C++'s spellings of operators, that it never writes."""
+PREDEFINED = frozenset({"i386", "linux", "unix"})
+"""Macros that GCC and Clang define in small letters where they are not told -std=c99."""
 STANDARD = frozenset(
     [f"{u}INT{n}_{end}" for u in ("", "U") for n in (8, 16, 32, 64) for end in ("MIN", "MAX")]
     + ["INT64_C", "UINT32_C", "UINT64_C", "NULL"]
 ) - {f"UINT{n}_MIN" for n in (8, 16, 32, 64)}
 """Macros of stdint.h and stddef.h that it writes."""
-NAMES_OF_TABLES = tuple(
-    f"ZD_{table}_NAME"
-    for table in ("TANH_OFFSET", "TANH_SLOPE", "TANH_HALF_OFFSET", "TANH_HALF_SLOPE")
-) + ("ZD_SIGMOID_OFFSET_NAME",)
+NAMES_OF_TABLES = (
+    "ZD_TANH_OFFSET_NAME",
+    "ZD_TANH_SLOPE_NAME",
+    "ZD_TANH_HALF_OFFSET_NAME",
+    "ZD_TANH_HALF_SLOPE_NAME",
+    "ZD_SIGMOID_OFFSET_NAME",
+)
+"""Macros of the runtime: what a table is called where the linker sees it."""
 SIZES = ("ZD_PAIR_SCRATCH", "ZD_ROW_VECTORS", "ZD_ROW_UNITS", "ZD_COLUMN_UNITS", "ZD_COLUMN_PAIRS")
 """Macros of the runtime that give an array's size; their arguments are integers."""
 OF_RUNTIME = frozenset(
@@ -175,12 +185,11 @@ def read_lines(text: str, name: str) -> list[Line]:
 _REFUSED = (
     (re.compile(r"[^\n -~]"), "a character other than printable ASCII, a blank and a line's end"),
     (re.compile(r"\?\?"), "'??' may begin a trigraph; the generator writes none"),
-    (re.compile(r"\\(?!n)"), r"a backslash that is not '\n'; no line is continued, nothing escaped"),
+    (re.compile(r"\\(?!n)"), r"a backslash other than in '\n'; no line is continued"),
 )
 _REFUSED_IN_CODE = (
     (re.compile(r"'"), "a character constant; the generator writes none"),
     (re.compile(r"/[*]"), "a comment without an end"),
-    (re.compile(r"//"), "a comment by '//'; the generator writes none"),
     (re.compile(r"[*]/"), "the end of a comment that did not begin"),
 )
 
@@ -196,6 +205,8 @@ def _blank(found: re.Match[str], text: str, name: str) -> str:
     if told[0] == '"':
         return told
     start, end = found.span()
+    if told == "//":
+        raise _refuse_at(text, name, start, "a comment by '//'; the generator writes none")
     inside = told[2:-2]
     if (at := inside.find("/*")) >= 0:
         raise _refuse_at(text, name, start + 2 + at, "a comment begins within a comment")
@@ -221,12 +232,11 @@ def read_words(lines: Iterable[Line], allowed: Collection[str]) -> list[list[str
     """
     lines = list(lines)
     found = [TOKEN.findall(line.text) for line in lines]
-    different = set[str]().union(*found)
-    for word in different:
-        if (why := _explain(word, allowed)) is not None:
-            line, words = next((n, w) for n, w in zip(lines, found, strict=True) if word in w)
-            place = line.locate(words.index(word))
-            raise NotUnderstoodError(f"{place}: '{word}': {why}")
+    whys = {word: _explain(word, allowed) for word in set[str]().union(*found)}
+    if any(whys.values()):
+        places = ((n, k, word) for n, w in enumerate(found) for k, word in enumerate(w))
+        number, index, word = next((n, k, word) for n, k, word in places if whys[word])
+        raise NotUnderstoodError(f"{lines[number].locate(index)}: '{word}': {whys[word]}")
     return found
 
 
@@ -243,6 +253,8 @@ def _explain(word: str, allowed: Collection[str]) -> str | None:
         if word in STANDARD or word in OF_RUNTIME or word in allowed:
             return None
         return "a macro that is not known here"
+    if word in PREDEFINED:
+        return "a macro of compilers that know more than C99"
     if word in NEVER:
         return "a word of C or C++ that the generator does not write"
     if WORD.fullmatch(word):

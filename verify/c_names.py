@@ -91,7 +91,7 @@ class _Names:
         """Entries are declared in the header; all else is static, and of the source."""
         program, own = self._program, name.startswith(f"{self._prefix}_")
         if (name in self._entries) != self._is_header(at):
-            raise self._refuse(at, f"{name}: the header declares a model's entries, and those alone")
+            raise self._refuse(at, f"{name}: the header declares the entries, and nothing else")
         if (name in self._entries) == (name in program.static):
             raise self._refuse(at, f"{name}: all functions but a model's entries are static")
         if function := program.functions.get(name):
@@ -157,6 +157,7 @@ class _Names:
                 raise self._refuse(call.at, "ZD_OBSERVE is given a place and its length")
         elif call.name == "ZD_CLAIM":
             raise self._refuse(call.at, "ZD_CLAIM stands outside of functions")
-        elif call.name == "ZD_QUIET" or call.name in SIZES:
-            if not all(isinstance(argument, CInteger) for argument in call.arguments):
-                raise self._refuse(call.at, f"{call.name} is given integers")
+        elif call.name in ("ZD_QUIET", *SIZES) and not all(
+            isinstance(argument, CInteger) for argument in call.arguments
+        ):
+            raise self._refuse(call.at, f"{call.name} is given integers")

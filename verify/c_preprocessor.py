@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 from zerodrift.verify.c_lexer import (
     NEVER,
+    PREDEFINED,
     WORD,
     WRITTEN,
     Line,
@@ -79,7 +80,7 @@ STANDARD_MACROS = re.compile(
     r"|U?(?:CHAR|SHRT|LONG|LLONG)_(?:MIN|MAX|WIDTH)|S(?:CHAR|IZE)_(?:MIN|MAX|WIDTH)|CHAR_BIT"
     r"|(?:SSIZE|PTRDIFF|SIG_ATOMIC|WCHAR|WINT)_(?:MIN|MAX|WIDTH)"
 )
-"""Of the headers that model and runtime include: what stands there must not become another number."""
+"""Of the headers that model and runtime include; none of them becomes another number."""
 
 
 @dataclass(frozen=True)
@@ -254,7 +255,7 @@ def check_prefix(prefix: str) -> None:
 
     It is part of every name of the model, and so decides which names those can be.
     """
-    plain = WORD.fullmatch(prefix) and prefix not in NEVER | WRITTEN
+    plain = WORD.fullmatch(prefix) and prefix not in NEVER | WRITTEN | PREDEFINED
     if not plain or prefix == "zd" or prefix.startswith("zd_"):
         raise NotUnderstoodError(f"'{prefix}' is no prefix of a model's names")
 
@@ -306,7 +307,7 @@ def _define(lines: _Lines, macros: dict[str, list[str]], prefix: str) -> None:
     scale = rf"#define {name}_LSB_PER_UNIT ({NUMBER})"
     if of_output := re.fullmatch(scale, lines.look(1).text):
         if not re.fullmatch(NUMBER, value):
-            raise line.refuse(f"'{value[:40]}' where an output's index is written", found.start(3) + 1)
+            raise line.refuse(f"'{value[:40]}' is no index of an output", found.start(3) + 1)
         if f"{name}_LSB_PER_UNIT" in macros:
             raise lines.look(1).refuse(f"{name}_LSB_PER_UNIT is defined a second time", 9)
         macros[name], macros[f"{name}_LSB_PER_UNIT"] = [value], [of_output[1]]
@@ -392,7 +393,7 @@ class _Source:
                 self._claims = True
                 lines.at += 1
             elif word.startswith("#"):
-                raise lines.look().refuse(f"'{text[:60]}' is no line that a model's source has here")
+                raise lines.look().refuse(f"'{text[:60]}' is no directive that is written here")
             else:
                 stretch = Stretch()
                 self._header.add(lines.take_code(), stretch, self._further)

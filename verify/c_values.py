@@ -11,7 +11,9 @@ TYPES = {f"int{n}_t": (-(2 ** (n - 1)), 2 ** (n - 1) - 1) for n in (8, 16, 32, 6
 TYPES |= {f"uint{n}_t": (0, 2**n - 1) for n in (8, 16, 32, 64)}
 BITS = {name: int(name.strip("uint_")) for name in TYPES}
 LIMITS = {f"INT{n}_MIN": TYPES[f"int{n}_t"][0] for n in (8, 16, 32, 64)}
-LIMITS |= {f"{u}INT{n}_MAX": TYPES[f"{u.lower()}int{n}_t"][1] for u in ("", "U") for n in (8, 16, 32, 64)}
+LIMITS |= {
+    f"{u}INT{n}_MAX": TYPES[f"{u.lower()}int{n}_t"][1] for u in ("", "U") for n in (8, 16, 32, 64)
+}
 """Macros of stdint.h."""
 
 

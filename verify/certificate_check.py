@@ -71,8 +71,8 @@ def find_taken_headers(folder: Path, texts: Mapping[str, str]) -> Iterator[str]:
     for name in sorted(asked):
         if any((place / name).exists() for place in (folder, folder.parent / SHARED_RUNTIME)):
             yield (
-                f"{name}: lies in the firmware's folder, where a compiler may read it in the place of"
-                " its own; remove it"
+                f"{name}: lies beside the C, where a compiler may read it in the place of its own;"
+                " remove it"
             )
 
 
