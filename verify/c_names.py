@@ -33,6 +33,12 @@ FURTHER = ("step_after", "restore_after", "tare", "untare")
 OF_BLOCKS = ("check_block", "choose_block")
 OF_NODES = re.compile(r"[a-z]\w*_(?:step|relax|is_sound)")
 OF_ASSEMBLY = re.compile(r"[a-z]\w*_assembly")
+SIGNATURES = (
+    "void const int32_t * stream , int32_t * h_q30 , const int16_t * x , int32_t u_keep )",
+    "void const int32_t * stream , int32_t * h_q30 , const int16_t * x , int32_t * cell ,"
+    " uint32_t relaxing )",
+)
+"""Of the assembly of a GRU and of an LSTM: in which register each argument comes."""
 STRUCTS = ("input", "state", "block")
 LAYERS = ("gru", "lstm")
 """Layers whose constants bear no further word; every other constant is named NODE_PART."""
@@ -100,7 +106,8 @@ class _Names:
             if name in program.naked or not (own or OF_NODES.fullmatch(name)):
                 raise self._refuse(at, f"{name} is no function in C that a model has")
         elif name in program.assembly:
-            if name not in program.naked or not OF_ASSEMBLY.fullmatch(name):
+            known = OF_ASSEMBLY.fullmatch(name) and program.signatures[name] in SIGNATURES
+            if name not in program.naked or not known:
                 raise self._refuse(at, f"{name} is no function of assembly that a model has")
         elif name in program.naked:
             raise self._refuse(at, f"{name} has attributes and no body")

@@ -270,6 +270,8 @@ class Program:
     """Function -> its lines of assembly."""
     declared: dict[str, int] = field(default_factory=dict)
     """Function -> the token of its first declaration."""
+    signatures: dict[str, str] = field(default_factory=dict)
+    """Function -> the words of its result and of its parameters, up to the last bracket."""
     static: set[str] = field(default_factory=set)
     """Functions that are."""
     naked: set[str] = field(default_factory=set)

@@ -135,6 +135,7 @@ class Parser(ExpressionParser):
         words = [w for w in self._words[begin : self.at] if w != "ZD_IN_REGISTER"]
         if self._declared.setdefault(name, (kind, words)) != (kind, words):
             raise self.error(f"{name} was declared with other parameters")
+        self.program.signatures[name] = " ".join([kind.name, *words])
         naked = False
         if self.take_if("__attribute__"):
             self.take_all("(", "(", "naked", ",", "noinline", ",", "used", ")", ")")

@@ -393,7 +393,9 @@ class _Source:
                 self._claims = True
                 lines.at += 1
             elif word.startswith("#"):
-                raise lines.look().refuse(f"'{text[:60]}' is no directive that is written here")
+                raise lines.look().refuse(
+                    f"'{text[:60]}': no directive that the generator writes here"
+                )
             else:
                 stretch = Stretch()
                 self._header.add(lines.take_code(), stretch, self._further)

@@ -286,6 +286,18 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
         "int32_t u_keep);",
         "no function of assembly",
     ),
+    "assembly that is given its mask otherwise": (
+        C,
+        "const int16_t *x, int32_t u_keep)\n    __attribute__((naked, noinline, used));\n"
+        "static void gru_assembly(const int32_t *stream ZD_IN_REGISTER,"
+        " int32_t *h_q30 ZD_IN_REGISTER, const int16_t *x ZD_IN_REGISTER,"
+        " int32_t u_keep ZD_IN_REGISTER) {",
+        "const int16_t *x, uint8_t u_keep)\n    __attribute__((naked, noinline, used));\n"
+        "static void gru_assembly(const int32_t *stream ZD_IN_REGISTER,"
+        " int32_t *h_q30 ZD_IN_REGISTER, const int16_t *x ZD_IN_REGISTER,"
+        " uint8_t u_keep ZD_IN_REGISTER) {",
+        "no function of assembly",
+    ),
     "no parameters named": (C, "gru_is_sound(void)", "gru_is_sound()", "(void) is written"),
     "parameters after the brackets": (
         C,
