@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from zerodrift.verify import c_armv6m, c_armv7em
 from zerodrift.verify.c_gru import BEFORE, BYTES, PAIRS, GruStep, run_packed
 from zerodrift.verify.c_intervals import IntervalMachine
+from zerodrift.verify.c_lexer import NAMES_OF_TABLES
 from zerodrift.verify.c_lstm import LstmStep, step_lstm
 from zerodrift.verify.c_values import (
     FaultError,
@@ -24,11 +25,14 @@ from zerodrift.verify.c_values import (
 MOST_INPUTS, MOST_UNITS = 32, 128
 
 
-NAMES = {
-    f"ZD_TANH_{half}{field}_NAME": f"zd_tanh_{half.lower()}{field.lower()}_{digits}"
-    for half in ("", "HALF_")
-    for field, digits in (("OFFSET", "q30"), ("SLOPE", "q19"))
-} | {"ZD_SIGMOID_OFFSET_NAME": "zd_sigmoid_offset_q31"}
+LINKED = (
+    "zd_tanh_offset_q30",
+    "zd_tanh_slope_q19",
+    "zd_tanh_half_offset_q30",
+    "zd_tanh_half_slope_q19",
+    "zd_sigmoid_offset_q31",
+)
+NAMES = dict(zip(NAMES_OF_TABLES, LINKED, strict=True))
 """Macros of the runtime: what a table is called where the linker sees it."""
 
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from zerodrift.verify.c_expressions import Expressions
+from zerodrift.verify.c_lexer import TOKEN, Tokens, parse_integer
 from zerodrift.verify.c_nodes import (
     CAssign,
     CCall,
@@ -22,7 +23,6 @@ from zerodrift.verify.c_nodes import (
     Expression,
     is_name,
 )
-from zerodrift.verify.c_reader import TOKEN, Tokens, parse_integer
 from zerodrift.verify.c_values import TYPES, FaultError, NotUnderstoodError, Struct, Value
 
 WITHIN = """
@@ -185,26 +185,26 @@ def cut_known(tokens: Tokens, prefix: str) -> tuple[Tokens, int]:
     Raises:
         NotUnderstoodError: one of them is missing or another.
     """
-    words, places = list(tokens.words), list(tokens.places)
+    words, spots = list(tokens.words), list(tokens.spots)
     for text in DECLARED:
-        _cut(words, places, text, prefix)
-    numbers = _cut(words, places, CHECK, prefix)
-    _cut(words, places, CHOOSE, prefix)
+        _cut(words, spots, text, prefix)
+    numbers = _cut(words, spots, CHECK, prefix)
+    _cut(words, spots, CHOOSE, prefix)
     for kind, of in KINDS.items():
         if f"{prefix}_within_{kind}" in words:
-            _cut(words, places, WITHIN.replace("K(", f"{kind}(").replace("T ", f"{of} "), prefix)
+            _cut(words, spots, WITHIN.replace("K(", f"{kind}(").replace("T ", f"{of} "), prefix)
     if f"{prefix}_rows_within" in words:
-        _cut(words, places, ROWS_WITHIN, prefix)
+        _cut(words, spots, ROWS_WITHIN, prefix)
     if f"{prefix}_gru_within" in words:
         for text in GRU_WITHIN:
-            _cut(words, places, text, prefix)
+            _cut(words, spots, text, prefix)
     *_, told, summed = numbers
     if told != summed:
         raise NotUnderstoodError(f"{prefix}_check_block: a length of {told}, a CRC over {summed}")
-    return Tokens(words, places, tokens.macros), told
+    return Tokens(words, spots, tokens.where, tokens.macros), told
 
 
-def _cut(words: list[str], places: list[str], text: str, prefix: str) -> list[int]:
+def _cut(words: list[str], spots: list[int], text: str, prefix: str) -> list[int]:
     """Take a known text out of the tokens; return the integers in it that may be any."""
     wanted = TOKEN.findall(re.sub(r"\bP_", f"{prefix}_", text))
     name = next(word for word in wanted if re.fullmatch(rf"{prefix}_\w+(?<!_block_t)", word))
@@ -217,7 +217,7 @@ def _cut(words: list[str], places: list[str], text: str, prefix: str) -> list[in
         if all(w in (f, ANY) for w, f in zip(wanted, found, strict=True)):
             numbers = [parse_integer(f)[0] for w, f in zip(wanted, found, strict=True) if w == ANY]
             del words[at - ahead : at - ahead + len(wanted)]
-            del places[at - ahead : at - ahead + len(wanted)]
+            del spots[at - ahead : at - ahead + len(wanted)]
             return numbers
     raise NotUnderstoodError(f"{name} is missing, or not the text that is known here")
 

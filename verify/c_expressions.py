@@ -27,9 +27,9 @@ from zerodrift.verify.c_nodes import (
     TypeName,
     walk,
 )
-from zerodrift.verify.c_reader import LIMITS
 from zerodrift.verify.c_values import (
     BITS,
+    LIMITS,
     TYPES,
     Address,
     Block,

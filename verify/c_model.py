@@ -6,15 +6,26 @@ Shares no code with the generator and needs the standard library only.
 import re
 from collections.abc import Mapping, Sequence
 
-from zerodrift.verify.c_assembly import NAMES, run_assembly
+from zerodrift.verify.c_assembly import run_assembly
 from zerodrift.verify.c_block import cut_known, has_block, read_block_set
 from zerodrift.verify.c_checksum import is_summed
 from zerodrift.verify.c_guard import read_guard
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_kernels import RULES, STRUCTS
-from zerodrift.verify.c_nodes import CField, CInteger, CList, CName, CNumbers, Initialiser, Variable
+from zerodrift.verify.c_lexer import NAMES_OF_TABLES, Tokens
+from zerodrift.verify.c_names import ENTRIES, FURTHER, check_names
+from zerodrift.verify.c_nodes import (
+    CField,
+    CInteger,
+    CList,
+    CName,
+    CNumbers,
+    Initialiser,
+    Program,
+    Variable,
+)
 from zerodrift.verify.c_parser import parse
-from zerodrift.verify.c_reader import WAYS, PreprocessorWay, Tokens, read_ways
+from zerodrift.verify.c_preprocessor import SWITCHES, Build, PreprocessorWay, read_ways
 from zerodrift.verify.c_tables import read_lines
 from zerodrift.verify.c_values import (
     TYPES,
@@ -30,10 +41,6 @@ from zerodrift.verify.c_values import (
     make_block,
 )
 
-ENTRIES = ("init", "settle", "step", "selftest", "save", "restore")
-FURTHER = ("step_after", "restore_after", "tare", "untare")
-"""Entries of models whose steps are told their time, or whose drift counts from a moment on."""
-
 
 class Runtime:
     """The constants and tables of zd_runtime.h and zd_runtime.c."""
@@ -47,7 +54,7 @@ class Runtime:
         files = [text for name, text in texts.items() if name.startswith("zd_")]
         plain = re.sub(r"/\*.*?\*/", "", "\n".join(files), flags=re.S)
         found = re.findall(r"#define (ZD_\w+) (0[xX][0-9a-fA-F]+|[1-9]\d*|0)(?=\s)", plain)
-        self.numbers = {name: int(value, 0) for name, value in found if name not in WAYS}
+        self.numbers = {name: int(value, 0) for name, value in found if name not in SWITCHES}
         self.tables = {
             name: [int(n) for n in numbers.split(",")]
             for name, numbers in re.findall(r"(\w+)\[[\w +]+\] = \{([-\d,\s]*)\}", plain)
@@ -70,14 +77,21 @@ def read_models(texts: Mapping[str, str], prefix: str) -> "list[Model]":
     alike: dict[tuple[str, ...], Model] = {}
     for way, every in read_ways(texts, prefix, runtime.numbers):
         tokens, asked = cut_known(every, prefix) if has_block(every, prefix) else (every, 0)
-        plain = tuple(word for word in tokens.words if word[0] != '"' and word not in NAMES)
+        plain = tuple(w for w in tokens.words if w[0] != '"' and w not in NAMES_OF_TABLES)
         if (model := alike.get(plain)) is not None:
-            model.others.append((way.defined, parse(tokens, tuple(STRUCTS)).assembly))
+            model.add_builds(way, _parse(tokens, prefix))
             continue
         for int_bits, per_pair in _list_chips(way, tokens):
             alike[plain] = Model(way, tokens, prefix, runtime, int_bits, per_pair, asked)
             models.append(alike[plain])
     return models
+
+
+def _parse(tokens: Tokens, prefix: str) -> Program:
+    """Return what the words declare, under names that a model has."""
+    program = parse(tokens, tuple(STRUCTS))
+    check_names(program, prefix)
+    return program
 
 
 def _list_chips(way: PreprocessorWay, tokens: Tokens) -> list[tuple[int, int]]:
@@ -114,11 +128,12 @@ class Model(IntervalMachine):
             per_pair: words of scratch for two numbers in the kernel for pairs of them.
             block_bytes: length of a block that `check_block` asks for; 0: there are none.
         """
-        super().__init__(parse(tokens, tuple(STRUCTS)), prefix, runtime.numbers, RULES, int_bits)
+        super().__init__(_parse(tokens, prefix), prefix, runtime.numbers, RULES, int_bits)
         narrow = ", int of 16 bits" if int_bits == 16 else ""
         self.name, self.defined = way.name + narrow, way.defined
-        self.others: list[tuple[Mapping[str, int], Mapping[str, tuple[str, ...]]]] = []
-        """What other ways define, of which nothing but the assembly is another, and that."""
+        self._texts: list[tuple[Build, Mapping[str, tuple[str, ...]]]] = []
+        """What each build of which nothing but the assembly is another defines, and that."""
+        self.add_builds(way, self.program)
         self.has_block, self._block_bytes = block_bytes > 0, block_bytes
         self.per_pair, self.tables, self.tanh_lines = per_pair, runtime.tables, runtime.lines
         self.h_limit = runtime.numbers["ZD_GRU_H_LIMIT_Q30"]
@@ -179,8 +194,11 @@ class Model(IntervalMachine):
 
     def run_assembly(self, name: str, arguments: Sequence[Found]) -> None:
         """Step a layer by assembly that is known."""
-        texts = [(self.defined, self.program.assembly), *self.others]
-        run_assembly(self, name, arguments, texts)
+        run_assembly(self, name, arguments, self._texts)
+
+    def add_builds(self, way: PreprocessorWay, program: Program) -> None:
+        """Let the model stand for all builds of a way, which differ from it in assembly alone."""
+        self._texts += [(build, program.assembly) for build in way.builds]
 
     def _expand(self, macro: str) -> CInteger:
         words = self.program.tokens.macros.get(f"{self.prefix.upper()}_{macro}")

@@ -3,11 +3,25 @@
 Shares no code with the generator and needs the standard library only.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
-from zerodrift.verify.c_reader import Tokens
+
+class PlacedWords(Protocol):
+    """What a program is read from: its words, where each stands, and macros by name."""
+
+    @property
+    def words(self) -> Sequence[str]:
+        """All of them, in their order."""
+
+    @property
+    def places(self) -> Sequence[str]:
+        """file:line of each, or file:line:column."""
+
+    @property
+    def macros(self) -> Mapping[str, Sequence[str]]:
+        """Name -> the words that it stands for."""
 
 
 @dataclass(frozen=True)
@@ -246,13 +260,22 @@ class Function:
 class Program:
     """What header and source declare, in their order."""
 
-    tokens: Tokens
+    tokens: PlacedWords
     structs: dict[str, tuple[Variable, ...]] = field(default_factory=dict)
     constants: list[Variable] = field(default_factory=list)
     functions: dict[str, Function] = field(default_factory=dict)
     claims: list[Expression] = field(default_factory=list)
+    claim_names: list[str] = field(default_factory=list)
     assembly: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """Function -> its lines of assembly."""
+    declared: dict[str, int] = field(default_factory=dict)
+    """Function -> the token of its first declaration."""
+    signatures: dict[str, str] = field(default_factory=dict)
+    """Function -> the words of its result and of its parameters, up to the last bracket."""
+    static: set[str] = field(default_factory=set)
+    """Functions that are."""
+    naked: set[str] = field(default_factory=set)
+    """Functions that are declared to have nothing around their assembly."""
 
     def place(self, at: int) -> str:
         """Return file:line of a token."""

@@ -7,6 +7,7 @@ generator and needs the standard library only.
 import re
 from collections.abc import Sequence
 
+from zerodrift.verify.c_lexer import parse_integer
 from zerodrift.verify.c_nodes import (
     CBinary,
     CCall,
@@ -19,15 +20,17 @@ from zerodrift.verify.c_nodes import (
     CSizeof,
     CUnary,
     Expression,
+    PlacedWords,
     Program,
     TypeName,
 )
-from zerodrift.verify.c_reader import FUNCTIONS, Tokens, parse_integer
 from zerodrift.verify.c_values import TYPES, NotUnderstoodError
 
 BINARY = {"||": 1, "&&": 2, "|": 3, "^": 4, "&": 5, "==": 6, "!=": 6}
 BINARY |= {"<": 7, ">": 7, "<=": 7, ">=": 7, "<<": 8, ">>": 8, "+": 9, "-": 9}
 BINARY |= {"*": 10, "/": 10, "%": 10}
+FUNCTIONS = ("ZD_OBSERVE", "ZD_QUIET", "ZD_CLAIM")
+"""Macros with parameters; they are not replaced, there are rules for them."""
 WORDS = {"return", "if", "else", "for", "const", "static", "volatile", "typedef", "struct"}
 WORDS |= {"while", "do", "goto", "switch", "case", "break", "continue", "union", "enum", "extern"}
 WORDS |= {"inline", "sizeof", "void", "register", "auto", "restrict", "default"}
@@ -37,7 +40,7 @@ NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 class ExpressionParser:
     """Stands before a token and takes what follows."""
 
-    def __init__(self, tokens: Tokens, struct_types: Sequence[str]) -> None:
+    def __init__(self, tokens: PlacedWords, struct_types: Sequence[str]) -> None:
         """Stand before the first token."""
         self.program, self.at = Program(tokens), 0
         self._words = tokens.words
@@ -151,9 +154,9 @@ class ExpressionParser:
             if self.take_if("("):
                 arguments = []
                 while not self.take_if(")"):
-                    arguments.append(self.expression())
-                    if self.look() != ")":
+                    if arguments:
                         self.take(",")
+                    arguments.append(self.expression())
                 node = CCall(start, name, tuple(arguments))
         while self.look() in ("[", "->", "."):
             operator = self.take()

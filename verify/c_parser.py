@@ -23,6 +23,7 @@ from zerodrift.verify.c_nodes import (
     Expression,
     Function,
     Initialiser,
+    PlacedWords,
     Program,
     Statement,
     TypeName,
@@ -30,13 +31,12 @@ from zerodrift.verify.c_nodes import (
     is_name,
 )
 from zerodrift.verify.c_parse_expressions import ExpressionParser
-from zerodrift.verify.c_reader import Tokens
 from zerodrift.verify.c_values import TYPES
 
 ASSIGNMENTS = ("=", "+=", "-=", "*=", "|=", "&=", "^=", "<<=", ">>=")
 
 
-def parse(tokens: Tokens, struct_types: Sequence[str]) -> Program:
+def parse(tokens: PlacedWords, struct_types: Sequence[str]) -> Program:
     """Read all declarations.
 
     Args:
@@ -55,7 +55,7 @@ def parse(tokens: Tokens, struct_types: Sequence[str]) -> Program:
 class Parser(ExpressionParser):
     """Takes statements and declarations."""
 
-    def __init__(self, tokens: Tokens, struct_types: Sequence[str]) -> None:
+    def __init__(self, tokens: PlacedWords, struct_types: Sequence[str]) -> None:
         """Stand before the first token."""
         super().__init__(tokens, struct_types)
         self._declared: dict[str, tuple[TypeName, list[str]]] = {}
@@ -75,6 +75,9 @@ class Parser(ExpressionParser):
         kind = self.read_type()
         name = self.take_name()
         if self.look() == "(":
+            self.program.declared.setdefault(name, start)
+            if static:
+                self.program.static.add(name)
             self._read_function(kind, name)
             return
         if not (static and kind.constant) or kind.pointer or kind.volatile:
@@ -91,7 +94,7 @@ class Parser(ExpressionParser):
     def _read_claim(self) -> None:
         self.take("ZD_CLAIM")
         self.take("(")
-        self.take_name()
+        self.program.claim_names.append(self.take_name())
         self.take(",")
         self.program.claims.append(self.expression())
         self.take(")")
@@ -121,19 +124,23 @@ class Parser(ExpressionParser):
         in_register, begin = False, self.at
         if self.look() == "void" and self.look(1) == ")":
             self.take()
+        elif self.look() == ")":
+            raise self.error(f"{name}: (void) is written where there are no parameters")
         while not self.take_if(")"):
+            if parameters:
+                self.take(",")
             start, of = self.at, self.read_type()
             parameters.append(Variable(of, self.take_name(), self._read_sizes(), start))
             in_register = self.take_if("ZD_IN_REGISTER") or in_register
-            if self.look() != ")":
-                self.take(",")
         words = [w for w in self._words[begin : self.at] if w != "ZD_IN_REGISTER"]
         if self._declared.setdefault(name, (kind, words)) != (kind, words):
             raise self.error(f"{name} was declared with other parameters")
+        self.program.signatures[name] = " ".join([kind.name, *words])
         naked = False
         if self.take_if("__attribute__"):
             self.take_all("(", "(", "naked", ",", "noinline", ",", "used", ")", ")")
             naked = True
+            self.program.naked.add(name)
         if self.take_if(";"):
             return
         if kind.pointer or (kind.name not in TYPES and kind.name != "void"):

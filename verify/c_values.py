@@ -10,6 +10,11 @@ from typing import TypeAlias
 TYPES = {f"int{n}_t": (-(2 ** (n - 1)), 2 ** (n - 1) - 1) for n in (8, 16, 32, 64)}
 TYPES |= {f"uint{n}_t": (0, 2**n - 1) for n in (8, 16, 32, 64)}
 BITS = {name: int(name.strip("uint_")) for name in TYPES}
+LIMITS = {f"INT{n}_MIN": TYPES[f"int{n}_t"][0] for n in (8, 16, 32, 64)}
+LIMITS |= {
+    f"{u}INT{n}_MAX": TYPES[f"{u.lower()}int{n}_t"][1] for u in ("", "U") for n in (8, 16, 32, 64)
+}
+"""Macros of stdint.h."""
 
 
 class NotUnderstoodError(Exception):

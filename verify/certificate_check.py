@@ -12,7 +12,7 @@ import json
 import re
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from zerodrift.verify.bound_check import check_bound
@@ -49,12 +49,31 @@ def check_certificate(folder: Path) -> CertificateOutcome:
     """
     try:
         claims = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
-        texts = {n: find_file(folder, n).read_bytes() for n in read_claims(claims).files}
-        return compare(claims, {name: text.decode() for name, text in texts.items()})
+        contents = {n: find_file(folder, n).read_bytes() for n in read_claims(claims).files}
+        texts = {name: content.decode() for name, content in contents.items()}
+        outcome = compare(claims, texts)
+        taken = tuple(find_taken_headers(folder, texts))
+        return replace(outcome, failures=(*taken, *outcome.failures))
     except MALFORMED as error:
         return CertificateOutcome(
             0, (f"{folder}: not a certificate and its C ({type(error).__name__}: {error})",)
         )
+
+
+def find_taken_headers(folder: Path, texts: Mapping[str, str]) -> Iterator[str]:
+    """Yield what is wrong where a file of the firmware would be read as a compiler's own header.
+
+    Args:
+        folder: of the firmware, in which a compiler looks before it looks among its own.
+        texts: file name -> content, of all files that are compiled.
+    """
+    asked = {name for text in texts.values() for name in re.findall(r"#include <(.+?)>", text)}
+    for name in sorted(asked):
+        if any((place / name).exists() for place in (folder, folder.parent / SHARED_RUNTIME)):
+            yield (
+                f"{name}: lies beside the C, where a compiler may read it in the place of its own;"
+                " remove it"
+            )
 
 
 def find_file(folder: Path, name: str) -> Path:
@@ -87,9 +106,6 @@ def judge_each(claims: Mapping[str, object], texts: dict[str, str]) -> Iterator[
         found = hashlib.sha256(texts[name].encode()).hexdigest()
         if found != digest:
             failures.append(f"{name}: its hash is {found[:12]}, the certificate's {digest[:12]}")
-    if f'_MODEL_HASH "{read.model}"' not in texts[f"{prefix}.h"]:
-        failures.append(f"{prefix}.h: does not name the certificate's model {read.model[:12]}")
-    failures += [f"{prefix}.h: {text}" for text in find_wrong_indices(texts[f"{prefix}.h"], prefix)]
     if not is_known(texts):
         what = "the runtime (zd_*.h, zd_*.c) is no text that was compared with the reference"
         yield _refuse(failures, what)
@@ -104,6 +120,10 @@ def judge_each(claims: Mapping[str, object], texts: dict[str, str]) -> Iterator[
     except (NotUnderstoodError, *MALFORMED) as error:
         yield _refuse(failures, str(error))
         return
+    macros = models[0].program.tokens.macros
+    if macros.get(f"{prefix.upper()}_MODEL_HASH") != [f'"{read.model}"']:
+        failures.append(f"{prefix}.h: does not name the certificate's model {read.model[:12]}")
+    failures += [f"{prefix}.h: {text}" for text in find_wrong_indices(macros, prefix)]
     yield CertificateOutcome(0, tuple(failures))
     for model in models:  # each kernel has the weights in an order of its own
         outcome = judge_way(claims, model)

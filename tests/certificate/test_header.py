@@ -1,16 +1,19 @@
 """The names by which a caller reads the drift: no certificate vouches for one beside the array."""
 
-from pathlib import Path
-
 import pytest
 
+from tests.certificate.refused import FILES, NAME, H
 from zerodrift.verify.c_header import find_wrong_indices
+from zerodrift.verify.c_lexer import Spots
+from zerodrift.verify.c_preprocessor import read_header
 
-HEADER = (Path(__file__).parents[1] / "golden" / "front_end.h").read_text()
+
+def find(header: str) -> list[str]:
+    return find_wrong_indices(read_header(header, NAME, Spots()).macros, NAME)
 
 
 def test_a_header_as_it_is_made_has_every_place_once() -> None:
-    assert find_wrong_indices(HEADER, "front_end") == []
+    assert find(FILES[H]) == []
 
 
 @pytest.mark.parametrize(
@@ -18,16 +21,24 @@ def test_a_header_as_it_is_made_has_every_place_once() -> None:
     [
         ("FRONT_END_FY 1 ", "FRONT_END_FY 2 "),
         ("FRONT_END_FZ 2 ", "FRONT_END_FZ 3 "),
-        ("FRONT_END_FX 0 ", "FRONT_END_FX -5 "),
-        ("FRONT_END_FX 0 ", "FRONT_END_FX 00 "),
-        ("FRONT_END_FX 0 ", "FRONT_END_FX (0) "),
-        ("#define FRONT_END_FX 0 ", "/* gone */ "),
+        ("FRONT_END_FX 0 ", "FRONT_END_FX 4294967291 "),
         ("FRONT_END_OUTPUTS 3", "FRONT_END_OUTPUTS 2"),
         ("FRONT_END_OUTPUTS 3", "FRONT_END_OUTPUTS 4"),
-        ("FRONT_END_OUTPUTS 3", "FRONT_END_OUTPUTS 3u"),
-        ("#define FRONT_END_FX 0 ", "#define FRONT_END_FX 0\n#  define  FRONT_END_FX 7 "),
+        ("FRONT_END_OUTPUTS 3", "FRONT_END_OUTPUTS 0"),
+        (
+            "#define FRONT_END_FX 0 /* Fx in N, -1000000 .. 750000 counts */\n"
+            "#define FRONT_END_FX_LSB_PER_UNIT 1\n",
+            "",
+        ),
     ],
 )
 def test_a_place_beside_the_array_is_a_failure(before: str, after: str) -> None:
-    assert HEADER.count(before) == 1
-    assert find_wrong_indices(HEADER.replace(before, after), "front_end")
+    assert FILES[H].count(before) == 1
+    assert find(FILES[H].replace(before, after))
+
+
+def test_a_definition_in_a_comment_is_none() -> None:
+    header = FILES[H].replace(
+        "#define FRONT_END_FX 0 ", "/* #define FRONT_END_FX 0 */\n#define FRONT_END_FX 7 "
+    )
+    assert find(header)

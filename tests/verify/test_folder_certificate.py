@@ -77,3 +77,11 @@ def test_another_runtime_has_no_rules(project: Path) -> None:
     certificate.write_text(certificate.read_text().replace(before, after))
     found = derive(project)
     assert not found.failures and "another version" in found.not_checked[0].why
+
+
+def test_a_statement_hidden_in_a_comment_is_refused_with_its_place(project: Path) -> None:
+    step = "    uint32_t flags = 0;\n    const int32_t in_0"
+    hidden = "    (void)'/*';\n    s->steps = 0u;\n    /* done */\n"
+    replace_text(project, "front_end.c", step, hidden + step)
+    (told,) = (text for text in derive(project).failures if "a comment" in text)
+    assert told.startswith("certificate.json: front_end.c:")
