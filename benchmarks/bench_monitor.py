@@ -14,7 +14,8 @@ uncertainties of the calibration, RMS over the temperatures, are drawn again.
 With `--gaps` a unit is logged for 14 days and 3 to 15 more, then not for 7 to 90, then for 20.
 Its zero steps, in half of the cases within the gap, or ages from the first day or from any time
 on, by 3 to 30 standard uncertainties in all; a third of the units misfit as a trained model
-does, by a wave over temperature and by a lag. *Right*: cause sure and true, and the true begin in the interval.
+does, by a wave over temperature and by a lag. *Right*: cause sure and true, and the true begin
+in the interval.
 The simulation shares no code with the test. *Right*: an alarm whose cause is sure and true.
 Seeds below 4,100,000 were looked at while the test was made, with gaps those below 4,700,000. All
 data here are simulated; bounds are one-sided, 95 %, Clopper-Pearson.

@@ -202,7 +202,9 @@ def _weigh_one(
                 )
                 is_noise[chosen] |= more / usual <= limit
         own[chosen] = np.logaddexp.reduce(likely, axis=0) - np.log(len(MISFITS))
-        unknown[chosen] = np.logaddexp.reduce(strange, axis=0) - np.log(len(MISFITS))
+        # a stranger leaves as much as this unit does: else the smoother hypothesis is the likelier
+        rough = likely - np.logaddexp.reduce(likely, axis=0)
+        unknown[chosen] = np.logaddexp.reduce(strange + rough, axis=0)
     return own, unknown, is_noise
 
 

@@ -98,7 +98,7 @@ class BlockMeans:
         next_to = np.diff(self.place) == 1
         change = np.zeros(t.size)
         change[1:] = np.where(next_to, np.diff(t), 0.0)
-        change /= max(float(np.sqrt(np.mean(change**2))), 1e-9)
+        change /= max(float(np.linalg.norm(change)) / max(t.size, 1) ** 0.5, 1e-9)
         return np.asarray(follow @ follow.T + smooth + np.outer(change, change))
 
 

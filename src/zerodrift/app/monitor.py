@@ -111,7 +111,8 @@ class Monitor:
             steps=self.state.steps + int(new.sum()),
             logs=self.state.logs if overlap else (*self.state.logs, seen),
         )
-        self._tell_unknown(log, told)
+        if not overlap:
+            self._tell_unknown(log, told)
 
     def _read_again(
         self, log: Path, before: LogSeen, opened: MonitoredLog, told: Left, skip_invalid: bool
