@@ -379,7 +379,7 @@ def _weigh_one(
             scales = np.array([wide])
         else:
             terms = np.column_stack([np.ones(n), follow])
-            shapes = since[:, :, None] * terms[:, None, :]
+            shapes = since[:, :, None].astype(np.float64) * terms[:, None, :]
             scales = np.full(3, wide)
         if alarm is not None and cause != AGEING:
             # of a block after a gap all is changed: a value of its own would speak against it
