@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.blocks.editions import read_edition
 from zerodrift.field.registry_file import WAIT_S, explain, open_connection
 
 LEARNING, SOUND, NO_REFERENCE = NO_ALARM = ("learning", "sound", "no reference")
@@ -159,8 +160,10 @@ class Registry:
         """Enter a block of coefficients for a unit; return its SHA-256.
 
         Raises:
-            InputError: there is no such unit, or the block is another unit's.
+            InputError: there is no such unit, the block is another unit's or none, or the unit
+                has another block of the same sequence, so that no chip knew which is the newer.
         """
+        own = read_edition(content, f"block of {serial}")[1]
         sha256 = hashlib.sha256(content).hexdigest()
         with self._write() as cursor:
             self._require(cursor, serial)
@@ -170,6 +173,18 @@ class Registry:
                     f"{self.path}: block {sha256[:12]} is of {row[0]}; expected one of {serial}."
                     " A block belongs to one unit: name the right file."
                 )
+            blocks = cursor.execute(
+                "SELECT sha256, content FROM block WHERE serial = ?", (serial,)
+            ).fetchall()
+            for known, other in blocks:
+                edition = read_edition(bytes(other), f"{self.path}, block {known[:12]}")[1]
+                if known != sha256 and edition.sequence == own.sequence:
+                    raise InputError(
+                        f"{self.path}: {serial} has another block of sequence {own.sequence},"
+                        f" {known[:12]} of {edition.calibrated}; expected a larger sequence than"
+                        " that, as a chip that holds both cannot tell which is the newer. Make the"
+                        " block again with `zerodrift firmware` or `fleet`, which count it."
+                    )
             cursor.execute(
                 "INSERT OR IGNORE INTO block VALUES (?, ?, ?, ?, ?)",
                 (sha256, serial, model_hash, _now(), content),
@@ -255,6 +270,30 @@ class Registry:
             design,
         )
         return {str(serial): bytes(content) for serial, content in rows}  # type: ignore[call-overload]  # a blob
+
+    def list_contents(self) -> tuple[bytes, ...]:
+        """Return the bytes of all blocks, those that were entered first before others."""
+        rows = self._read("SELECT content FROM block ORDER BY rowid")
+        return tuple(bytes(content) for (content,) in rows)  # type: ignore[call-overload]  # a blob
+
+    def find_newer(self, serial: str, sha256: str) -> str | None:
+        """Return the SHA-256 of a newer block that was loaded into a unit before; None without one.
+
+        Args:
+            serial: of the unit.
+            sha256: of the block that was loaded last, in full.
+        """
+        rows = self._read(
+            "SELECT b.sha256, b.content FROM loaded l JOIN block b USING (sha256)"
+            " WHERE l.serial = :s ORDER BY l.number",
+            serial,
+        )
+        sequences = {
+            str(name): read_edition(bytes(content), str(self.path))[1].sequence  # type: ignore[call-overload]  # a blob
+            for name, content in rows
+        }
+        newest = max(sequences, key=lambda name: sequences[name], default=sha256)
+        return newest if sequences.get(newest, 0) > sequences.get(sha256, 0) else None
 
     def find_loaded(self, serial: str) -> LoadedBlock | None:
         """Return the block on a unit; None without one."""

@@ -91,6 +91,13 @@ class LogSeen:
 
     name: str
     sha256: str
+    outputs: tuple[str, ...] | None = None
+    """Those that were tested on it, as their true value was known; None in states that were kept
+    before there was this."""
+    shift_s: float = 0.0
+    """What was added to its times."""
+    after_s: float | None = None
+    """Only its later steps were new; None: all."""
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,17 @@ class ChangeVerdict:
     alarm_at: str = ""
     """Date of the block at which the alarm was raised; "" without one."""
     since: str = ""
-    """Date at which the change began, as far as that can be told."""
+    """Date at which the change most likely began."""
     size: float | None = None
-    """Of a step, or by how much an ageing zero had moved when the cause was told, in the unit."""
+    """By how much the zero has moved, in the unit: by a step, or by ageing until the cause was
+    told; null for another unit or model."""
+    from_s: float | None = None
+    """The change began between `from_s` and `to_s` with a probability of 0.99, given the cause;
+    times as `last_s`. Where there are no logs between, the zero moved at once or slowly."""
+    to_s: float | None = None
+    """The end of that time; null without an alarm."""
+    per_day: float | None = None
+    """Of ageing: by how much the zero moves a day, in the unit."""
 
 
 @dataclass(frozen=True)

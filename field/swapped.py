@@ -27,6 +27,11 @@ ENOUGH = 8
 """Units from which the known ones show how units differ; with fewer, drift may differ otherwise."""
 NO_NOISE = 1e-3
 """Chance that the right unit is refused because it leaves more than the noise that was learnt."""
+MISFITS = (0.5, 0.15, 0.05, 0.0)
+"""What a model may leave beside noise and what follows temperature and its square, in its
+calibration's standard uncertainties: smooth in temperature, with its change, and of any form,
+another in each block; the three together nearly as much as the uncertainty at most. As that holds
+the noise of a reading too, which a mean over a block does not, it may be much less."""
 FEWEST = 6
 """Blocks since the change, and a day of them: a day has a warm and a cold hour."""
 
@@ -39,6 +44,8 @@ class Foretold:
     """Of the unit that should be there."""
     residual: Array
     """[u, n] of the other units."""
+    calibrated: Array
+    """[u] standard uncertainty of each one's model inside its range, in the output's unit."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +137,8 @@ def weigh_units(foretold: Foretold, before: Before) -> UnitsWeighed:
     new = foretold.blocks
     left = np.vstack([foretold.residual, new.residual])
     noises = before.learned.noises if before.learned is not None else _fit_noises(new, left, before)
-    each = [_weigh_one(new, left, before, noise) for noise in noises]
+    calibrated = np.append(foretold.calibrated, before.rules.calibrated)
+    each = [_weigh_one(new, left, calibrated, before, noise) for noise in noises]
     own, unknown = (
         np.logaddexp.reduce([one[i] for one in each], axis=0) - np.log(len(each)) for i in (0, 1)
     )
@@ -146,40 +154,58 @@ def _fit_noises(new: BlockMeans, left: Array, before: Before) -> tuple[BlockNois
 
 
 def _weigh_one(
-    new: BlockMeans, left: Array, before: Before, noise: BlockNoise
+    new: BlockMeans, left: Array, calibrated: Array, before: Before, noise: BlockNoise
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return log likelihoods [u] of each unit and of one that nobody knows, and who leaves noise
-    alone [u], for one noise."""
+    alone [u], for one noise.
+
+    What a unit's model leaves beside noise is as large as its own calibration says (`calibrated`
+    [u]); a stranger leaves the drift between units beside that.
+    """
     old, units, n = before.blocks, len(left), new.place.size
     m = old.place.size
     place, count = (np.concatenate([getattr(b, k) for b in (old, new)]) for k in ("place", "count"))
     both = BlockMeans(place, count, np.zeros(m + n), np.zeros(m + n))
-    covariance = noise.covariance(both)
-    typical = float(np.sqrt(np.mean(np.diag(covariance))))
+    common = noise.covariance(both)
+    typical = float(np.sqrt(np.mean(np.diag(common))))
     wide = 1e4 * (float(np.std(left)) + typical) ** 2
-    certain = before.rules.calibrated**2
-    for part, of in ((slice(0, m), old), (slice(m, m + n), new)):
-        follow = of.follow()
-        covariance[part, part] += wide + certain * (follow @ follow.T)
+    common[:m, :m] += wide + before.rules.calibrated**2 * old.misfit()
+    common[m:, m:] += wide
     data = np.vstack([np.repeat(old.residual[:, None], units, axis=1), left.T])
-    white, log = _whiten(covariance, data)
-    own = log - 0.5 * (m + n) * np.log(np.sum(white**2, axis=0))
-    follow, ways = new.follow(), []
-    for width in UNLIKE if units < ENOUGH else ():
-        extra = (width * (typical + before.rules.calibrated)) ** 2 * (follow @ follow.T)
-        ways.append(_likelihood(covariance, extra, data))
+    middle = np.concatenate([old.residual, left.mean(axis=0)])[:, None]
     apart = left - left.mean(axis=0)
     spread = apart.T @ apart / max(units - 1, 1) * (1.0 + 1.0 / units)
-    middle = np.concatenate([old.residual, left.mean(axis=0)])[:, None]
-    ways.append(np.repeat(_likelihood(covariance, spread, middle), units))
-    unknown = np.logaddexp.reduce(ways, axis=0) - np.log(len(ways))
-    if m < FEWEST:
-        return own, unknown, np.ones(units, dtype=np.bool_)
-    degrees = (n - 1, m - 1)  # a zero is taken off both
-    more, usual = (
-        np.sum(w**2, axis=0) / d for w, d in zip((white[m:], white[:m]), degrees, strict=True)
-    )
-    return own, unknown, more / usual <= float(f_distribution.isf(NO_NOISE, *degrees))
+    follow, degrees = new.follow(), (n - 1, m - 1)  # a zero is taken off both
+    rest = new.misfit() - follow @ follow.T + np.eye(n)
+    own, unknown = np.empty(units), np.empty(units)
+    is_noise = np.full(units, m < FEWEST)
+    limit = float(f_distribution.isf(NO_NOISE, *degrees)) if m >= FEWEST else 0.0
+    for uncertainty in np.unique(calibrated):
+        chosen = calibrated == uncertainty
+        likely: list[Array] = []
+        strange: list[Array] = []
+        for share in MISFITS:
+            covariance = common.copy()
+            covariance[m:, m:] += uncertainty**2 * (follow @ follow.T + share**2 * rest)
+            white, log = _whiten(covariance, data[:, chosen])
+            likely.append(log - 0.5 * (m + n) * np.log(np.sum(white**2, axis=0)))
+            ways = []
+            for width in UNLIKE if units < ENOUGH else ():
+                extra = (width * (typical + uncertainty)) ** 2 * (follow @ follow.T)
+                ways.append(_likelihood(covariance, extra, data[:, chosen]))
+            ways.append(np.repeat(_likelihood(covariance, spread, middle), int(chosen.sum())))
+            strange.append(np.logaddexp.reduce(ways, axis=0) - np.log(len(ways)))
+            if m >= FEWEST:
+                more, usual = (
+                    np.sum(w**2, axis=0) / d
+                    for w, d in zip((white[m:], white[:m]), degrees, strict=True)
+                )
+                is_noise[chosen] |= more / usual <= limit
+        own[chosen] = np.logaddexp.reduce(likely, axis=0) - np.log(len(MISFITS))
+        # a stranger leaves as much as this unit does: else the smoother hypothesis is the likelier
+        rough = likely - np.logaddexp.reduce(likely, axis=0)
+        unknown[chosen] = np.logaddexp.reduce(strange + rough, axis=0)
+    return own, unknown, is_noise
 
 
 def _likelihood(covariance: Array, extra: Array, data: Array) -> Array:

@@ -19,7 +19,8 @@ from zerodrift.field.noise import BlockNoise, fit_noise
 Array = NDArray[np.float64]
 
 STEP, AGEING, OTHER_MODEL, OTHER_UNIT = CAUSES = ("step", "ageing", "other model", "other unit")
-MONTH_S = 30 * 86_400.0
+DAY_S = 86_400.0
+MONTH_S = 30 * DAY_S
 SHARES = {STEP: 0.4, AGEING: 0.3, OTHER_UNIT: 0.3}
 """Of the false alarms."""
 ONCE = 0.1
@@ -35,11 +36,20 @@ GRID = {STEP: 1, AGEING: 6, OTHER_UNIT: 3}
 """From one time of change to the next, in blocks."""
 LONGEST = 360
 """Blocks that are tested at a time: sixty days of four hours each."""
+IN_A_GAP = 12
+"""Times within a gap at which a slow change may begin: each as far from the next as a twelfth."""
 NEAR = 12
 """Blocks before an alarm in which a change is looked for one by one."""
+SMOOTH = 0.2
+"""Over how much of half the calibrated range what a model leaves is alike: it then crosses zero
+1 / (pi 0.1) = 3.2 times over the range on average (Rice, Mathematical analysis of random noise,
+Bell Syst. Tech. J. 24, 1945), once more than temperature's square."""
 SURE = 0.95
 """Probability from which a cause is told, ..."""
-WAIT_S = 86_400.0
+HELD = 0.99
+"""Probability with which a change began in the interval that is told: an interval errs no more than
+a fifth as often as a cause."""
+WAIT_S = DAY_S
 """... if it has been seen for as long as this: a day has a warm and a cold hour."""
 EARLY = (18, 30, 48, 84)
 """Blocks after which another model is looked for while the noise is not known yet."""
@@ -77,6 +87,20 @@ class BlockMeans:
         t = self.temperature
         return np.stack([np.sqrt(3.0) * t, np.sqrt(45.0 / 4.0) * (t * t - 1.0 / 3.0)], axis=1)
 
+    def misfit(self) -> Array:
+        """Return the covariance [n, n] of what a model leaves for each unit of its uncertainty.
+
+        It follows temperature and its square, any smooth function of temperature, and its change
+        from block to block, as what lags does; each with a variance of 1.
+        """
+        t, follow = self.temperature, self.follow()
+        smooth = np.exp(-0.5 * ((t[:, None] - t[None, :]) / SMOOTH) ** 2)
+        next_to = np.diff(self.place) == 1
+        change = np.zeros(t.size)
+        change[1:] = np.where(next_to, np.diff(t), 0.0)
+        change /= max(float(np.linalg.norm(change)) / max(t.size, 1) ** 0.5, 1e-9)
+        return np.asarray(follow @ follow.T + smooth + np.outer(change, change))
+
 
 @dataclass(frozen=True)
 class Learned:
@@ -99,9 +123,14 @@ class ChangeFound:
     """The likeliest."""
     probability: float
     since: int
-    """Block at which it began."""
+    """Block at which it most likely began."""
     size: float
-    """Step, or change of the zero until now, in the output's unit."""
+    """Step, or change of the zero from then until the cause was told, in the output's unit."""
+    begun: tuple[int, int] | None = None
+    """Numbers of the blocks from whose begin to whose begin it began, with probability `HELD`; None
+    in states that were kept before there was this."""
+    per_day: float = 0.0
+    """Rate of an ageing zero, in the output's unit."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +142,7 @@ class Rules:
     block_s: float
     calibrated: float
     """Standard uncertainty of the model inside its range, in the output's unit."""
-    learn_s: float = 14 * 86_400.0
+    learn_s: float = 14 * DAY_S
     """Time that the noise is learnt from."""
 
 
@@ -134,10 +163,28 @@ class _Ratios:
 
     cause: str
     log: Array
-    weight: float
-    begin: NDArray[np.int64]
+    weight: Array
+    """[m]"""
+    times: "_Times"
     size: Array
     """[n, m] posterior mean of the first coefficient."""
+    per_block: Array
+    """[m] of an ageing zero: what takes the first coefficient to a change a block; else 0."""
+
+
+@dataclass(frozen=True)
+class _Times:
+    """Times of change that are weighed, each for itself and the time around it."""
+
+    begin: NDArray[np.int64]
+    """[m] first block that holds the change."""
+    onset: Array
+    """[m] when it begins, in numbers of blocks."""
+    low: Array
+    """[m] from when to when a change is told by this one."""
+    high: Array
+    cell: Array
+    """[m] how many blocks of time it stands for."""
 
 
 def follow(blocks: BlockMeans, rules: Rules, learned: Learned | None) -> Followed:
@@ -173,7 +220,7 @@ def check_model(blocks: BlockMeans, rules: Rules) -> ChangeFound | None:
     covariance = noise.covariance(blocks)
     typical = float(np.sqrt(np.mean(np.diag(covariance))))
     wide = 1e4 * (float(np.std(blocks.residual)) + typical) ** 2
-    whole = covariance + wide + rules.calibrated**2 * (follow @ follow.T)
+    whole = covariance + wide + rules.calibrated**2 * blocks.misfit()
     factor = cholesky(whole, lower=True)
     white = solve_triangular(factor, blocks.residual, lower=True)
     flat = solve_triangular(factor, follow, lower=True)[:, None, :]
@@ -184,7 +231,13 @@ def check_model(blocks: BlockMeans, rules: Rules) -> ChangeFound | None:
         return None
     best = max(ratios, key=lambda ratio: float(ratio[0][-1, 0]))
     return ChangeFound(
-        n - 1, n - 1, OTHER_MODEL, float(1.0 / (1.0 + np.exp(-log))), 0, best[1][-1, 0]
+        n - 1,
+        n - 1,
+        OTHER_MODEL,
+        float(1.0 / (1.0 + np.exp(-log))),
+        0,
+        float(best[1][-1, 0]),
+        (int(blocks.place[0]), int(blocks.place[0])),
     )
 
 
@@ -228,15 +281,22 @@ def watch(blocks: BlockMeans, learned: Learned, rules: Rules) -> ChangeFound | N
         cause = max(chances, key=lambda name: chances[name])
         if chances[cause] < SURE:
             continue
-        age = blocks.place[n] + 1 - blocks.place[_place(ratios, cause, n)[0]]
+        age = (
+            blocks.place[n]
+            + 1
+            - blocks.place[_place(ratios, cause, n, int(blocks.place[n]) + 1)[0]]
+        )
         if age * rules.block_s >= WAIT_S:
             told = n
             break
     at = told if told is not None else blocks.place.size - 1
     chances = _share(ratios, at)
     cause = max(chances, key=lambda name: chances[name])
-    since, size = _place(ratios, cause, at)
-    return ChangeFound(alarm, told, cause, chances[cause], since, size)
+    since, size, rate = _place(ratios, cause, at, int(blocks.place[at]) + 1)
+    per_day = rate * DAY_S / rules.block_s
+    begun = _hold(ratios, CAUSES if told is None else (cause,), at)
+    begun = (begun[0], min(begun[1], int(blocks.place[at]) + 1))
+    return ChangeFound(alarm, told, cause, chances[cause], since, size, begun, per_day)
 
 
 def weigh(
@@ -248,8 +308,11 @@ def weigh(
         blocks: all of them.
         learned: from the first.
         rules: the test.
-        alarm: a block near which changes are looked for one by one, each within a block, which may
-            then have any value.
+        alarm: None for the test; else the block of an alarm, whose cause is asked for. Changes near
+            it are then looked for one by one, each within a block, which may have any value; each
+            stands for the time since the one before, so that a gap is as likely to hold a change
+            as that much time with logs; and an ageing zero is as likely as a step to have moved
+            as far as that by now, so that neither is told for its size.
     """
     each = [_weigh_one(blocks, noise, learned.blocks, rules, alarm) for noise in learned.noises]
     likely = np.stack([told[0] for told in each])
@@ -274,59 +337,113 @@ def _weigh_one(
     covariance = noise.covariance(blocks)
     typical = float(np.sqrt(np.mean(np.diag(covariance))))
     spread = float(np.std(blocks.residual[:begin])) + typical
-    whole = covariance + 1e4 * spread**2 + rules.calibrated**2 * (follow @ follow.T)
+    whole = covariance + 1e4 * spread**2 + rules.calibrated**2 * blocks.misfit()
     factor = cholesky(whole, lower=True)
     white = solve_triangular(factor, blocks.residual, lower=True)
     squares = np.cumsum(white**2)
-    day = (blocks.place - blocks.place[0]) * rules.block_s / MONTH_S
-    size, wide = typical, typical + rules.calibrated
+    wide = typical + rules.calibrated
 
-    def run(cause: str, shapes: Array, scales: Array, weight: float, at: object) -> list[_Ratios]:
-        begins = np.asarray(at, dtype=np.int64)
+    def run(
+        cause: str, shapes: Array, scales: Array, weights: Array, times: _Times, per_block: Array
+    ) -> list[_Ratios]:
         told = []
         flat = solve_triangular(factor, shapes.reshape(n, -1), lower=True).reshape(shapes.shape)
         sizes = UNLIKE if cause in (OTHER_UNIT, OTHER_MODEL) else SIZES
         for width in sizes:
             logs, first = _ratio(white, squares, flat, width * scales)
-            told.append(_Ratios(cause, logs, weight / len(sizes), begins, first))
+            told.append(_Ratios(cause, logs, weights / len(sizes), times, first, per_block))
         return told
 
     ratios: list[_Ratios] = []
     rows = np.arange(n)
-    month = MONTH_S / rules.block_s / rules.per_month
+    month = MONTH_S / rules.block_s
+    once = np.array([ONCE / 2 * month / rules.per_month / 100])
+
+    def slope(times: _Times) -> tuple[Array, Array, Array]:
+        """Return the shapes of an ageing zero, their scales, and `per_block`."""
+        if alarm is None:
+            until, scale = np.full(times.onset.size, month), typical
+        else:
+            until, scale = np.maximum(blocks.place[alarm] + 1 - times.onset, 1.0), wide
+        shapes = np.maximum(blocks.place[:, None] - times.onset[None, :], 0.0) / until
+        return shapes[:, :, None], np.array([scale]), 1.0 / until
+
     for cause, share in SHARES.items():
-        times = np.arange(begin, n, GRID[cause])
-        if alarm is not None and cause != AGEING:
-            near = np.arange(max(begin, alarm - NEAR), min(n, alarm + 2))
-            times = np.union1d(times, near)
-        since = rows[:, None] >= times[None, :]
+        times = _list_times(blocks.place, begin, GRID[cause], alarm, is_slow=cause == AGEING)
+        since = rows[:, None] >= times.begin[None, :]
+        per_block = np.zeros(times.begin.size)
         if cause == AGEING:
-            shapes = (np.maximum(day[:, None] - day[times][None, :], 0.0))[:, :, None]
-            scales = np.array([size])
+            shapes, scales, per_block = slope(times)
         elif cause == STEP:
             shapes = since[:, :, None].astype(np.float64)
             scales = np.array([wide])
         else:
             terms = np.column_stack([np.ones(n), follow])
-            shapes = since[:, :, None] * terms[:, None, :]
+            shapes = since[:, :, None].astype(np.float64) * terms[:, None, :]
             scales = np.full(3, wide)
         if alarm is not None and cause != AGEING:
-            within = (rows[:, None] == times[None, :])[:, :, None].astype(np.float64)
-            shapes = np.concatenate([shapes, within], axis=2)
+            # of a block after a gap all is changed: a value of its own would speak against it
+            whole_block = times.cell > times.begin - np.append(begin - 1, times.begin[:-1])
+            within = (rows[:, None] == times.begin[None, :]) & ~whole_block[None, :]
+            shapes = np.concatenate([shapes, within[:, :, None].astype(np.float64)], axis=2)
             scales = np.append(scales, wide)
-        ratios += run(cause, shapes, scales, share * GRID[cause], times)
-    ratios += run(AGEING, day[:, None, None], np.array([size]), ONCE / 2 * month / 100, [0])
-    scales = np.full(2, wide)
-    ratios += run(OTHER_MODEL, follow[:, None, :], scales, ONCE / 2 * month / 100, [0])
+        ratios += run(cause, shapes, scales, share * times.cell, times, per_block)
+    at_first = _Times(*(np.array([value]) for value in _span_first(blocks.place, begin)))
+    shapes, scales, per_block = slope(at_first)
+    ratios += run(AGEING, shapes, scales, once, at_first, per_block)
+    shapes, scales = follow[:, None, :], np.full(2, wide)
+    ratios += run(OTHER_MODEL, shapes, scales, once, at_first, np.zeros(1))
     total = np.full(n, -np.inf)
     for one in ratios:
         with np.errstate(divide="ignore"):
-            began = rows[:, None] >= one.begin[None, :]
-            logs = np.where(began, one.log, -np.inf)
-        total = np.logaddexp(total, np.log(one.weight) + np.logaddexp.reduce(logs, axis=1))
+            began = rows[:, None] >= one.times.begin[None, :]
+            logs = np.where(began, one.log + np.log(one.weight), -np.inf)
+        total = np.logaddexp(total, np.logaddexp.reduce(logs, axis=1))
     number = np.arange(1, n + 1)
     likelihood = -0.5 * number * np.log(squares / number) - np.cumsum(np.log(np.diag(factor)))
     return likelihood, total, ratios
+
+
+def _list_times(
+    place: NDArray[np.int64], begin: int, grid: int, alarm: int | None, *, is_slow: bool
+) -> _Times:
+    """Return the times of change that are weighed.
+
+    Args:
+        place: [n] numbers of the blocks.
+        begin: the first block that is not learnt from.
+        grid: from one time to the next, in blocks.
+        alarm: as `weigh` has it; without, gaps are passed over.
+        is_slow: whether what begins then goes on, so that it may begin at any time of a gap.
+    """
+    n = place.size
+    index = np.arange(begin, n, grid)
+    if alarm is None:
+        onset = place[index].astype(np.float64)
+        return _Times(index, onset, onset, onset, np.full(index.size, float(grid)))
+    if not is_slow:
+        near = np.arange(max(begin, alarm - NEAR), min(n, alarm + 2))
+        index = np.union1d(index, near)
+        onset = place[index].astype(np.float64)
+        before, after = np.append(begin - 1, index[:-1]), np.append(index[1:], n)
+        cell = (place[index] - place[before]).astype(np.float64)
+        return _Times(index, onset, place[before] + 1.0, place[after - 1] + 1.0, cell)
+    onsets = [place[index].astype(np.float64)]
+    for k in np.flatnonzero(np.diff(place) > grid):
+        if k + 1 >= begin:
+            gap = float(place[k + 1] - place[k])
+            parts = int(min(IN_A_GAP, gap // grid))
+            onsets.append(place[k] + gap * np.arange(1, parts + 1) / parts)
+    onset = np.unique(np.concatenate(onsets))
+    low = np.append(place[begin - 1], onset[:-1])
+    high = np.append(onset[1:], onset[-1] + grid)
+    return _Times(np.searchsorted(place, onset), onset, low, high, onset - low)
+
+
+def _span_first(place: NDArray[np.int64], begin: int) -> tuple[float, ...]:
+    """Return the numbers of `_Times` of what was so from the first block on, or while learning."""
+    first = float(place[0])
+    return 0, first, first, float(place[min(begin, place.size - 1)]), 1.0
 
 
 def _ratio(white: Array, squares: Array, flat: Array, scales: Array) -> tuple[Array, Array]:
@@ -371,22 +488,52 @@ def _share(ratios: list[_Ratios], n: int) -> dict[str, float]:
     """Return cause -> its probability after block `n`, given that something changed."""
     logs = dict.fromkeys(CAUSES, -np.inf)
     for one in ratios:
-        began = one.begin <= n
-        if began.any():
-            told = np.log(one.weight) + np.logaddexp.reduce(one.log[n, began])
-            logs[one.cause] = np.logaddexp(logs[one.cause], told)
+        told = _list_logs(one, n)
+        if told.size:
+            logs[one.cause] = np.logaddexp(logs[one.cause], np.logaddexp.reduce(told))
     total = np.logaddexp.reduce(list(logs.values()))
     return {cause: float(np.exp(log - total)) for cause, log in logs.items()}
 
 
-def _place(ratios: list[_Ratios], cause: str, n: int) -> tuple[int, float]:
-    """Return the likeliest block of a change, and its size, after block `n`."""
-    best, found = -np.inf, (0, 0.0)
+def _list_logs(one: _Ratios, n: int) -> Array:
+    """Return the weighted log ratios of the times that have begun by block `n`."""
+    began = one.times.begin <= n
+    return np.asarray(np.log(one.weight[began]) + one.log[n, began])
+
+
+def _place(ratios: list[_Ratios], cause: str, n: int, until: int) -> tuple[int, float, float]:
+    """Return the likeliest block of a change, its size, and its rate, after block `n`.
+
+    The size of an ageing zero is how far it has moved until the begin of the block of number
+    `until`, its rate that of a block of time; of any other change the rate is 0.
+    """
+    best, found = -np.inf, (0, 0.0, 0.0)
     for one in ratios:
-        began = np.flatnonzero(one.begin <= n)
-        if one.cause != cause or not began.size:
+        logs = _list_logs(one, n)
+        if one.cause != cause or not logs.size or logs.max() <= best:
             continue
-        k = int(began[np.argmax(one.log[n, began])])
-        if one.log[n, k] > best:
-            best, found = one.log[n, k], (int(one.begin[k]), float(one.size[n, k]))
+        best, at = logs.max(), int(np.argmax(logs))
+        k = int(np.flatnonzero(one.times.begin <= n)[at])
+        size = float(one.size[n, k])
+        rate = size * float(one.per_block[k])
+        moved = rate * (until - float(one.times.onset[k])) if cause == AGEING else size
+        found = int(one.times.begin[k]), moved, rate
     return found
+
+
+def _hold(ratios: list[_Ratios], causes: tuple[str, ...], n: int) -> tuple[int, int]:
+    """Return the span of blocks in which a change began with probability `HELD`, after block `n`.
+
+    It is that of the likeliest times, which hold so much, and of all between them.
+    """
+    spans = []
+    for one in ratios:
+        if one.cause in causes:
+            began = one.times.begin <= n
+            told = (_list_logs(one, n), one.times.low[began], one.times.high[began])
+            spans.append(np.stack(told))
+    logs, low, high = np.concatenate(spans, axis=1)
+    order = np.argsort(-logs)
+    held = np.cumsum(np.exp(logs[order] - np.logaddexp.reduce(logs)))
+    chosen = order[: int(np.searchsorted(held, HELD)) + 1]
+    return int(np.floor(low[chosen].min())), int(np.ceil(high[chosen].max()))

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
 from zerodrift.blocks.block import BlockNotes, encode
 from zerodrift.blocks.design import BlockDesign
+from zerodrift.blocks.editions import Edition, number_block
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, compute_answers
 from zerodrift.dataset.runs import Dataset
@@ -64,6 +65,8 @@ class BlockRun:
 
     design: Design
     program: SharedProgram
+    editions: Mapping[str, tuple[Edition, ...]]
+    """Unit -> its blocks so far, which a block's sequence follows from."""
 
 
 @dataclass(frozen=True)
@@ -124,8 +127,9 @@ def _try(run: BlockRun, host: HostModel, sensor: str, catalogue: Catalogue) -> S
     except CheckError as error:
         result = save_result(design.build_folder(unit.sensor), design.directory, tried, {})
         return SensorOutcome(unit.sensor, result, tried=TriedBlock(why_none=str(error)))
-    notes = note_block(design, unit.sensor)
-    content = encode(common, fitted, notes, compute_answers(common, fitted))
+    notes = BlockNotes(sensor, design.config.block.calibrated, 1)  # the name is the serial number
+    unnumbered = encode(common, fitted, notes, compute_answers(common, fitted))
+    content = number_block(unnumbered, run.editions.get(sensor, ()), design.config.block)
     kept = unit.kept
     tried = replace(tried, vectors=compare_block(host, fitted, content, kept.dataset))
     judge = choose_judge(kept.left_out, kept.dataset)
@@ -165,11 +169,6 @@ def _try(run: BlockRun, host: HostModel, sensor: str, catalogue: Catalogue) -> S
     result = save_result(folder, design.directory, tried, contents)
     block = TriedBlock(content) if is_written else TriedBlock()
     return SensorOutcome(unit.sensor, result, tried=block)
-
-
-def note_block(design: Design, sensor: str) -> BlockNotes:
-    """Return what a unit's block says of itself; its name stands for a serial number."""
-    return BlockNotes(sensor, design.config.block.calibrated, design.config.block.number)
 
 
 def compare_block(host: HostModel, fitted: IntegerModel, content: bytes, dataset: Dataset) -> int:

@@ -11,14 +11,16 @@ from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.files import make_directory
 from zerodrift.base.journal import write_all
 from zerodrift.base.ownership import MANIFEST, list_own, refuse_foreign, render_manifest
-from zerodrift.blocks.block import decode_header
 from zerodrift.blocks.design import FILE_NAME, PROGRAM, BlockDesign, load_design, make_design
+from zerodrift.blocks.editions import FILE_NAME as UNITS
+from zerodrift.blocks.editions import number_block, render_units
 from zerodrift.blocks.files import refuse_same_serials, render_block
 from zerodrift.c_runtime.host import HostModel, render_sources
 from zerodrift.codegen.generate import GeneratedCode, generate_design
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
-from zerodrift.fleet.block_work import BlockRun, SharedProgram, note_block
+from zerodrift.field.editions import find_editions
+from zerodrift.fleet.block_work import BlockRun, SharedProgram
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.executors import Executor
 from zerodrift.fleet.result import SensorOutcome, TriedBlock
@@ -96,6 +98,7 @@ def write_blocks(
     folder = design.config.firmware_out / PROGRAM
     kept = folder / FILE_NAME
     members = own
+    editions = find_editions(design.directory, (_find_block(design, sensor) for sensor in own))
     with tempfile.TemporaryDirectory(prefix="zerodrift-blocks-") as scratch:
         common: BlockDesign | None = None
         while True:
@@ -107,7 +110,7 @@ def write_blocks(
             host = HostModel(common.model, code, place, observe=False)
             certificate = certify_design(common, code)
             recheck(code, certificate, place)
-            run = BlockRun(design, SharedProgram(common, code, host.library))
+            run = BlockRun(design, SharedProgram(common, code, host.library), editions)
             left = [s for s in own if not _is_kept(run, found[s])]
             found |= {s: _keep(run, found[s]) for s in own if s not in left}
             found |= _try(run, executor, cut_batches(left, jobs, batch), found, report)
@@ -126,12 +129,13 @@ def write_blocks(
         (design.config.firmware_out / BLOCKS, blocks),
     ):
         files |= _list_files(place, contents, common.identity)
+    written = [block.content for block in tried.values() if block.content]
+    files[design.directory / UNITS] = render_units(design.directory, written)
     write_all(design.directory, files)
-    sizes = [len(block.content) for block in tried.values() if block.content]
     results = [r for s in own if _has_block(found[s]) and (r := found[s].result) is not None]
     return tuple(found.values()), FleetBlocks(
         common.identity,
-        max(sizes, default=0),
+        max(map(len, written), default=0),
         tuple(result.sensor for result in results),
         sum(result.vectors for result in results),
         {sensor: block.why_none for sensor, block in tried.items() if block.why_none},
@@ -166,9 +170,8 @@ def _is_kept(run: BlockRun, outcome: SensorOutcome) -> bool:
         return bool(result.refused)
     try:
         content = _find_block(run.design, outcome.sensor).read_bytes()
-        same = decode_header(content, outcome.sensor).notes == note_block(
-            run.design, outcome.sensor
-        )
+        known = run.editions.get(outcome.sensor, ())
+        same = number_block(content, known, run.design.config.block) == content
     except (OSError, InputError):
         return False
     return same and hashlib.sha256(content).hexdigest() == result.block

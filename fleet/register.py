@@ -1,12 +1,12 @@
-"""What a fleet's run adds to the registry: each unit's calibration, and the logs it came from."""
+"""What a fleet's run adds to the registry: each unit's calibration, its logs and its block."""
 
 from collections.abc import Sequence
 
-from zerodrift.field.registry import open_registry
+from zerodrift.field.registry import Registry, open_registry
 from zerodrift.field.registry_file import FILE_NAME
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.parcels import at_hand
-from zerodrift.fleet.result import SensorOutcome
+from zerodrift.fleet.result import SensorOutcome, SensorResult
 from zerodrift.fleet.sensors import configure_sensor
 from zerodrift.verify.manifest import hash_logs
 
@@ -28,13 +28,20 @@ def enter_fleet(design: Design, outcomes: Sequence[SensorOutcome]) -> None:
             result = outcome.result
             if result is None or not result.model_hash or (result.refused and not result.forced):
                 continue
-            if (outcome.sensor, result.model_hash) in known:
-                continue
-            with at_hand(design, outcome.sensor) as near:
-                logs = hash_logs(configure_sensor(near.config, outcome.sensor))
-            registry.add_calibration(
-                outcome.sensor,
-                design.config.sensor_name,
-                result.model_hash,
-                tuple((sha256, name) for name, sha256 in logs.items()),
-            )
+            if (outcome.sensor, result.model_hash) not in known:
+                _enter_calibration(registry, design, outcome.sensor, result)
+            if outcome.tried is not None and outcome.tried.content:
+                registry.add_block(outcome.sensor, outcome.tried.content, result.model_hash)
+
+
+def _enter_calibration(
+    registry: Registry, design: Design, sensor: str, result: SensorResult
+) -> None:
+    with at_hand(design, sensor) as near:
+        logs = hash_logs(configure_sensor(near.config, sensor))
+    registry.add_calibration(
+        sensor,
+        design.config.sensor_name,
+        result.model_hash,
+        tuple((sha256, name) for name, sha256 in logs.items()),
+    )

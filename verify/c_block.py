@@ -121,7 +121,11 @@ const P_block_t *P_choose_block(const void *a, const void *b, size_t bytes) {
     const P_block_t *second = (const P_block_t *)b;
     if (P_check_block(b, bytes) != 0u) { second = NULL; }
     if (P_check_block(a, bytes) != 0u) { return second; }
-    return ((second != NULL) && (second->sequence > first->sequence)) ? second : first;
+    if (second == NULL) { return first; }
+    if (second->sequence == first->sequence) {
+        return (second->crc == first->crc) ? first : NULL;
+    }
+    return (second->sequence > first->sequence) ? second : first;
 }
 """
 DECLARED = (

@@ -2,7 +2,7 @@
 write."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +18,8 @@ from zerodrift.base.scratch import make_scratch
 from zerodrift.blocks.block import BlockNotes
 from zerodrift.blocks.design import FILE_NAME as DESIGN
 from zerodrift.blocks.design import load_design, make_design
+from zerodrift.blocks.editions import FILE_NAME as UNITS
+from zerodrift.blocks.editions import Edition, number_block, render_units
 from zerodrift.blocks.files import BLOCK, BLOCK_FILES, render_block
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.footprint import Footprint, measure_footprint
@@ -115,6 +117,7 @@ def build_firmware(
     left_out: LeftOut | None = None,
     network: tuple[Path, ...] = (),
     force: bool = False,
+    editions: Mapping[str, tuple[Edition, ...]] | None = None,
 ) -> Firmware:
     """Build the firmware of a float model and write it, if all bits agree and the gate lets
     it pass.
@@ -127,6 +130,7 @@ def build_firmware(
         left_out: without test runs, predictions for runs by models that did not learn from them.
         network: the ONNX file that the network comes from.
         force: write what the gate refuses, and mark the C with it.
+        editions: serial number -> blocks of that unit so far; a sequence follows from them.
 
     Returns:
         What was built; without files where the gate refused.
@@ -137,7 +141,7 @@ def build_firmware(
     """
     progress("quantizing")
     quantized, rounded = _compose(config, dataset, described, progress)
-    model, code = make_code(config, quantized.model)
+    model, code = make_code(config, quantized.model, editions or {})
     sequences = list_sequences(model, dataset)
     with make_scratch(config.directory) as scratch:
         check = check_firmware(model, code, sequences, scratch, progress).require()
@@ -197,7 +201,9 @@ def build_firmware(
     )
 
 
-def make_code(config: Config, own: IntegerModel) -> tuple[IntegerModel, GeneratedCode]:
+def make_code(
+    config: Config, own: IntegerModel, editions: Mapping[str, tuple[Edition, ...]]
+) -> tuple[IntegerModel, GeneratedCode]:
     """Return a project's integer model and its C, with the numbers where `[firmware]` puts them.
 
     A design that lies in the folder of the C is kept, so that the program stays what it is.
@@ -205,10 +211,11 @@ def make_code(config: Config, own: IntegerModel) -> tuple[IntegerModel, Generate
     Args:
         config: the project.
         own: its integer model, in the format of its own.
+        editions: serial number -> blocks of that unit so far.
 
     Raises:
         CheckError: the model cannot stand in a block, or does not fit the design that is there.
-        InputError: the design's file is damaged.
+        InputError: the design's file is damaged, or the sequence that is stated was given before.
     """
     if not config.block.in_block:
         return own, generate(own)
@@ -216,8 +223,9 @@ def make_code(config: Config, own: IntegerModel) -> tuple[IntegerModel, Generate
     design = load_design(path) if path.is_file() else make_design([own])
     model = design.fit(own)
     serial = config.block.serial or config.sensor_name
-    notes = BlockNotes(serial, config.block.calibrated, config.block.number)
-    return model, generate_unit(design, model, notes)
+    code = generate_unit(design, model, BlockNotes(serial, config.block.calibrated, 1))
+    block = number_block(code.block, editions.get(serial, ()), config.block)
+    return model, generate_design(design, block)
 
 
 def _mark_forced(
@@ -372,5 +380,7 @@ def write_artefacts(
         out / name: None for name in (DESIGN, *BLOCK_FILES) if name not in firmware
     }
     changes |= files | {build / name: content for name, content in artefacts.items()}
+    if code.design is not None:
+        changes[config.directory / UNITS] = render_units(config.directory, (code.block,))
     write_all(config.directory, changes)
     return tuple(files)

@@ -6,6 +6,7 @@ import pytest
 
 from tests.loop.conftest import write_project
 from zerodrift.base.errors import InputError
+from zerodrift.blocks.block import decode_header
 from zerodrift.blocks.files import BLOCK_FILES
 
 BLOCK = '\n[firmware]\ncoefficients = "block"\nserial = "SN7"\ncalibrated = 2026-03-01\n'
@@ -42,7 +43,10 @@ def test_a_recalibration_changes_the_block_alone(folder: Path, zerodrift) -> Non
     source, block = (out / "cell.c").read_bytes(), (out / "block.bin").read_bytes()
     text = toml.read_text(encoding="utf-8").replace("2026-03-01", "2026-09-01")
     toml.write_text(text.replace("run_*.csv", "run_[0-3].csv"), encoding="utf-8")
-    assert zerodrift("firmware", "-C", folder).code == 0
+    again = zerodrift("firmware", "-C", folder)
+    assert again.code == 0 and "block of SN7: sequence" in again.out
+    old, new = (decode_header(b, "block").notes for b in (block, (out / "block.bin").read_bytes()))
+    assert new.sequence > old.sequence and new.calibrated > old.calibrated
     assert (out / "cell.c").read_bytes() == source
     assert (out / "block.bin").read_bytes() != block
     damaged = bytearray((out / "block.bin").read_bytes())

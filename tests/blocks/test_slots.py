@@ -33,6 +33,13 @@ def test_the_newest_sound_one_is_chosen(host: HostModel) -> None:
     assert host.choose_block(empty, damaged) is None
 
 
+def test_two_blocks_of_one_sequence_are_refused(host: HostModel) -> None:
+    design = find_design(network=True)
+    first, second = (make_block(design, design.fit(unit), 3) for unit in list_units(True)[:2])
+    assert host.choose_block(first, second) is None and host.choose_block(second, first) is None
+    assert host.choose_block(first, first) == 0
+
+
 def test_a_cut_at_every_operation_leaves_a_sound_block(host: HostModel) -> None:
     old, new = list_blocks(1, 2)
     cuts = list(cut_everywhere(host, old, new, tears=2, seed=1))

@@ -8,6 +8,8 @@ from click.testing import CliRunner
 from tests.projects import render_toml
 
 from zerodrift.app.cli import cli
+from zerodrift.blocks.block import MAGIC, SERIAL_BYTES, seal
+from zerodrift.blocks.design import FORMAT_OF_BLOCK
 
 DAY = 1440
 NOISE = 0.05
@@ -31,6 +33,13 @@ kind = "none"
 """
 BEGIN_S = 1_767_225_600.0
 """2026-01-01."""
+
+
+def make_bare_block(serial: str, sequence: int = 1, *, number: int = 0) -> bytes:
+    """Return a sound block of no design: a header, and one number in place of the fields."""
+    words = np.array([MAGIC, FORMAT_OF_BLOCK, 72, 1, 2, sequence, 20_000, 0], dtype="<u4")
+    name = serial.encode().ljust(SERIAL_BYTES, b"\0")
+    return seal(words.tobytes() + name + bytes(8) + number.to_bytes(4, "little"))
 
 
 def write_log(

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -129,7 +130,8 @@ def test_the_block_that_the_registry_names_counts_before_that_written_last(fleet
     design = open_design(fleet)
     numbers = decode(design, read_block(fleet, other), other).numbers
     header = decode_header(read_block(fleet, one), one)
-    content = encode_numbers(design, numbers, header.notes, header.answers)
+    notes = replace(header.notes, sequence=header.sequence - 1)  # that of before
+    content = encode_numbers(design, numbers, notes, header.answers)
     with open_registry(fleet / FILE_NAME, make=True) as registry:
         registry.add_unit(one, "ft40")
         sha256 = registry.add_block(one, content)

@@ -1,5 +1,7 @@
 """Which unit is in place: means of simulated units, which share no code with the test."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,7 +47,8 @@ def draw_case(seed: int, units: int, mounted: int | None, *, twin: bool = False,
     left = new.residual - (known + wrong) @ terms.T
     learned = Learned(old, (noise,)) if old else None
     before = draw_means(rng, 0, old, np.zeros(2))
-    return {"y": (Foretold(new, left), Before(before, learned, RULES))}
+    foretold = Foretold(new, left, np.full(units, RULES.calibrated))
+    return {"y": (foretold, Before(before, learned, RULES))}
 
 
 @pytest.mark.parametrize("units", [1, 12, 60])
@@ -78,7 +81,8 @@ def test_less_than_a_day_names_nobody() -> None:
     case = draw_case(0, 12, 3)
     foretold, before = case["y"]
     few = count_fewest(RULES.block_s) - 1
-    short = Foretold(foretold.blocks.first(few), foretold.residual[:, :few])
+    blocks = foretold.blocks.first(few)
+    short = Foretold(blocks, foretold.residual[:, :few], foretold.calibrated)
     assert find_unit({"y": (short, before)}, 12) is None
     assert count_fewest(3600.0) == 24
 
@@ -92,8 +96,29 @@ def test_a_model_that_leaves_more_than_the_noise_is_not_possible_however_bad_the
         foretold.blocks.residual + rough,
         foretold.blocks.temperature,
     )
-    told = find_unit({"y": (Foretold(blocks, foretold.residual + rough), before)}, 1)
+    left = Foretold(blocks, foretold.residual + rough, foretold.calibrated)
+    told = find_unit({"y": (left, before)}, 1)
     assert told.named is None and not told.possible
+
+
+def test_a_trained_model_is_judged_by_what_its_own_calibration_leaves() -> None:
+    """The drift has a wave over temperature and a lag that no model of the design has."""
+    own, others = [], []
+    for seed in range(12):
+        foretold, before = draw_case(300 + seed, 12, 3)["y"]
+        rng = np.random.default_rng(seed)
+        warm = foretold.blocks.temperature
+        misfit = np.sin(6.0 * warm + rng.uniform(0, 7)) + np.gradient(warm) / 0.4
+        misfit *= 3.0 * NOISE / np.sqrt(SAMPLES) / np.std(misfit)
+        blocks = replace(foretold.blocks, residual=foretold.blocks.residual + misfit)
+        for uncertainty, told in ((4.0 * RULES.calibrated, own), (0.001, others)):
+            calibrated = foretold.calibrated.copy()
+            calibrated[3] = uncertainty
+            left = Foretold(blocks, foretold.residual + misfit, calibrated)
+            told.append(find_unit({"y": (left, before)}, 12))
+    assert sum(one.named == 3 for one in own) >= 10
+    assert all(one.named in (3, None) for one in own)
+    assert sum(3 in one.possible for one in others) <= 3  # with a model that is that certain
 
 
 def weigh(own: list[float], unknown: float) -> UnitsWeighed:

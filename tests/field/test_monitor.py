@@ -1,6 +1,7 @@
 """`monitor` on simulated logs of a unit in use: what it tells, keeps, writes and refuses."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -64,8 +65,15 @@ def test_monitor_names_the_cause(unit, tmp_path, fault: str, cause: str) -> None
     verdict = read(result).outputs["y"].verdict
     assert verdict.cause == cause
     assert verdict.probability is not None and verdict.probability >= 0.95
+    begin_s = BEGIN_S + (20 * 86_400.0 if fault in ("step", "unit") else 0.0)
+    assert verdict.from_s is not None and verdict.to_s is not None
+    assert verdict.from_s <= begin_s <= verdict.to_s
+    if fault == "ageing":
+        assert verdict.per_day == pytest.approx(0.02, rel=0.1)
     if fault == "step":
         assert verdict.size == pytest.approx(0.5, abs=0.05)
+        assert verdict.to_s - verdict.from_s < 86_400.0
+        assert " at once, between 2026-01-" in str(result.exception)
         assert verdict.since.startswith("2026-01-2")
         assert "recalibrate small: the zero of y moved by" in str(result.exception)
 
@@ -84,6 +92,65 @@ def test_monitor_goes_on_where_the_last_call_ended(unit, tmp_path) -> None:
     assert again.exit_code == 1
     assert read(again).steps == 0
     assert "read before" in " ".join(read(again).notes)
+
+
+def write_with_gap(folder: Path, change: Callable[[np.ndarray], np.ndarray]) -> list[Path]:
+    """Write logs of days 0 to 18 and 80 to 90, whose zero changes with the day."""
+    logs = []
+    for first, days in ((0, 18), (80, 10)):
+        zero = change(first + np.arange(days * DAY) / DAY)
+        begin_s = BEGIN_S + first * 86_400.0
+        path = folder / f"{first}.csv"
+        logs.append(write_log(path, 60 + first, days, begin_s=begin_s, zero=zero))
+    return logs
+
+
+def test_what_moved_in_a_gap_moved_at_once_or_slowly(unit, tmp_path) -> None:
+    logs = write_with_gap(tmp_path, lambda day: 3.1 * (day > 50))
+    result = watch(unit, tmp_path, *logs)
+    verdict = read(result).outputs["y"].verdict
+    assert (verdict.cause, verdict.per_day) == ("step", None)
+    assert verdict.size == pytest.approx(3.1, abs=0.1)
+    assert verdict.from_s is not None and verdict.to_s is not None
+    assert verdict.from_s <= BEGIN_S + 18 * 86_400.0 and verdict.to_s >= BEGIN_S + 80 * 86_400.0
+    assert verdict.to_s <= BEGIN_S + 81 * 86_400.0
+    text = str(result.exception)
+    assert "moved by 3.1 N between 2026-01-" in text and "at once or slowly: there are no" in text
+    assert "of 62 days" in text
+
+
+def test_ageing_over_a_gap_is_no_step_after_it(unit, tmp_path) -> None:
+    logs = write_with_gap(tmp_path, lambda day: 0.05 * day)
+    result = watch(unit, tmp_path, *logs)
+    verdict = read(result).outputs["y"].verdict
+    assert verdict.cause == "ageing"
+    assert verdict.per_day == pytest.approx(0.05, rel=0.1)
+    assert verdict.from_s is not None and verdict.from_s <= BEGIN_S
+    assert " N a day along a line that began between 2026-01-01" in str(result.exception)
+
+
+def test_a_log_without_its_load_is_read_again_with_it(unit, tmp_path) -> None:
+    """What was counted before is not counted twice, and the means are those of one reading."""
+    logs = [
+        write_log(tmp_path / f"{k}.csv", 80 + k, 2, begin_s=BEGIN_S + k * 172_800, with_true=False)
+        for k in range(3)
+    ]
+    for log in logs:
+        told = read(watch(unit, tmp_path, log))
+        assert told.outputs["y"].state == "no reference"
+        assert any("read the log again with --load y=VALUE" in note for note in told.notes)
+    told = read(watch(unit, tmp_path, logs[0]))
+    assert any("was read before; it is passed over" in note for note in told.notes)
+    told = read(watch(unit, tmp_path, logs[1], logs[0], logs[2], "--load", "y=0"))
+    assert (told.steps, told.steps_in_all) == (0, 6 * DAY)
+    assert any("now y is tested on it, too" in note for note in told.notes)
+    at_once = tmp_path / "once"
+    at_once.mkdir()
+    assert watch(unit, at_once, *logs, "--load", "y=0").exit_code == 0
+    kept = [json.loads((place / "s.json").read_text()) for place in (tmp_path, at_once)]
+    assert kept[0]["outputs"] == kept[1]["outputs"]
+    again = read(watch(unit, tmp_path, logs[1], "--load", "y=0"))
+    assert any("was read before; it is passed over" in note for note in again.notes)
 
 
 def test_times_that_begin_anew_follow_the_log_before(unit, tmp_path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from tests.blocks.test_blocks import find_design, list_units, make_block
-from tests.field.conftest import BEGIN_S, write_log
+from tests.field.conftest import BEGIN_S, make_bare_block, write_log
 
 from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
@@ -44,7 +44,9 @@ def write_many(path: str, writer: int, design: str) -> int:
                 assert "is there since" in str(error)
                 refused += 1
             registry.add_calibration(f"OWN{writer}-{number}", design, f"{writer:x}{number:x}" * 8)
-            sha256 = registry.add_block(f"OWN{writer}-{number}", f"{writer} {number}".encode())
+            sha256 = registry.add_block(
+                f"OWN{writer}-{number}", make_bare_block(f"OWN{writer}-{number}")
+            )
             registry.load_block(f"OWN{writer}-{number}", sha256)
     return refused
 
@@ -155,7 +157,7 @@ def test_a_folder_in_the_place_of_a_block_is_told(file, tmp_path) -> None:
 def test_what_fails_leaves_nothing(file) -> None:
     with open_registry(file) as registry:
         with pytest.raises(InputError, match="no unit SN9"):
-            registry.add_block("SN9", b"x")
+            registry.add_block("SN9", make_bare_block("SN9"))
         with pytest.raises(InputError, match="SQLite refuses it"):
             registry.add_calibration("", "ft40", "a" * 64)
         assert registry.list_units() == ()

@@ -5,6 +5,7 @@ from importlib import import_module
 
 import pytest
 from click.testing import CliRunner
+from tests.field.conftest import make_bare_block
 from tests.workbench.conftest import serve
 from tests.workbench.pages import expect, open_page, wait_for_job
 
@@ -24,7 +25,7 @@ def fill(directory):
         for number in range(4):
             registry.add_unit(f"SN{number}", "cell")
         registry.add_calibration("SN2", "cell", "c" * 64, (("d" * 64, "chamber.csv"),))
-        registry.load_block("SN2", registry.add_block("SN2", b"of SN2"))
+        registry.load_block("SN2", registry.add_block("SN2", make_bare_block("SN2")))
         for serial in ("SN1", "SN2", "SN3"):
             registry.add_logs(serial, ((serial[-1] * 64, f"field_{serial}.csv"),))
             registry.add_finding(serial, "Fz", "sound", SAME)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+from zerodrift.app.commands.built import load_uncertainty
 from zerodrift.app.monitored_log import Deployed
 from zerodrift.app.swapped import KnownUnit
 from zerodrift.base.config import Config, load_config
@@ -53,7 +54,16 @@ def find_known(
     notes = left[:SHOWN]
     if len(left) > SHOWN:
         notes.append(f"{len(left) - SHOWN} more units are not tried")
-    return tuple(KnownUnit(serial, known[serial]) for serial in sorted(known)), tuple(notes)
+    units = tuple(
+        KnownUnit(s, known[s], _find_calibrated(config, s, known[s])) for s in sorted(known)
+    )
+    return units, tuple(notes)
+
+
+def _find_calibrated(config: Config, serial: str, model: IntegerModel) -> dict[str, float]:
+    """Return output -> standard uncertainty of a unit's model, as the fleet has measured it."""
+    found = load_uncertainty(config.build_directory / FOLDER / serial, model.hash)
+    return {name: one.standard for name, one in found.outputs.items()} if found else {}
 
 
 def _list_fleet(config: Config, wrong: dict[str, str]) -> Iterator[tuple[str, IntegerModel]]:

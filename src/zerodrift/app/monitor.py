@@ -69,7 +69,8 @@ class Monitor:
         """Read a log.
 
         Args:
-            log: the log; one that was read before is skipped.
+            log: the log; of one that was read before, what is new is that the true value of an
+                output is known now: that output alone is tested on it.
             skip_invalid: drop rows whose time is no number or does not rise.
             overlap: rows up to the last time seen are expected; they only settle the model.
 
@@ -77,12 +78,16 @@ class Monitor:
             InputError: it cannot be read, or lacks what the model takes.
         """
         digest = hash_log(log)
-        if any(seen.sha256 == digest for seen in self.state.logs):
+        before = next((seen for seen in self.state.logs if seen.sha256 == digest), None)
+        if before is not None and before.outputs is None:
             self._notes.append(f"{log}: was read before; it is passed over")
             return
         opened = open_log(self.deployed, log, skip_invalid)
         told = apply_to(self._chip, self.deployed.config, opened)
         self._notes += [*opened.notes, *told.notes]
+        if before is not None:
+            self._read_again(log, before, opened, told, skip_invalid)
+            return
         time_s = self._place(opened.time_s, log, overlap)
         new = np.ones(time_s.size, dtype=np.bool_)
         if self.state.last_s is not None:
@@ -95,30 +100,81 @@ class Monitor:
         if not new.any():
             return
         self._count(opened, told, new)
-        self._parts.append(
-            LogPart(log, skip_invalid, float(time_s[0] - opened.time_s[0]), self.state.last_s)
+        shift_s, after_s = float(time_s[0] - opened.time_s[0]), self.state.last_s
+        self._parts.append(LogPart(log, skip_invalid, shift_s, after_s))
+        self._add(opened, told, time_s, new, tuple(told.residuals))
+        self._logs.append(str(log))
+        seen = LogSeen(log.name, digest, tuple(told.residuals), shift_s, after_s)
+        self.state = replace(
+            self.state,
+            last_s=float(time_s[-1]),
+            steps=self.state.steps + int(new.sum()),
+            logs=self.state.logs if overlap else (*self.state.logs, seen),
         )
+        if not overlap:
+            self._tell_unknown(log, told)
+
+    def _read_again(
+        self, log: Path, before: LogSeen, opened: MonitoredLog, told: Left, skip_invalid: bool
+    ) -> None:
+        """Test a log's outputs whose true value was not known when it was read before."""
+        assert before.outputs is not None
+        more = tuple(name for name in told.residuals if name not in before.outputs)
+        if not more:
+            self._notes.append(f"{log}: was read before; it is passed over")
+            self._tell_unknown(log, told)
+            return
+        time_s = opened.time_s + before.shift_s
+        new = np.ones(time_s.size, dtype=np.bool_)
+        if before.after_s is not None:
+            new = time_s > before.after_s
+        if not before.outputs:
+            self._parts.append(LogPart(log, skip_invalid, before.shift_s, before.after_s))
+        self._add(opened, told, time_s, new, more)
+        self._logs.append(str(log))
+        seen = replace(before, outputs=(*before.outputs, *more))
+        logs = tuple(seen if one is before else one for one in self.state.logs)
+        self.state = replace(self.state, logs=logs)
+        self._notes.append(f"{log}: was read before; now {', '.join(more)} is tested on it, too")
+        self._tell_unknown(log, told)
+
+    def _tell_unknown(self, log: Path, told: Left) -> None:
+        """Say which outputs cannot be tested on a log, and how they can."""
+        unknown = [o.name for o in self.deployed.model.outputs if o.name not in told.residuals]
+        if unknown:
+            options = " ".join(f"--load {name}=VALUE" for name in unknown)
+            self._notes.append(
+                f"{log}: the true value of {', '.join(unknown)} is not known, so that it is not"
+                f" tested; read the log again with {options} (0 where there was no load), or with"
+                " its reference column, to test it"
+            )
+
+    def _add(
+        self,
+        opened: MonitoredLog,
+        told: Left,
+        time_s: Array,
+        new: NDArray[np.bool_],
+        names: Sequence[str],
+    ) -> None:
+        """Add what is left of some outputs to their means."""
         outputs = dict(self.state.outputs)
-        for name, residual in told.residuals.items():
+        for name in names:
+            residual = told.residuals[name]
             usable = new & (told.flags == 0) & np.isfinite(residual)
             blocks = make_blocks(
                 time_s[usable], residual[usable], opened.temperature[usable], self.state.block_s
             )
             before = outputs.get(name, OutputState())
             joined = join_blocks(before.blocks, blocks)
-            outputs[name] = keep_output(joined, before.learned, before.finding)
+            learned, finding = before.learned, before.finding
+            if before.place and blocks.place.size and blocks.place[0] < before.place[-1]:
+                learned, finding = None, None  # blocks have another number: all is tested anew
+            outputs[name] = keep_output(joined, learned, finding)
             squares, count = self._squares.get(name, (0.0, 0))
             own = residual[usable]
             self._squares[name] = (squares + float(own @ own), count + own.size)
-        seen = () if overlap else (LogSeen(log.name, digest),)
-        self._logs.append(str(log))
-        self.state = replace(
-            self.state,
-            last_s=float(time_s[-1]),
-            steps=self.state.steps + int(new.sum()),
-            outputs=outputs,
-            logs=(*self.state.logs, *seen),
-        )
+        self.state = replace(self.state, outputs=outputs)
 
     def _place(self, time_s: Array, log: Path, overlap: bool) -> Array:
         """Return times that continue from the last log, where the log's own start again."""
@@ -270,7 +326,8 @@ def _tell_nothing(unit: str, uncertainty: float | None) -> OutputWatched:
         uncertainty=uncertainty,
         zero_moved=None,
         verdict=ChangeVerdict(),
-        text="the true value is not known: flags and range alone are watched",
+        text="the true value is not known: flags and range alone are watched until a log is read"
+        " with its reference column or --load",
     )
 
 
@@ -284,7 +341,11 @@ def tell_date(time_s: float) -> str:
 def _tell(
     sensor: str, output: str, unit: str, blocks: BlockMeans, followed: Followed, rules: Rules
 ) -> tuple[str, ChangeVerdict, str]:
-    """Return the state of an output, the finding, and what to do."""
+    """Return the state of an output, the finding, and what to do.
+
+    A change is told with the time in which it began. What moved while there are no logs moved at
+    once or slowly, which the logs before and after do not tell apart.
+    """
     finding = followed.finding
     if finding is None:
         if followed.learned is None:
@@ -294,24 +355,61 @@ def _tell(
     alarm_at, since = (
         tell_date(float(blocks.place[i]) * rules.block_s) for i in (finding.alarm, finding.since)
     )
+    low, high = finding.begun or _surround(blocks, finding.since)
+    from_s, to_s = float(low) * rules.block_s, float(high) * rules.block_s
+    between = f"between {tell_date(from_s)} and {tell_date(to_s)}"
+    gap_s = _find_gap(blocks, low, high) * rules.block_s
     cause = finding.cause if finding.told is not None else UNDECIDED
-    moved = f"the zero of {output} moved by {finding.size:.2g} {unit}"
+    zero, size = f"the zero of {output}", f"{finding.size:.2g} {unit}"
+    at_once = (
+        f"{between}, at once or slowly: there are no logs of {gap_s / DAY_S:.2g} days of this time"
+        if gap_s
+        else f"at once, {between}"
+    )
     text = {
-        STEP: f"recalibrate {sensor}: {moved} at once, {since}",
-        AGEING: f"recalibrate {sensor}: {moved} since {since}, along a line",
+        STEP: f"recalibrate {sensor}: {zero} moved by {size} {at_once}",
+        AGEING: (
+            f"recalibrate {sensor}: {zero} moves by {finding.per_day:.2g} {unit} a day along a line"
+            f" that began {between}; by {size} until this was sure"
+        ),
         OTHER_MODEL: (
             f"check {sensor}: {output} follows temperature as with the right model it would not,"
             " from the first sample on; another unit's model or block is in use, or the unit was"
             " swapped before"
         ),
         OTHER_UNIT: (
-            f"check {sensor}: since {since} {output} has another zero and follows temperature;"
-            " another unit, or another block, is in its place"
+            f"check {sensor}: since a time {between} {output} has another zero and follows"
+            " temperature; another unit, or another block, is in its place"
         ),
         UNDECIDED: (
-            f"watch {sensor}: {output} has changed; what it is, is not sure yet, most likely"
-            f" {finding.cause} ({100.0 * finding.probability:.0f} %)"
+            f"watch {sensor}: {output} has changed, {between}; what it is, is not sure yet, most"
+            f" likely {finding.cause} ({100.0 * finding.probability:.0f} %)"
         ),
     }[cause]
-    size = finding.size if cause in (STEP, AGEING) else None
-    return ALARM, ChangeVerdict(cause, finding.probability, alarm_at, since, size), text
+    told_size = finding.size if finding.cause in (STEP, AGEING) else None
+    return (
+        ALARM,
+        ChangeVerdict(
+            cause=cause,
+            probability=finding.probability,
+            alarm_at=alarm_at,
+            since=since,
+            from_s=from_s,
+            to_s=to_s,
+            size=told_size,
+            per_day=finding.per_day if cause == AGEING else None,
+        ),
+        text,
+    )
+
+
+def _surround(blocks: BlockMeans, since: int) -> tuple[int, int]:
+    """Return the numbers of the blocks between whose begins a block and the gap before it lie."""
+    return int(blocks.place[max(since - 1, 0)]) + min(since, 1), int(blocks.place[since]) + 1
+
+
+def _find_gap(blocks: BlockMeans, low: int, high: int) -> int:
+    """Return the largest number of blocks without logs, one after the other, in a span."""
+    inside = blocks.place[(blocks.place >= low) & (blocks.place < high)]
+    ends = np.concatenate([[low - 1], inside, [high]])
+    return int(np.diff(ends).max()) - 1

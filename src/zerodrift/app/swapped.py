@@ -1,7 +1,7 @@
 """Which other unit is in place: the known units' models over the logs since the change."""
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,10 +15,10 @@ from zerodrift.c_runtime.host_batch import build_host_batch
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.field.blocks import join_blocks, make_blocks
-from zerodrift.field.state import MonitorState, SearchedOutput, UnitSearch
+from zerodrift.field.state import MonitorState, OutputState, SearchedOutput, UnitSearch
 from zerodrift.field.summary import NAMED, NONE, POSSIBLE, TOO_LITTLE, UnitSought
 from zerodrift.field.swapped import FALSE_NAME, Before, Foretold, find_unit
-from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT, BlockMeans, Rules
+from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT, BlockMeans, ChangeFound, Rules
 
 Array = NDArray[np.float64]
 
@@ -36,6 +36,9 @@ class KnownUnit:
 
     serial: str
     model: IntegerModel
+    calibrated: Mapping[str, float]
+    """Output -> standard uncertainty of the model inside its range, in its unit; where that is
+    not known, as of a block in the registry, that of the unit that should be there is taken."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ def wants_name(state: MonitorState) -> bool:
 def _find_change(state: MonitorState) -> _Swap | None:
     """Return when another unit took the place; None where none did."""
     changes = [
-        _Swap(output.place[found.since], found.cause == OTHER_MODEL)
+        _Swap(_find_last(output, found), found.cause == OTHER_MODEL)
         for output in state.outputs.values()
         if (found := output.finding) is not None
         and found.told is not None
@@ -79,6 +82,12 @@ def _find_change(state: MonitorState) -> _Swap | None:
     if all(change.is_first for change in changes):
         return _Swap(min(change.place for change in changes) - 1, True)
     return _Swap(max(change.place for change in changes if not change.is_first), False)
+
+
+def _find_last(output: OutputState, found: ChangeFound) -> int:
+    """Return the number of the last block that the change may lie in or after."""
+    place = output.place[found.since]
+    return place if found.begun is None else max(place, found.begun[1] - 1)
 
 
 def seek_unit(
@@ -117,7 +126,7 @@ def seek_unit(
                 new &= time_s > part.after_s
             if new.any():
                 _add(outputs, _foretell(deployed, (own, *chips), log, new, time_s, state), models)
-    named, possible = _decide(outputs, deployed, state, change, tuple(models))
+    named, possible = _decide(outputs, deployed, state, change, units)
     return replace(state, sought=UnitSearch(models, outputs, possible, named))
 
 
@@ -190,10 +199,11 @@ def _decide(
     deployed: Deployed,
     state: MonitorState,
     change: _Swap,
-    serials: tuple[str, ...],
+    units: Sequence[KnownUnit],
 ) -> tuple[str, tuple[str, ...] | None]:
     """Return the unit that is named, and those that are not ruled out."""
     weighed = {}
+    serials = tuple(unit.serial for unit in units)
     for name, output in outputs.items():
         watched = state.outputs[name]
         if not change.is_first and watched.learned is None:
@@ -204,7 +214,8 @@ def _decide(
         rules = Rules(state.per_month, state.block_s, standard, state.learn_s)
         learned = None if change.is_first else watched.learned
         before = watched.blocks.first(learned.blocks if learned is not None else 0)
-        weighed[name] = (Foretold(means, others), Before(before, learned, rules))
+        calibrated = np.array([unit.calibrated.get(name, standard) for unit in units])
+        weighed[name] = (Foretold(means, others, calibrated), Before(before, learned, rules))
     found = find_unit(weighed, len(serials))
     if found is None:
         return "", None

@@ -18,9 +18,9 @@ class BlockConfig:
     serial: str = ""
     """Of the unit, up to 24 bytes; empty: the sensor's name, in a fleet each unit's."""
     calibrated: date = date(1970, 1, 1)
-    """Date of calibration; 1970-01-01 where none is stated."""
+    """Date of the calibration that changes a unit's numbers; 1970-01-01 where none is stated."""
     sequence: int = 0
-    """Of two slots the larger is newer; 0: the date of calibration as days since 1970."""
+    """Of a unit's next block; 0: counted from those that it has had."""
     address: int = 0
     """Address of the block in flash, for the HEX file."""
 
@@ -31,7 +31,7 @@ class BlockConfig:
 
     @property
     def number(self) -> int:
-        """The sequence number in the block, at least 1."""
+        """The least sequence of a next block: the stated one, or the date as days since 1970."""
         return self.sequence or max((self.calibrated - date(1970, 1, 1)).days, 1)
 
 

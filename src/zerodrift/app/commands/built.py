@@ -93,6 +93,20 @@ def _read_written(
     return firmware, certificate, note
 
 
+def load_uncertainty(folder: Path, model_hash: str) -> "Uncertainty | None":
+    """Return the uncertainty of a model that lies in a folder; None without a sound one of it."""
+    from zerodrift.verify.uncertainty import FILE_NAME, Uncertainty
+
+    kept = read_kept(folder / FILE_NAME)
+    if kept is None:
+        return None
+    try:
+        found = from_json(Uncertainty, kept)
+    except ValueError:
+        return None
+    return found if found.model_hash == model_hash else None
+
+
 def read_uncertainty(config: Config, model_hash: str) -> "tuple[Uncertainty | None, str]":
     """Return the uncertainty of a model, or None and why there is none.
 
@@ -102,17 +116,12 @@ def read_uncertainty(config: Config, model_hash: str) -> "tuple[Uncertainty | No
         config: the project.
         model_hash: of the integer model.
     """
-    from zerodrift.verify.uncertainty import FILE_NAME, Uncertainty
+    from zerodrift.verify.uncertainty import FILE_NAME
 
     path = config.build_directory / FILE_NAME
-    kept = read_kept(path)
-    if kept is not None:
-        try:
-            found = from_json(Uncertainty, kept)
-        except ValueError:
-            found = None
-        if found is not None and found.model_hash == model_hash:
-            return found, ""
+    found = load_uncertainty(config.build_directory, model_hash)
+    if found is not None:
+        return found, ""
     if path.exists():
         return None, (
             f"no uncertainty is stated: {path.name} in build/ is damaged, or of another model; "

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rich.console import Console
 
+    from zerodrift.base.block_config import BlockConfig
     from zerodrift.export.error_bound import ErrorBound
     from zerodrift.export.integer_model import IntegerModel
     from zerodrift.verify.errors_told import OutputError
@@ -132,7 +133,7 @@ def command(
     if as_json:
         print_result(result)
     else:
-        _print(firmware, result, config.directory)
+        _print(firmware, result, config.directory, config.block)
     if not written:
         raise CheckError(
             f"{firmware.gate.explain()}\nNothing was written to"
@@ -160,6 +161,8 @@ def make_firmware(
         force: write the firmware even if the gate refuses it.
         network: the ONNX file that the network comes from.
     """
+    from zerodrift.blocks.files import BLOCK
+    from zerodrift.field.editions import find_editions
     from zerodrift.verify.firmware import build_firmware
 
     with change_together(config.directory):
@@ -172,6 +175,7 @@ def make_firmware(
                 left_out=left.judge(dataset),
                 force=force,
                 network=network,
+                editions=find_editions(config.directory, (config.firmware_out / f"{BLOCK}.bin",)),
             )
         result = summarise(firmware, config.directory)
         keep(result, config)
@@ -300,7 +304,9 @@ def show_path(path: Path, directory: Path) -> str:
     return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
 
 
-def _print(firmware: "Firmware", told: FirmwareSummary, directory: Path) -> None:
+def _print(
+    firmware: "Firmware", told: FirmwareSummary, directory: Path, asked: "BlockConfig"
+) -> None:
     console = open_console()
     kind = "held-out runs" if firmware.held_out else "TRAINING runs (no test logs are configured)"
     table = open_table(
@@ -360,9 +366,22 @@ def _print(firmware: "Firmware", told: FirmwareSummary, directory: Path) -> None
         " derived again from the C"
     )
     _print_bound(told, firmware, console)
+    if firmware.files and firmware.code.design is not None:
+        console.print(tell_edition(firmware.code.block, asked))
     for folder in sorted({path.parent for path in firmware.files}):
         names = ", ".join(path.name for path in firmware.files if path.parent == folder)
         console.print(f"wrote {show_path(folder, directory)}/: {names}")
+
+
+def tell_edition(block: bytes, asked: "BlockConfig") -> str:
+    """Return which block of the unit this is, and why its date is not the stated one if so."""
+    from zerodrift.blocks.block import decode_header
+
+    notes = decode_header(block, "block").notes
+    text = f"block of {notes.serial}: sequence {notes.sequence}, calibrated {notes.calibrated}"
+    if asked.calibrated != notes.calibrated:
+        text += f"; its numbers have not changed since, so that it is not dated {asked.calibrated}"
+    return text
 
 
 def _print_bound(told: FirmwareSummary, firmware: "Firmware", console: "Console") -> None:

@@ -72,6 +72,16 @@ def read_own_block(directory: Path, file: Path, serial: str) -> bytes:
     return content
 
 
+def tell_newer(serial: str, newer: str | None) -> None:
+    """Say that a chip with two slots may hold a newer block than the one that was loaded."""
+    if newer is not None:
+        click.echo(
+            f"note: {serial} was given the newer block {newer[:12]} before; as long as that lies in"
+            " its other slot, the chip computes with it. Erase that slot, or load the newer one.",
+            err=True,
+        )
+
+
 @click.group("registry")
 def command() -> None:
     """Units of a design: their calibrations, blocks and logs, and which block is on which unit.
@@ -125,10 +135,12 @@ def block(
 
     content = read_own_block(directory, file_of_block, serial)
     with open_registry(find_file(directory, file)) as registry:
-        sha256 = registry.add_block(serial, content)
+        sha256, newer = registry.add_block(serial, content), None
         if loaded:
             registry.load_block(serial, sha256)
+            newer = registry.find_newer(serial, sha256)
     click.echo(f"{serial}: block {sha256[:12]}{', loaded' if loaded else ''}")
+    tell_newer(serial, newer)
 
 
 @command.command()
@@ -141,7 +153,9 @@ def loaded(serial: str, sha256: str, directory: Path, file: Path | None) -> None
 
     with open_registry(find_file(directory, file)) as registry:
         whole = registry.load_block(serial, sha256)
+        newer = registry.find_newer(serial, whole)
     click.echo(f"{serial}: block {whole[:12]} is on it")
+    tell_newer(serial, newer)
 
 
 @command.command("list")
