@@ -1,0 +1,74 @@
+"""The simplest compensators: none, a constant, a line in temperature; what is beyond a constant."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.base.config import EffectConfig
+from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.held_out import hold_out
+from zerodrift.physics.fit import fit
+from zerodrift.physics.model import PhysicalModel
+
+Array = NDArray[np.float64]
+
+LINE = EffectConfig("zero_tempco", {"order": 1})
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A compensator that any project could have without a model, fitted to its training runs."""
+
+    name: str
+    """constant | line."""
+    model: PhysicalModel
+    held_out: Mapping[str, Array]
+    """Run's name -> [n, K] what it predicts for runs that it did not learn from."""
+
+
+def fit_baselines(dataset: Dataset, *, tared: bool) -> tuple[Baseline, ...]:
+    """Return the baselines, fitted as the project's own effects are.
+
+    The test runs are held out where there are any, else each training run in turn.
+
+    Args:
+        dataset: its runs.
+        tared: each run has an offset of its own. A constant is then no compensation at all, and is
+            not among them.
+    """
+    line = _fit("line", (LINE,), dataset, tared=tared)
+    return (line,) if tared else (fit_constant(dataset), line)
+
+
+def fit_constant(dataset: Dataset) -> Baseline:
+    """Return the mean drift of the training runs as a compensator."""
+    return _fit("constant", (), dataset, tared=False)
+
+
+def explain_share(left: Sequence[Array], constant: Sequence[Array]) -> Array:
+    """Return the share [K] of a squared error that is gone, beyond what a constant takes away.
+
+    Negative where the constant alone does better; 0 where it leaves nothing.
+
+    Args:
+        left: [n, K] per run: errors of a model, the run's own offset apart where logs are tared.
+        constant: the same of a constant that was fitted to the same runs.
+    """
+    own, other = (
+        np.sum([np.sum(e**2, axis=0) for e in errors], axis=0) for errors in (left, constant)
+    )
+    return np.asarray(np.where(other > 0.0, 1.0 - own / np.where(other > 0.0, other, 1.0), 0.0))
+
+
+def _fit(name: str, effects: Sequence[EffectConfig], dataset: Dataset, *, tared: bool) -> Baseline:
+    runs = tuple(replace(run, tared=tared) for run in dataset.train)
+    model = fit(
+        effects,
+        runs,
+        outputs=dataset.outputs,
+        units=dataset.units,
+        full_scale=dataset.full_scale,
+    )
+    return Baseline(name, model, hold_out(model, replace(dataset, train=runs)).predictions)
