@@ -10,7 +10,6 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.held_out import hold_out
 from zerodrift.physics.fit import fit
-from zerodrift.physics.model import PhysicalModel
 
 Array = NDArray[np.float64]
 
@@ -23,15 +22,15 @@ class Baseline:
 
     name: str
     """constant | line."""
-    model: PhysicalModel
+    fitted: Mapping[str, Array]
+    """Training run's name -> [n, K] what it predicts."""
     held_out: Mapping[str, Array]
-    """Run's name -> [n, K] what it predicts for runs that it did not learn from."""
+    """Run's name -> [n, K] what it predicts for runs that it did not learn from: the test runs
+    where there are any, else each training run in turn."""
 
 
 def fit_baselines(dataset: Dataset, *, tared: bool) -> tuple[Baseline, ...]:
-    """Return the baselines, fitted as the project's own effects are.
-
-    The test runs are held out where there are any, else each training run in turn.
+    """Return a constant and a line in temperature, fitted as the project's own effects are.
 
     Args:
         dataset: its runs.
@@ -39,27 +38,30 @@ def fit_baselines(dataset: Dataset, *, tared: bool) -> tuple[Baseline, ...]:
             not among them.
     """
     line = _fit("line", (LINE,), dataset, tared=tared)
-    return (line,) if tared else (fit_constant(dataset), line)
+    return (line,) if tared else (fit_constant(dataset, tared=False), line)
 
 
-def fit_constant(dataset: Dataset) -> Baseline:
-    """Return the mean drift of the training runs as a compensator."""
-    return _fit("constant", (), dataset, tared=False)
+def fit_constant(dataset: Dataset, *, tared: bool) -> Baseline:
+    """Return the mean drift of the training runs as a compensator; each run counts once if tared.
+
+    Args:
+        dataset: its runs.
+        tared: each run has an offset of its own.
+    """
+    return _fit("constant", (), dataset, tared=tared)
 
 
-def explain_share(left: Sequence[Array], constant: Sequence[Array]) -> Array:
+def explain_share(left: Array, constant: Array) -> Array:
     """Return the share [K] of a squared error that is gone, beyond what a constant takes away.
 
     Negative where the constant alone does better; 0 where it leaves nothing.
 
     Args:
-        left: [n, K] per run: errors of a model, the run's own offset apart where logs are tared.
-        constant: the same of a constant that was fitted to the same runs.
+        left: [K] sum of a model's squared errors, each run's own offset apart where logs are tared.
+        constant: [K] the same of a constant that was fitted to the same runs.
     """
-    own, other = (
-        np.sum([np.sum(e**2, axis=0) for e in errors], axis=0) for errors in (left, constant)
-    )
-    return np.asarray(np.where(other > 0.0, 1.0 - own / np.where(other > 0.0, other, 1.0), 0.0))
+    there = constant > 0.0
+    return np.asarray(np.where(there, 1.0 - left / np.where(there, constant, 1.0), 0.0))
 
 
 def _fit(name: str, effects: Sequence[EffectConfig], dataset: Dataset, *, tared: bool) -> Baseline:
@@ -71,4 +73,8 @@ def _fit(name: str, effects: Sequence[EffectConfig], dataset: Dataset, *, tared:
         units=dataset.units,
         full_scale=dataset.full_scale,
     )
-    return Baseline(name, model, hold_out(model, replace(dataset, train=runs)).predictions)
+    return Baseline(
+        name,
+        {run.name: model.predict(run) for run in runs},
+        hold_out(model, replace(dataset, train=runs)).predictions,
+    )

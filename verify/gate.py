@@ -171,14 +171,16 @@ def ask_for_tare(tared: GateVerdict, shared: GateVerdict) -> GateVerdict:
         " zeroed by itself"
     )
     if tared.passes == shared.passes:
-        if shared.passes and len(shared.warnings) > len(tared.warnings):
-            text = (
-                f"{guess}. That is a guess: what is said here counts each run's own offset as an"
-                " error of the chip. State tared = true or false."
-            )
-            told = Statement(kind="tare_decides", text=text)
-            return replace(shared, warnings=(told, *shared.warnings))
-        return shared
+        known = {(one.kind, one.output) for one in tared.warnings}
+        outputs = [w.output for w in shared.warnings if (w.kind, w.output) not in known]
+        if not shared.passes or not outputs:
+            return shared
+        text = (
+            f"{guess}. If that is wrong, each run's own offset is an error of the chip, which is"
+            f" then not shown to be better than the simplest compensators in {', '.join(outputs)}:"
+            " state tared = true or false."
+        )
+        return replace(tared, warnings=(Statement(kind="tare_decides", text=text), *tared.warnings))
     stopped = shared if tared.passes else tared
     gives = {True: "the firmware is written", False: stopped.explain()}
     text = (
