@@ -237,6 +237,9 @@ class FirmwareSummary(Shown):
     forced: bool
     written: bool
     files: tuple[str, ...]
+    explained: ByOutput | None = field(default=None, metadata=OPTIONAL)
+    """1 - error² / error of a constant², of the integer model over the same runs; the constant is
+    the mean drift of the training runs. Negative where the constant does better."""
     error_bound: Mapping[str, ProvenError] | None = field(default=None, metadata=OPTIONAL)
     """Output -> the proven largest distance from the float model."""
     conversions: Mapping[str, ConversionSummary] | None = field(default=None, metadata=OPTIONAL)

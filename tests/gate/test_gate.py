@@ -1,12 +1,13 @@
 """Wrong firmware is refused and right firmware is not, each case as a user met it."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.gate.sensors import TESTS, TRAIN, ask_gate, heat, list_kinds, write_sensor
+from tests.gate.sensors import TESTS, TRAIN, Program, ask_gate, heat, list_kinds, write_sensor
 from tests.main_job.conftest import invoke
 
 from zerodrift.app.commands.built import read_firmware
@@ -28,7 +29,8 @@ from zerodrift.verify.contrast import (
     hold_jointly,
     measure_correlation,
 )
-from zerodrift.verify.summary import FirmwareSummary
+from zerodrift.verify.gate import GateVerdict, ask_for_tare
+from zerodrift.verify.summary import FirmwareSummary, Statement
 
 
 @pytest.mark.parametrize("network", ["none", "lag_bank"])
@@ -121,6 +123,60 @@ def test_runs_that_share_no_temperature_cannot_be_judged_by_each_other(tmp_path:
     verdict = ask_gate(write_sensor(tmp_path, apart))
     assert verdict.passes and verdict.rows == 0
     assert [warning.kind for warning in verdict.warnings] == ["not_judged"]
+
+
+def tare(programs: Sequence[Program], offsets: Sequence[float]) -> list[Program]:
+    return [replace(p, offset=o) for p, o in zip(programs, offsets, strict=True)]
+
+
+def test_guessed_tare_excuses_no_error_and_the_user_is_asked(tmp_path: Path) -> None:
+    """The training runs are 1 bar off, each by another amount; the test runs are not."""
+    train = tare(TRAIN, (1.4, 0.6, 1.2, 0.8))
+    project = write_sensor(tmp_path, (*train, *TESTS))
+    (asked,) = ask_gate(project).refused
+    assert asked.kind == "tare_decides"
+    assert "tared = true (each log was zeroed on its own): the firmware is written" in asked.text
+    assert "are errors of the chip): the firmware is refused:" in asked.text
+    assert "no compensation 0.17 bar" in asked.text
+    file = project / "zerodrift.toml"
+    for told, kinds in (("true", set()), ("false", {"worse_than_none"})):
+        text = file.read_text().replace("[logs]\n", f"[logs]\ntared = {told}\n")
+        stated = tmp_path / told / "zerodrift.toml"
+        stated.parent.mkdir()
+        for log in project.glob("*.csv"):
+            (stated.parent / log.name).write_bytes(log.read_bytes())
+        stated.write_text(text)
+        assert kinds <= list_kinds(ask_gate(stated.parent))
+        assert kinds or ask_gate(stated.parent).passes
+
+
+def test_guessed_tare_that_decides_nothing_is_no_question(tmp_path: Path) -> None:
+    train = tare(TRAIN, (0.01, -0.02, 0.02, -0.01))
+    tests = tare(TESTS, (-0.01, 0.01, 0.02))
+    verdict = ask_gate(write_sensor(tmp_path, (*train, *tests)))
+    assert verdict.passes and not verdict.warnings
+
+
+def test_verdict_by_a_guessed_tare_names_what_depends_on_it() -> None:
+    def give(refused: bool, *unproven: str) -> GateVerdict:
+        no = (Statement(kind="worse_than_line", output="p", text="worse"),) if refused else ()
+        told = tuple(Statement(kind="not_shown_better", output=o, text=o) for o in unproven)
+        return GateVerdict("test logs", no, told, (), (), 1)
+
+    assert ask_for_tare(give(True), give(True)).refused[0].kind == "worse_than_line"
+    assert ask_for_tare(give(False, "p"), give(False, "p")) == give(False, "p")
+    (told, kept) = ask_for_tare(give(False, "p"), give(False, "p", "q")).warnings
+    assert told.kind == "tare_decides" and " in q:" in told.text and kept.output == "p"
+    for verdicts in ((give(False), give(True)), (give(True), give(False))):
+        (asked,) = ask_for_tare(*verdicts).refused
+        assert asked.kind == "tare_decides" and "worse" in asked.text
+
+
+def test_no_drift_by_temperature_is_not_shown_to_be_compensated(tmp_path: Path) -> None:
+    """What drifts at random is learnt from two runs and is no use for others."""
+    options = {"wander": 3.0, "full_scale": 100.0, "network": "lag_bank"}
+    verdict = ask_gate(write_sensor(tmp_path, (*TRAIN[:2], *TESTS), **options))
+    assert not verdict.passes or "not_shown_better" in {w.kind for w in verdict.warnings}
 
 
 def test_network_without_test_logs_is_not_judged(tmp_path: Path) -> None:
