@@ -85,13 +85,14 @@ def main(quick: bool) -> None:
 def weigh_wandering(count: int) -> None:
     """Print what is said of firmware that learnt from a random drift, by how it does unseen.
 
-    The sensors drift by up to 0.5 bar with temperature, and by an RMS of 0.2 to 10 bar at random;
-    two to four runs are for training, one to five for the gate. What 40 more runs refuse is worse than that baseline.
+    The sensors drift by up to 0.5 bar with temperature, and by an RMS of 0.02 to 10 bar at random;
+    two to four runs are for training, one to five for the gate. A firmware is worse where 40 more
+    runs refuse it.
     """
     told: dict[str, list[str]] = {"worse": [], "not worse": []}
     for seed in range(count):
         rng = np.random.default_rng([seed, 7])
-        options = {"wander": float(np.exp(rng.uniform(np.log(0.2), np.log(10.0))))}
+        options = {"wander": float(np.exp(rng.uniform(np.log(0.02), np.log(10.0))))}
         network = str(rng.choice(["none", "lag_bank"]))
         train = TRAIN[: int(rng.integers(2, 5))]
         tests = [

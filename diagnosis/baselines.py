@@ -17,7 +17,7 @@ LINE = EffectConfig("zero_tempco", {"order": 1})
 
 
 @dataclass(frozen=True)
-class Baseline:
+class SimpleModel:
     """A compensator that any project could have without a model, fitted to its training runs."""
 
     name: str
@@ -29,7 +29,7 @@ class Baseline:
     where there are any, else each training run in turn."""
 
 
-def fit_baselines(dataset: Dataset, *, tared: bool) -> tuple[Baseline, ...]:
+def fit_baselines(dataset: Dataset, *, tared: bool) -> tuple[SimpleModel, ...]:
     """Return a constant and a line in temperature, fitted as the project's own effects are.
 
     Args:
@@ -41,7 +41,7 @@ def fit_baselines(dataset: Dataset, *, tared: bool) -> tuple[Baseline, ...]:
     return (line,) if tared else (fit_constant(dataset, tared=False), line)
 
 
-def fit_constant(dataset: Dataset, *, tared: bool) -> Baseline:
+def fit_constant(dataset: Dataset, *, tared: bool) -> SimpleModel:
     """Return the mean drift of the training runs as a compensator; each run counts once if tared.
 
     Args:
@@ -64,7 +64,9 @@ def explain_share(left: Array, constant: Array) -> Array:
     return np.asarray(np.where(there, 1.0 - left / np.where(there, constant, 1.0), 0.0))
 
 
-def _fit(name: str, effects: Sequence[EffectConfig], dataset: Dataset, *, tared: bool) -> Baseline:
+def _fit(
+    name: str, effects: Sequence[EffectConfig], dataset: Dataset, *, tared: bool
+) -> SimpleModel:
     runs = tuple(replace(run, tared=tared) for run in dataset.train)
     model = fit(
         effects,
@@ -73,7 +75,7 @@ def _fit(name: str, effects: Sequence[EffectConfig], dataset: Dataset, *, tared:
         units=dataset.units,
         full_scale=dataset.full_scale,
     )
-    return Baseline(
+    return SimpleModel(
         name,
         {run.name: model.predict(run) for run in runs},
         hold_out(model, replace(dataset, train=runs)).predictions,

@@ -44,9 +44,9 @@ def leaves_offsets(tared: Campaign, found: Found) -> bool:
     left = []
     built = build_stretches(tared.runs, tared.plan, found.terms, tared.order)
     for run, (_, *columns) in zip(tared.runs, built, strict=True):
-        rest = np.array(run.steady_drift)
+        rest = run.steady_drift
         for column, row in zip(columns, found.solution.coefficients.T, strict=True):
-            rest -= column.signal[:, None] * row
+            rest = rest - column.signal[:, None] * row
         left.append(rest)
     names = {group: i for i, group in enumerate(tared.groups)}
     return have_own_offsets(

@@ -150,8 +150,8 @@ def build_firmware(
         forced = tuple(statement.text for statement in gate.refused) if force else ()
         if forced:
             model, code = _mark_forced(model, code, "\n".join(forced))
-        plain = fit_constant(dataset, tared=described.tared)
-        constant = plain.held_out if dataset.test else plain.fitted
+        mean = fit_constant(dataset, tared=described.tared)
+        constant = mean.held_out if dataset.test else mean.fitted
         errors = tell_errors(described, check.host, runs, constant)
         untuned: tuple[OutputError, ...] = ()
         if rounded is not None:

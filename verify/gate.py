@@ -110,7 +110,7 @@ class _Pool:
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _BaselineTrial:
     """One output held against one baseline."""
 
     output: int
@@ -203,7 +203,9 @@ def _collect_answers(
     runs = [replayed.run for replayed in replay.runs]
     chip: Sequence[Array] = [r.chip for r in replay.runs]
     floating: Sequence[Array] = [r.floating for r in replay.runs]
-    physics = None if model.physics is None else model.physics.predict_all_on_chip(runs)
+    physics: Sequence[Array] | None = None
+    if model.physics is not None:
+        physics = model.physics.predict_all_on_chip(runs)
     if not dataset.test and left_out is not None:
         floating, physics = left_out.floating, left_out.physics
         chip = [x + r.difference for x, r in zip(floating, replay.runs, strict=True)]
@@ -327,14 +329,14 @@ def _judge_by_baselines(
         names: name and unit of each output.
         replay: says what rounding may cost.
     """
-    trials: list[_Trial] = []
+    trials: list[_BaselineTrial] = []
     for k, pool in pools.items():
         lengths = [measure_correlation(e) for e in pool.chip]
         for kind, other in pool.baselines.items():
             apart = [a - b for a, b in zip(pool.chip, other, strict=True)]
             if kind == NONE or _rms(apart) > BEYOND_ROUNDING * float(replay.budget[k]):
                 contrast = contrast_errors(pool.chip, other, lengths)
-                trials.append(_Trial(k, kind, contrast, _rms(other)))
+                trials.append(_BaselineTrial(k, kind, contrast, _rms(other)))
     falls = hold_jointly([trial.contrast.chance_if_alike for trial in trials])
     refused, warnings = [], []
     for trial, is_beyond_chance in zip(trials, falls, strict=True):
@@ -362,7 +364,7 @@ def _judge_by_baselines(
     return refused, warnings
 
 
-def _tell_unproven(trial: _Trial, chip: float, name: str, unit: str) -> Statement:
+def _tell_unproven(trial: _BaselineTrial, chip: float, name: str, unit: str) -> Statement:
     """Return the warning that the chip is not shown to be better than a baseline."""
     found = trial.contrast
     runs = "the one held-out run" if found.runs == 1 else f"{found.runs} held-out runs"
