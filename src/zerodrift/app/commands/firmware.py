@@ -431,8 +431,8 @@ def _print_bounds(
         table.add_row(name, bound.unit, f"{bound.value:.3g}", f"{percent:.2g}", *shares)
     console.print(table)
     console.print(
-        "Both are given equal codes there. In `int - float` above the float model has the inputs"
-        " before they were rounded to codes, so it may be the larger one."
+        "Both are given equal codes; in `int - float` above the float model has the inputs before"
+        " rounding."
     )
     console.print(f"It holds for: {firmware.bound.holds}.")
     if "range" in causes:
