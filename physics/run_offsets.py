@@ -82,8 +82,8 @@ def have_own_offsets(
     values = np.asarray(left, dtype=np.float64)
     values = values - values.mean(axis=0)
     sums = np.stack([np.bincount(cell.ravel(), column) for column in values.T], axis=1)
-    within = np.stack([np.bincount(cell.ravel(), column) for column in values.T**2], axis=1)
-    within = within - sums**2 / rows[:, None]
+    squares = np.stack([np.bincount(cell.ravel(), column) for column in values.T**2], axis=1)
+    within = squares - sums**2 / rows[:, None]
     return all(
         _compare_offsets(
             runs[runs != r], where[runs != r], rows[runs != r], sums[runs != r], within[runs != r]
