@@ -1,4 +1,5 @@
-"""What the gate says of wrong firmware, case by case, and of clean simulated projects."""
+"""What the gate says of wrong firmware, case by case, of clean simulated projects, and of firmware
+that many unseen runs show to be worse than a baseline."""
 
 import math
 import tempfile
@@ -35,6 +36,9 @@ CASES: dict[str, tuple[Sequence[Program], dict[str, float]]] = {
 }
 """Runs and what is wrong, all simulated."""
 CLEAN = 50
+WANDERING = 60
+UNSEEN = 40
+"""Test runs by which it is settled whether a firmware is worse than a baseline."""
 QUICK = 3
 MORE = 4
 """Times the test runs by which a refusal of a clean project is examined again: the same training
@@ -56,6 +60,7 @@ def main(quick: bool) -> None:
         (split,) = verdict.chip_error
         causes = ", ".join(f"{cause} {x:.2g}" for cause, x in asdict(split).items())
         print(f"{name} (simulated): {describe(verdict)}; integer minus float in bar: {causes}")
+    weigh_wandering(QUICK if quick else WANDERING)
     count, refused, warned = QUICK if quick else CLEAN, 0, 0
     for seed in range(count):
         recipe = draw_recipe(seed)
@@ -75,6 +80,49 @@ def main(quick: bool) -> None:
         f" {100.0 * bound:.2g} % with {100 * CONFIDENCE:g} %); {warned} told of runs beyond the"
         " calibrated ranges"
     )
+
+
+def weigh_wandering(count: int) -> None:
+    """Print what is said of firmware that learnt from a random drift, by how it does unseen.
+
+    The sensors drift by up to 0.5 bar with temperature, and by an RMS of 0.02 to 10 bar at random;
+    two to four runs are for training, one to five for the gate. A firmware is worse where 40 more
+    runs refuse it.
+    """
+    told: dict[str, list[str]] = {"worse": [], "not worse": []}
+    for seed in range(count):
+        rng = np.random.default_rng([seed, 7])
+        options = {"wander": float(np.exp(rng.uniform(np.log(0.02), np.log(10.0))))}
+        network = str(rng.choice(["none", "lag_bank"]))
+        train = TRAIN[: int(rng.integers(2, 5))]
+        tests = [
+            Program(f"test_{k:02}", *rng.uniform([10.0, 28.0], [22.0, 40.0]))
+            for k in range(UNSEEN + 5)
+        ]
+        few = int(rng.integers(1, 6))
+        verdicts = []
+        for own in (tests[:few], tests[5:]):
+            with tempfile.TemporaryDirectory() as folder:
+                project = write_sensor(
+                    Path(folder),
+                    (*train, *own),
+                    network=network,
+                    seed=seed,
+                    full_scale=100.0,
+                    **options,
+                )
+                verdicts.append(ask_gate(project))
+        first, settled = verdicts
+        is_worse = any(r.kind.startswith("worse_than") for r in settled.refused)
+        what = "stopped" if not first.passes else "told" if first.warnings else "silent"
+        told["worse" if is_worse else "not worse"].append(what)
+        if is_worse and what == "silent":
+            print(f"wandering {seed}: {few} test runs, silent; unseen: {describe(settled)}")
+    for name, found in told.items():
+        parts = ", ".join(f"{found.count(x)} {x}" for x in ("stopped", "told", "silent"))
+        print(
+            f"wandering sensors (simulated), {name} on {UNSEEN} unseen runs: {len(found)}: {parts}"
+        )
 
 
 def judge_recipe(recipe: Recipe) -> GateVerdict:

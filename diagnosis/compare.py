@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset, OutlierCount, Run, tell_outliers
+from zerodrift.diagnosis.baselines import explain_share, fit_constant
 from zerodrift.diagnosis.comparison_summary import (
     ComparisonSummary,
     OutputSummary,
@@ -44,7 +45,8 @@ class ErrorSummary:
     offset: float
     """The run's own offset that was subtracted, root mean square over runs; 0 without tare."""
     explained: float
-    """Share of the drift's mean square, offsets apart, that the model takes away."""
+    """Share of the squared error that is gone, beyond what a constant fitted to the training runs
+    takes away; negative where the constant does better."""
     steady_rmse: float
     """RMSE with outliers by their weights; `rmse` where there are none."""
 
@@ -215,6 +217,12 @@ def compare(
     inside = collect_errors(dataset.train, fitted, tared, find_usable)
     runs = [*dataset.train, *dataset.test]
     outside = collect_errors(runs, held_out.predictions, tared, find_usable)
+    constant = fit_constant(dataset, tared=tared)
+    plain_inside, plain_outside = (
+        _sum_squares(runs, predictions, tared, find_usable)
+        for predictions in (constant.fitted, {**constant.fitted, **constant.held_out})
+    )
+    del constant
     if floor is None:
         floor = measure_floor(dataset)
     told = {**inside, **outside}
@@ -234,15 +242,15 @@ def compare(
         units=dataset.units,
         full_scale=dataset.full_scale,
         effects=labels.effects,
-        in_sample=_summarise(list(inside.values())),
-        held_out=_summarise(list(outside.values())) if outside else None,
+        in_sample=_summarise(inside, plain_inside),
+        held_out=_summarise(outside, plain_outside) if outside else None,
         runs=tuple(
             RunErrors(
                 group,
                 "test" if group in tested else "train",
                 _find_range(told[group].runs),
-                _summarise([inside[group]]) if group in inside else None,
-                _summarise([outside[group]]) if group in outside else None,
+                _summarise({group: inside[group]}, plain_inside) if group in inside else None,
+                _summarise({group: outside[group]}, plain_outside) if group in outside else None,
             )
             for group in told
         ),
@@ -267,21 +275,41 @@ def _share_set_aside(errors: Sequence[RunError]) -> float:
     return 1.0 - sum(float(e.usable.sum()) for e in errors) / sum(e.usable.size for e in errors)
 
 
-def _summarise(errors: Sequence[RunError]) -> tuple[ErrorSummary, ...]:
-    """Return the errors [K] over all samples of some runs."""
+def _summarise(
+    found: Mapping[str, RunError], constant: Mapping[str, Array]
+) -> tuple[ErrorSummary, ...]:
+    """Return the errors [K] over all samples of some runs.
+
+    Args:
+        found: run -> what the model leaves.
+        constant: run -> [K] squared error of a constant, of these runs and perhaps of more.
+    """
+    errors = list(found.values())
     drift = _root_mean_square([e.drift for e in errors])
     left, steady = pool_rmse(errors), pool_steady_rmse(errors)
     largest = np.max([np.abs(e.error).max(axis=0) for e in errors], axis=0)
     offset = np.sqrt(np.mean([e.offset**2 for e in errors], axis=0))
-    tared = bool(offset.any())
-    means = [e.drift.mean(axis=0) if tared else 0.0 for e in errors]
-    moved = _root_mean_square([e.drift - m for e, m in zip(errors, means, strict=True)])
-    explained = 1.0 - (left / np.where(moved > 0.0, moved, 1.0)) ** 2
-    explained = np.where(moved > 0.0, explained, 0.0)
+    squares = np.sum([np.sum(e.error**2, axis=0) for e in errors], axis=0)
+    explained = explain_share(squares, np.sum([constant[group] for group in found], axis=0))
     return tuple(
         ErrorSummary(*(float(x[k]) for x in (drift, left, largest, offset, explained, steady)))
         for k in range(drift.size)
     )
+
+
+def _sum_squares(
+    runs: Sequence[Run],
+    predictions: Mapping[str, Array],
+    tared: bool,
+    find_usable: FindUsable | None,
+) -> dict[str, Array]:
+    """Return the squared error [K] that predictions leave of each run, one run at a time."""
+    squares = {}
+    for group in dict.fromkeys(run.group for run in runs if run.name in predictions):
+        own = [run for run in runs if run.group == group]
+        (found,) = collect_errors(own, predictions, tared, find_usable).values()
+        squares[group] = np.sum(found.error**2, axis=0)
+    return squares
 
 
 def _root_mean_square(parts: Sequence[Array]) -> Array:

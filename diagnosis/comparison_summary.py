@@ -28,7 +28,8 @@ class OutputSummary:
     max_abs_pct_fs: float
     noise_floor: float
     explained: float
-    """Share of the drift's mean square, offsets apart, that the model takes away."""
+    """1 - error² / error of a constant²: the constant is the mean drift of the training runs, and
+    each run's own offset is apart where logs are tared. Negative where the constant does better."""
     run_offset: float
     """The runs' own offsets that were subtracted, root mean square; 0 without tare."""
     rmse_without_outliers: float | None = field(default=None, metadata=OPTIONAL)

@@ -1,4 +1,11 @@
-"""Two models' errors on the same rows: whether one is larger, and by more than chance."""
+"""Two models' errors on the same rows: whether one is worse, or shown to be better.
+
+What is compared is, run by run, the contrast of two squared errors: their difference over their
+sum, from -1 (ours is nothing beside theirs) over 0 (alike) to 1. Where our model errs like the
+other, either sign is as likely, and Student's distribution tells by how much the mean contrast may
+differ from 0. A squared error itself would not do: one run with a large drift would be most of its
+mean and of its spread.
+"""
 
 import math
 from collections.abc import Sequence
@@ -6,20 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, stdtrit
+from scipy.special import stdtr
 
 Array = NDArray[np.float64]
 
+LEVEL = 0.05
+"""Chance that is taken of refusing a firmware that errs like all baselines, or of calling one
+better that errs like them: the usual level of a test."""
 WORSE = 0.05
-"""Share by which the squared error may exceed that of no compensation, or of physics alone."""
-STANDARD_ERRORS = 2.0
-"""And the difference must be beyond this many of its standard errors; of few runs or blocks, beyond
-as many as leave the same chance by Student's distribution: 4.5 of three, 2.9 of five."""
-GROSS = 4.0
-"""A squared error that exceeds the other's by this factor, over all runs or in most of them, counts
-whatever the standard error is: runs that are far worse by unlike amounts have a large one."""
+"""Share by which the squared error has to exceed the other's, all rows together, to be worth a
+refusal: 2.5 % of the error itself."""
 FEWEST_RUNS = 3
-"""Runs, or blocks, from which a standard error is taken."""
+"""Runs from which they themselves say whether the error is larger; of fewer, blocks of them do."""
 UNCORRELATED = 0.05
 """The residual's correlation is summed up to the lag at which it falls below this."""
 
@@ -28,68 +33,102 @@ UNCORRELATED = 0.05
 class Contrast:
     """Two models' errors on the same rows."""
 
-    worse: bool
-    """Whether our squared error is larger by more than WORSE."""
-    beyond_chance: bool | None
-    """Whether it is larger by `STANDARD_ERRORS`, or `GROSS`; None: too few parts to tell."""
+    ratio: float
+    """Our squared error over theirs, all rows together."""
+    chance_if_alike: float
+    """Probability of a mean contrast so large where our model errs like the other."""
+    chance_of_better: float
+    """Probability of a mean contrast so small where it does, by runs alone."""
+    runs: int
+    runs_worse: int
+    """In which our squared error is the larger one."""
 
     @property
-    def counts(self) -> bool:
-        """Whether this counts against our model; the share alone decides where chance is not
-        known."""
-        return self.worse and self.beyond_chance is not False
+    def is_worse(self) -> bool:
+        """Whether our squared error exceeds theirs by more than WORSE."""
+        return self.ratio > 1.0 + WORSE
+
+    @property
+    def is_shown_better(self) -> bool:
+        """Whether ours is smaller over all rows, and by more than chance in the runs."""
+        return self.ratio < 1.0 and self.chance_of_better <= LEVEL
 
 
 def contrast_errors(
     ours: Sequence[Array], theirs: Sequence[Array], lengths: Sequence[int] | None = None
 ) -> Contrast:
-    """Return whether our squared error is larger, and whether by more than chance.
+    """Return how our errors differ from another model's.
 
-    The standard error is taken over runs, or over blocks longer than the residual's correlation
-    where there are fewer than three runs.
+    To be worse on the very runs that were held out is enough: where there are fewer than three of
+    them, blocks longer than the residual's correlation speak for these runs. To be better is said
+    of runs to come: only whole runs count for it.
 
     Args:
-        ours: errors [n] per run.
+        ours: errors [n] per run, n > 0.
         theirs: errors [n] of the same rows.
         lengths: what `measure_correlation` says of ours, where it is known.
     """
-    square = sum(float(np.sum(e**2)) for e in ours)
-    other = sum(float(np.sum(e**2)) for e in theirs)
-    worse = square > (1.0 + WORSE) * other
-    gross = sum(
-        float(np.sum(a**2)) > GROSS * float(np.sum(b**2)) for a, b in zip(ours, theirs, strict=True)
+    squares = [(float(a @ a), float(b @ b)) for a, b in zip(ours, theirs, strict=True)]
+    own, other = (sum(part) for part in zip(*squares, strict=True))
+    by_run = np.array([_contrast(a, b) for a, b in squares])
+    units = by_run
+    if len(ours) < FEWEST_RUNS:
+        if lengths is None:
+            lengths = [measure_correlation(e) for e in ours]
+        units = np.concatenate(
+            [_contrast_blocks(*parts) for parts in zip(ours, theirs, lengths, strict=True)]
+        )
+    return Contrast(
+        ratio=own / other if other > 0.0 else (math.inf if own > 0.0 else 1.0),
+        chance_if_alike=find_chance(units),
+        chance_of_better=find_chance(-by_run),
+        runs=len(ours),
+        runs_worse=int((by_run > 0.0).sum()),
     )
-    if square > GROSS * other or 2 * gross > len(ours):
-        return Contrast(worse, True)
-    parts = [a**2 - b**2 for a, b in zip(ours, theirs, strict=True)]
-    if len(parts) >= FEWEST_RUNS:
-        lengths = [part.size for part in parts]
-    elif lengths is None:
-        lengths = [measure_correlation(own) for own in ours]
-    blocks = [_sum_blocks(part, n) for part, n in zip(parts, lengths, strict=True)]
-    sums = np.concatenate([np.zeros(0), *(own for own, _ in blocks)])
-    sizes = np.concatenate([np.zeros(0), *(own for _, own in blocks)])
-    if sums.size < FEWEST_RUNS:
-        return Contrast(worse, None)
-    mean = sums.sum() / sizes.sum()
-    left = sums - mean * sizes
-    count = sums.size
-    error = math.sqrt(count / (count - 1.0) * float(left @ left)) / sizes.sum()
-    return Contrast(worse, bool(mean > find_quantile(count) * error))
 
 
-def find_quantile(count: int) -> float:
-    """Return how many standard errors, taken over so many parts, a difference must be beyond."""
-    return float(stdtrit(count - 1, ndtr(STANDARD_ERRORS)))
+def find_chance(contrasts: Array) -> float:
+    """Return the chance of a mean so large among contrasts [n] of models that err alike.
+
+    Of two contrasts or more by Student's distribution of n - 1 degrees of freedom. A single one has
+    no spread; its two squares count as one degree of freedom each, whose ratio follows Fisher's
+    F(1, 1): errors 13 times as large, squares 161 times, come by a chance of 5 %.
+    """
+    count = contrasts.size
+    mean = float(contrasts.mean())
+    if count == 1:
+        bounded = min(max(mean, -1.0), 1.0)
+        root = math.sqrt((1.0 + bounded) / (1.0 - bounded)) if bounded < 1.0 else math.inf
+        return 1.0 - 2.0 / math.pi * math.atan(root)
+    error = float(contrasts.std(ddof=1)) / math.sqrt(count)
+    if error == 0.0:
+        return 0.0 if mean > 0.0 else 1.0
+    return float(stdtr(count - 1, -mean / error))
+
+
+def hold_jointly(chances: Sequence[float]) -> list[bool]:
+    """Return which of several hypotheses fall, at most LEVEL being the chance that a true one does.
+
+    The smallest chance is held against LEVEL over their number, the next against LEVEL over one
+    less, and so on up to the first that stands, however they depend on each other.
+
+    Source: Holm, Scandinavian Journal of Statistics 6 (1979) 65.
+    """
+    falls = [False] * len(chances)
+    for place, i in enumerate(sorted(range(len(chances)), key=lambda i: chances[i])):
+        if chances[i] > LEVEL / (len(chances) - place):
+            break
+        falls[i] = True
+    return falls
 
 
 def measure_correlation(residual: Array) -> int:
     """Return a length in samples beyond which a residual [n] is no longer correlated with itself.
 
-    It is twice the sum of the autocorrelation on both sides, up to where that is lost in noise.
+    It is twice the sum of the autocorrelation on both sides, up to where that is lost in noise. The
+    mean stays in: an offset lasts as long as the run.
     """
-    x = residual - residual.mean()
-    count = x.size
+    x, count = residual, residual.size
     power = float(x @ x)
     if count < 2 or power == 0.0:
         return max(int(count), 1)
@@ -100,16 +139,24 @@ def measure_correlation(residual: Array) -> int:
     return min(int(count), math.ceil(2.0 * (1.0 + 2.0 * float(lags[1:end].sum()))))
 
 
-def _sum_blocks(part: Array, length: int) -> tuple[Array, Array]:
-    """Return the sums and the sizes of equal blocks of at least `length` samples.
+def _contrast(own: float, other: float) -> float:
+    """Return the difference of two squared errors over their sum."""
+    return (own - other) / (own + other) if own + other > 0.0 else 0.0
+
+
+def _contrast_blocks(ours: Array, theirs: Array, length: int) -> Array:
+    """Return the contrasts [B] of equal blocks of at least `length` samples.
 
     Fewer samples than two blocks are one. The first blocks have one sample more than the others
     where they cannot all be equal, as `numpy.array_split` cuts them.
     """
+    own, other = (_sum_blocks(e**2, length) for e in (ours, theirs))
+    return np.array([_contrast(a, b) for a, b in zip(own, other, strict=True)])
+
+
+def _sum_blocks(part: Array, length: int) -> Array:
+    """Return the sums over the blocks of a part [n]."""
     count = max(1, part.size // max(length, 1))
     size, longer = divmod(part.size, count)
-    end = longer * (size + 1)
-    sums = [part[:end].reshape(longer, size + 1).sum(axis=1)] if longer else []
-    sums.append(part[end:].reshape(count - longer, size).sum(axis=1))
-    sizes = np.repeat(np.array([size + 1.0, size]), [longer, count - longer])
-    return np.concatenate(sums), sizes
+    starts = np.arange(count) * size + np.minimum(np.arange(count), longer)
+    return np.asarray(np.add.reduceat(part, starts))

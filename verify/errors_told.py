@@ -1,6 +1,6 @@
 """The error of a compensator in physical units: uncompensated, float, integer, per output."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.runs import Run
+from zerodrift.diagnosis.baselines import explain_share
 from zerodrift.export.compose import count_elapsed, encode_inputs
 from zerodrift.export.float_model import FloatModel
 
@@ -31,6 +32,8 @@ class OutputError:
     """Root mean square difference of the two models: what quantization costs."""
     integer_bias: float
     """Mean of measurement minus integer model; rmse^2 = bias^2 + scatter^2."""
+    explained: float
+    """Share of the squared error that the integer model takes away beyond a constant."""
 
     @property
     def is_hurt(self) -> bool:
@@ -43,7 +46,9 @@ class OutputError:
         return 100.0 * self.integer_model / self.full_scale
 
 
-def tell_errors(model: FloatModel, host: HostModel, runs: Sequence[Run]) -> tuple[OutputError, ...]:
+def tell_errors(
+    model: FloatModel, host: HostModel, runs: Sequence[Run], constant: Mapping[str, Array]
+) -> tuple[OutputError, ...]:
     """Return the errors over all samples of `runs`.
 
     Where training found the logs tared, the offset of each run is not predictable and is subtracted
@@ -53,6 +58,7 @@ def tell_errors(model: FloatModel, host: HostModel, runs: Sequence[Run]) -> tupl
         model: the float model.
         host: the integer model's C, already shown equal to the reference.
         runs: measurements, preferably held out.
+        constant: run's name -> [n, K] what a constant fitted to the training runs predicts.
     """
     outputs = host.model.outputs
     floats = model.predict_all_on_chip(runs)
@@ -63,6 +69,8 @@ def tell_errors(model: FloatModel, host: HostModel, runs: Sequence[Run]) -> tupl
     )
     alone = model.physics
     physics = None if alone is None else _join(runs, alone.predict_all(runs), model.tared)
+    plain = _join(runs, [constant[run.name] for run in runs], model.tared)
+    explained = explain_share(np.sum(integer_error**2, axis=0), np.sum(plain**2, axis=0))
     difference = np.concatenate(floats) - np.concatenate(integers)
     return tuple(
         OutputError(
@@ -75,6 +83,7 @@ def tell_errors(model: FloatModel, host: HostModel, runs: Sequence[Run]) -> tupl
             integer_model=_rms(integer_error[:, k]),
             integer_to_float=_rms(difference[:, k]),
             integer_bias=float(np.mean(integer_error[:, k])),
+            explained=float(explained[k]),
         )
         for k, output in enumerate(outputs)
     )

@@ -32,6 +32,7 @@ from zerodrift.codegen.generate import (
     generate_unit,
 )
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.baselines import fit_constant
 from zerodrift.export.compose import (
     calibrate,
     compose_integer_model,
@@ -153,11 +154,13 @@ def build_firmware(
         forced = tuple(statement.text for statement in gate.refused) if force else ()
         if forced:
             model, code = _mark_forced(model, code, "\n".join(forced))
-        errors = tell_errors(described, check.host, runs)
+        mean = fit_constant(dataset, tared=described.tared)
+        constant = mean.held_out if dataset.test else mean.fitted
+        errors = tell_errors(described, check.host, runs, constant)
         untuned: tuple[OutputError, ...] = ()
         if rounded is not None:
             host = HostModel(rounded, generate(rounded), scratch / "rounded")
-            untuned = tell_errors(described, host, runs)
+            untuned = tell_errors(described, host, runs, constant)
         calibration = calibrate(described, dataset.train)
         plain_runs, plain = find_plain(replay, dataset)
         budget = measure_budget(described, calibration, check.observed, plain_runs, plain=plain)

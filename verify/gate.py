@@ -1,28 +1,31 @@
 """The gate: whether the firmware matches the float model on held-out runs, and improves the drift.
 
-Per output, on rows inside the calibrated ranges, the integer model must not be worse than no
-compensation, than the physical model alone, or than the float model by more than rounding explains;
-over all rows it must not be worse than no compensation. What fails is not written.
+Per output, on rows inside the calibrated ranges, the integer model must not be worse than any
+baseline: no compensation, a constant, a line in temperature, the physical model alone. Where it is
+not shown to be better than each, that is told. Nor may it be worse than the float model by more
+than rounding explains, or, over all rows, than no compensation. What fails is not written.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.baselines import fit_baselines
 from zerodrift.diagnosis.held_out import TEST_LOGS
 from zerodrift.diagnosis.run_errors import FindUsable
 from zerodrift.export.encoding import find_held
 from zerodrift.export.float_model import FloatModel
-from zerodrift.verify.chip_error import ChipReplay, replay_runs
+from zerodrift.verify.chip_error import BEYOND_ROUNDING, ChipReplay, replay_runs
 from zerodrift.verify.contrast import (
-    FEWEST_RUNS,
     WORSE,
+    Contrast,
     contrast_errors,
+    hold_jointly,
     measure_correlation,
 )
 from zerodrift.verify.excursions import Excursion, list_excursions
@@ -68,13 +71,25 @@ class GateVerdict:
 
 @dataclass(frozen=True)
 class Answers:
-    """What several models predict for the same runs, beside the chip."""
+    """What several models predict for the same runs."""
 
     chip: Sequence[Array]
     """[n, K] per run."""
     floating: Sequence[Array]
-    physics: Sequence[Array] | None
-    """Of the physical model alone; None where nothing was learnt beside it."""
+    baselines: Mapping[str, Sequence[Array] | None]
+    """Kind of the refusal -> [n, K] per run; None: no compensation. Fitted to what `chip` is."""
+
+
+NONE, CONSTANT, LINE, PHYSICS = (
+    f"worse_than_{name}" for name in ("none", "constant", "line", "physics")
+)
+WORDS = {
+    NONE: "no compensation",
+    CONSTANT: "the mean of the training runs",
+    LINE: "a line in temperature",
+    PHYSICS: "the physical model alone",
+}
+"""Kind of the refusal -> the baseline."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +99,9 @@ class _Pool:
     groups: tuple[str, ...]
     chip: tuple[Array, ...]
     """[n] per run."""
-    none: tuple[Array, ...]
-    physics: tuple[Array, ...] | None
     floating: tuple[Array, ...]
+    baselines: Mapping[str, tuple[Array, ...]]
+    """Kind of the refusal -> [n] per run; no compensation among them."""
 
     @property
     def rows(self) -> int:
@@ -94,10 +109,25 @@ class _Pool:
         return sum(part.size for part in self.chip)
 
 
+@dataclass(frozen=True)
+class _BaselineTrial:
+    """One output held against one baseline."""
+
+    output: int
+    kind: str
+    contrast: Contrast
+    left: float
+    """RMSE of the baseline."""
+
+
 def judge_firmware(
     model: FloatModel, host: HostModel, dataset: Dataset, left_out: LeftOut | None
 ) -> tuple[GateVerdict, ChipReplay]:
     """Return whether the firmware may be written, and the rows that say so.
+
+    A tare that the project states is taken off every run's errors. One that was only inferred from
+    the logs excuses nothing: where it alone would let the firmware pass, or stop it, that is the
+    verdict.
 
     Args:
         model: the float model.
@@ -108,35 +138,83 @@ def judge_firmware(
     """
     runs = dataset.test or dataset.train
     replay = replay_runs(model, host, runs)
-    method, covered = TEST_LOGS, None
-    if dataset.test:
-        answers = Answers(
-            [r.chip for r in replay.runs],
-            [r.floating for r in replay.runs],
-            None if model.physics is None else model.physics.predict_all_on_chip(runs),
+    if not dataset.test and left_out is None:
+        why = "no test logs are configured, and a network is judged on those alone"
+        return leave_unjudged(replay, f"{why}. Record a test run."), replay
+
+    def judge_with(tared: bool) -> GateVerdict:
+        return judge(
+            replay,
+            list_excursions(replay, dataset.train),
+            _collect_answers(model, dataset, replay, left_out, tared=tared),
+            list(zip(dataset.outputs, dataset.units, strict=True)),
+            method=TEST_LOGS if left_out is None or dataset.test else left_out.method,
+            tared=tared,
+            find_usable=model.find_usable,
+            covered=None if left_out is None or dataset.test else left_out.covered,
         )
-    else:
-        if left_out is None:
-            why = "no test logs are configured, and a network is judged on those alone"
-            return leave_unjudged(replay, f"{why}. Record a test run."), replay
-        differences = [r.difference for r in replay.runs]
-        answers = Answers(
-            [x + d for x, d in zip(left_out.floating, differences, strict=True)],
-            left_out.floating,
-            left_out.physics,
-        )
-        method, covered = left_out.method, left_out.covered
-    verdict = judge(
-        replay,
-        list_excursions(replay, dataset.train),
-        answers,
-        list(zip(dataset.outputs, dataset.units, strict=True)),
-        method=method,
-        tared=model.tared,
-        find_usable=model.find_usable,
-        covered=covered,
+
+    if not model.tared or dataset.train[0].tared:
+        return judge_with(model.tared), replay
+    return ask_for_tare(judge_with(True), judge_with(False)), replay
+
+
+def ask_for_tare(tared: GateVerdict, shared: GateVerdict) -> GateVerdict:
+    """Return the verdict where the logs were only guessed to be tared.
+
+    Args:
+        tared: with each run's own offset taken off.
+        shared: with the offsets as errors, as the chip is used.
+    """
+    guess = (
+        "[logs] tared is not stated in zerodrift.toml, and the runs look as if each log had been"
+        " zeroed by itself"
     )
-    return verdict, replay
+    if tared.passes == shared.passes:
+        known = {(one.kind, one.output) for one in tared.warnings}
+        outputs = [w.output for w in shared.warnings if (w.kind, w.output) not in known]
+        if not shared.passes or not outputs:
+            return shared
+        text = (
+            f"{guess}. If that is wrong, each run's own offset is an error of the chip, which is"
+            f" then not shown to be better than the simplest compensators in {', '.join(outputs)}:"
+            " state tared = true or false."
+        )
+        return replace(tared, warnings=(Statement(kind="tare_decides", text=text), *tared.warnings))
+    stopped = shared if tared.passes else tared
+    gives = {True: "the firmware is written", False: stopped.explain()}
+    text = (
+        f"{guess}. Only that guess decides whether the firmware is written: state it."
+        f"\n  tared = true (each log was zeroed on its own): {gives[tared.passes]}"
+        f"\n  tared = false (offsets between runs are errors of the chip): {gives[shared.passes]}"
+    )
+    return replace(shared, refused=(Statement(kind="tare_decides", text=text),))
+
+
+def _collect_answers(
+    model: FloatModel,
+    dataset: Dataset,
+    replay: ChipReplay,
+    left_out: LeftOut | None,
+    *,
+    tared: bool,
+) -> Answers:
+    """Return what chip, float model and baselines predict for the held-out runs."""
+    runs = [replayed.run for replayed in replay.runs]
+    chip: Sequence[Array] = [r.chip for r in replay.runs]
+    floating: Sequence[Array] = [r.floating for r in replay.runs]
+    physics: Sequence[Array] | None = None
+    if model.physics is not None:
+        physics = model.physics.predict_all_on_chip(runs)
+    if not dataset.test and left_out is not None:
+        floating, physics = left_out.floating, left_out.physics
+        chip = [x + r.difference for x, r in zip(floating, replay.runs, strict=True)]
+    baselines: dict[str, Sequence[Array] | None] = {NONE: None}
+    for baseline in fit_baselines(dataset, tared=tared):
+        baselines[f"worse_than_{baseline.name}"] = [baseline.held_out[run.name] for run in runs]
+    if physics is not None:
+        baselines[PHYSICS] = physics
+    return Answers(chip, floating, baselines)
 
 
 def judge(
@@ -173,6 +251,7 @@ def judge(
     split = replay.split()
     refused: list[Statement] = []
     warnings = [Statement(kind="out_of_range", text=f"{excursion}.") for excursion in excursions]
+    pools: dict[int, _Pool] = {}
     for k, (name, unit) in enumerate(names):
         pool = _collect(runs, answers, inside, k, tared)
         if pool.rows < FEWEST_ROWS:
@@ -187,15 +266,15 @@ def judge(
                 )
             )
         else:
-            found, told = _judge_inside(pool, name, unit, float(replay.budget[k]), split[k], replay)
-            refused += found
-            warnings += told
+            pools[k] = pool
+            refused += _judge_by_float(pool, name, unit, split[k], replay)
         if excursions:
             refused += _judge_all(_collect(runs, answers, usable, k, tared), name, unit, excursions)
+    worse, unproven = _judge_by_baselines(pools, names, replay)
     return GateVerdict(
         method=method,
-        refused=tuple(refused),
-        warnings=tuple(dict.fromkeys(warnings)),
+        refused=(*worse, *refused),
+        warnings=(*warnings, *unproven),
         chip_error=split,
         excursions=tuple(excursions),
         rows=max((int(sum(m[:, k].sum() for m in inside)) for k in range(len(names))), default=0),
@@ -232,62 +311,96 @@ def _collect(
     return _Pool(
         kept,
         pick(chip),
-        pick(gather(None)),
-        None if answers.physics is None else pick(gather(answers.physics)),
         pick(gather(answers.floating)),
+        {kind: pick(gather(own)) for kind, own in answers.baselines.items()},
     )
 
 
-def _judge_inside(
-    pool: _Pool, name: str, unit: str, budget: float, split: ChipError, replay: ChipReplay
+def _judge_by_baselines(
+    pools: Mapping[int, _Pool], names: Sequence[tuple[str, str]], replay: ChipReplay
 ) -> tuple[list[Statement], list[Statement]]:
-    """Return refusals and warnings for the rows inside the calibrated ranges."""
+    """Return refusals and warnings: worse than a baseline, or not shown to be better.
+
+    All outputs and baselines are held jointly. A baseline that the chip repeats within rounding is
+    what was learnt, and no alternative to it; no compensation always is one.
+
+    Args:
+        pools: output -> its errors, of those that can be judged.
+        names: name and unit of each output.
+        replay: says what rounding may cost.
+    """
+    trials: list[_BaselineTrial] = []
+    for k, pool in pools.items():
+        lengths = [measure_correlation(e) for e in pool.chip]
+        for kind, other in pool.baselines.items():
+            apart = [a - b for a, b in zip(pool.chip, other, strict=True)]
+            if kind == NONE or _rms(apart) > BEYOND_ROUNDING * float(replay.budget[k]):
+                contrast = contrast_errors(pool.chip, other, lengths)
+                trials.append(_BaselineTrial(k, kind, contrast, _rms(other)))
+    falls = hold_jointly([trial.contrast.chance_if_alike for trial in trials])
     refused, warnings = [], []
-    own = _rms(pool.chip)
-    others = [("worse_than_none", "without compensation it is", pool.none)]
-    if pool.physics is not None:
-        others.append(("worse_than_physics", "the physical model alone leaves", pool.physics))
-    lengths = [measure_correlation(e) for e in pool.chip] if len(others) > 1 else None
-    for kind, words, other in others:
-        contrast = contrast_errors(pool.chip, other, lengths)
-        if contrast.beyond_chance is None:
-            warnings.append(
+    for trial, is_beyond_chance in zip(trials, falls, strict=True):
+        if is_beyond_chance and trial.contrast.is_worse:
+            (name, unit), pool = names[trial.output], pools[trial.output]
+            refused.append(
                 Statement(
-                    kind="few_blocks",
+                    kind=trial.kind,
                     output=name,
                     text=(
-                        f"{name}: too few independent stretches to tell chance: judged by"
-                        f" {100 * WORSE:g} % alone. Record {FEWEST_RUNS} test runs or more."
+                        f"{name}: on rows inside the calibrated ranges the chip leaves"
+                        f" {_rms(pool.chip):.3g} {unit} RMS, {WORDS[trial.kind]} {trial.left:.3g}"
+                        f" {unit} ({_count(pool)}). Look at the logs (`zerodrift compare`), or"
+                        " record more runs."
                     ),
                 )
             )
-        if not contrast.counts:
-            continue
-        refused.append(
-            Statement(
-                kind=kind,
-                output=name,
-                text=(
-                    f"{name}: on rows inside the calibrated ranges the chip's error is {own:.3g}"
-                    f" {unit} RMS, {words} {_rms(other):.3g} {unit} ({_count(pool)})."
-                    " Look at the logs (`zerodrift compare`), or record more runs."
-                ),
-            )
-        )
-    floating = _rms(pool.floating)
-    if own**2 > (1.0 + WORSE_THAN_FLOAT) * (floating**2 + budget**2):
-        refused.append(
-            Statement(
-                kind="worse_than_float",
-                output=name,
-                text=(
-                    f"{name}: on rows inside the calibrated ranges the chip errs by {own:.3g}"
-                    f" {unit} RMS, the float model by {floating:.3g} {unit}; rounding is budgeted"
-                    f" with {budget:.2g} {unit}. {_name_cause(split, name, unit, replay)}"
-                ),
-            )
-        )
+    stopped = {statement.output for statement in refused}
+    for k, pool in pools.items():
+        name, unit = names[k]
+        own = [t for t in trials if t.output == k and not t.contrast.is_shown_better]
+        if own and name not in stopped:
+            least = min(own, key=lambda trial: trial.left)
+            warnings.append(_tell_unproven(least, _rms(pool.chip), name, unit))
     return refused, warnings
+
+
+def _tell_unproven(trial: _BaselineTrial, chip: float, name: str, unit: str) -> Statement:
+    """Return the warning that the chip is not shown to be better than a baseline."""
+    found = trial.contrast
+    runs = "the one held-out run" if found.runs == 1 else f"{found.runs} held-out runs"
+    text = (
+        f"{name}: not shown to be better than {WORDS[trial.kind]}: the chip leaves {chip:.3g}"
+        f" {unit} RMS, {WORDS[trial.kind]} {trial.left:.3g} {unit}, less in {found.runs_worse} of"
+        f" {runs}."
+    )
+    if found.ratio < 1.0:
+        chance = 100.0 * found.chance_of_better
+        text += f" That comes by chance with {chance:.2g} %: record more test runs."
+    else:
+        text += " Look at the logs (`zerodrift compare`)."
+    return Statement(kind="not_shown_better", output=name, text=text)
+
+
+def _judge_by_float(
+    pool: _Pool, name: str, unit: str, split: ChipError, replay: ChipReplay
+) -> list[Statement]:
+    """Return the refusal where the chip errs by more than float model and rounding explain."""
+    own, floating = _rms(pool.chip), _rms(pool.floating)
+    k = [output.name for output in replay.model.outputs].index(name)
+    budget = float(replay.budget[k])
+    if own**2 <= (1.0 + WORSE_THAN_FLOAT) * (floating**2 + budget**2):
+        return []
+    return [
+        Statement(
+            kind="worse_than_float",
+            output=name,
+            text=(
+                f"{name}: on rows inside the calibrated ranges the chip errs by {own:.3g}"
+                f" {unit} RMS, the float model by {floating:.3g} {unit}; rounding is budgeted"
+                f" with {budget:.2g} {unit}. {_name_cause(split, name, unit, replay)}"
+            ),
+        )
+    ]
 
 
 def _judge_all(
@@ -296,7 +409,7 @@ def _judge_all(
     """Return the refusal where all rows together are worse off than without compensation."""
     if not pool.rows:
         return []
-    own, none = _rms(pool.chip), _rms(pool.none)
+    own, none = _rms(pool.chip), _rms(pool.baselines[NONE])
     if own**2 <= (1.0 + WORSE) * none**2:
         return []
     reasons = "; ".join(str(excursion) for excursion in excursions)

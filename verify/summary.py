@@ -112,8 +112,9 @@ class Statement:
     """A refusal or a warning of the gate."""
 
     kind: str
-    """worse_than_none | worse_than_physics | worse_than_float | worse_beyond_range for a refusal;
-    out_of_range | few_blocks | not_judged for a warning."""
+    """worse_than_none | worse_than_constant | worse_than_line | worse_than_physics |
+    worse_than_float | worse_beyond_range | tare_decides for a refusal;
+    out_of_range | not_shown_better | not_judged | tare_decides for a warning."""
     output: str = field(default="", metadata=OPTIONAL)
     """The output it is about; "" where it is about runs."""
     text: str
@@ -236,6 +237,9 @@ class FirmwareSummary(Shown):
     forced: bool
     written: bool
     files: tuple[str, ...]
+    explained: ByOutput | None = field(default=None, metadata=OPTIONAL)
+    """1 - error² / error of a constant², of the integer model over the same runs; the constant is
+    the mean drift of the training runs. Negative where the constant does better."""
     error_bound: Mapping[str, ProvenError] | None = field(default=None, metadata=OPTIONAL)
     """Output -> the proven largest distance from the float model."""
     conversions: Mapping[str, ConversionSummary] | None = field(default=None, metadata=OPTIONAL)

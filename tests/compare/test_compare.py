@@ -33,7 +33,21 @@ def test_errors_are_those_of_measured_minus_reference_minus_model(make_run):
     assert fz["rmse_uncompensated"] == pytest.approx(rms(test[0].drift[:, 0]))
     inside = np.concatenate([run.drift[:, 0] - linear(run)[:, 0] for run in train])
     assert fz["rmse"] == pytest.approx(rms(inside))
-    assert fz["explained"] == pytest.approx(1.0 - (rms(error) / rms(test[0].drift[:, 0])) ** 2)
+    constant = np.mean(np.concatenate([run.drift[:, 0] for run in train]))
+    alone = rms(test[0].drift[:, 0] - constant)
+    assert fz["explained"] == pytest.approx(1.0 - (rms(error) / alone) ** 2)
+
+
+def test_an_offset_is_not_explained_by_a_model_that_knows_no_more_than_it(make_run):
+    """As an oscillator whose drift is all offset: 100.00 % of the mean square, and nothing."""
+    runs = tuple(make_run(i, lambda r: 0.001 * linear(r) + 50.0) for i in range(4))
+    level = float(np.mean(np.concatenate([run.drift[:, 0] for run in runs[:3]])))
+    found = compare(
+        Dataset(runs[:3], runs[3:], (), *NAMES), lambda run: np.full((len(run), 2), level)
+    )
+    told = found.summarise().outputs["Fz"]
+    assert told.rmse_test < 1e-2 * told.rmse_uncompensated
+    assert told.explained == pytest.approx(0.0, abs=1e-6)
 
 
 def test_offsets_of_tared_runs_are_taken_off_and_told(make_run):

@@ -5,6 +5,7 @@ import os
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -216,3 +217,23 @@ def test_init_says_when_it_may_not_write(tmp_path, invoke, monkeypatch):
     result = invoke("log.csv")
     assert isinstance(result.exception, InputError)
     assert "zerodrift.toml: cannot be written (Permission denied)" in str(result.exception)
+
+
+@pytest.mark.parametrize("tared", [True, False])
+def test_init_says_that_logs_look_tared_and_leaves_it_to_the_user(tmp_path, invoke, tared):
+    logs = []
+    for run, offset in enumerate((0.8, -0.5, 0.3, -0.9)):
+        rows = [
+            (k, 25.0 + 10.0 * np.sin(k / 30.0 + run), 0.1 * np.sin(k / 30.0 + run) + offset * tared)
+            for k in range(300)
+        ]
+        lines = ["time_s,temperature_degC,Fz_N", *(f"{t},{c:.4f},{z:.5f}" for t, c, z in rows)]
+        path = tmp_path / f"run_{run}.csv"
+        path.write_text("\n".join(lines) + "\n")
+        logs.append(path)
+    told = invoke(*logs)
+    assert told.exit_code == 0
+    text = (tmp_path / "zerodrift.toml").read_text()
+    assert ("# tared = true  # check: at the same temperature the runs differ" in text) is tared
+    assert ("check: [logs] tared is not stated" in told.output) is tared
+    assert load_config(tmp_path).tared is None

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from zerodrift.base.config import load_config
 from zerodrift.c_runtime.host import HostModel
@@ -44,6 +45,8 @@ order = 2
 kind = "{network}"
 """
 ROWS = 900
+WANDER_STEPS = 300.0
+"""In which a random drift is lost."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,8 @@ class Program:
     """Added to the logged temperature: 273.15 for a log in kelvin."""
     logged_times: float = 1.0
     """Factor on the logged output: 1000 for a log in mbar."""
+    offset: float = 0.0
+    """Of the run's own, bar: what a tare leaves."""
     rows: int = ROWS
 
 
@@ -81,6 +86,7 @@ def write_sensor(
     noise: float = 0.002,
     span_degC: float = 15.0,
     lag_s: float = 0.0,
+    wander: float = 0.0,
     seed: int = 1,
 ) -> Path:
     """Write zerodrift.toml and logs of a sensor that drifts with the square of temperature.
@@ -93,6 +99,8 @@ def write_sensor(
         noise: RMS in bar.
         span_degC: temperature about the first run's middle at which the drift is 0.5 bar.
         lag_s: of the element behind the thermometer.
+        wander: RMS in bar of a slow random drift that no compensator can know, beside that of
+            temperature.
         seed: of noise and programmes.
     """
     directory.mkdir(parents=True, exist_ok=True)
@@ -112,7 +120,10 @@ def write_sensor(
         celsius = program.low_degC + (program.high_degC - program.low_degC) * wave
         celsius = np.round(celsius / 2.0**-7) * 2.0**-7
         u = (lowpass(celsius, 1.0, lag_s) - middle) / span_degC
-        drift = 0.3 * u + 0.2 * u**2 + rng.normal(0.0, noise, program.rows)
+        drift = program.offset + 0.3 * u + 0.2 * u**2 + rng.normal(0.0, noise, program.rows)
+        if wander:
+            kicks = rng.normal(0.0, wander * np.sqrt(2.0 / WANDER_STEPS), 2 * program.rows)
+            drift += lfilter([1.0], [1.0, 1.0 / WANDER_STEPS - 1.0], kicks)[program.rows :]
         rows = zip(time_s, celsius + program.logged_add, drift * program.logged_times, strict=True)
         lines = [f"{t:g},{c:.7f},{p:.6f}" for t, c, p in rows]
         (directory / f"{program.name}.csv").write_text(

@@ -48,7 +48,7 @@ def test_firmware_reports_equal_bits_and_errors_in_physical_units(project: Path)
 
 def test_network_that_hurts_on_held_out_runs_is_told() -> None:
     def err(name: str, physics: float | None) -> OutputError:
-        return OutputError(name, "N", 100.0, 9.0, physics, 2.5, 2.5, 0.001, 0.0)
+        return OutputError(name, "N", 100.0, 9.0, physics, 2.5, 2.5, 0.001, 0.0, 0.9)
 
     assert explain_worse_than_physics([err("Fx", 3.0), err("Fy", None)]) == ""
     told = explain_worse_than_physics([err("Fx", 3.0), err("Fz", 2.0)])

@@ -112,6 +112,11 @@ class BankData:
         return again
 
     @property
+    def temperature_degC(self) -> Array:
+        """[m] of the chip's own thermometer."""
+        return self.average(self._levels[0]) * self.scales[0].half_span + self.scales[0].centre
+
+    @property
     def groups(self) -> int:
         """Number of groups that are left out in turn."""
         return int(self.group.max()) + 1

@@ -1,5 +1,6 @@
 """`zerodrift firmware`: logs in, host-checked C out."""
 
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,6 +65,9 @@ if TYPE_CHECKING:
 FILE_NAME = "firmware.json"
 """In build/: what the last firmware that was written achieved."""
 
+SMALL_BOUND = 0.1
+"""Of what compensation gains: the share up to which a bound says something of the errors above it,
+and is printed; the certificate has every bound."""
 BUDGET_ROWS = 5
 """Nodes of the error budget that are printed; --json has them all."""
 
@@ -102,8 +106,9 @@ def command(
     flash, RAM and stack. Nothing is written unless every compared bit is equal and every bound of
     the certificate is derived again from the C.
 
-    Nor is it where the chip is worse on held-out runs than no compensation, than the physical model
-    alone, or than the float model by more than rounding explains: exit code 1, unless --force.
+    Nor is it where the chip is worse on held-out runs than no compensation, than a constant, a line
+    in temperature or the physical model alone, or than the float model by more than rounding
+    explains: exit code 1, unless --force.
 
     With --onnx FILE the network comes from any program that exports ONNX, and takes the same road;
     --calibrate LOG... names the logs that set the ranges of the integers.
@@ -209,6 +214,7 @@ def summarise(firmware: "Firmware", directory: Path) -> FirmwareSummary:
         rmse_integer_to_float={e.name: e.integer_to_float for e in errors},
         error_budget=summarise_budget(firmware),
         rmse_pct_fs={e.name: e.percent_of_full_scale for e in errors},
+        explained={e.name: e.explained for e in errors},
         units={e.name: e.unit for e in errors},
         held_out=firmware.held_out,
         tared=firmware.tared,
@@ -318,6 +324,7 @@ def _print(
             "float",
             "integer",
             "% FS",
+            "explained",
             "int - float",
         ),
     )
@@ -325,10 +332,15 @@ def _print(
         physics = [] if e.physics is None else [e.physics]
         numbers = (*physics, e.float_model, e.integer_model, e.percent_of_full_scale)
         cells = (f"{x:.4g}" for x in (e.uncompensated, *numbers))
-        table.add_row(e.name, e.unit, *cells, f"{e.integer_to_float:.2g}")
+        explained = f"{100.0 * e.explained:.2f} %"
+        table.add_row(e.name, e.unit, *cells, explained, f"{e.integer_to_float:.2g}")
     console.print(table)
     if firmware.held_out and (worse := explain_worse_than_physics(firmware.errors)):
         console.print(worse)
+    console.print(
+        "explained: of the squared error that the mean drift of the training runs leaves as a"
+        " constant, the share that the integer model takes away."
+    )
     if firmware.tared:
         console.print("The logs are tared: each run's own offset is taken off every error.")
     if firmware.untuned:
@@ -392,12 +404,41 @@ def _print_bound(told: FirmwareSummary, firmware: "Firmware", console: "Console"
         why = next((bound.why for bound in found.values()), "")
         console.print(f"no bound is proven on the chip's distance from the float model: {why}")
         return
+    told_of = list_small_bounds(told)
+    if told_of:
+        _print_bounds({name: proven[name] for name in told_of}, firmware, console)
+    if wide := [name for name in proven if name not in told_of]:
+        console.print(
+            f"{', '.join(wide)}: what is proven of the chip's distance from the float model is more"
+            " than a tenth of what compensation gains; certificate.json has it under `error_bound`."
+        )
+
+
+def list_small_bounds(told: FirmwareSummary) -> tuple[str, ...]:
+    """Return the outputs whose proven bound is at most a tenth of what compensation gains.
+
+    That is the RMS without compensation less the RMS that the chip leaves, on the runs of `rmse`.
+    """
+    gains = {
+        name: told.rmse.uncompensated[name] - told.rmse.integer[name] for name in told.rmse.integer
+    }
+    return tuple(
+        name
+        for name, bound in (told.error_bound or {}).items()
+        if bound.value is not None and bound.value <= SMALL_BOUND * gains[name]
+    )
+
+
+def _print_bounds(
+    proven: Mapping[str, ProvenError], firmware: "Firmware", console: "Console"
+) -> None:
+    """Print the table of some outputs' bounds by cause."""
     causes = [cause.name for cause in fields(ErrorCauses)]
     for cause in ("conversion", "range"):
         if not any(getattr(bound.causes, cause) for bound in proven.values()):
             causes.remove(cause)
     table = open_table(
-        "Proven: the chip is never further from the float model than this, by cause",
+        "Proven: given the same codes, the chip is never further from the float model than this",
         ("output", "unit"),
         ("bound", "% FS", *causes),
     )
@@ -408,6 +449,10 @@ def _print_bound(told: FirmwareSummary, firmware: "Firmware", console: "Console"
         percent = 100.0 * bound.value / scales[name]
         table.add_row(name, bound.unit, f"{bound.value:.3g}", f"{percent:.2g}", *shares)
     console.print(table)
+    console.print(
+        "Both are given equal codes; in `int - float` above the float model has the inputs before"
+        " rounding."
+    )
     console.print(f"It holds for: {firmware.bound.holds}.")
     if "range" in causes:
         console.print(f"A smaller one is not proven: {firmware.bound.why}.")

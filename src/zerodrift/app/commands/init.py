@@ -10,14 +10,15 @@ import click
 
 from zerodrift.app.commands.common import directory_option, json_option, print_result
 from zerodrift.app.commands.init_toml import (
+    TARED,
     find_temperature_unit,
     render_seen,
     write_config,
     write_selectors,
 )
 from zerodrift.base.clock_config import TIME_UNITS
-from zerodrift.base.config import FILE_NAME, TRAIN, parse_config
-from zerodrift.base.errors import InputError
+from zerodrift.base.config import FILE_NAME, TRAIN, Config, parse_config
+from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.journal import write_text
 from zerodrift.dataset.guess import Guess, guess_project
 from zerodrift.dataset.guess_runs import LogFiles
@@ -96,12 +97,47 @@ def command(
         only = selectors[TRAIN][0]
         selectors = {"train": [f"{only}@0%:60%"], "test": [f"{only}@60%:100%"], "dwell": []}
     text = write_config(guess, selectors)
-    parse_config(text, target.absolute())
+    if told := _explain_tare(parse_config(text, target.absolute())):
+        guess = replace(
+            guess,
+            checks=(*guess.checks, f"[logs] tared is not stated: {told}"),
+            alternatives={**guess.alternatives, TARED: (told,)},
+        )
+        text = write_config(guess, selectors)
+        parse_config(text, target.absolute())
     write_text(target, text)
     if as_json:
         print_result(_summarise(target, guess, selectors))
         return
     click.echo(_describe_guess(target, guess, selectors))
+
+
+def _explain_tare(config: Config) -> str:
+    """Return why the logs look as if each had been zeroed by itself; "" where they do not.
+
+    What cannot be read or fitted yet is left to the next command, which names it.
+    """
+    import numpy as np
+
+    from zerodrift.dataset.load import load_dataset
+    from zerodrift.physics.fit import fit_config
+
+    try:
+        dataset = load_dataset(config)
+        model = fit_config(config, dataset)
+    except ZerodriftError:
+        return ""
+    if not model.tared:
+        return ""
+    spread = [float(x) for x in np.std([*model.offsets.values()], axis=0)]
+    named = ", ".join(
+        f"{name} {x:.2g} {unit}"
+        for name, unit, x in zip(dataset.outputs, dataset.units, spread, strict=True)
+    )
+    return (
+        f"at the same temperature the runs differ by offsets of their own ({named} RMS): true if"
+        " each log was zeroed by itself, false if these are errors of the sensor"
+    )
 
 
 def _upgrade(directory: Path, as_json: bool) -> None:

@@ -15,6 +15,9 @@ from zerodrift.dataset.guess_runs import LogFiles
 from zerodrift.dataset.selectors import JOINT
 from zerodrift.dataset.survey import write_range
 
+TARED = "logs.tared"
+"""Key of `Guess.alternatives`: why the logs look tared."""
+
 
 def write_config(guess: Guess, selectors: Mapping[str, Sequence[str]]) -> str:
     """Return the text of a zerodrift.toml; every value that was guessed can be edited in place."""
@@ -168,6 +171,8 @@ def _write_logs(guess: Guess, selectors: Mapping[str, Sequence[str]]) -> list[st
         lines.append(f"dwell = {json.dumps(list(selectors[DWELL]), ensure_ascii=False)}")
     else:
         lines.append('# dwell = ["logs/dwell.csv"]  # isothermal, unloaded: sets the noise floor')
+    if TARED in guess.alternatives:
+        lines.append(f"# tared = true{_write_check(guess.alternatives, TARED, before='')}")
     if guess.period_by_hand_s is not None:
         lines.append(
             f"period_s = {guess.period_by_hand_s!r}  # rows without times are so far apart"
