@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zerodrift.base.config import Config
+from zerodrift.base.config import Config, locate_key
+from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.remember import remember_last
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.data_notes import DataNote, name_columns
@@ -32,6 +33,56 @@ SHORT_ROWS, SHORT_SHARE = 60, 0.02
 def review_logs(config: Config, dataset: Dataset) -> tuple[DataNote, ...]:
     """Return what looks wrong with a project's logs, by the names of their own columns."""
     return name_columns(review(dataset), config)
+
+
+def find_refusals(
+    config: Config, dataset: Dataset, *, one_of_many: bool = False
+) -> tuple[DataNote, ...]:
+    """Return the notes at which `train`, `firmware` and `fleet` stop, before anything is fitted.
+
+    Args:
+        config: the project; what its `[logs] accept` names does not stop.
+        dataset: its logs.
+        one_of_many: it is a unit of a fleet, whose `accept` speaks of all units' runs.
+
+    Raises:
+        InputError: an entry of `accept` matches no note.
+    """
+    notes = review_logs(config, dataset)
+    if not one_of_many:
+        _refuse_unmatched(config, notes)
+    accepted = {_normalise(entry) for entry in config.accept}
+    return tuple(note for note in notes if note.stops and _normalise(note.entry) not in accepted)
+
+
+def _refuse_unmatched(config: Config, notes: Sequence[DataNote]) -> None:
+    """Refuse an entry of `[logs] accept` that takes on nothing: a typing error, or mended logs."""
+    told = list(dict.fromkeys(note.entry for note in notes if note.stops))
+    known = {_normalise(entry) for entry in told}
+    for entry in config.accept:
+        if _normalise(entry) not in known:
+            found = f"Found: {', '.join(told)}" if told else "No note stops these logs"
+            raise InputError(
+                f"{locate_key(config.path, 'logs', 'accept')}: [logs] accept holds '{entry}', "
+                f"which is no note on these logs{nearest(entry, told) or '.'} {found}; expected "
+                '"RUN: KIND" of one of them. Correct the entry, or take it out.'
+            )
+
+
+def _normalise(entry: str) -> str:
+    run, _, kind = entry.rpartition(":")
+    return f"{run.strip()}: {kind.strip()}"
+
+
+def explain_refusals(notes: Sequence[DataNote], config: Config) -> str:
+    """Return the message for logs that are refused: what is wrong, and what would accept it."""
+    lines = "\n  ".join(note.write() for note in notes)
+    entries = ", ".join(f'"{entry}"' for entry in dict.fromkeys(note.entry for note in notes))
+    return (
+        f"the logs are refused, before anything is fitted:\n  {lines}\nMend the logs, or leave "
+        f"the runs out. If they are right as they are, say so in {config.path.name}:\n  [logs] "
+        f"accept = [{entries}]"
+    )
 
 
 @remember_last

@@ -40,6 +40,7 @@ from zerodrift.verify.summary import (
     Refusal,
     StackSummary,
     StageErrors,
+    Statement,
     TimeShare,
 )
 
@@ -101,15 +102,24 @@ def command(
     flash, RAM and stack. Nothing is written unless every compared bit is equal and every bound of
     the certificate is derived again from the C.
 
-    Nor is it where the chip is worse on held-out runs than no compensation, than the physical model
-    alone, or than the float model by more than rounding explains: exit code 1, unless --force.
+    Logs that hold wrong data stop it before anything is fitted: exit code 1, with run, column, rows
+    and the line of zerodrift.toml that accepts them ([logs] accept).
+
+    Nor is it written where the chip is worse on held-out runs than no compensation, than the
+    physical model alone, or than the float model by more than rounding explains: exit code 1,
+    unless --force.
 
     With --onnx FILE the network comes from any program that exports ONNX, and takes the same road;
     --calibrate LOG... names the logs that set the ranges of the integers.
     """
     from rich.console import Console
 
-    from zerodrift.app.commands.project import open_project, refuse_shared_program, train_project
+    from zerodrift.app.commands.project import (
+        open_project,
+        refuse_shared_program,
+        refuse_wrong_data,
+        train_project,
+    )
     from zerodrift.export.compose import describe_compensator
 
     refuse_shared_program(directory, sensor)
@@ -118,16 +128,20 @@ def command(
     if request:
         config, dataset, described, notes = open_import(request, directory, skip_invalid, sensor)
         print_notes((*dataset.notes, *notes))
+        against = refuse_wrong_data(config, dataset, force=force, as_json=as_json, keep=True)
     else:
         with show_progress("reading logs"):
             config, dataset = open_project(directory, skip_invalid, sensor)
         print_notes(dataset.notes)
+        against = refuse_wrong_data(config, dataset, force=force, as_json=as_json, keep=True)
         compensator = train_project(config, dataset, console)
         described = describe_compensator(compensator, config, dataset.train)
         left = leave_runs_out(config, dataset, compensator, wanted=uncertainty)
     print_notes((left.why,) if left.why else ())
     network = (request.path.absolute(),) if request and request.path else ()
-    firmware, result = make_firmware(config, dataset, described, left, force=force, network=network)
+    firmware, result = make_firmware(
+        config, dataset, described, left, force=force, network=network, against=against
+    )
     written = bool(firmware.files)
     if as_json:
         print_result(result)
@@ -149,6 +163,7 @@ def make_firmware(
     *,
     force: bool = False,
     network: tuple[Path, ...] = (),
+    against: tuple[Statement, ...] = (),
 ) -> "tuple[Firmware, FirmwareSummary]":
     """Build a float model's firmware and write it if the gate accepts it.
 
@@ -159,6 +174,7 @@ def make_firmware(
         left: predictions for training runs by models that did not learn from them.
         force: write the firmware even if the gate refuses it.
         network: the ONNX file that the network comes from.
+        against: what was found against the logs, before anything was fitted.
     """
     from zerodrift.verify.firmware import build_firmware
 
@@ -172,6 +188,7 @@ def make_firmware(
                 left_out=left.judge(dataset),
                 force=force,
                 network=network,
+                against=against,
             )
         result = summarise(firmware, config.directory)
         keep(result, config)
