@@ -12,7 +12,9 @@ from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.remember import remember_last
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.breaks import find_breaks
 from zerodrift.diagnosis.data_notes import DataNote, name_columns
+from zerodrift.diagnosis.leaks import find_leaks
 from zerodrift.diagnosis.misfits import (
     FEWEST_ROWS,
     FEWEST_RUNS,
@@ -22,8 +24,11 @@ from zerodrift.diagnosis.misfits import (
     find_time_units,
 )
 from zerodrift.diagnosis.noise_gains import find_noise_gains
+from zerodrift.diagnosis.references import find_reference_faults
+from zerodrift.diagnosis.sentinels import find_sentinels, find_spikes
 from zerodrift.diagnosis.standing import find_cut_off, find_leaps, find_standing
 
+OF_REFERENCE = "reference of "
 FURTHER = 0.1
 """Share of the training logs' span by which test logs may reach further."""
 SHORT_ROWS, SHORT_SHARE = 60, 0.02
@@ -96,9 +101,15 @@ def review(dataset: Dataset) -> tuple[DataNote, ...]:
     outputs = dataset.outputs
     notes: list[DataNote] = []
     runs = (*dataset.train, *dataset.test)
-    for check in (find_standing, find_cut_off, find_load_columns, find_load_gains, find_leaps):
-        told = {(note.run, note.column) for note in notes}
-        notes += [n for n in check(runs, outputs) if (n.run, n.column) not in told]
+    checks = (
+        *(find_sentinels, find_breaks, find_standing, find_cut_off, find_reference_faults),
+        *(find_load_columns, find_load_gains, find_spikes, find_leaps),
+    )
+    for check in checks:
+        told = {(note.run, note.column.removeprefix(OF_REFERENCE)) for note in notes}
+        found = check(runs, outputs)
+        notes += [n for n in found if (n.run, n.column.removeprefix(OF_REFERENCE)) not in told]
+    notes += find_leaks(dataset.train, dataset.test, outputs)
     told = {(note.run, note.column) for note in notes}
     notes += [n for n in find_noise_gains(runs, outputs) if (n.run, n.column) not in told]
     whole = [run for run in runs if run.part == 0 and len(run) >= FEWEST_ROWS]

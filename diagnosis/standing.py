@@ -38,6 +38,8 @@ WRAPS = 0.3
 """A wrap is at least this share of the column's range."""
 LARGE = 20.0
 """A wrap is this many times the output's usual step."""
+EDGE = 0.2
+"""Share of the range of the readings on one side of the jumps within which they begin."""
 BEYOND_RAIL = 0.02
 """Share of the range by which other runs pass a level that is no rail, then."""
 
@@ -47,6 +49,7 @@ class _Stand:
     run: Run
     first: int
     last: int
+    value: float
 
     @property
     def length(self) -> int:
@@ -78,27 +81,47 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             for stand in _list_stands(run, x)
         ]
         stands.sort(key=lambda stand: -stand.length)
-        for i, stand in enumerate(stands[: max(1, round(FEW_RUNS * len(runs)))]):
-            next_one = next((s.length for s in stands[i + 1 :] if s.run is not stand.run), 1)
-            elsewhere = [s.length for s in stands if s.run is stand.run and s is not stand]
-            usual = max(next_one, max(elsewhere, default=1))
+        told = 0
+        for stand in stands:
+            # Stands of one run at one value are one fault.
+            others = [s for s in stands if s.run is not stand.run or s.value != stand.value]
+            usual = max((s.length for s in others), default=1)
             least = max(FEWEST_STANDING, SHARE_STANDING * len(stand.run))
             if stand.length < max(least, LONGER * usual):
                 break
-            kind = "frozen" if thermometer else "stuck"
-            what = "the thermometer" if thermometer else "the output"
-            notes.append(
-                DataNote(
-                    stand.run.group,
-                    name,
-                    (stand.first, stand.last),
-                    kind,
-                    f"{what} repeats one value {stand.length} times, elsewhere at most {usual} "
-                    "times: it stopped reporting. Leave these rows out ([logs] train takes "
-                    "file@from:to), or record the run again",
-                )
-            )
-    return notes
+            x = columns[[run is stand.run for run in runs].index(True)]
+            at_limit = stand.value in (x.max(), x.min())
+            told += not at_limit
+            if told > max(1, round(FEW_RUNS * len(runs))):
+                break
+            notes.append(_tell_stand(stand, name, thermometer, at_limit, usual))
+    return list({(note.run, note.column): note for note in reversed(notes)}.values())
+
+
+def _tell_stand(
+    stand: _Stand, name: str, thermometer: bool, at_limit: bool, usual: int
+) -> DataNote:
+    what = "the thermometer" if thermometer else "the output"
+    rows = (stand.first, stand.last)
+    if at_limit:
+        return DataNote(
+            stand.run.group,
+            name,
+            rows,
+            "saturated",
+            f"{what} stands at {stand.value:.6g}, the end of what it reads in this run, for "
+            f"{stand.length} rows, at other values at most for {usual}: it is cut off there. Look "
+            "at its range, and record the run again",
+        )
+    return DataNote(
+        stand.run.group,
+        name,
+        rows,
+        "frozen" if thermometer else "stuck",
+        f"{what} repeats one value {stand.length} times, elsewhere at most {usual} times: it "
+        "stopped reporting. Leave these rows out ([logs] train takes file@from:to), or record the "
+        "run again",
+    )
 
 
 def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
@@ -174,6 +197,13 @@ def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
     # Spikes go up and down too, each by its own size, and are back in the next row.
     lasting = (np.diff(rows) > 2).any()
     if alike.mean() < 0.9 or not both_ways or not lasting:
+        return None
+    # A counter wraps at its end: the reading on the high side of a jump is the same each time,
+    # though the reading moves. A load that comes and goes leaves it anywhere.
+    x = run.measured[:, k]
+    tops = np.maximum(x[rows], x[rows + 1])
+    bulk = x[x > tops.max() - 0.5 * size]
+    if float(np.ptp(bulk)) == 0.0 or float(np.ptp(tops)) > EDGE * float(np.ptp(bulk)):
         return None
     return DataNote(
         run.group,
@@ -273,4 +303,7 @@ def _list_stands(run: Run, x: Array) -> list[_Stand]:
     starts = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0.0) + 1])
     lengths = np.diff(np.concatenate([starts, [x.size]]))
     longest = np.argsort(-lengths, kind="stable")[:3]
-    return [_Stand(run, int(starts[i]), int(starts[i] + lengths[i] - 1)) for i in longest]
+    return [
+        _Stand(run, int(starts[i]), int(starts[i] + lengths[i] - 1), float(x[starts[i]]))
+        for i in longest
+    ]

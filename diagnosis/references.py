@@ -1,0 +1,127 @@
+"""A reference that is late, missing or reversed in one run: told by how the output follows it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+from zerodrift.diagnosis.data_notes import DataNote
+
+Array = NDArray[np.float64]
+
+APART = 3
+"""Rows over which changes are taken: drift is slower, loads are not."""
+FOLLOWS = 0.5
+"""Correlation of the changes of output and reference from which the one follows the other, ..."""
+BETTER = 0.5
+"""... and share of its square below which it does not."""
+SURE = 8.0
+"""Standard errors of a correlation: of all shifts of all outputs and runs, chance reaches 6."""
+LATE = 2
+"""Rows by which a shift differs from that of the other runs: one is how rows are averaged."""
+LOUDER = 5.0
+"""What a reference lacks is this many times what drift does at once in the other runs."""
+LOADED = 0.5
+"""Share of the other runs whose reference moves, where one that stands is missing."""
+LEAST = 0.02
+"""... and the share of their loads' changes that it is at least."""
+
+
+@dataclass(frozen=True)
+class _Followed:
+    """How one output of a run follows its reference."""
+
+    run: Run
+    moves: bool
+    shift: int
+    """Rows by which the reference is late."""
+    best: float
+    """Correlation of their changes at that shift, ..."""
+    now: float
+    """... and as they are."""
+    fast_drift: float
+    """RMS of the changes of measured minus reference, ..."""
+    fast_load: float
+    """... and of the reference."""
+
+
+def find_reference_faults(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
+    """Return notes on references that are late or missing in one run."""
+    notes = []
+    whole = [run for run in runs if len(run) >= 20 * APART]
+    for k, name in enumerate(outputs):
+        found = [_follow(run, k) for run in whole]
+        for one in found:
+            others = [f for f in found if f.run.group != one.run.group]
+            if not others:
+                continue
+            note = _tell_late(one, others, name) or _tell_missing(one, others, name)
+            notes += [note] if note is not None else []
+    return notes
+
+
+def _follow(run: Run, k: int) -> _Followed:
+    measured, reference = run.measured[:, k], run.reference[:, k]
+    m = measured[APART:] - measured[:-APART]
+    r = reference[APART:] - reference[:-APART]
+    moves = float(np.ptp(reference)) > 0.0
+    shift, best, now = _find_shift(m, r) if moves else (0, 0.0, 0.0)
+    size = [float(np.sqrt(np.mean(x**2))) for x in (m - r, r)]
+    return _Followed(run, moves, shift, best, now, *size)
+
+
+def _find_shift(m: Array, r: Array) -> tuple[int, float, float]:
+    """Return the rows by which r is late, the correlation there, and that without a shift."""
+    m, r = m - m.mean(), r - r.mean()
+    norm = float(np.sqrt((m @ m) * (r @ r)))
+    if norm == 0.0:
+        return 0, 0.0, 0.0
+    size = 1 << int(np.ceil(np.log2(2 * m.size)))
+    product = np.fft.irfft(np.conj(np.fft.rfft(m, size)) * np.fft.rfft(r, size)) / norm
+    reach = m.size // 4
+    likeness = np.concatenate([product[-reach:], product[: reach + 1]])
+    place = int(np.abs(likeness).argmax())
+    return place - reach, float(likeness[place]), float(likeness[reach])
+
+
+def _tell_late(
+    one: _Followed, others: Sequence[_Followed], name: str
+) -> DataNote | None:
+    known = [f.shift for f in others if f.moves and f.best >= FOLLOWS]
+    if not one.moves or not known or one.best < max(FOLLOWS, SURE / np.sqrt(len(one.run))):
+        return None
+    away = min(abs(one.shift - shift) for shift in known)
+    if away < LATE or one.now**2 > BETTER * one.best**2:
+        return None
+    seconds = one.shift * one.run.sample_period_s
+    words = "late" if seconds > 0.0 else "early"
+    return DataNote(
+        one.run.group,
+        f"reference of {name}",
+        (0, len(one.run) - 1),
+        "late_reference",
+        f"is {abs(seconds):.4g} s {words} in this run: moved by that, its changes are those of the "
+        f"output (correlation {one.best:.2f}, now {one.now:.2f}). Set the clocks right, or shift "
+        "the column",
+    )
+
+
+def _tell_missing(one: _Followed, others: Sequence[_Followed], name: str) -> DataNote | None:
+    loaded = [f for f in others if f.moves]
+    if one.moves or len(loaded) < LOADED * len(others):
+        return None
+    usual = float(np.median([f.fast_drift for f in others]))
+    loads = float(np.median([f.fast_load for f in loaded]))
+    if one.fast_drift < max(LOUDER * usual, LEAST * loads):
+        return None
+    return DataNote(
+        one.run.group,
+        f"reference of {name}",
+        (0, len(one.run) - 1),
+        "missing_reference",
+        f"stands still, while the output changes {one.fast_drift / max(usual, 1e-300):.0f} times as "
+        "much from row to row as drift does in the other runs: the load is not in the log. Log "
+        "it, or leave the run out",
+    )
