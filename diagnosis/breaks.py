@@ -28,6 +28,12 @@ AGREES = 0.1
 """A conversion explains a break if it leaves less than this share of it."""
 LOUDER = 3.0
 """The noise of an output behind a change of its unit differs by this factor at least, ..."""
+PLAIN = 20.0
+"""... or by so much, and the range by nearly as much: no noise and no drift changes so at once."""
+FOLLOWS = 0.5
+"""Share of the squares that a load leaves of an output's steps where these are the load's."""
+STANDS = 30
+"""Rows of one value up to a break: the thermometer stopped, and then went on."""
 ALIKE = 0.3
 """... and by the same factor as its values, to this share."""
 SURE = 8.0
@@ -55,7 +61,7 @@ def find_breaks(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             notes.append(_tell_break(run, found))
         for k, name in enumerate(outputs):
             factor, row = find_gain_change(run.measured[:, k])
-            if row:
+            if row and not _follows_load(run, k, row):
                 notes.append(
                     DataNote(
                         run.group,
@@ -68,6 +74,12 @@ def find_breaks(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
                     )
                 )
     return notes
+
+
+def _follows_load(run: Run, k: int, row: int) -> bool:
+    """Return whether what an output does behind a row is what its load does there."""
+    moved, load = (np.diff(x[row:, k]) for x in (run.measured, run.reference))
+    return bool(np.sum((moved - load) ** 2) < FOLLOWS * np.sum(moved**2))
 
 
 def _find_largest(x: Array) -> float:
@@ -101,6 +113,12 @@ def find_break(x: Array, elsewhere: float = 0.0) -> Break | None:
     return Break(row, before, after)
 
 
+def _measure_stand(x: Array, row: int) -> int:
+    """Return how many rows before a row hold the value of the last of them."""
+    others = np.flatnonzero(x[:row] != x[row - 1])
+    return row - (int(others[-1]) + 1 if others.size else 0)
+
+
 def _reach(x: Array, at: int) -> float:
     """Return what a line through values says at a row beside them."""
     return float(np.polyval(np.polyfit(np.arange(x.size), x, 1), at))
@@ -109,6 +127,17 @@ def _reach(x: Array, at: int) -> float:
 def _tell_break(run: Run, found: Break) -> DataNote:
     size = found.after - found.before
     rows = (found.row, len(run) - 1)
+    stand = _measure_stand(run.temperature_degC, found.row)
+    if stand >= STANDS:
+        return DataNote(
+            run.group,
+            "temperature",
+            (found.row - stand, found.row - 1),
+            "frozen",
+            f"the thermometer repeats one value {stand} times and then jumps from "
+            f"{found.before:.4g} to {found.after:.4g} degC: it had stopped reporting. Leave these "
+            "rows out ([logs] train takes file@from:to), or record the run again",
+        )
     for words, value in (
         ("degC before it and degF behind", 1.8 * found.before + 32.0),
         ("degF before it and degC behind", (found.before - 32.0) / 1.8),
@@ -166,6 +195,9 @@ def find_gain_change(x: Array) -> tuple[float, int]:
     if not ARM <= row <= x.size - ARM:
         return 1.0, 0
     before, after = _reach(x[row - ARM : row], ARM), _reach(x[row : row + ARM], -1)
+    wider = float(np.ptp(x[row:])) / max(float(np.ptp(x[:row])), 1e-300)
+    if abs(change) > np.log(PLAIN) and abs(np.log(wider) - change) < np.log(LOUDER):
+        return float(np.exp(change)), row
     noise = float(np.median(second[max(row - 10 * ARM, 0) : row - 2]))
     if abs(before) < 4.0 * noise or before * after <= 0.0:
         return 1.0, 0

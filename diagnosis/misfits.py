@@ -227,6 +227,18 @@ class Bench:
         drift, expected, inside = self.hold(fit, self.courses[places[0]])
         return bool(_measure(drift - expected, inside)[k] <= ORDINARY * fit.left[k])
 
+    def find_swap(self, group: str) -> DataNote | None:
+        """Return a note if exchanging the thermometer's column makes the last run right."""
+        culprit = len(self.courses) - 1
+        course = self.courses[culprit]
+        fit = self.fit_without(frozenset({culprit}))
+        drift, expected, inside = self.hold(fit, course)
+        error = _measure(drift - expected, inside)
+        usual = np.maximum(fit.left, 1e-300)
+        wrong = [k for k in range(usual.size) if error[k] > MISFIT * usual[k]]
+        found = self._try_thermometer(fit, course, error, wrong) if wrong else None
+        return found if found is not None and found.run == group else None
+
     def _list_suspects(self, accused: frozenset[int]) -> list[int]:
         """Return the run without which the others agree much better, and those far from them."""
         rest = [i for i in range(len(self.courses)) if i not in accused]
@@ -316,6 +328,18 @@ class Bench:
                     "column's unit, or convert the log"
                 )
                 return self._note(course, column, kind, text)
+        for k, name in enumerate(self.outputs):
+            measured = course.measured.copy()
+            measured[:, k] = course.temperature
+            changed = _Course(
+                course.run, course.measured[:, k], course.inputs, measured, course.reference
+            )
+            if self._is_right(fit, changed, error, wrong):
+                text = (
+                    f"temperature and {name} look swapped: exchanged, the run agrees with the "
+                    "others. Exchange the columns in the log"
+                )
+                return self._note(course, "temperature", "swapped", text)
         for name in sorted(course.inputs):
             inputs = {**course.inputs, name: course.temperature}
             changed = _Course(
@@ -448,6 +472,10 @@ def find_load_columns(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataN
         likeness[:, ~moves[count:]] = 0.0
         for j in range(count):
             k = int(likeness[j].argmax())
+            load = run.reference[:, k] - run.reference[:, k].mean()
+            slope = float(measured[:, j] @ load) / max(float(load @ load), 1e-300)
+            if abs(slope - 1.0) > WRONG_SLOPE:
+                continue  # crosstalk, or an effect of the load; what reads it reads all of it
             if k != j and likeness[j, k] >= FOLLOWS and likeness[j, j] < 0.5 * likeness[j, k]:
                 found.setdefault(run.group, []).append((run, j, k))
     if len(runs) > 1 and 3 * len(found) > len(runs) + 1:

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from numpy.typing import NDArray
+
 from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.remember import remember_last
@@ -28,7 +30,11 @@ from zerodrift.diagnosis.references import find_reference_faults
 from zerodrift.diagnosis.sentinels import find_sentinels, find_spikes
 from zerodrift.diagnosis.standing import find_cut_off, find_leaps, find_standing
 
+MAY_BE_SWAPS = ("gain", "saturated", "stuck", "offset_jump", "wrapped", "foreign_column", "sign")
+"""What a thermometer in an output's column, or an output in a thermometer's, looks like."""
 OF_REFERENCE = "reference of "
+Array = NDArray[np.float64]
+
 FURTHER = 0.1
 """Share of the training logs' span by which test logs may reach further."""
 SHORT_ROWS, SHORT_SHARE = 60, 0.02
@@ -102,8 +108,8 @@ def review(dataset: Dataset) -> tuple[DataNote, ...]:
     notes: list[DataNote] = []
     runs = (*dataset.train, *dataset.test)
     checks = (
-        *(find_sentinels, find_breaks, find_standing, find_cut_off, find_reference_faults),
-        *(find_load_columns, find_load_gains, find_spikes, find_leaps),
+        *(find_sentinels, find_standing, find_cut_off, find_breaks, find_reference_faults),
+        *(find_load_columns, find_load_gains, find_leaps),
     )
     for check in checks:
         told = {(note.run, note.column.removeprefix(OF_REFERENCE)) for note in notes}
@@ -123,13 +129,33 @@ def review(dataset: Dataset) -> tuple[DataNote, ...]:
             or note.column not in outputs
             or not bench.agrees(note.run, note.column)
         ]
+    notes = _prefer_swaps(notes, whole, outputs, np.array(dataset.full_scale))
     notes += find_time_units(runs)
     spoilt = {note.run for note in notes}
     sound = [run for run in whole if run.group not in spoilt]
     if len(sound) >= FEWEST_RUNS and outputs:
         notes += Bench(sound, outputs, np.array(dataset.full_scale)).review()
+    told = {(note.run, note.column) for note in notes}
+    notes += [n for n in find_spikes(runs, outputs) if (n.run, n.column) not in told]
     notes += _look_at_test(dataset, {note.run for note in notes})
     return tuple(notes)
+
+
+def _prefer_swaps(
+    notes: Sequence[DataNote], whole: Sequence[Run], outputs: Sequence[str], scales: Array
+) -> list[DataNote]:
+    """Return the notes; all of a run's are one where exchanging two columns makes it right."""
+    accused = {note.run for note in notes}
+    sound = [run for run in whole if run.group not in accused]
+    told: list[DataNote] = []
+    for group in dict.fromkeys(note.run for note in notes):
+        own = [note for note in notes if note.run == group]
+        runs = [run for run in whole if run.group == group]
+        if runs and len(sound) >= FEWEST_RUNS - 1 and all(n.kind in MAY_BE_SWAPS for n in own):
+            swap = Bench([*sound, runs[0]], outputs, scales).find_swap(group)
+            own = [swap] if swap is not None else own
+        told += own
+    return told
 
 
 def _look_at_test(dataset: Dataset, spoilt: set[str]) -> list[DataNote]:

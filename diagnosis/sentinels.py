@@ -21,18 +21,26 @@ RECURS = 3
 VISITS = 5
 """Times that an input must be there and back: a lamp, a valve, a supply is switched."""
 FAR = 4.0
-"""How many times further from its neighbours than any other two neighbours are from each other:
-the most extreme of n normal steps is rarely more than twice the next."""
+"""How many times further from its neighbours, and from all other values, than other neighbours are
+from each other, ..."""
+ORDINARY, MOST_EDGES = 0.995, 0.9
+"""... but for the few steps of a load, and of the few places where the column was near the value
+anyway."""
+ALONE = 0.5
+"""Share of a jump that a load beside it does not make too."""
 MOST_VALUES = 4
 """Different values for none in one column."""
 LEAST_OTHERS = 0.3
 """Share of the rows that must hold other values."""
 DISTINCT = 8
 """Fewer different values among the others are the codes of a coarse converter."""
-WILD = 0.05
-"""Share of a run's rows from which outliers are told as wrong data: fits bear less, and say so."""
+WILD = 0.01
+"""Share of a run's rows from which spikes are told, ..."""
 TIMES = 5.0
-"""... where it is this many times the share of the other runs' median."""
+"""... where it is this many times the median share of the other runs; ..."""
+HIGH = 20.0
+"""... of single rows that stand out of both neighbours by so many usual steps, and by what the
+output drifts in nine tenths of the run: fewer and smaller ones hardly count in a fit."""
 HEIGHT_K, STEPS = 5.0, 30.0
 """A thermometer, which has a heat capacity, does not go there and back within a row by so many
 kelvin and usual steps."""
@@ -92,15 +100,19 @@ def _is_sentinel(x: Array, beside: Array | None, rows: Mask, others: Mask) -> bo
     usual = np.abs(np.diff(level[kept]))
     if np.unique(x[kept]).size < DISTINCT:
         return False
-    largest = float(usual.max())
     edges = np.flatnonzero(rows[1:] != rows[:-1])
     edges = edges[(rows | others)[edges] & (rows | others)[edges + 1]]
     if edges.size == 0:
         return False
-    least = min(
-        float(np.abs(np.diff(x))[edges].min()), float(np.abs(np.diff(level))[edges].min())
+    across, apart_from = np.abs(np.diff(x))[edges], np.abs(np.diff(level))[edges]
+    if float(np.median(apart_from / np.maximum(across, 1e-300))) < ALONE:
+        return False
+    jumps = np.minimum(across, apart_from)
+    ordinary = float(np.quantile(usual, ORDINARY))
+    apart = float(np.abs(x[kept] - x[rows][0]).min())
+    return bool(
+        np.quantile(jumps, 1.0 - MOST_EDGES) > FAR * ordinary and apart > FAR * ordinary
     )
-    return least > FAR * largest
 
 
 def _tell(run: Run, name: str, found: Sequence[tuple[float, Mask]]) -> DataNote | None:
@@ -123,29 +135,33 @@ def find_spikes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
     """Return notes on runs with far more rows that spike than the other runs have."""
     notes = []
     for run in runs:
-        rows = _list_peaks(run.temperature_degC)
+        usual = float(np.median(np.abs(np.diff(run.temperature_degC))))
+        rows = _list_peaks(run.temperature_degC, max(HEIGHT_K, STEPS * usual))
         if rows.size >= FEWEST_SPIKES:
             notes.append(_tell_spikes(run, "temperature", rows))
-    wild = [np.mean(run.weights < 0.5, axis=0) for run in runs]
     for k, name in enumerate(outputs):
-        shares = np.array([share[k] for share in wild])
+        found = [_list_drift_peaks(run.drift[:, k]) for run in runs]
+        shares = [rows.size / len(run) for rows, run in zip(found, runs, strict=True)]
         for i, run in enumerate(runs):
-            others = np.array([shares[j] for j, r in enumerate(runs) if r.group != run.group])
-            usual = float(np.median(others)) if others.size else 0.0
+            others = [shares[j] for j, r in enumerate(runs) if r.group != run.group]
+            usual = float(np.median(others)) if others else 0.0
             if shares[i] > max(WILD, TIMES * usual):
-                notes.append(_tell_spikes(run, name, np.flatnonzero(run.weights[:, k] < 0.5)))
+                notes.append(_tell_spikes(run, name, found[i]))
     return notes
 
 
-def _list_peaks(x: Array) -> NDArray[np.intp]:
-    """Return the rows that differ from both neighbours by more than a thermometer can."""
-    if x.size < 3:
-        return np.zeros(0, dtype=np.intp)
+def _list_drift_peaks(drift: Array) -> NDArray[np.intp]:
+    low, high = np.quantile(drift, [0.05, 0.95])
+    usual = float(np.median(np.abs(np.diff(drift))))
+    return _list_peaks(drift, max(HIGH * usual, float(high - low)))
+
+
+def _list_peaks(x: Array, least: float) -> NDArray[np.intp]:
+    """Return the rows that stand out of both neighbours by more than `least`, which is not 0."""
     steps = np.diff(x)
-    usual = float(np.median(np.abs(steps)))
     up, down = steps[:-1], -steps[1:]
-    height = np.sign(up) * np.minimum(np.abs(up), np.abs(down))
-    return np.flatnonzero((up * down > 0.0) & (np.abs(height) > max(HEIGHT_K, STEPS * usual))) + 1
+    height = np.minimum(np.abs(up), np.abs(down))
+    return np.flatnonzero((up * down > 0.0) & (height > max(least, 1e-300))) + 1
 
 
 def _tell_spikes(run: Run, name: str, rows: NDArray[np.intp]) -> DataNote:

@@ -19,6 +19,8 @@ SHARE_STANDING = 0.04
 """... as a share of the run, ..."""
 LONGER = 6.0
 """... and how many times longer than anything else in that column stands."""
+LEAVES = 8.0
+"""What stood still for a fault goes on elsewhere: so many usual steps away."""
 ARM = 20
 """Samples on either side of a jump through which straight lines are laid."""
 JUMP = 10.0
@@ -28,18 +30,19 @@ SHARPER = 2.5
 USUAL, UNUSUAL = 0.97, 4.0
 """Share of the rows near a signal's jumps that shows what is usual there, and how many times more a
 leap is."""
+BEYOND_OTHERS = 2.0
+"""... and this many times the sharpest change in any other run, whatever made that."""
 CAUSE = 4.0
 """A signal whose level jumps by this many times its spread may be why."""
 FEW_RUNS = 1 / 3
 """Where more of the runs jump, it is no fault of a log: an effect or a disturbance."""
 SAME_SIZE = 0.05
 """Jumps up and down whose sizes differ by less are those of a counter that wraps."""
-WRAPS = 0.3
-"""A wrap is at least this share of the column's range."""
+WRAPS, WHOLE_RANGE = 0.3, 0.8
+"""Jumps of this share of the column's range are looked at, and a wrap is this share of it: the
+rest is noise on both ends."""
 LARGE = 20.0
 """A wrap is this many times the output's usual step."""
-EDGE = 0.2
-"""Share of the range of the readings on one side of the jumps within which they begin."""
 BEYOND_RAIL = 0.02
 """Share of the range by which other runs pass a level that is no rail, then."""
 
@@ -90,12 +93,21 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             if stand.length < max(least, LONGER * usual):
                 break
             x = columns[[run is stand.run for run in runs].index(True)]
-            at_limit = stand.value in (x.max(), x.min())
+            at_limit = stand.value in (x.max(), x.min()) and not _ends_in_jump(stand, x)
             told += not at_limit
             if told > max(1, round(FEW_RUNS * len(runs))):
                 break
             notes.append(_tell_stand(stand, name, thermometer, at_limit, usual))
     return list({(note.run, note.column): note for note in reversed(notes)}.values())
+
+
+def _ends_in_jump(stand: _Stand, x: Array) -> bool:
+    """Return whether a column goes on elsewhere behind a stand, as it does not at a limit."""
+    if stand.last + 1 >= x.size:
+        return False
+    steps = np.abs(np.diff(x))
+    usual = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
+    return float(steps[stand.last]) > LEAVES * usual
 
 
 def _tell_stand(
@@ -173,10 +185,13 @@ def find_leaps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             leaps = list_leaps(run, k)
             if leaps:
                 found.append((run, leaps))
-        if len({run.group for run, _ in found}) > max(1, FEW_RUNS * len(runs)):
-            continue
+        if len({run.group for run, _ in found}) > 1:
+            continue  # what several runs show is the sensor's
         for run, leaps in found:
-            notes.append(_tell_leaps(run, name, leaps))
+            largest = max(abs(size) for _, size in leaps)
+            others = [measure_sharpest(other, k) for other in runs if other.group != run.group]
+            if largest > BEYOND_OTHERS * max(others, default=0.0):
+                notes.append(_tell_leaps(run, name, leaps))
     return notes
 
 
@@ -198,12 +213,9 @@ def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
     lasting = (np.diff(rows) > 2).any()
     if alike.mean() < 0.9 or not both_ways or not lasting:
         return None
-    # A counter wraps at its end: the reading on the high side of a jump is the same each time,
-    # though the reading moves. A load that comes and goes leaves it anywhere.
-    x = run.measured[:, k]
-    tops = np.maximum(x[rows], x[rows + 1])
-    bulk = x[x > tops.max() - 0.5 * size]
-    if float(np.ptp(bulk)) == 0.0 or float(np.ptp(tops)) > EDGE * float(np.ptp(bulk)):
+    # All of a counter's readings lie within what it wraps by; a load, or what follows it, moves
+    # an output by less than its range.
+    if size < WHOLE_RANGE * float(np.ptp(run.measured[:, k])):
         return None
     return DataNote(
         run.group,
@@ -260,6 +272,15 @@ def list_leaps(run: Run, k: int) -> list[tuple[int, float]]:
             leaps.append((row, float(gap[row])))
         left[max(row - ARM, 0) : row + ARM + 1] = 0.0
     return sorted(leaps)
+
+
+def measure_sharpest(run: Run, k: int) -> float:
+    """Return the largest change of an output's drift at one row."""
+    if len(run) < 6 * ARM:
+        return 0.0
+    x = run.steady_drift[:, k]
+    gap, steps = np.abs(_measure_gap(x)), np.abs(np.diff(x, prepend=x[0]))
+    return float(gap[steps >= 0.5 * gap].max(initial=0.0))
 
 
 def _has_cause(run: Run, row: int) -> bool:
