@@ -37,9 +37,10 @@ ORDINARY = 1.8
 CLEAR = 0.1
 """... where it takes the error below this share, a run of a kind of its own may be left more, as
 little as another sensor's would not be."""
-OTHER, OF_DRIFT = 4.0, 0.5
-"""Without any such explanation it is another sensor's from this misfit on, if that is this share
-of the run's own drift too: compensated by the others' model it would hardly be better off."""
+OTHER, OF_DRIFT = 4.0, 0.2
+"""Without any such explanation it is another sensor's from so many times the largest misfit of the
+other runs on, each held against the rest, in most of the outputs, if that is this share of the
+run's own drift too: compensated by the others' model a fifth of it would be left."""
 FAR = 1.0
 """Rows whose signals lie this many times further out than any of the other runs' are not judged."""
 WRONG_GAIN = 0.15
@@ -278,11 +279,16 @@ class Bench:
             if self.outputs[k] not in told and np.isfinite(error[k]):
                 note = self._try_gain(course, k, (drift, expected, inside), error, usual)
                 notes += [note] if note is not None else []
-        if notes or not np.isfinite(error).all():
+        if not np.isfinite(error).all():
             return notes
         own = _measure(drift, inside)
-        far = [k for k in wrong if error[k] > OTHER * usual[k] and error[k] > OF_DRIFT * own[k]]
+        least = OTHER * np.maximum(self._measure_others(culprit, accused), 1.0)
+        far = [k for k in wrong if error[k] > least[k] * usual[k] and error[k] > OF_DRIFT * own[k]]
+        told = {note.column.removeprefix("reference of ") for note in notes}
+        if notes and all(self.outputs[k] in told for k in far):
+            return notes
         if 2 * len(far) > len(self.outputs):
+            notes = []
             worst = max(far, key=lambda k: float(error[k] / usual[k]))
             notes.append(
                 self._note(
@@ -296,6 +302,18 @@ class Bench:
                 )
             )
         return notes
+
+    def _measure_others(self, culprit: int, accused: frozenset[int]) -> Array:
+        """Return the largest misfit [K] of the other runs, each held against the rest."""
+        most = np.zeros(len(self.outputs))
+        for i, course in enumerate(self.courses):
+            if i == culprit or i in accused:
+                continue
+            fit = self.fit_without(accused | {culprit, i})
+            drift, expected, inside = self.hold(fit, course)
+            error = _measure(drift - expected, inside) / np.maximum(fit.left, 1e-300)
+            most = np.maximum(most, np.where(np.isfinite(error), error, 0.0))
+        return most
 
     def _note(self, course: _Course, column: str, kind: str, text: str) -> DataNote:
         return DataNote(course.run.group, column, (0, len(course.run) - 1), kind, text)

@@ -1,13 +1,15 @@
 """A reference that is late, missing or reversed in one run: told by how the output follows it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.data_notes import DataNote
+from zerodrift.diagnosis.misfits import tell_gain
 
 Array = NDArray[np.float64]
 
@@ -23,6 +25,13 @@ LATE = 2
 """Rows by which a shift differs from that of the other runs: one is how rows are averaged."""
 LOUDER = 5.0
 """What a reference lacks is this many times what drift does at once in the other runs."""
+FOLLOWED = 0.9
+"""Correlation from which the factor between output and load is taken."""
+CHANCE = 1e-4
+"""Probability that any factor of a set of right logs is told as wrong."""
+FEWEST_OTHERS = 2
+LEAST_GAIN = 0.02
+"""A smaller error of gain is that of a sensor's calibration."""
 LOADED = 0.5
 """Share of the other runs whose reference moves, where one that stands is missing."""
 LEAST = 0.02
@@ -45,11 +54,14 @@ class _Followed:
     """RMS of the changes of measured minus reference, ..."""
     fast_load: float
     """... and of the reference."""
+    slope: float
+    """Change of the output per change of the reference."""
 
 
 def find_reference_faults(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
     """Return notes on references that are late or missing in one run."""
-    notes = []
+    notes: list[DataNote] = []
+    followed: dict[str, list[_Followed]] = {}
     whole = [run for run in runs if len(run) >= 20 * APART]
     for k, name in enumerate(outputs):
         found = [_follow(run, k) for run in whole]
@@ -59,6 +71,43 @@ def find_reference_faults(runs: Sequence[Run], outputs: Sequence[str]) -> list[D
                 continue
             note = _tell_late(one, others, name) or _tell_missing(one, others, name)
             notes += [note] if note is not None else []
+        followed[name] = [f for f in found if f.moves and f.now >= FOLLOWED]
+    return notes + _tell_gains(followed)
+
+
+def _tell_gains(followed: Mapping[str, Sequence[_Followed]]) -> list[DataNote]:
+    """Return notes on outputs that follow their load by another factor than in all other runs.
+
+    The other runs' factors tell how far one may be off: their scatter, of all outputs together, by
+    Student's quantile for the share of chance over all runs and outputs.
+    """
+    tests = sum(len(found) for found in followed.values())
+    notes = []
+    for name, found in followed.items():
+        for one in found:
+            rest = {
+                each: [f.slope for f in runs if f.run.group != one.run.group]
+                for each, runs in followed.items()
+            }
+            others = rest[name]
+            if len(others) < FEWEST_OTHERS:
+                continue
+            squares = [
+                (slope / float(np.mean(slopes)) - 1.0) ** 2
+                for slopes in rest.values()
+                if len(slopes) >= FEWEST_OTHERS
+                for slope in slopes
+            ]
+            freedom = len(squares) - sum(len(s) >= FEWEST_OTHERS for s in rest.values())
+            usual = float(np.sqrt(sum(squares) / freedom))
+            middle = float(np.mean(others))
+            bound = float(student.isf(CHANCE / (2.0 * tests), freedom))
+            factor = one.slope / middle
+            limit = max(bound * usual * np.sqrt(1.0 + 1.0 / len(others)), LEAST_GAIN)
+            if abs(factor - 1.0) <= limit:
+                continue
+            rows = (0, len(one.run) - 1)
+            notes.append(DataNote(one.run.group, name, rows, *tell_gain(factor, "the column")))
     return notes
 
 
@@ -69,7 +118,8 @@ def _follow(run: Run, k: int) -> _Followed:
     moves = float(np.ptp(reference)) > 0.0
     shift, best, now = _find_shift(m, r) if moves else (0, 0.0, 0.0)
     size = [float(np.sqrt(np.mean(x**2))) for x in (m - r, r)]
-    return _Followed(run, moves, shift, best, now, *size)
+    power = float(r @ r)
+    return _Followed(run, moves, shift, best, now, *size, float(m @ r) / power if power else 0.0)
 
 
 def _find_shift(m: Array, r: Array) -> tuple[int, float, float]:

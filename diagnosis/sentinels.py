@@ -28,6 +28,8 @@ ORDINARY, MOST_EDGES = 0.995, 0.9
 anyway."""
 ALONE = 0.5
 """Share of a jump that a load beside it does not make too."""
+OFTENER = 5.0
+"""Times that a value among others is met more often than any of these."""
 MOST_VALUES = 4
 """Different values for none in one column."""
 LEAST_OTHERS = 0.3
@@ -78,7 +80,7 @@ def list_sentinels(
     found: list[tuple[float, Mask]] = []
     kept = np.ones(x.size, dtype=np.bool_)
     for _ in range(MOST_VALUES):
-        for end in (x[kept].max(), x[kept].min()):
+        for end in _list_candidates(x[kept]):
             rows = kept & (x == end)
             starts = int(rows[0]) + int(np.count_nonzero(rows[1:] & ~rows[:-1]))
             if starts >= visits and _is_sentinel(x, beside, rows, kept & ~rows):
@@ -88,6 +90,16 @@ def list_sentinels(
         else:
             break
     return found
+
+
+def _list_candidates(x: Array) -> list[float]:
+    """Return the values that may stand for none: both ends, and one that is met most often."""
+    values, counts = np.unique(x, return_counts=True)
+    candidates = [float(values[-1]), float(values[0])]
+    order = np.argsort(-counts, kind="stable")[:2]
+    if order.size == 2 and counts[order[0]] >= OFTENER * counts[order[1]]:
+        candidates.append(float(values[order[0]]))
+    return candidates
 
 
 def _is_sentinel(x: Array, beside: Array | None, rows: Mask, others: Mask) -> bool:
@@ -109,9 +121,12 @@ def _is_sentinel(x: Array, beside: Array | None, rows: Mask, others: Mask) -> bo
         return False
     jumps = np.minimum(across, apart_from)
     ordinary = float(np.quantile(usual, ORDINARY))
-    apart = float(np.abs(x[kept] - x[rows][0]).min())
+    value = float(x[rows][0])
+    apart = float(np.abs(x[kept] - value).min())
+    among = float(x[kept].min()) < value < float(x[kept].max())
     return bool(
-        np.quantile(jumps, 1.0 - MOST_EDGES) > FAR * ordinary and apart > FAR * ordinary
+        np.quantile(jumps, 1.0 - MOST_EDGES) > FAR * ordinary
+        and (among or apart > FAR * ordinary)
     )
 
 
