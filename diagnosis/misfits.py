@@ -228,17 +228,29 @@ class Bench:
         drift, expected, inside = self.hold(fit, self.courses[places[0]])
         return bool(_measure(drift - expected, inside)[k] <= ORDINARY * fit.left[k])
 
-    def find_swap(self, group: str) -> DataNote | None:
-        """Return a note if exchanging the thermometer's column makes the last run right."""
+    def look_again(self, told: Sequence[str] | None) -> DataNote | None:
+        """Return what is wrong with the last run as a whole, if that is more than was told of it.
+
+        Args:
+            told: outputs that something was told of, which may be less than what is wrong; None:
+                what was told is enough, unless columns are exchanged.
+        """
         culprit = len(self.courses) - 1
         course = self.courses[culprit]
         fit = self.fit_without(frozenset({culprit}))
-        drift, expected, inside = self.hold(fit, course)
-        error = _measure(drift - expected, inside)
+        held = self.hold(fit, course)
+        error = _measure(held[0] - held[1], held[2])
         usual = np.maximum(fit.left, 1e-300)
         wrong = [k for k in range(usual.size) if error[k] > MISFIT * usual[k]]
-        found = self._try_thermometer(fit, course, error, wrong) if wrong else None
-        return found if found is not None and found.run == group else None
+        if not wrong:
+            return None
+        found = self._try_thermometer(fit, course, error, wrong)
+        if found is not None:
+            return found
+        far = [] if told is None else self._list_far(culprit, frozenset(), held, usual)
+        if told is None or all(self.outputs[k] in told for k in far):
+            return None
+        return self._tell_other(course, far, error / usual)
 
     def _list_suspects(self, accused: frozenset[int]) -> list[int]:
         """Return the run without which the others agree much better, and those far from them."""
@@ -281,27 +293,38 @@ class Bench:
                 notes += [note] if note is not None else []
         if not np.isfinite(error).all():
             return notes
-        own = _measure(drift, inside)
-        least = OTHER * np.maximum(self._measure_others(culprit, accused), 1.0)
-        far = [k for k in wrong if error[k] > least[k] * usual[k] and error[k] > OF_DRIFT * own[k]]
+        far = self._list_far(culprit, accused, (drift, expected, inside), usual)
         told = {note.column.removeprefix("reference of ") for note in notes}
         if notes and all(self.outputs[k] in told for k in far):
             return notes
-        if 2 * len(far) > len(self.outputs):
-            notes = []
-            worst = max(far, key=lambda k: float(error[k] / usual[k]))
-            notes.append(
-                self._note(
-                    course,
-                    self.outputs[worst],
-                    "another_sensor",
-                    f"a fit of the other runs leaves {error[worst] / usual[worst]:.0f} times as "
-                    "much here as of them, whatever unit, sign or column is tried: another "
-                    "sensor's log, or one with something else wrong. Check where it comes from, "
-                    "or leave the run out",
-                )
-            )
-        return notes
+        return [self._tell_other(course, far, error / usual)] if far else notes
+
+    def _list_far(
+        self,
+        culprit: int,
+        accused: frozenset[int],
+        held: tuple[Array, Array, NDArray[np.bool_]],
+        usual: Array,
+    ) -> list[int]:
+        """Return the outputs that follow another law, if most of them do; else none."""
+        drift, expected, inside = held
+        error, own = _measure(drift - expected, inside), _measure(drift, inside)
+        if not np.isfinite(error).all():
+            return []
+        least = OTHER * np.maximum(self._measure_others(culprit, accused), 1.0) * usual
+        far = [k for k in range(error.size) if error[k] > max(least[k], OF_DRIFT * own[k])]
+        return far if 2 * len(far) > len(self.outputs) else []
+
+    def _tell_other(self, course: _Course, far: Sequence[int], times: Array) -> DataNote:
+        worst = max(far, key=lambda k: float(times[k]))
+        return self._note(
+            course,
+            self.outputs[worst],
+            "another_sensor",
+            f"a fit of the other runs leaves {times[worst]:.0f} times as much here as of them, "
+            "whatever unit, sign or column is tried: another sensor's log, or one with something "
+            "else wrong. Check where it comes from, or leave the run out",
+        )
 
     def _measure_others(self, culprit: int, accused: frozenset[int]) -> Array:
         """Return the largest misfit [K] of the other runs, each held against the rest."""
@@ -378,7 +401,10 @@ class Bench:
         if inside.mean() < (ENOUGH if np.isfinite(before).all() else SOME):
             return False
         now = _measure(drift - expected, inside)
-        usual = np.maximum(fit.left, OF_COURSE / ORDINARY * _measure(drift, inside))
+        own = _measure(drift, inside)
+        if not np.isfinite(before).all() and (now > EXPLAINED * own)[wrong].any():
+            return False  # a run at a temperature of its own, where the level alone would speak
+        usual = np.maximum(fit.left, OF_COURSE / ORDINARY * own)
         better = all(self._passes(now[k], before[k], usual[k]) for k in wrong)
         return better and bool((now <= 2.0 * ORDINARY * usual).all())
 
@@ -542,7 +568,7 @@ def find_load_gains(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNot
 
 def tell_gain(gain: float, what: str) -> tuple[str, str]:
     """Return kind and text for a column that is so many times what it should be."""
-    if gain < 0.0 and abs(gain + 1.0) <= WRONG_GAIN:
+    if gain < 0.0 and abs(np.log(-gain)) <= WRONG_SLOPE:
         return "sign", (
             f"{what} has the opposite sign in this run: reversed, it agrees with the others. "
             "Reverse it in the log"

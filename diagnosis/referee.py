@@ -7,7 +7,6 @@ same way is left to the diagnosis.
 from collections.abc import Sequence
 
 import numpy as np
-
 from numpy.typing import NDArray
 
 from zerodrift.base.config import Config, locate_key
@@ -30,8 +29,10 @@ from zerodrift.diagnosis.references import find_reference_faults
 from zerodrift.diagnosis.sentinels import find_sentinels, find_spikes
 from zerodrift.diagnosis.standing import find_cut_off, find_leaps, find_standing
 
-MAY_BE_SWAPS = ("gain", "saturated", "stuck", "offset_jump", "wrapped", "foreign_column", "sign")
-"""What a thermometer in an output's column, or an output in a thermometer's, looks like."""
+STANDS = ("saturated", "stuck")
+OF_A_COLUMN = ("gain", "saturated", "stuck", "offset_jump", "wrapped", "foreign_column", "sign")
+"""What one column shows where it is the run that is wrong: a thermometer in an output's column, or
+another sensor's log."""
 OF_REFERENCE = "reference of "
 Array = NDArray[np.float64]
 
@@ -129,7 +130,7 @@ def review(dataset: Dataset) -> tuple[DataNote, ...]:
             or note.column not in outputs
             or not bench.agrees(note.run, note.column)
         ]
-    notes = _prefer_swaps(notes, whole, outputs, np.array(dataset.full_scale))
+    notes = _look_again(notes, whole, outputs, np.array(dataset.full_scale))
     notes += find_time_units(runs)
     spoilt = {note.run for note in notes}
     sound = [run for run in whole if run.group not in spoilt]
@@ -141,19 +142,22 @@ def review(dataset: Dataset) -> tuple[DataNote, ...]:
     return tuple(notes)
 
 
-def _prefer_swaps(
+def _look_again(
     notes: Sequence[DataNote], whole: Sequence[Run], outputs: Sequence[str], scales: Array
 ) -> list[DataNote]:
-    """Return the notes; all of a run's are one where exchanging two columns makes it right."""
+    """Return the notes; all of a run's are one where the run as a whole tells more."""
     accused = {note.run for note in notes}
     sound = [run for run in whole if run.group not in accused]
     told: list[DataNote] = []
     for group in dict.fromkeys(note.run for note in notes):
         own = [note for note in notes if note.run == group]
         runs = [run for run in whole if run.group == group]
-        if runs and len(sound) >= FEWEST_RUNS - 1 and all(n.kind in MAY_BE_SWAPS for n in own):
-            swap = Bench([*sound, runs[0]], outputs, scales).find_swap(group)
-            own = [swap] if swap is not None else own
+        if runs and len(sound) >= FEWEST_RUNS - 1 and all(n.kind in OF_A_COLUMN for n in own):
+            columns = [note.column.removeprefix(OF_REFERENCE) for note in own]
+            is_seen = any(note.kind in STANDS for note in own)
+            bench = Bench([*sound, runs[0]], outputs, scales)
+            found = bench.look_again(None if is_seen else columns)
+            own = [found] if found is not None else own
         told += own
     return told
 

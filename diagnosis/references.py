@@ -136,9 +136,7 @@ def _find_shift(m: Array, r: Array) -> tuple[int, float, float]:
     return place - reach, float(likeness[place]), float(likeness[reach])
 
 
-def _tell_late(
-    one: _Followed, others: Sequence[_Followed], name: str
-) -> DataNote | None:
+def _tell_late(one: _Followed, others: Sequence[_Followed], name: str) -> DataNote | None:
     known = [f.shift for f in others if f.moves and f.best >= FOLLOWS]
     if not one.moves or not known or one.best < max(FOLLOWS, SURE / np.sqrt(len(one.run))):
         return None
@@ -171,7 +169,7 @@ def _tell_missing(one: _Followed, others: Sequence[_Followed], name: str) -> Dat
         f"reference of {name}",
         (0, len(one.run) - 1),
         "missing_reference",
-        f"stands still, while the output changes {one.fast_drift / max(usual, 1e-300):.0f} times as "
-        "much from row to row as drift does in the other runs: the load is not in the log. Log "
-        "it, or leave the run out",
+        "stands still, while the output changes "
+        f"{one.fast_drift / max(usual, 1e-300):.0f} times as much from row to row as "
+        "drift does in the other runs: the load is not in the log. Log it, or leave the run out",
     )

@@ -19,7 +19,7 @@ Mask = NDArray[np.bool_]
 RECURS = 3
 """Rows with the value, at least: two single rows may be the two ends of one disturbance."""
 VISITS = 5
-"""Times that an input must be there and back: a lamp, a valve, a supply is switched."""
+"""Times that an input or a load must be there and back, as both are switched."""
 FAR = 4.0
 """How many times further from its neighbours, and from all other values, than other neighbours are
 from each other, ..."""
@@ -61,7 +61,8 @@ def find_sentinels(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote
             columns[name] = (run.measured[:, k], run.reference[:, k])
             columns[f"reference of {name}"] = (run.reference[:, k], run.measured[:, k])
         for name, (x, beside) in columns.items():
-            visits = VISITS if name in run.inputs else 1
+            is_switched = name in run.inputs or name.startswith("reference of ")
+            visits = VISITS if is_switched else 1
             note = _tell(run, name, list_sentinels(x, beside, visits))
             notes += [note] if note is not None else []
     return notes
@@ -125,7 +126,7 @@ def _is_sentinel(x: Array, beside: Array | None, rows: Mask, others: Mask) -> bo
     apart = float(np.abs(x[kept] - value).min())
     among = float(x[kept].min()) < value < float(x[kept].max())
     return bool(
-        np.quantile(jumps, 1.0 - MOST_EDGES) > FAR * ordinary
+        np.quantile(jumps, 1.0 - MOST_EDGES, method="lower") > FAR * ordinary
         and (among or apart > FAR * ordinary)
     )
 

@@ -93,7 +93,8 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             if stand.length < max(least, LONGER * usual):
                 break
             x = columns[[run is stand.run for run in runs].index(True)]
-            at_limit = stand.value in (x.max(), x.min()) and not _ends_in_jump(stand, x)
+            jumps = thermometer and _ends_in_jump(stand, x)
+            at_limit = stand.value in (x.max(), x.min()) and not jumps
             told += not at_limit
             if told > max(1, round(FEW_RUNS * len(runs))):
                 break
