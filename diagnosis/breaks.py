@@ -36,6 +36,7 @@ STANDS = 30
 """Rows of one value up to a break: the thermometer stopped, and then went on."""
 ALIKE = 0.3
 """... and by the same factor as its values, to this share."""
+LAST_DIGITS = 1e-9
 SURE = 8.0
 """Standard errors by which the logarithm of the noise differs: of some thousand places in some
 hundred columns, chance reaches 6."""
@@ -171,7 +172,8 @@ def find_gain_change(x: Array) -> tuple[float, int]:
     The row is where the logarithm of the second differences changes its mean most clearly.
     """
     second = np.abs(np.diff(x, 2))
-    moves = second > 0.0
+    # A coarse converter's steps cancel but for the last digits of a float.
+    moves = second > LAST_DIGITS * float(np.ptp(x))
     if moves.sum() < 8 * ARM:
         return 1.0, 0
     places = np.flatnonzero(moves)

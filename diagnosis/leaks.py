@@ -32,7 +32,7 @@ def find_leaks(train: Sequence[Run], test: Sequence[Run], outputs: Sequence[str]
     """Return notes on test runs whose noise is that of a training run."""
     known = [(run, _list_noise(run)) for run in train if len(run) >= FEWEST_ROWS]
     asked = [(run, _list_noise(run)) for run in test if len(run) >= FEWEST_ROWS]
-    names = (*outputs, "temperature")
+    names = tuple(outputs)
     tests = max(1, len(known) * len(asked) * len(names))
     notes = []
     for run, ours in asked:
@@ -62,17 +62,17 @@ def find_leaks(train: Sequence[Run], test: Sequence[Run], outputs: Sequence[str]
 
 
 def _list_noise(run: Run) -> list[Array | None]:
-    """Return the noise of outputs and thermometer, [n - 2] each; None where a column has none."""
+    """Return the noise of each output, [n - 2] each; None where one has none.
+
+    A thermometer's says nothing: sensors in one oven, recorded at once, share it.
+    """
     signals = [*run.reference.T, *(x for name, x in run.inputs.items() if name != "clock")]
-    moving = [np.diff(x, 2) for x in signals]
-    moving = [x for x in moving if float(np.ptp(x)) > 0.0]
-    warm = np.diff(run.temperature_degC, 2)
-    columns = [*np.diff(run.steady_drift, 2, axis=0).T, warm]
-    table = np.stack([*moving, warm], axis=1) if float(np.ptp(warm)) else np.zeros((warm.size, 0))
+    signals.append(run.temperature_degC)
+    moving = [np.diff(x, 2) for x in signals if float(np.ptp(x)) > 0.0]
+    table = np.stack(moving, axis=1) if moving else np.zeros((len(run) - 2, 0))
     found: list[Array | None] = []
-    for place, column in enumerate(columns):
-        is_output = place < len(columns) - 1
-        left = _take_off(column, table) if is_output and table.shape[1] else column
+    for column in np.diff(run.steady_drift, 2, axis=0).T:
+        left = _take_off(column, table) if table.shape[1] else column
         spread = 1.4826 * float(np.median(np.abs(left - np.median(left))))
         if spread <= 1e-9 * max(float(np.abs(column).max()), 1e-300):
             found.append(None)

@@ -363,7 +363,8 @@ class Bench:
                 course.measured,
                 course.reference,
             )
-            if self._is_right(fit, changed, error, wrong):
+            known = self._count_covering(changed) >= FEWEST_RUNS - 1
+            if known and self._is_right(fit, changed, error, wrong):
                 text = (
                     f"looks like {words}: read so, the run agrees with the others. State the "
                     "column's unit, or convert the log"
@@ -393,6 +394,19 @@ class Bench:
                 )
                 return self._note(course, "temperature", "swapped", text)
         return None
+
+    def _count_covering(self, course: _Course) -> int:
+        """Return how many other runs have been at a run's temperatures, as these are read now.
+
+        What one other run alone has seen is no law of the sensor.
+        """
+        count = 0
+        for other in self.courses:
+            if other.run.group != course.run.group:
+                low, high = other.temperature.min(), other.temperature.max()
+                within = (course.temperature >= low) & (course.temperature <= high)
+                count += bool(within.mean() >= ENOUGH)
+        return count
 
     def _is_right(self, fit: _Fit, course: _Course, before: Array, wrong: Sequence[int]) -> bool:
         """Return whether a run agrees with the others as it is read now."""
