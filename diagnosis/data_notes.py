@@ -26,7 +26,6 @@ KINDS: Mapping[str, Kind] = {
         "state the unit, or convert it in the log",
     ),
     "fahrenheit": Kind("a run's temperature is in degF", "state the column's unit"),
-    "celsius": Kind("a run's temperature is in degC where others are in degF", "state the unit"),
     "kelvin": Kind("a run's temperature is in kelvin", "state the column's unit"),
     "unit_change": Kind(
         "a column changes its unit within a run", "convert one part, or cut the run there"

@@ -247,7 +247,8 @@ class Bench:
         found = self._try_thermometer(fit, course, error, wrong)
         if found is not None:
             return found
-        far = [] if told is None else self._list_far(culprit, frozenset(), held, usual)
+        known = self._count_covering(course) >= FEWEST_RUNS - 1
+        far = [] if told is None or not known else self._list_far(culprit, frozenset(), held, usual)
         if told is None or all(self.outputs[k] in told for k in far):
             return None
         return self._tell_other(course, far, error / usual)
@@ -285,6 +286,8 @@ class Bench:
         thermometer = self._try_thermometer(fit, course, error, wrong)
         if thermometer is not None:
             return [thermometer]
+        if self._count_covering(course) < FEWEST_RUNS - 1:
+            return []
         notes = self._try_swaps(fit, course, error, wrong)
         told = {note.column for note in notes}
         for k in wrong:
@@ -352,7 +355,6 @@ class Bench:
         """Return a note if another reading of the temperature makes the run right."""
         tried: dict[str, tuple[str, Callable[[Array], Array], str]] = {
             "fahrenheit": ("temperature", lambda t: (t - 32.0) / FAHRENHEIT, "degF, not degC"),
-            "celsius": ("temperature", lambda t: FAHRENHEIT * t + 32.0, "degC where others are F"),
             "kelvin": ("temperature", lambda t: t - KELVIN, "kelvin, not degC"),
         }
         for kind, (column, change, words) in tried.items():
@@ -371,6 +373,8 @@ class Bench:
                 )
                 return self._note(course, column, kind, text)
         for k, name in enumerate(self.outputs):
+            if not self._may_be(course, lambda c, k=k: c.measured[:, k]):
+                continue
             measured = course.measured.copy()
             measured[:, k] = course.temperature
             changed = _Course(
@@ -383,6 +387,8 @@ class Bench:
                 )
                 return self._note(course, "temperature", "swapped", text)
         for name in sorted(course.inputs):
+            if not self._may_be(course, lambda c, name=name: c.inputs[name]):
+                continue
             inputs = {**course.inputs, name: course.temperature}
             changed = _Course(
                 course.run, course.inputs[name], inputs, course.measured, course.reference
@@ -394,6 +400,13 @@ class Bench:
                 )
                 return self._note(course, "temperature", "swapped", text)
         return None
+
+    def _may_be(self, course: _Course, read: Callable[[_Course], Array]) -> bool:
+        """Return whether a run's thermometer reads what a column reads in the other runs."""
+        others = [read(c) for c in self.courses if c.run.group != course.run.group]
+        low, high = min(x.min() for x in others), max(x.max() for x in others)
+        middle = float(np.median(course.temperature))
+        return bool(low - (high - low) <= middle <= high + (high - low))
 
     def _count_covering(self, course: _Course) -> int:
         """Return how many other runs have been at a run's temperatures, as these are read now.

@@ -55,7 +55,9 @@ class _Followed:
     fast_load: float
     """... and of the reference."""
     slope: float
-    """Change of the output per change of the reference."""
+    """Change of the output per change of the reference, ..."""
+    doubt: float
+    """... and its standard error as a share of it, by what the output does beside."""
 
 
 def find_reference_faults(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
@@ -103,7 +105,8 @@ def _tell_gains(followed: Mapping[str, Sequence[_Followed]]) -> list[DataNote]:
             middle = float(np.mean(others))
             bound = float(student.isf(CHANCE / (2.0 * tests), freedom))
             factor = one.slope / middle
-            limit = max(bound * usual * np.sqrt(1.0 + 1.0 / len(others)), LEAST_GAIN)
+            spread = np.sqrt(usual**2 * (1.0 + 1.0 / len(others)) + one.doubt**2)
+            limit = max(bound * float(spread), LEAST_GAIN)
             if abs(factor - 1.0) <= limit:
                 continue
             rows = (0, len(one.run) - 1)
@@ -119,7 +122,11 @@ def _follow(run: Run, k: int) -> _Followed:
     shift, best, now = _find_shift(m, r) if moves else (0, 0.0, 0.0)
     size = [float(np.sqrt(np.mean(x**2))) for x in (m - r, r)]
     power = float(r @ r)
-    return _Followed(run, moves, shift, best, now, *size, float(m @ r) / power if power else 0.0)
+    slope = float(m @ r) / power if power else 0.0
+    # A few large changes of a load tell as much as so many equal ones.
+    changes = power**2 / float(np.sum(r**4)) if power else 0.0
+    doubt = np.sqrt(max(1.0 / now**2 - 1.0, 0.0) / changes) if now and changes else np.inf
+    return _Followed(run, moves, shift, best, now, *size, slope, float(doubt))
 
 
 def _find_shift(m: Array, r: Array) -> tuple[int, float, float]:

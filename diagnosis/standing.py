@@ -156,6 +156,8 @@ def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             )
             # A few samples on a short plateau of the load are alike by chance; an output that is
             # cut off stands still while its load moves, or for long.
+            if rows[0] == 0 and rows[-1] == rows.size - 1:
+                continue  # at rest before the run begins
             load = run.reference[:, k]
             at_rest = float(np.ptp(load)) > 0.0 and float(np.ptp(load[rows])) <= margin
             if passed and not (at_rest and rows.size < FEWEST_VISITS):
