@@ -197,13 +197,12 @@ def find_gain_change(x: Array) -> tuple[float, int]:
     if not ARM <= row <= x.size - ARM:
         return 1.0, 0
     before, after = _reach(x[row - ARM : row], ARM), _reach(x[row : row + ARM], -1)
+    noise = float(np.median(second[max(row - 10 * ARM, 0) : row - 2]))
+    if abs(before) >= 4.0 * noise and before * after > 0.0:
+        factor = after / before
+        if abs(np.log(factor) - change) <= ALIKE * max(abs(change), 1.0):
+            return factor, row
     wider = float(np.ptp(x[row:])) / max(float(np.ptp(x[:row])), 1e-300)
     if abs(change) > np.log(PLAIN) and abs(np.log(wider) - change) < np.log(LOUDER):
         return float(np.exp(change)), row
-    noise = float(np.median(second[max(row - 10 * ARM, 0) : row - 2]))
-    if abs(before) < 4.0 * noise or before * after <= 0.0:
-        return 1.0, 0
-    factor = after / before
-    if abs(np.log(factor) - change) > ALIKE * max(abs(change), 1.0):
-        return 1.0, 0
-    return factor, row
+    return 1.0, 0

@@ -37,6 +37,8 @@ ORDINARY = 1.8
 CLEAR = 0.1
 """... where it takes the error below this share, a run of a kind of its own may be left more, as
 little as another sensor's would not be."""
+CLEARLY = 0.5
+"""Of two readings of a run one is right if it leaves less than this share of the other's error."""
 OTHER, OF_DRIFT = 4.0, 0.2
 """Without any such explanation it is another sensor's from so many times the largest misfit of the
 other runs on, each held against the rest, in most of the outputs, if that is this share of the
@@ -228,7 +230,7 @@ class Bench:
         drift, expected, inside = self.hold(fit, self.courses[places[0]])
         return bool(_measure(drift - expected, inside)[k] <= ORDINARY * fit.left[k])
 
-    def look_again(self, told: Sequence[str] | None) -> DataNote | None:
+    def look_again(self, told: Sequence[str] | None) -> list[DataNote]:
         """Return what is wrong with the last run as a whole, if that is more than was told of it.
 
         Args:
@@ -243,15 +245,35 @@ class Bench:
         usual = np.maximum(fit.left, 1e-300)
         wrong = [k for k in range(usual.size) if error[k] > MISFIT * usual[k]]
         if not wrong:
-            return None
-        found = self._try_thermometer(fit, course, error, wrong)
-        if found is not None:
-            return found
+            return []
+        thermometer = self._try_thermometer(fit, course, error, wrong)
+        if thermometer is not None:
+            return [thermometer]
         known = self._count_covering(course) >= FEWEST_RUNS - 1
-        far = [] if told is None or not known else self._list_far(culprit, frozenset(), held, usual)
-        if told is None or all(self.outputs[k] in told for k in far):
-            return None
-        return self._tell_other(course, far, error / usual)
+        if told is None or not known:
+            return []
+        swaps = self._try_swaps(fit, course, error, wrong)
+        if swaps:
+            return swaps
+        far = self._list_far(culprit, frozenset(), held, usual)
+        if all(self.outputs[k] in told for k in far):
+            return []
+        return [self._tell_other(course, far, error / usual)]
+
+    def is_reference_reversed(self, output: str) -> bool:
+        """Return whether the last run is right with its reference reversed, not its output."""
+        k, course = self.outputs.index(output), self.courses[-1]
+        fit = self.fit_without(frozenset({len(self.courses) - 1}))
+        sign = np.where(np.arange(len(self.outputs)) == k, -1.0, 1.0)
+        errors = []
+        for measured, reference in (
+            (sign * course.measured, course.reference),
+            (course.measured, sign * course.reference),
+        ):
+            changed = _Course(course.run, course.temperature, course.inputs, measured, reference)
+            drift, expected, inside = self.hold(fit, changed)
+            errors.append(float(_measure(drift - expected, inside)[k]))
+        return errors[1] < CLEARLY * errors[0]
 
     def _list_suspects(self, accused: frozenset[int]) -> list[int]:
         """Return the run without which the others agree much better, and those far from them."""

@@ -5,6 +5,7 @@ same way is left to the diagnosis.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,9 +158,26 @@ def _look_again(
             is_seen = any(note.kind in STANDS for note in own)
             bench = Bench([*sound, runs[0]], outputs, scales)
             found = bench.look_again(None if is_seen else columns)
-            own = [found] if found is not None else own
+            own = found or [_name_reference(note, bench) for note in own]
         told += own
     return told
+
+
+def _name_reference(note: DataNote, bench: Bench) -> DataNote:
+    """Return a note on a wrong sign; of the reference, where that is what is reversed."""
+    if note.kind != "sign" or note.column not in bench.outputs:
+        return note
+    if not np.ptp(bench.courses[-1].reference[:, bench.outputs.index(note.column)]):
+        return note
+    if not bench.is_reference_reversed(note.column):
+        return note
+    return replace(
+        note,
+        column=f"{OF_REFERENCE}{note.column}",
+        kind="reversed_reference",
+        text="has the opposite sign in this run: reversed, the drift agrees with that of the other "
+        "runs. Reverse it in the log",
+    )
 
 
 def _look_at_test(dataset: Dataset, spoilt: set[str]) -> list[DataNote]:
