@@ -31,7 +31,10 @@ from zerodrift.diagnosis.sentinels import find_sentinels, find_spikes
 from zerodrift.diagnosis.standing import find_cut_off, find_leaps, find_standing
 
 STANDS = ("saturated", "stuck")
-OF_A_COLUMN = ("gain", "saturated", "stuck", "offset_jump", "wrapped", "foreign_column", "sign")
+OF_A_COLUMN = (
+    *("gain", "sign", "offset_jump", "wrapped", "foreign_column", "late_reference"),
+    *STANDS,
+)
 """What one column shows where it is the run that is wrong: a thermometer in an output's column, or
 another sensor's log."""
 OF_REFERENCE = "reference of "
@@ -110,8 +113,8 @@ def review(dataset: Dataset) -> tuple[DataNote, ...]:
     notes: list[DataNote] = []
     runs = (*dataset.train, *dataset.test)
     checks = (
-        *(find_sentinels, find_standing, find_cut_off, find_breaks, find_reference_faults),
-        *(find_load_columns, find_load_gains, find_leaps),
+        *(find_sentinels, find_standing, find_cut_off, find_breaks, find_load_columns),
+        *(find_reference_faults, find_load_gains, find_leaps),
     )
     for check in checks:
         told = {(note.run, note.column.removeprefix(OF_REFERENCE)) for note in notes}

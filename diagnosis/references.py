@@ -73,7 +73,10 @@ def find_reference_faults(runs: Sequence[Run], outputs: Sequence[str]) -> list[D
                 continue
             note = _tell_late(one, others, name) or _tell_missing(one, others, name)
             notes += [note] if note is not None else []
-        followed[name] = [f for f in found if f.moves and f.now >= FOLLOWED]
+        told = {note.run for note in notes}
+        followed[name] = [
+            f for f in found if f.moves and f.now >= FOLLOWED and f.run.group not in told
+        ]
     return notes + _tell_gains(followed)
 
 
