@@ -91,19 +91,14 @@ def _correlate(one: Array, two: Array, tests: int) -> tuple[float, int]:
     """Return the correlation at the best shift, and the shift; 0 where chance explains it."""
     size = 1 << int(np.ceil(np.log2(one.size + two.size)))
 
-    def spread(x: Array) -> Array:
-        return np.fft.rfft(x, size)
-
-    def total(x: Array) -> Array:
-        # Sums over the overlap at every shift, of a signal beside ones.
-        return np.asarray(np.fft.irfft(x, size))
+    def total(x: Array, y: Array) -> Array:
+        """Return the sums of the products over the overlap, at every shift."""
+        return np.asarray(np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size))
 
     least = OVERLAP * min(one.size, two.size)
-    product = total(spread(one) * np.conj(spread(two)))
-    ones = [np.ones(x.size) for x in (one, two)]
-    counts = total(spread(ones[0]) * np.conj(spread(ones[1])))
-    powers = total(spread(one**2) * np.conj(spread(ones[1])))
-    powers = powers * total(spread(ones[0]) * np.conj(spread(two**2)))
+    ours, theirs = np.ones(one.size), np.ones(two.size)
+    product, counts = total(one, two), total(ours, theirs)
+    powers = total(one**2, theirs) * total(ours, two**2)
     usable = counts > least
     likeness = np.where(usable, product / np.sqrt(np.maximum(powers, 1e-300)), 0.0)
     level = norm.isf(CHANCE / tests / max(int(usable.sum()), 1))

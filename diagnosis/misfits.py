@@ -395,7 +395,7 @@ class Bench:
                 )
                 return self._note(course, column, kind, text)
         for k, name in enumerate(self.outputs):
-            if not self._may_be(course, lambda c, k=k: c.measured[:, k]):
+            if not self._may_be(course, [c.measured[:, k] for c in self._list_others(course)]):
                 continue
             measured = course.measured.copy()
             measured[:, k] = course.temperature
@@ -409,7 +409,7 @@ class Bench:
                 )
                 return self._note(course, "temperature", "swapped", text)
         for name in sorted(course.inputs):
-            if not self._may_be(course, lambda c, name=name: c.inputs[name]):
+            if not self._may_be(course, [c.inputs[name] for c in self._list_others(course)]):
                 continue
             inputs = {**course.inputs, name: course.temperature}
             changed = _Course(
@@ -423,12 +423,14 @@ class Bench:
                 return self._note(course, "temperature", "swapped", text)
         return None
 
-    def _may_be(self, course: _Course, read: Callable[[_Course], Array]) -> bool:
+    def _list_others(self, course: _Course) -> list[_Course]:
+        return [c for c in self.courses if c.run.group != course.run.group]
+
+    def _may_be(self, course: _Course, others: Sequence[Array]) -> bool:
         """Return whether a run's thermometer reads what a column reads in the other runs."""
-        others = [read(c) for c in self.courses if c.run.group != course.run.group]
-        low, high = min(x.min() for x in others), max(x.max() for x in others)
+        low, high = min(float(x.min()) for x in others), max(float(x.max()) for x in others)
         middle = float(np.median(course.temperature))
-        return bool(low - (high - low) <= middle <= high + (high - low))
+        return low - (high - low) <= middle <= high + (high - low)
 
     def _count_covering(self, course: _Course) -> int:
         """Return how many other runs have been at a run's temperatures, as these are read now.
@@ -436,11 +438,10 @@ class Bench:
         What one other run alone has seen is no law of the sensor.
         """
         count = 0
-        for other in self.courses:
-            if other.run.group != course.run.group:
-                low, high = other.temperature.min(), other.temperature.max()
-                within = (course.temperature >= low) & (course.temperature <= high)
-                count += bool(within.mean() >= ENOUGH)
+        for other in self._list_others(course):
+            low, high = other.temperature.min(), other.temperature.max()
+            within = (course.temperature >= low) & (course.temperature <= high)
+            count += bool(within.mean() >= ENOUGH)
         return count
 
     def _is_right(self, fit: _Fit, course: _Course, before: Array, wrong: Sequence[int]) -> bool:

@@ -123,13 +123,13 @@ def _follow(run: Run, k: int) -> _Followed:
     r = reference[APART:] - reference[:-APART]
     moves = float(np.ptp(reference)) > 0.0
     shift, best, now = _find_shift(m, r) if moves else (0, 0.0, 0.0)
-    size = [float(np.sqrt(np.mean(x**2))) for x in (m - r, r)]
+    fast_drift, fast_load = (float(np.sqrt(np.mean(x**2))) for x in (m - r, r))
     power = float(r @ r)
     slope = float(m @ r) / power if power else 0.0
     # A few large changes of a load tell as much as so many equal ones.
     changes = power**2 / float(np.sum(r**4)) if power else 0.0
     doubt = np.sqrt(max(1.0 / now**2 - 1.0, 0.0) / changes) if now and changes else np.inf
-    return _Followed(run, moves, shift, best, now, *size, slope, float(doubt))
+    return _Followed(run, moves, shift, best, now, fast_drift, fast_load, slope, float(doubt))
 
 
 def _find_shift(m: Array, r: Array) -> tuple[int, float, float]:

@@ -61,7 +61,7 @@ def test_wrong_sign_stops_it_and_nothing_is_written(tmp_path, command):
     (entry,) = told["refused"]
     assert (entry["kind"], entry["run"], entry["column"]) == ("sign", "train_3", "y")
     assert entry["rows"] == [0, 299]
-    assert 'accept = ["train_3: sign"]' in result.stderr
+    assert 'accept = ["train_3: sign"]' in str(result.exception)
     assert not (tmp_path / "build" / "compensator.json").exists()
     assert not (tmp_path / "firmware").exists()
 
