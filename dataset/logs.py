@@ -8,6 +8,7 @@ from zerodrift.base.clock_config import fits
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.conversions import convert
+from zerodrift.dataset.missing import take_missing_out
 from zerodrift.dataset.sources import open_sources
 from zerodrift.dataset.tables import LogTable, Source, label_log, read_table
 from zerodrift.dataset.text_format import UNNAMED
@@ -55,11 +56,20 @@ def read_log(
             clock = find_log_clock(config, source)
             table = read_table(source, needed, clock=clock, unread=unread)
             is_rewritten = is_whole or any(o.measured in config.conversions for o in config.outputs)
+            table = take_missing_out(config, table, {}, keep_rows=keep_logged)
             return [_convert(config, table, keep_logged and is_rewritten)]
     sources, refused = _open_all(config, files)
     wanted = {name: role for name, role in needed.items() if name != config.time_column}
     parts = _share_out(sources, wanted, files, refused, config)
-    tables = [_read_part(config, part, needed, len(parts) > 1) for part in parts]
+    tables = [
+        take_missing_out(
+            config,
+            _read_part(config, part, needed, len(parts) > 1),
+            part.columns,
+            keep_rows=keep_logged,
+        )
+        for part in parts
+    ]
     return [_convert(config, table, keep_logged) for table in tables]
 
 

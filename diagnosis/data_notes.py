@@ -2,16 +2,75 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 from zerodrift.base.config import Config
 
-LIMITS = ("beyond_training", "too_short")
-"""Kinds that say what test logs cannot show; the others say that data are wrong."""
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of wrong data, as the documentation tells it."""
+
+    looks: str
+    """What it looks like."""
+    cure: str
+    stops: bool = True
+    """Whether `train`, `firmware` and `fleet` stop at it: a model learnt from such rows is wrong.
+    The others say what test logs cannot show."""
+
+
+KINDS: Mapping[str, Kind] = {
+    "sign": Kind("a run's output has the opposite sign", "reverse it in the log"),
+    "gain": Kind(
+        "an output or a reference is a multiple of what the other runs have",
+        "state the unit, or convert it in the log",
+    ),
+    "fahrenheit": Kind("a run's temperature is in degF", "state the column's unit"),
+    "kelvin": Kind("a run's temperature is in kelvin", "state the column's unit"),
+    "unit_change": Kind(
+        "a column changes its unit within a run", "convert one part, or cut the run there"
+    ),
+    "swapped": Kind("two columns of a run are exchanged", "exchange them in the log"),
+    "foreign_column": Kind("an output reads what another one reads", "name the right column"),
+    "another_sensor": Kind(
+        "a run follows another law than the others", "find out where it comes from; leave it out"
+    ),
+    "time_unit": Kind("a run's time is in another unit", "state the unit of the time column"),
+    "stitched": Kind("rows are missing within a run whose time goes on", "cut the run there"),
+    "offset_jump": Kind("an output's zero jumps within a run", "cut the run there"),
+    "constant": Kind(
+        "the thermometer reads one value for a whole run in which the output drifts",
+        "record the run again",
+    ),
+    "frozen": Kind("the thermometer repeats one value for a stretch", "leave the rows out"),
+    "stuck": Kind("an output repeats one value for a stretch", "leave the rows out"),
+    "saturated": Kind(
+        "an output or the thermometer stands at a limit of its range, in one run or in all",
+        "look at the amplifier's range; record the run again",
+    ),
+    "wrapped": Kind("an output jumps to and fro by one size: a counter", "unwrap it"),
+    "sentinel": Kind(
+        "one value far off recurs exactly: -127, -200, 85, 9999", "state it: [logs] missing"
+    ),
+    "spikes": Kind("many single rows far off from their neighbours", "leave the rows out"),
+    "late_reference": Kind("the reference follows the output late, or before it", "shift it"),
+    "missing_reference": Kind("the output moves with a load that the reference lacks", "log it"),
+    "reversed_reference": Kind("a run's reference has the opposite sign", "reverse it in the log"),
+    "leak": Kind(
+        "a test run is a training run, resampled or with noise on it", "test with another run"
+    ),
+    "beyond_training": Kind("a test run reaches further than training", "train as far", False),
+    "too_short": Kind("a test run is too short to say anything", "test with a longer log", False),
+}
+"""What a note's `kind` may be. The table of docs/reference/wrong-data.md is held against it."""
+INFORMS = tuple(kind for kind, told in KINDS.items() if not told.stops)
 
 
 @dataclass(frozen=True)
 class DataNote:
     """Something in the logs that looks wrong; no figure is changed by it."""
+
+    ALIASES: ClassVar = ("stops",)
 
     run: str
     """Empty where two runs disagree and nothing tells which one is wrong."""
@@ -20,11 +79,19 @@ class DataNote:
     rows: tuple[int, int]
     """First and last sample of the run, counted from 0."""
     kind: str
-    """gain | sign | swapped | foreign_column | fahrenheit | celsius | kelvin | time_unit |
-    offset_jump | frozen | constant | stuck | saturated | wrapped | another_sensor |
-    beyond_training | too_short."""
+    """One of `KINDS`."""
     text: str
     """What it looks like, and what to do."""
+
+    @property
+    def stops(self) -> bool:
+        """Whether firmware is refused for it, unless `[logs] accept` names it."""
+        return KINDS[self.kind].stops
+
+    @property
+    def entry(self) -> str:
+        """The entry of `[logs] accept` that takes it on."""
+        return f"{self.run}: {self.kind}"
 
     def write(self) -> str:
         """Return the note as a line."""

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from zerodrift.dataset.runs import OutlierCount
 from zerodrift.diagnosis.candidates import Untested
-from zerodrift.diagnosis.data_notes import LIMITS, DataNote
+from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.remainder import RemainderPattern
 
 SURE = 0.99
@@ -133,7 +133,7 @@ class Diagnosis:
     @property
     def wrong_runs(self) -> tuple[str, ...]:
         """The runs whose data look wrong: what is said of a model holds once they are mended."""
-        runs = (note.run for note in self.notes if note.run and note.kind not in LIMITS)
+        runs = (note.run for note in self.notes if note.run and note.stops)
         return tuple(dict.fromkeys(runs))
 
     def tell_wrong_runs(self) -> str:

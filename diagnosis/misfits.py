@@ -37,9 +37,12 @@ ORDINARY = 1.8
 CLEAR = 0.1
 """... where it takes the error below this share, a run of a kind of its own may be left more, as
 little as another sensor's would not be."""
-OTHER, OF_DRIFT = 4.0, 0.5
-"""Without any such explanation it is another sensor's from this misfit on, if that is this share
-of the run's own drift too: compensated by the others' model it would hardly be better off."""
+CLEARLY = 0.5
+"""Of two readings of a run one is right if it leaves less than this share of the other's error."""
+OTHER, OF_DRIFT = 4.0, 0.2
+"""Without any such explanation it is another sensor's from so many times the largest misfit of the
+other runs on, each held against the rest, in most of the outputs, if that is this share of the
+run's own drift too: compensated by the others' model a fifth of it would be left."""
 FAR = 1.0
 """Rows whose signals lie this many times further out than any of the other runs' are not judged."""
 WRONG_GAIN = 0.15
@@ -227,6 +230,51 @@ class Bench:
         drift, expected, inside = self.hold(fit, self.courses[places[0]])
         return bool(_measure(drift - expected, inside)[k] <= ORDINARY * fit.left[k])
 
+    def look_again(self, told: Sequence[str] | None) -> list[DataNote]:
+        """Return what is wrong with the last run as a whole, if that is more than was told of it.
+
+        Args:
+            told: outputs that something was told of, which may be less than what is wrong; None:
+                what was told is enough, unless columns are exchanged.
+        """
+        culprit = len(self.courses) - 1
+        course = self.courses[culprit]
+        fit = self.fit_without(frozenset({culprit}))
+        held = self.hold(fit, course)
+        error = _measure(held[0] - held[1], held[2])
+        usual = np.maximum(fit.left, 1e-300)
+        wrong = [k for k in range(usual.size) if error[k] > MISFIT * usual[k]]
+        if not wrong:
+            return []
+        thermometer = self._try_thermometer(fit, course, error, wrong)
+        if thermometer is not None:
+            return [thermometer]
+        known = self._count_covering(course) >= FEWEST_RUNS - 1
+        if told is None or not known:
+            return []
+        swaps = self._try_swaps(fit, course, error, wrong)
+        if swaps:
+            return swaps
+        far = self._list_far(culprit, frozenset(), held, usual)
+        if all(self.outputs[k] in told for k in far):
+            return []
+        return [self._tell_other(course, far, error / usual)]
+
+    def is_reference_reversed(self, output: str) -> bool:
+        """Return whether the last run is right with its reference reversed, not its output."""
+        k, course = self.outputs.index(output), self.courses[-1]
+        fit = self.fit_without(frozenset({len(self.courses) - 1}))
+        sign = np.where(np.arange(len(self.outputs)) == k, -1.0, 1.0)
+        errors = []
+        for measured, reference in (
+            (sign * course.measured, course.reference),
+            (course.measured, sign * course.reference),
+        ):
+            changed = _Course(course.run, course.temperature, course.inputs, measured, reference)
+            drift, expected, inside = self.hold(fit, changed)
+            errors.append(float(_measure(drift - expected, inside)[k]))
+        return errors[1] < CLEARLY * errors[0]
+
     def _list_suspects(self, accused: frozenset[int]) -> list[int]:
         """Return the run without which the others agree much better, and those far from them."""
         rest = [i for i in range(len(self.courses)) if i not in accused]
@@ -260,30 +308,60 @@ class Bench:
         thermometer = self._try_thermometer(fit, course, error, wrong)
         if thermometer is not None:
             return [thermometer]
+        if self._count_covering(course) < FEWEST_RUNS - 1:
+            return []
         notes = self._try_swaps(fit, course, error, wrong)
         told = {note.column for note in notes}
         for k in wrong:
             if self.outputs[k] not in told and np.isfinite(error[k]):
                 note = self._try_gain(course, k, (drift, expected, inside), error, usual)
                 notes += [note] if note is not None else []
-        if notes or not np.isfinite(error).all():
+        if not np.isfinite(error).all():
             return notes
-        own = _measure(drift, inside)
-        far = [k for k in wrong if error[k] > OTHER * usual[k] and error[k] > OF_DRIFT * own[k]]
-        if 2 * len(far) > len(self.outputs):
-            worst = max(far, key=lambda k: float(error[k] / usual[k]))
-            notes.append(
-                self._note(
-                    course,
-                    self.outputs[worst],
-                    "another_sensor",
-                    f"a fit of the other runs leaves {error[worst] / usual[worst]:.0f} times as "
-                    "much here as of them, whatever unit, sign or column is tried: another "
-                    "sensor's log, or one with something else wrong. Check where it comes from, "
-                    "or leave the run out",
-                )
-            )
-        return notes
+        far = self._list_far(culprit, accused, (drift, expected, inside), usual)
+        told = {note.column.removeprefix("reference of ") for note in notes}
+        if notes and all(self.outputs[k] in told for k in far):
+            return notes
+        return [self._tell_other(course, far, error / usual)] if far else notes
+
+    def _list_far(
+        self,
+        culprit: int,
+        accused: frozenset[int],
+        held: tuple[Array, Array, NDArray[np.bool_]],
+        usual: Array,
+    ) -> list[int]:
+        """Return the outputs that follow another law, if most of them do; else none."""
+        drift, expected, inside = held
+        error, own = _measure(drift - expected, inside), _measure(drift, inside)
+        if not np.isfinite(error).all():
+            return []
+        least = OTHER * np.maximum(self._measure_others(culprit, accused), 1.0) * usual
+        far = [k for k in range(error.size) if error[k] > max(least[k], OF_DRIFT * own[k])]
+        return far if 2 * len(far) > len(self.outputs) else []
+
+    def _tell_other(self, course: _Course, far: Sequence[int], times: Array) -> DataNote:
+        worst = max(far, key=lambda k: float(times[k]))
+        return self._note(
+            course,
+            self.outputs[worst],
+            "another_sensor",
+            f"a fit of the other runs leaves {times[worst]:.0f} times as much here as of them, "
+            "whatever unit, sign or column is tried: another sensor's log, or one with something "
+            "else wrong. Check where it comes from, or leave the run out",
+        )
+
+    def _measure_others(self, culprit: int, accused: frozenset[int]) -> Array:
+        """Return the largest misfit [K] of the other runs, each held against the rest."""
+        most = np.zeros(len(self.outputs))
+        for i, course in enumerate(self.courses):
+            if i == culprit or i in accused:
+                continue
+            fit = self.fit_without(accused | {culprit, i})
+            drift, expected, inside = self.hold(fit, course)
+            error = _measure(drift - expected, inside) / np.maximum(fit.left, 1e-300)
+            most = np.maximum(most, np.where(np.isfinite(error), error, 0.0))
+        return most
 
     def _note(self, course: _Course, column: str, kind: str, text: str) -> DataNote:
         return DataNote(course.run.group, column, (0, len(course.run) - 1), kind, text)
@@ -299,7 +377,6 @@ class Bench:
         """Return a note if another reading of the temperature makes the run right."""
         tried: dict[str, tuple[str, Callable[[Array], Array], str]] = {
             "fahrenheit": ("temperature", lambda t: (t - 32.0) / FAHRENHEIT, "degF, not degC"),
-            "celsius": ("temperature", lambda t: FAHRENHEIT * t + 32.0, "degC where others are F"),
             "kelvin": ("temperature", lambda t: t - KELVIN, "kelvin, not degC"),
         }
         for kind, (column, change, words) in tried.items():
@@ -310,13 +387,30 @@ class Bench:
                 course.measured,
                 course.reference,
             )
-            if self._is_right(fit, changed, error, wrong):
+            known = self._count_covering(changed) >= FEWEST_RUNS - 1
+            if known and self._is_right(fit, changed, error, wrong):
                 text = (
                     f"looks like {words}: read so, the run agrees with the others. State the "
                     "column's unit, or convert the log"
                 )
                 return self._note(course, column, kind, text)
+        for k, name in enumerate(self.outputs):
+            if not self._may_be(course, [c.measured[:, k] for c in self._list_others(course)]):
+                continue
+            measured = course.measured.copy()
+            measured[:, k] = course.temperature
+            changed = _Course(
+                course.run, course.measured[:, k], course.inputs, measured, course.reference
+            )
+            if self._is_right(fit, changed, error, wrong):
+                text = (
+                    f"temperature and {name} look swapped: exchanged, the run agrees with the "
+                    "others. Exchange the columns in the log"
+                )
+                return self._note(course, "temperature", "swapped", text)
         for name in sorted(course.inputs):
+            if not self._may_be(course, [c.inputs[name] for c in self._list_others(course)]):
+                continue
             inputs = {**course.inputs, name: course.temperature}
             changed = _Course(
                 course.run, course.inputs[name], inputs, course.measured, course.reference
@@ -329,6 +423,27 @@ class Bench:
                 return self._note(course, "temperature", "swapped", text)
         return None
 
+    def _list_others(self, course: _Course) -> list[_Course]:
+        return [c for c in self.courses if c.run.group != course.run.group]
+
+    def _may_be(self, course: _Course, others: Sequence[Array]) -> bool:
+        """Return whether a run's thermometer reads what a column reads in the other runs."""
+        low, high = min(float(x.min()) for x in others), max(float(x.max()) for x in others)
+        middle = float(np.median(course.temperature))
+        return low - (high - low) <= middle <= high + (high - low)
+
+    def _count_covering(self, course: _Course) -> int:
+        """Return how many other runs have been at a run's temperatures, as these are read now.
+
+        What one other run alone has seen is no law of the sensor.
+        """
+        count = 0
+        for other in self._list_others(course):
+            low, high = other.temperature.min(), other.temperature.max()
+            within = (course.temperature >= low) & (course.temperature <= high)
+            count += bool(within.mean() >= ENOUGH)
+        return count
+
     def _is_right(self, fit: _Fit, course: _Course, before: Array, wrong: Sequence[int]) -> bool:
         """Return whether a run agrees with the others as it is read now."""
         drift, expected, inside = self.hold(fit, course)
@@ -336,7 +451,10 @@ class Bench:
         if inside.mean() < (ENOUGH if np.isfinite(before).all() else SOME):
             return False
         now = _measure(drift - expected, inside)
-        usual = np.maximum(fit.left, OF_COURSE / ORDINARY * _measure(drift, inside))
+        own = _measure(drift, inside)
+        if not np.isfinite(before).all() and (now > EXPLAINED * own)[wrong].any():
+            return False  # a run at a temperature of its own, where the level alone would speak
+        usual = np.maximum(fit.left, OF_COURSE / ORDINARY * own)
         better = all(self._passes(now[k], before[k], usual[k]) for k in wrong)
         return better and bool((now <= 2.0 * ORDINARY * usual).all())
 
@@ -448,6 +566,10 @@ def find_load_columns(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataN
         likeness[:, ~moves[count:]] = 0.0
         for j in range(count):
             k = int(likeness[j].argmax())
+            load = run.reference[:, k] - run.reference[:, k].mean()
+            slope = float(measured[:, j] @ load) / max(float(load @ load), 1e-300)
+            if abs(slope - 1.0) > WRONG_SLOPE:
+                continue  # crosstalk, or an effect of the load; what reads it reads all of it
             if k != j and likeness[j, k] >= FOLLOWS and likeness[j, j] < 0.5 * likeness[j, k]:
                 found.setdefault(run.group, []).append((run, j, k))
     if len(runs) > 1 and 3 * len(found) > len(runs) + 1:
@@ -496,7 +618,7 @@ def find_load_gains(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNot
 
 def tell_gain(gain: float, what: str) -> tuple[str, str]:
     """Return kind and text for a column that is so many times what it should be."""
-    if gain < 0.0 and abs(gain + 1.0) <= WRONG_GAIN:
+    if gain < 0.0 and abs(np.log(-gain)) <= WRONG_SLOPE:
         return "sign", (
             f"{what} has the opposite sign in this run: reversed, it agrees with the others. "
             "Reverse it in the log"

@@ -19,6 +19,8 @@ SHARE_STANDING = 0.04
 """... as a share of the run, ..."""
 LONGER = 6.0
 """... and how many times longer than anything else in that column stands."""
+LEAVES = 8.0
+"""What stood still for a fault goes on elsewhere: so many usual steps away."""
 ARM = 20
 """Samples on either side of a jump through which straight lines are laid."""
 JUMP = 10.0
@@ -28,14 +30,17 @@ SHARPER = 2.5
 USUAL, UNUSUAL = 0.97, 4.0
 """Share of the rows near a signal's jumps that shows what is usual there, and how many times more a
 leap is."""
+BEYOND_OTHERS = 2.0
+"""... and this many times the sharpest change in any other run, whatever made that."""
 CAUSE = 4.0
 """A signal whose level jumps by this many times its spread may be why."""
 FEW_RUNS = 1 / 3
 """Where more of the runs jump, it is no fault of a log: an effect or a disturbance."""
 SAME_SIZE = 0.05
 """Jumps up and down whose sizes differ by less are those of a counter that wraps."""
-WRAPS = 0.3
-"""A wrap is at least this share of the column's range."""
+WRAPS, WHOLE_RANGE = 0.3, 0.8
+"""Jumps of this share of the column's range are looked at, and a wrap is this share of it: the
+rest is noise on both ends."""
 LARGE = 20.0
 """A wrap is this many times the output's usual step."""
 BEYOND_RAIL = 0.02
@@ -47,6 +52,7 @@ class _Stand:
     run: Run
     first: int
     last: int
+    value: float
 
     @property
     def length(self) -> int:
@@ -78,27 +84,57 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             for stand in _list_stands(run, x)
         ]
         stands.sort(key=lambda stand: -stand.length)
-        for i, stand in enumerate(stands[: max(1, round(FEW_RUNS * len(runs)))]):
-            next_one = next((s.length for s in stands[i + 1 :] if s.run is not stand.run), 1)
-            elsewhere = [s.length for s in stands if s.run is stand.run and s is not stand]
-            usual = max(next_one, max(elsewhere, default=1))
+        told = 0
+        for stand in stands:
+            # Stands of one run at one value are one fault.
+            others = [s for s in stands if s.run is not stand.run or s.value != stand.value]
+            usual = max((s.length for s in others), default=1)
             least = max(FEWEST_STANDING, SHARE_STANDING * len(stand.run))
             if stand.length < max(least, LONGER * usual):
                 break
-            kind = "frozen" if thermometer else "stuck"
-            what = "the thermometer" if thermometer else "the output"
-            notes.append(
-                DataNote(
-                    stand.run.group,
-                    name,
-                    (stand.first, stand.last),
-                    kind,
-                    f"{what} repeats one value {stand.length} times, elsewhere at most {usual} "
-                    "times: it stopped reporting. Leave these rows out ([logs] train takes "
-                    "file@from:to), or record the run again",
-                )
-            )
-    return notes
+            x = columns[[run is stand.run for run in runs].index(True)]
+            jumps = thermometer and _ends_in_jump(stand, x)
+            at_limit = stand.value in (x.max(), x.min()) and not jumps
+            told += not at_limit
+            if told > max(1, round(FEW_RUNS * len(runs))):
+                break
+            notes.append(_tell_stand(stand, name, thermometer, at_limit, usual))
+    return list({(note.run, note.column): note for note in reversed(notes)}.values())
+
+
+def _ends_in_jump(stand: _Stand, x: Array) -> bool:
+    """Return whether a column goes on elsewhere behind a stand, as it does not at a limit."""
+    if stand.last + 1 >= x.size:
+        return False
+    steps = np.abs(np.diff(x))
+    usual = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
+    return float(steps[stand.last]) > LEAVES * usual
+
+
+def _tell_stand(
+    stand: _Stand, name: str, thermometer: bool, at_limit: bool, usual: int
+) -> DataNote:
+    what = "the thermometer" if thermometer else "the output"
+    rows = (stand.first, stand.last)
+    if at_limit:
+        return DataNote(
+            stand.run.group,
+            name,
+            rows,
+            "saturated",
+            f"{what} stands at {stand.value:.6g}, the end of what it reads in this run, for "
+            f"{stand.length} rows, at other values at most for {usual}: it is cut off there. Look "
+            "at its range, and record the run again",
+        )
+    return DataNote(
+        stand.run.group,
+        name,
+        rows,
+        "frozen" if thermometer else "stuck",
+        f"{what} repeats one value {stand.length} times, elsewhere at most {usual} times: it "
+        "stopped reporting. Leave these rows out ([logs] train takes file@from:to), or record the "
+        "run again",
+    )
 
 
 def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
@@ -120,6 +156,8 @@ def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             )
             # A few samples on a short plateau of the load are alike by chance; an output that is
             # cut off stands still while its load moves, or for long.
+            if rows[0] == 0 and rows[-1] == rows.size - 1:
+                continue  # at rest before the run begins
             load = run.reference[:, k]
             at_rest = float(np.ptp(load)) > 0.0 and float(np.ptp(load[rows])) <= margin
             if passed and not (at_rest and rows.size < FEWEST_VISITS):
@@ -150,10 +188,13 @@ def find_leaps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             leaps = list_leaps(run, k)
             if leaps:
                 found.append((run, leaps))
-        if len({run.group for run, _ in found}) > max(1, FEW_RUNS * len(runs)):
-            continue
+        if len({run.group for run, _ in found}) > 1:
+            continue  # what several runs show is the sensor's
         for run, leaps in found:
-            notes.append(_tell_leaps(run, name, leaps))
+            largest = max(abs(size) for _, size in leaps)
+            others = [measure_sharpest(other, k) for other in runs if other.group != run.group]
+            if largest > BEYOND_OTHERS * max(others, default=0.0):
+                notes.append(_tell_leaps(run, name, leaps))
     return notes
 
 
@@ -174,6 +215,10 @@ def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
     # Spikes go up and down too, each by its own size, and are back in the next row.
     lasting = (np.diff(rows) > 2).any()
     if alike.mean() < 0.9 or not both_ways or not lasting:
+        return None
+    # All of a counter's readings lie within what it wraps by; a load, or what follows it, moves
+    # an output by less than its range.
+    if size < WHOLE_RANGE * float(np.ptp(run.measured[:, k])):
         return None
     return DataNote(
         run.group,
@@ -232,6 +277,15 @@ def list_leaps(run: Run, k: int) -> list[tuple[int, float]]:
     return sorted(leaps)
 
 
+def measure_sharpest(run: Run, k: int) -> float:
+    """Return the largest change of an output's drift at one row."""
+    if len(run) < 6 * ARM:
+        return 0.0
+    x = run.steady_drift[:, k]
+    gap, steps = np.abs(_measure_gap(x)), np.abs(np.diff(x, prepend=x[0]))
+    return float(gap[steps >= 0.5 * gap].max(initial=0.0))
+
+
 def _has_cause(run: Run, row: int) -> bool:
     """Return whether a logged signal changes its level here too."""
     for signal in (*run.reference.T, *run.inputs.values(), run.temperature_degC):
@@ -273,4 +327,7 @@ def _list_stands(run: Run, x: Array) -> list[_Stand]:
     starts = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0.0) + 1])
     lengths = np.diff(np.concatenate([starts, [x.size]]))
     longest = np.argsort(-lengths, kind="stable")[:3]
-    return [_Stand(run, int(starts[i]), int(starts[i] + lengths[i] - 1)) for i in longest]
+    return [
+        _Stand(run, int(starts[i]), int(starts[i] + lengths[i] - 1), float(x[starts[i]]))
+        for i in longest
+    ]

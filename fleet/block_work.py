@@ -35,7 +35,7 @@ from zerodrift.fleet.result import (
 )
 from zerodrift.fleet.sensors import configure_sensor
 from zerodrift.fleet.spool import Spooled, unspool
-from zerodrift.fleet.work import MODEL, PARAMETERS, describe_sensor
+from zerodrift.fleet.work import MODEL, PARAMETERS, describe_sensor, refuse_unit_data
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.gate import judge_firmware
@@ -136,6 +136,8 @@ def _try(run: BlockRun, host: HostModel, sensor: str, catalogue: Catalogue) -> S
     place = design.place(unit.config, unit.sensor)
     described = describe_compensator(unit.compensator, place, kept.dataset.train)
     verdict, replay = judge_firmware(described, host, kept.dataset, judge)
+    against = refuse_unit_data(design, unit.config, kept.dataset)
+    verdict = replace(verdict, refused=(*against, *verdict.refused))
     refused = tuple(statement.text for statement in verdict.refused)
     is_written = verdict.passes or design.force
     tried = replace(

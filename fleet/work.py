@@ -20,6 +20,7 @@ from zerodrift.c_runtime.host_batch import build_host_batch
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.referee import explain_refusals, find_refusals
 from zerodrift.export.compose import compose_quantized, describe_compensator
 from zerodrift.export.error_bound import ErrorBound, bound_errors
 from zerodrift.export.fine_tune import load_or_tune
@@ -46,6 +47,7 @@ from zerodrift.verify.gate import GateVerdict, judge_firmware
 from zerodrift.verify.left_out import LeftOut, choose_judge, leave_out_together, takes_epochs
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import write_manifest
+from zerodrift.verify.summary import Statement, state_notes
 from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
 from zerodrift.verify.uncertainty import measure_firmware
 
@@ -67,6 +69,8 @@ class _Job:
     code: GeneratedCode | None = None
     left_out: LeftOut | None = None
     notes: list[str] = field(default_factory=list)
+    against: tuple[Statement, ...] = ()
+    """What was found against its logs, and overridden."""
 
 
 def work_on(design: Design, sensors: Sequence[str]) -> list[SensorOutcome]:
@@ -97,7 +101,20 @@ def _open(design: Design, sensor: str) -> _Job:
     config = configure_sensor(design.config, sensor)
     dataset = load_dataset(config, design.skip_invalid)
     notes = [design.tell(note) for note in dataset.notes]
-    return _Job(sensor, config, design.mark_sensor(config), dataset, notes=notes)
+    against = refuse_unit_data(design, config, dataset)
+    return _Job(sensor, config, design.mark_sensor(config), dataset, notes=notes, against=against)
+
+
+def refuse_unit_data(design: Design, config: Config, dataset: Dataset) -> tuple[Statement, ...]:
+    """Return what was found against a unit's logs, if that is overridden.
+
+    Raises:
+        CheckError: wrong data are found, and nothing takes them on.
+    """
+    found = find_refusals(config, dataset, one_of_many=True)
+    if found and not design.force:
+        raise CheckError(explain_refusals(found, config))
+    return state_notes(found)
 
 
 def _train(
@@ -209,6 +226,7 @@ def _finish(
         _leave_out(design, job, compensator)
         judge = choose_judge(job.left_out, job.dataset)
         verdict, replay = judge_firmware(job.described, host, job.dataset, judge)
+        verdict = replace(verdict, refused=(*job.against, *verdict.refused))
         if verdict.refused and design.force:
             certificate = _mark_forced(job, [s.text for s in verdict.refused], scratch)
     figures = assess(job.trained, job.dataset, replay)

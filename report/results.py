@@ -38,6 +38,7 @@ from zerodrift.verify.summary import (
     CertificateSummary,
     ChipError,
     FirmwareSummary,
+    LogsRefused,
     StatedUncertainty,
     Statement,
     VerifySummary,
@@ -609,6 +610,7 @@ RESULTS: tuple[type, ...] = (
     *(AddResult, ApplyResult, CalibrateResult, CertificateResult, CompareResult, DiagnoseResult),
     *(DiffResult, DoctorResult),
     *(EffectResult, EffectsResult, ExportResult, FirmwareSummary, HistoryResult),
+    LogsRefused,
     *(FleetDiagnosis, FleetSummary),
     *(
         InitResult,

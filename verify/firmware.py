@@ -60,6 +60,7 @@ from zerodrift.verify.gate import GateVerdict, judge_firmware
 from zerodrift.verify.left_out import LeftOut
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import write_manifest
+from zerodrift.verify.summary import Statement
 from zerodrift.verify.vectors import draw_golden, draw_sequences
 
 Progress = Callable[[str], None]
@@ -117,6 +118,7 @@ def build_firmware(
     *,
     left_out: LeftOut | None = None,
     network: tuple[Path, ...] = (),
+    against: tuple[Statement, ...] = (),
     force: bool = False,
     editions: Mapping[str, tuple[Edition, ...]] | None = None,
 ) -> Firmware:
@@ -130,6 +132,7 @@ def build_firmware(
         progress: called with a description of each stage of the work.
         left_out: without test runs, predictions for runs by models that did not learn from them.
         network: the ONNX file that the network comes from.
+        against: what was found against the logs, before the gate is asked.
         force: write what the gate refuses, and mark the C with it.
         editions: serial number -> blocks of that unit so far; a sequence follows from them.
 
@@ -151,6 +154,7 @@ def build_firmware(
         progress("measuring errors and sizes")
         runs = dataset.test or dataset.train
         gate, replay = judge_firmware(described, check.host, dataset, left_out)
+        gate = replace(gate, refused=(*against, *gate.refused))
         forced = tuple(statement.text for statement in gate.refused) if force else ()
         if forced:
             model, code = _mark_forced(model, code, "\n".join(forced))

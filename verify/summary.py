@@ -1,11 +1,12 @@
 """What `firmware` prints and keeps in build/firmware.json, for whoever shows it later."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 from zerodrift.base.records import OPTIONAL
 from zerodrift.base.shown import Shown
+from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.verify.header_finding import HeaderFinding
 from zerodrift.verify.manifest import ManifestFinding, NotChecked
 
@@ -113,11 +114,41 @@ class Statement:
 
     kind: str
     """worse_than_none | worse_than_constant | worse_than_line | worse_than_physics |
-    worse_than_float | worse_beyond_range | tare_decides for a refusal;
+    worse_than_float | worse_beyond_range | tare_decides, or a kind of wrong data, for a refusal;
     out_of_range | not_shown_better | not_judged | tare_decides for a warning."""
     output: str = field(default="", metadata=OPTIONAL)
     """The output it is about; "" where it is about runs."""
+    run: str = field(default="", metadata=OPTIONAL)
+    """Of wrong data: the run, ..."""
+    column: str = field(default="", metadata=OPTIONAL)
+    """... its column, ..."""
+    rows: tuple[int, int] | None = field(default=None, metadata=OPTIONAL)
+    """... and the first and last sample, from 0."""
     text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogsRefused:
+    """What `train` and `firmware` print of logs that they refuse, before anything is fitted."""
+
+    SCHEMA: ClassVar = "logs-refused/1"
+
+    written: bool = False
+    refused: tuple[Statement, ...]
+
+
+def state_notes(notes: Sequence[DataNote]) -> tuple[Statement, ...]:
+    """Return notes on wrong data as reasons against a firmware."""
+    return tuple(
+        Statement(
+            kind=note.kind,
+            run=note.run,
+            column=note.column,
+            rows=note.rows,
+            text=f"run {note.run}, column {note.column}: {note.text}",
+        )
+        for note in notes
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,7 +286,7 @@ class Refusal:
     """Why the gate refused the last firmware, which was not written."""
 
     model_hash: str
-    """Of the refused model."""
+    """Of the refused model; empty where the logs were refused, and nothing was fitted."""
     refused: tuple[Statement, ...]
 
 

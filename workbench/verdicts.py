@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dash import html
 from dash.development.base_component import Component
 
-from zerodrift.diagnosis.data_notes import LIMITS
 from zerodrift.diagnosis.diagnosis import CandidateReport
 from zerodrift.diagnosis.explained import DETAIL, ExplainedDiagnosis
 from zerodrift.diagnosis.strength import WEAK, rate_strength
@@ -47,7 +46,7 @@ def show_verdict(
         html.P(label, className="kicker"),
         html.P(headline.sentence, className="sentence", id="verdict-sentence"),
     ]
-    wrong = [note for note in findings.reviewed if note.kind not in LIMITS]
+    wrong = [note for note in findings.reviewed if note.stops]
     parts += [html.P(f"{note.write()}.", className="wrong") for note in wrong[:MOST_WRONG]]
     sentences = explained.sentences if explained else ()
     notes = [html.P(s.text, className="note") for s in sentences if s.role == DETAIL]

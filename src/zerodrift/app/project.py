@@ -369,14 +369,21 @@ class Project:
 
         return with_picture(HistoryResult(tuple(step.summarise() for step in steps)), draw)
 
-    def train(self) -> TrainResult:
+    def train(self, *, force: bool = False) -> TrainResult:
         """Fit the effects, then train the network on the rest; checkpoints go to build/.
+
+        Args:
+            force: train on logs in which wrong data are found.
+
+        Raises:
+            CheckError: wrong data are found in the logs.
 
         Example:
             >>> trained = project.train()
             >>> list(trained.outputs)
             ['Fz']
         """
+        from zerodrift.app.commands.project import refuse_wrong_data
         from zerodrift.diagnosis.advice import advise
         from zerodrift.train.progress import show_progress as show_training
         from zerodrift.train.summary import summarise_training
@@ -384,6 +391,7 @@ class Project:
         from zerodrift.verify.network_choice import train_or_choose
 
         self._refuse_moved()
+        refuse_wrong_data(self.config, self.dataset, force=force)
         with hold_project(self.directory), show_training("training") as report:
             chosen = train_or_choose(self.config, self.dataset, report=report)
             trained = chosen.trained
@@ -406,11 +414,12 @@ class Project:
         """Train if needed, quantize, generate C, check it bit for bit, and write it.
 
         Args:
-            force: write it even if the gate refuses it; header and manifest then say so.
+            force: write it even if logs or gate refuse it; header and manifest then say so.
             uncertainty: also fit, or train, without some of the runs, to find the uncertainty.
 
         Raises:
-            CheckError: the gate refuses the firmware, or a bit differs; nothing was written.
+            CheckError: wrong data are found in the logs, the gate refuses the firmware, or a bit
+                differs; nothing was written.
 
         Example:
             >>> firmware = built.firmware()
@@ -420,17 +429,24 @@ class Project:
         from rich.console import Console
 
         from zerodrift.app.commands.firmware import make_firmware
-        from zerodrift.app.commands.project import refuse_shared_program, train_project
+        from zerodrift.app.commands.project import (
+            refuse_shared_program,
+            refuse_wrong_data,
+            train_project,
+        )
         from zerodrift.app.runs_left_out import leave_runs_out
         from zerodrift.export.compose import describe_compensator
 
         self._refuse_moved()
         refuse_shared_program(self.directory, self.sensor)
+        against = refuse_wrong_data(self.config, self.dataset, force=force, keep=True)
         with hold_project(self.directory):
             compensator = train_project(self.config, self.dataset, Console(file=io.StringIO()))
             described = describe_compensator(compensator, self.config, self.dataset.train)
             left = leave_runs_out(self.config, self.dataset, compensator, wanted=uncertainty)
-            firmware, told = make_firmware(self.config, self.dataset, described, left, force=force)
+            firmware, told = make_firmware(
+                self.config, self.dataset, described, left, force=force, against=against
+            )
         if not firmware.files:
             raise CheckError(f"{firmware.gate.explain()}\nNothing was written.")
         return told

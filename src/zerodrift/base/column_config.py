@@ -23,7 +23,7 @@ RAW_CODES = {
 }
 """`raw` -> lowest and highest code of the type."""
 RAW_BITS = {"uint16": 16, "int16": 16, "int32": 32}
-COLUMN_KEYS = ("column", "raw", "lsb", "range", "no_reading", "log_is")
+COLUMN_KEYS = ("column", "raw", "lsb", "range", "no_reading", "log_is", "missing")
 RAIL_SHARE = 1024
 """A divider's converter within this part of its counts of either end stands at a rail: its sensor
 is open or shorted. At least one code does."""
@@ -205,7 +205,7 @@ def read_quantity(table: TomlTable, key: str, unit: str) -> tuple[str, Conversio
     """
     if not isinstance(table.values.get(key), dict):
         return table.text(key), None
-    inner = table.table(key, ("column", *CONVERSION_KEYS))
+    inner = table.table(key, ("column", "missing", *CONVERSION_KEYS))
     by = read_conversion(inner)
     return inner.text("column"), None if by is None else bring_to_unit(by, unit, inner)
 

@@ -23,6 +23,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.base.experiment_config import ExperimentConfig, read_experiment
 from zerodrift.base.files import name_kind
 from zerodrift.base.fleet_config import PLACEHOLDER, FleetConfig, read_fleet
+from zerodrift.base.missing_config import MissingConfig, read_column_missing, read_missing
 from zerodrift.base.step_config import STEP_KEYS, read_step, refuse_equal_steps
 from zerodrift.base.toml_lines import find_line, index_lines
 from zerodrift.base.toml_table import LARGEST, TomlTable
@@ -33,7 +34,11 @@ FOLDER = "firmware"
 USES = TRAIN, TEST, DWELL = ("train", "test", "dwell")
 """What `[logs]` selects runs for."""
 AUTO = "auto"
-LOG_KEYS = ("train", "test", "dwell", "where", "period_s", "offset_s", "time", "common", "tared")
+LOG_KEYS = (
+    *("train", "test", "dwell", "where", "period_s", "offset_s", "time", "common", "tared"),
+    *("accept", "missing"),
+)
+OUTPUT_KEYS = ("measured", "reference", "unit", "full_scale")
 FORMATS = (1, 2)
 """Of zerodrift.toml: 1, which need not be stated, leaves codes of inputs to each unit's logs."""
 DATA_TABLES = ("sensor", "outputs", "inputs", "logs")
@@ -139,6 +144,10 @@ class Config:
     plugin_files: tuple[Path, ...]
     where: Mapping[str, str] = field(default_factory=dict)
     """`[logs] where`: column -> the value that a row must have there to be read."""
+    accept: tuple[str, ...] = ()
+    """`[logs] accept`: notes on wrong data that the user takes on, each "RUN: KIND"."""
+    missing: MissingConfig = field(default_factory=MissingConfig)
+    """Values that mean that there is none: of all columns, and of single ones."""
     tared: bool | None = None
     """`[logs] tared`: whether each run is zeroed by itself; None ("auto"): decided from the
     logs."""
@@ -287,6 +296,8 @@ def parse_config(text: str, path: Path) -> Config:
         block=read_block_config(firmware),
         plugin_files=_read_plugins(root),
         where=_read_where(logs),
+        accept=_read_accepted(logs),
+        missing=_read_all_missing(root, logs),
         tared=_read_tared(logs),
         fleet=read_fleet(
             root.table("fleet", None, optional=True), tuple(output.name for output in outputs)
@@ -370,7 +381,7 @@ def _read_outputs(
     outputs = []
     conversions: list[tuple[TomlTable, str, str, ConversionConfig | None]] = []
     for name in tables.values:
-        table = tables.table(name, ("measured", "reference", "unit", "full_scale"))
+        table = tables.table(name, OUTPUT_KEYS)
         unit = table.text("unit")
         measured, by = read_quantity(table, "measured", unit)
         conversions.append((table, "measured", measured, by))
@@ -502,6 +513,35 @@ def _read_where(logs: TomlTable) -> dict[str, str]:
         if isinstance(value, bool) or not isinstance(value, str | int):
             raise table.expect(column, "text in quotes or a whole number")
     return {column: str(value) for column, value in table.values.items()}
+
+
+def _read_accepted(table: TomlTable) -> tuple[str, ...]:
+    """Read `[logs] accept`: the notes on wrong data, "RUN: KIND", that the user takes on."""
+    if table.values.get("accept") == []:
+        return ()
+    entries = table.texts("accept", optional=True)
+    for entry in entries:
+        run, colon, kind = entry.rpartition(":")
+        if not (colon and run.strip() and kind.strip()):
+            raise table.error(
+                "accept",
+                f"{table.label('accept')} holds '{entry}'; expected \"RUN: KIND\", such as "
+                '"train_3: gain". `zerodrift compare` prints both of every note.',
+            )
+    return entries
+
+
+def _read_all_missing(root: TomlTable, logs: TomlTable) -> MissingConfig:
+    """Read `missing` of [logs] and of the columns' tables."""
+    sensor, inputs = root.table("sensor", None), root.table("inputs", None, optional=True)
+    places = [(sensor, "temperature"), *((inputs, name) for name in inputs.values)]
+    outputs = root.table("outputs", None)
+    for name in outputs.values:
+        places += [(outputs.table(name, None), key) for key in ("measured", "reference")]
+    columns: dict[str, tuple[float | str, ...]] = {}
+    for table, key in places:
+        columns |= read_column_missing(table, key)
+    return MissingConfig(read_missing(logs), columns)
 
 
 def _read_tared(logs: TomlTable) -> bool | None:

@@ -41,6 +41,7 @@ from zerodrift.verify.summary import (
     Refusal,
     StackSummary,
     StageErrors,
+    Statement,
     TimeShare,
 )
 
@@ -106,6 +107,9 @@ def command(
     flash, RAM and stack. Nothing is written unless every compared bit is equal and every bound of
     the certificate is derived again from the C.
 
+    Logs that hold wrong data stop it before anything is fitted: exit code 1, with run, column, rows
+    and the line of zerodrift.toml that accepts them ([logs] accept).
+
     Nor is it where the chip is worse on held-out runs than no compensation, than a constant, a line
     in temperature or the physical model alone, or than the float model by more than rounding
     explains: exit code 1, unless --force.
@@ -115,7 +119,12 @@ def command(
     """
     from rich.console import Console
 
-    from zerodrift.app.commands.project import open_project, refuse_shared_program, train_project
+    from zerodrift.app.commands.project import (
+        open_project,
+        refuse_shared_program,
+        refuse_wrong_data,
+        train_project,
+    )
     from zerodrift.export.compose import describe_compensator
 
     refuse_shared_program(directory, sensor)
@@ -124,16 +133,20 @@ def command(
     if request:
         config, dataset, described, notes = open_import(request, directory, skip_invalid, sensor)
         print_notes((*dataset.notes, *notes))
+        against = refuse_wrong_data(config, dataset, force=force, as_json=as_json, keep=True)
     else:
         with show_progress("reading logs"):
             config, dataset = open_project(directory, skip_invalid, sensor)
         print_notes(dataset.notes)
+        against = refuse_wrong_data(config, dataset, force=force, as_json=as_json, keep=True)
         compensator = train_project(config, dataset, console)
         described = describe_compensator(compensator, config, dataset.train)
         left = leave_runs_out(config, dataset, compensator, wanted=uncertainty)
     print_notes((left.why,) if left.why else ())
     network = (request.path.absolute(),) if request and request.path else ()
-    firmware, result = make_firmware(config, dataset, described, left, force=force, network=network)
+    firmware, result = make_firmware(
+        config, dataset, described, left, force=force, network=network, against=against
+    )
     written = bool(firmware.files)
     if as_json:
         print_result(result)
@@ -155,6 +168,7 @@ def make_firmware(
     *,
     force: bool = False,
     network: tuple[Path, ...] = (),
+    against: tuple[Statement, ...] = (),
 ) -> "tuple[Firmware, FirmwareSummary]":
     """Build a float model's firmware and write it if the gate accepts it.
 
@@ -165,6 +179,7 @@ def make_firmware(
         left: predictions for training runs by models that did not learn from them.
         force: write the firmware even if the gate refuses it.
         network: the ONNX file that the network comes from.
+        against: what was found against the logs, before anything was fitted.
     """
     from zerodrift.blocks.files import BLOCK
     from zerodrift.field.editions import find_editions
@@ -181,6 +196,7 @@ def make_firmware(
                 force=force,
                 network=network,
                 editions=find_editions(config.directory, (config.firmware_out / f"{BLOCK}.bin",)),
+                against=against,
             )
         result = summarise(firmware, config.directory)
         keep(result, config)

@@ -5,8 +5,11 @@ from typing import TYPE_CHECKING
 
 from zerodrift.app.trust import remember
 from zerodrift.base.config import Config, load_config
-from zerodrift.base.errors import InputError
+from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.fleet_config import PLACEHOLDER
+from zerodrift.base.journal import write_all
+from zerodrift.base.records import to_dict
+from zerodrift.base.sealed import render_sealed
 from zerodrift.dataset.runs import Dataset
 
 if TYPE_CHECKING:
@@ -14,6 +17,7 @@ if TYPE_CHECKING:
 
     from zerodrift.train.compensator import Compensator
     from zerodrift.train.summary import NetworkChoice
+    from zerodrift.verify.summary import Statement
 
 
 def open_config(directory: Path, sensor: str | None = None) -> Config:
@@ -80,6 +84,46 @@ def tell_design(config: Config, sensor: str | None) -> tuple[str, ...]:
     return (
         f"{config.path.name} is the design of all units; this change was judged on {sensor} alone,"
         " and `zerodrift fleet` fits the others anew",
+    )
+
+
+def refuse_wrong_data(
+    config: Config,
+    dataset: Dataset,
+    *,
+    force: bool = False,
+    as_json: bool = False,
+    keep: bool = False,
+) -> "tuple[Statement, ...]":
+    """Stop at wrong data, before anything is fitted; with `force`, return what was found.
+
+    Args:
+        config: the project.
+        dataset: its logs.
+        force: go on all the same.
+        as_json: print what stops it as JSON too.
+        keep: keep what stops a firmware in build/, for the report.
+
+    Raises:
+        CheckError: the logs are wrong, and zerodrift.toml does not accept it.
+        InputError: `[logs] accept` names what is not there.
+    """
+    from zerodrift.app.commands.common import print_result
+    from zerodrift.diagnosis.referee import explain_refusals, find_refusals
+    from zerodrift.verify.summary import REFUSED, LogsRefused, Refusal, state_notes
+
+    notes = find_refusals(config, dataset, one_of_many=is_fleet(config))
+    refused = state_notes(notes)
+    if not notes or force:
+        return refused
+    if keep:
+        refusal = render_sealed(to_dict(Refusal(model_hash="", refused=refused)))
+        write_all(config.directory, {config.build_directory / REFUSED: refusal})
+    if as_json:
+        print_result(LogsRefused(refused=refused))
+    raise CheckError(
+        f"{explain_refusals(notes, config)}\nNothing was written. `--force` goes on all the same, "
+        "and header and manifest say so."
     )
 
 

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     default=True,
     help="Take up an interrupted training (default), or begin again.",
 )
+@click.option("--force", is_flag=True, help="Train on logs in which wrong data are found.")
 @changes_project
 def command(
     directory: Path,
@@ -44,15 +45,16 @@ def command(
     epochs: int | None,
     starts: int | None,
     resume: bool,
+    force: bool,
 ) -> None:
     """Fit the effects of zerodrift.toml, then train the network on what they leave.
 
     Writes build/compensator.json and build/network.onnx; of a unit of a fleet, those in
     build/fleet/NAME/. An interrupted training is taken up again by the next call, with the same
-    result to the bit.
+    result to the bit. Logs that hold wrong data stop it before anything is fitted: exit code 1.
     """
     from zerodrift.app.commands.console import open_console, print_advice
-    from zerodrift.app.commands.project import open_project, print_choice
+    from zerodrift.app.commands.project import open_project, print_choice, refuse_wrong_data
     from zerodrift.diagnosis.advice import advise
     from zerodrift.report.results import TrainResult
     from zerodrift.train.progress import show_progress
@@ -61,6 +63,7 @@ def command(
     from zerodrift.verify.network_choice import train_or_choose
 
     config, dataset = open_project(directory, skip_invalid, sensor)
+    refuse_wrong_data(config, dataset, force=force, as_json=as_json)
     with show_progress("training") as report:
         chosen = train_or_choose(
             config, dataset, epochs=epochs, starts=starts, resume=resume, report=report

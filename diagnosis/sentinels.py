@@ -1,0 +1,193 @@
+"""Values that stand for none: one value far off that recurs exactly, and rows that spike.
+
+A recorder that has no reading writes one fixed value: -127 (DS18B20, no answer), 85 (DS18B20 after
+power-on), -200, 9999. Noise never meets one value again far from its neighbours, so no list of such
+values is needed.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zerodrift.dataset.runs import Run
+from zerodrift.diagnosis.data_notes import DataNote
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RECURS = 3
+"""Rows with the value, at least: two single rows may be the two ends of one disturbance."""
+VISITS = 5
+"""Times that an input or a load must be there and back, as both are switched."""
+FAR = 4.0
+"""How many times further from its neighbours, and from all other values, than other neighbours are
+from each other, ..."""
+ORDINARY, MOST_EDGES = 0.995, 0.9
+"""... but for the few steps of a load, and of the few places where the column was near the value
+anyway."""
+ALONE = 0.5
+"""Share of a jump that a load beside it does not make too."""
+OFTENER = 5.0
+"""Times that a value among others is met more often than any of these."""
+MOST_VALUES = 4
+"""Different values for none in one column."""
+LEAST_OTHERS = 0.3
+"""Share of the rows that must hold other values."""
+DISTINCT = 8
+"""Fewer different values among the others are the codes of a coarse converter."""
+WILD = 0.02
+"""Share of a run's rows from which spikes are told: fits and verdicts are tested with as many
+(`benchmarks.evidence`, the condition outliers_2), ..."""
+TIMES = 5.0
+"""... where it is this many times the median share of the other runs; ..."""
+HIGH = 20.0
+"""... of single rows that stand out of both neighbours by so many usual steps, and by what the
+output drifts in nine tenths of the run: fewer and smaller ones hardly count in a fit."""
+HEIGHT_K, STEPS = 5.0, 30.0
+"""A thermometer, which has a heat capacity, does not go there and back within a row by so many
+kelvin and usual steps."""
+FEWEST_SPIKES = 3
+
+
+def find_sentinels(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
+    """Return notes on columns in which one value far off recurs exactly."""
+    notes = []
+    for run in runs:
+        columns: dict[str, tuple[Array, Array | None]] = {
+            "temperature": (run.temperature_degC, None),
+            **{name: (run.inputs[name], None) for name in sorted(run.inputs) if name != "clock"},
+        }
+        for k, name in enumerate(outputs):
+            columns[name] = (run.measured[:, k], run.reference[:, k])
+            columns[f"reference of {name}"] = (run.reference[:, k], run.measured[:, k])
+        for name, (x, beside) in columns.items():
+            is_switched = name in run.inputs or name.startswith("reference of ")
+            visits = VISITS if is_switched else 1
+            note = _tell(run, name, list_sentinels(x, beside, visits))
+            notes += [note] if note is not None else []
+    return notes
+
+
+def list_sentinels(
+    x: Array, beside: Array | None = None, visits: int = 1
+) -> list[tuple[float, Mask]]:
+    """Return (value, rows [n]) of each value that stands for none in a column [n].
+
+    Args:
+        x: the column.
+        beside: what it follows, a load and what is measured of it; None: nothing.
+        visits: how many times it must be there at least.
+    """
+    found: list[tuple[float, Mask]] = []
+    kept = np.ones(x.size, dtype=np.bool_)
+    for _ in range(MOST_VALUES):
+        for end in _list_candidates(x[kept]):
+            rows = kept & (x == end)
+            starts = int(rows[0]) + int(np.count_nonzero(rows[1:] & ~rows[:-1]))
+            if starts >= visits and _is_sentinel(x, beside, rows, kept & ~rows):
+                found.append((float(end), rows))
+                kept &= ~rows
+                break
+        else:
+            break
+    return found
+
+
+def _list_candidates(x: Array) -> list[float]:
+    """Return the values that may stand for none: both ends, and one that is met most often."""
+    values, counts = np.unique(x, return_counts=True)
+    candidates = [float(values[-1]), float(values[0])]
+    order = np.argsort(-counts, kind="stable")[:2]
+    if order.size == 2 and counts[order[0]] >= OFTENER * counts[order[1]]:
+        candidates.append(float(values[order[0]]))
+    return candidates
+
+
+def _is_sentinel(x: Array, beside: Array | None, rows: Mask, others: Mask) -> bool:
+    """Return whether some rows [n], all of one value, jump away from all others and back."""
+    count = int(rows.sum())
+    if count < RECURS or int(others.sum()) < max(LEAST_OTHERS * x.size, 2 * DISTINCT):
+        return False
+    kept = np.flatnonzero(others)
+    level = x if beside is None else x - beside
+    usual = np.abs(np.diff(level[kept]))
+    if np.unique(x[kept]).size < DISTINCT:
+        return False
+    edges = np.flatnonzero(rows[1:] != rows[:-1])
+    edges = edges[(rows | others)[edges] & (rows | others)[edges + 1]]
+    if edges.size == 0:
+        return False
+    across, apart_from = np.abs(np.diff(x))[edges], np.abs(np.diff(level))[edges]
+    if float(np.median(apart_from / np.maximum(across, 1e-300))) < ALONE:
+        return False
+    jumps = np.minimum(across, apart_from)
+    ordinary = float(np.quantile(usual, ORDINARY))
+    value = float(x[rows][0])
+    apart = float(np.abs(x[kept] - value).min())
+    among = float(x[kept].min()) < value < float(x[kept].max())
+    return bool(
+        np.quantile(jumps, 1.0 - MOST_EDGES, method="lower") > FAR * ordinary
+        and (among or apart > FAR * ordinary)
+    )
+
+
+def _tell(run: Run, name: str, found: Sequence[tuple[float, Mask]]) -> DataNote | None:
+    if not found:
+        return None
+    every = np.flatnonzero(np.logical_or.reduce([rows for _, rows in found]))
+    values = ", ".join(f"{value:.6g} in {int(rows.sum())}" for value, rows in found)
+    stated = ", ".join(f"{value:.6g}" for value, _ in found)
+    return DataNote(
+        run.group,
+        name,
+        (int(every[0]), int(every[-1])),
+        "sentinel",
+        f"holds {values} of {len(run)} rows, far off from all others and exactly the same: the "
+        f"recorder had no reading there. State it: [logs] missing = [{stated}]",
+    )
+
+
+def find_spikes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
+    """Return notes on runs with far more rows that spike than the other runs have."""
+    notes = []
+    for run in runs:
+        usual = float(np.median(np.abs(np.diff(run.temperature_degC))))
+        rows = _list_peaks(run.temperature_degC, max(HEIGHT_K, STEPS * usual))
+        if rows.size >= FEWEST_SPIKES:
+            notes.append(_tell_spikes(run, "temperature", rows))
+    for k, name in enumerate(outputs):
+        found = [_list_drift_peaks(run.drift[:, k]) for run in runs]
+        shares = [rows.size / len(run) for rows, run in zip(found, runs, strict=True)]
+        for i, run in enumerate(runs):
+            others = [shares[j] for j, r in enumerate(runs) if r.group != run.group]
+            usual = float(np.median(others)) if others else 0.0
+            if shares[i] > max(WILD, TIMES * usual):
+                notes.append(_tell_spikes(run, name, found[i]))
+    return notes
+
+
+def _list_drift_peaks(drift: Array) -> NDArray[np.intp]:
+    low, high = np.quantile(drift, [0.05, 0.95])
+    usual = float(np.median(np.abs(np.diff(drift))))
+    return _list_peaks(drift, max(HIGH * usual, float(high - low)))
+
+
+def _list_peaks(x: Array, least: float) -> NDArray[np.intp]:
+    """Return the rows that stand out of both neighbours by more than `least`, which is not 0."""
+    steps = np.diff(x)
+    up, down = steps[:-1], -steps[1:]
+    height = np.minimum(np.abs(up), np.abs(down))
+    return np.flatnonzero((up * down > 0.0) & (height > max(least, 1e-300))) + 1
+
+
+def _tell_spikes(run: Run, name: str, rows: NDArray[np.intp]) -> DataNote:
+    return DataNote(
+        run.group,
+        name,
+        (int(rows[0]), int(rows[-1])),
+        "spikes",
+        f"{rows.size} of {len(run)} rows are far off from the rows before and behind, with no "
+        "cause in the logs: spikes of the recorder. Leave them out ([logs] missing, or the rows), "
+        "or record the run again",
+    )

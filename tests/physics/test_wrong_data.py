@@ -1,0 +1,161 @@
+"""Kinds of wrong data beyond those of one column's unit: told with run, column and kind."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.physics.conftest import SLOPE, follow, make_dataset
+
+from zerodrift.diagnosis.breaks import find_gain_change
+from zerodrift.diagnosis.data_notes import INFORMS, KINDS
+from zerodrift.diagnosis.leaks import find_leaks
+from zerodrift.diagnosis.referee import review
+from zerodrift.diagnosis.sentinels import list_sentinels
+
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "wrong-data.md"
+
+
+def drifting(bench):
+    return (follow(bench.temperature, 90.0) - 25.0)[:, None] * SLOPE
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """Runs whose thermometer has a heat capacity."""
+    dataset = make_dataset(drifting, runs=7, length=600)
+    rng = np.random.default_rng(8)
+
+    def soften(run):
+        slow = follow(run.temperature_degC, 60.0) + 0.004 * rng.standard_normal(len(run))
+        return replace(run, temperature_degC=slow)
+
+    return replace(dataset, train=tuple(soften(run) for run in dataset.train))
+
+
+def change_output(run, change):
+    measured = run.measured.copy()
+    measured[:, 0] = change(measured[:, 0])
+    return replace(run, measured=measured)
+
+
+def change_reference(run, change):
+    reference = run.reference.copy()
+    reference[:, 0] = change(reference[:, 0])
+    return replace(run, reference=reference)
+
+
+def warm(run, change):
+    return replace(run, temperature_degC=change(run.temperature_degC))
+
+
+def put(value, places):
+    def apply(x):
+        x = x.copy()
+        x[places] = value
+        return x
+
+    return apply
+
+
+def cut(run):
+    rows = np.r_[0:200, 420:600]
+    return replace(
+        run,
+        time_s=run.time_s[: rows.size],
+        temperature_degC=run.temperature_degC[rows],
+        measured=run.measured[rows],
+        reference=run.reference[rows],
+        inputs={name: values[rows] for name, values in run.inputs.items()},
+    )
+
+
+def exchange(run):
+    changed = change_output(run, lambda x: run.temperature_degC)
+    return replace(changed, temperature_degC=run.measured[:, 0])
+
+
+SPIKED = np.arange(10, 590, 20)
+KINDS_TRIED = {
+    "sentinel": (lambda run: warm(run, put(-127.0, slice(100, 590, 37))), "temperature"),
+    "sentinel ": (lambda run: change_output(run, put(9999.0, slice(250, 290))), "Fz"),
+    "unit_change": (
+        lambda run: warm(run, lambda t: np.where(np.arange(t.size) < 260, t, 1.8 * t + 32.0)),
+        "temperature",
+    ),
+    "saturated": (
+        lambda run: warm(run, lambda t: np.minimum(t, np.quantile(t, 0.6))),
+        "temperature",
+    ),
+    "spikes": (
+        lambda run: change_output(run, lambda x: x + 500.0 * np.isin(np.arange(x.size), SPIKED)),
+        "Fz",
+    ),
+    "late_reference": (lambda run: change_reference(run, lambda r: np.roll(r, 25)), "reference"),
+    "missing_reference": (lambda run: change_reference(run, np.zeros_like), "reference"),
+    "swapped": (exchange, "temperature"),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS_TRIED)
+def test_wrong_run_is_told_by_its_own_name(clean, kind):
+    spoil, column = KINDS_TRIED[kind]
+    train = list(clean.train)
+    train[3] = spoil(train[3])
+    found = review(replace(clean, train=tuple(train)))
+    assert {note.run for note in found if note.stops} == {"run_3"}
+    told = [note for note in found if note.kind == kind.strip()]
+    assert told and column in told[0].column
+    assert told[0].entry == f"run_3: {kind.strip()}"
+
+
+def test_rows_that_were_cut_out_are_told(clean):
+    train = list(clean.train)
+    train[3] = cut(train[3])
+    found = [note for note in review(replace(clean, train=tuple(train))) if note.run == "run_3"]
+    assert [note.kind for note in found] == ["stitched"]
+    assert found[0].rows[0] == 200
+
+
+def test_lamp_that_is_switched_is_no_sentinel():
+    rng = np.random.default_rng(3)
+    lamp = np.where(np.arange(600) % 300 < 100, 1500.0, 0.1 * rng.standard_normal(600))
+    assert not list_sentinels(lamp, visits=5)
+    assert list_sentinels(lamp)
+
+
+def test_steps_that_cancel_but_for_the_last_digits_are_no_quieter_unit():
+    rng = np.random.default_rng(4)
+    codes = np.cumsum(rng.integers(-1, 2, 900)) * 0.1 + 7.0
+    assert find_gain_change(codes)[1] == 0
+    factor, row = find_gain_change(
+        np.where(np.arange(900) < 400, 1.0, 1000.0) * (5.0 + 0.01 * rng.standard_normal(900))
+    )
+    assert (factor, row) == (pytest.approx(1000.0, rel=0.02), 400)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_test_run_made_of_a_training_run_is_a_leak(clean, noise):
+    rng = np.random.default_rng(5)
+    source = clean.train[2]
+    measured = 0.63 * source.measured[:-1] + 0.37 * source.measured[1:]
+    reference = 0.63 * source.reference[:-1] + 0.37 * source.reference[1:]
+    copy = replace(
+        source.take(slice(0, -1)),
+        name="copy",
+        group="copy",
+        measured=measured + noise * rng.standard_normal(measured.shape),
+        reference=reference,
+    )
+    (note,) = find_leaks(clean.train, (copy,), clean.outputs)
+    assert (note.run, note.kind) == ("copy", "leak")
+    assert f"training run {source.group}" in note.text
+    assert not find_leaks(clean.train[:-1], clean.train[-1:], clean.outputs)
+
+
+def test_page_lists_every_kind_and_whether_it_stops():
+    rows = [line.split("|") for line in PAGE.read_text(encoding="utf-8").splitlines()]
+    told = {row[1].strip().strip("`"): row[3].strip() for row in rows if len(row) == 6}
+    told.pop("kind")
+    told.pop("---")
+    assert told == {kind: "no" if kind in INFORMS else "yes" for kind in KINDS}
