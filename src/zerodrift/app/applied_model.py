@@ -11,6 +11,7 @@ from zerodrift.app.applied_rows import FLAGS
 from zerodrift.app.apply import PredictFloat
 from zerodrift.app.commands.built import read_uncertainty
 from zerodrift.app.deployed_block import find_deployed_block
+from zerodrift.app.trust import require_trust
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset
@@ -69,6 +70,7 @@ def open_applied(
     notes = [*([why] if why else []), *(f.text for f in check_manifest(config).findings)]
     predict = None
     if kind == FLOAT:
+        require_trust(config.plugin_files, config.directory)
         dataset = load_logs()
         catalogue = load_catalogue(config.plugin_files)
         trained = Compensator.load(config.build_directory, catalogue)

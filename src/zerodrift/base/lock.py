@@ -111,14 +111,14 @@ def _open_lock(state: Path) -> Callable[[], None] | None:
             try:
                 state.mkdir(parents=True, exist_ok=True)
                 return try_lock(state / LOCK)
-            except (FileNotFoundError, FileExistsError) as error:
+            except (FileNotFoundError, FileExistsError, NotADirectoryError) as error:
                 for folder in (state.parent, state):
                     if folder.exists() and not folder.is_dir():
                         raise InputError(
                             f"{folder}: is a file; expected a folder, or nothing, where zerodrift"
                             " keeps what it computes. Move the file away."
                         ) from None
-                if find_dangling(state) is not None:
+                if isinstance(error, NotADirectoryError) or find_dangling(state) is not None:
                     raise
                 gone = error  # the last holder was removing the empty folder; or it cannot be
         assert gone is not None

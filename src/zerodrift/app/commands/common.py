@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import click
 
+from zerodrift.app.trust import TRUST, claim
 from zerodrift.base.journal import hold_project, settle_project
 from zerodrift.base.records import to_dict
 
@@ -43,11 +44,15 @@ def _settle(context: click.Context, _: click.Parameter, directory: Path) -> Path
 
 
 def changes_project(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Lock the project against other writers for as long as the command runs."""
+    """Lock the project against other writers for as long as the command runs.
+
+    Such a command is its author's: the project counts as this user's own (`zerodrift.app.trust`).
+    """
 
     @functools.wraps(function)
     def hold(*arguments: object, directory: Path, **options: object) -> Result:
         with hold_project(directory):
+            claim(directory)
             return function(*arguments, directory=directory, **options)
 
     return hold
@@ -99,12 +104,19 @@ def sensor_option(function: Command) -> Command:
 
 
 def trust_option(function: Command) -> Command:
-    """Add `--trust`, passed on as `trust: bool`."""
+    """Add `--trust`, which `zerodrift.app.trust` finds in click's context."""
     return click.option(
         "--trust",
         is_flag=True,
-        help="Run the project's own files of effects ([plugins]) without asking.",
+        expose_value=False,
+        callback=_note_trust,
+        help="Run code that the project brings, files of effects ([plugins]) and C, without"
+        " asking.",
     )(function)
+
+
+def _note_trust(context: click.Context, _: click.Parameter, trust: bool) -> None:
+    context.meta[TRUST] = trust
 
 
 def print_result(result: object) -> None:

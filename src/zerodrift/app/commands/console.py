@@ -10,12 +10,15 @@ from zerodrift.base.progress import is_watched, open_text_progress
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.status import Status
     from rich.table import Table
 
     from zerodrift.diagnosis.advice import Advice
     from zerodrift.physics.effect import Effect
     from zerodrift.verify.summary import FirmwareSummary, StatedUncertainty
 
+_shown: "list[Status]" = []
+"""What shows progress on the terminal at present."""
 LEAST_WIDTH = 120
 """Columns of a file or a pipe, which has no width of its own."""
 
@@ -85,7 +88,23 @@ def show_progress(first: str) -> Iterator[Callable[[str], None]]:
     from rich.console import Console
 
     with Console(stderr=True).status(first) as status:
-        yield status.update
+        _shown.append(status)
+        try:
+            yield status.update
+        finally:
+            _shown.remove(status)
+
+
+@contextmanager
+def pause_progress() -> Iterator[None]:
+    """Show no progress for as long as the user is asked something."""
+    for status in _shown:
+        status.stop()
+    try:
+        yield
+    finally:
+        for status in _shown:
+            status.start()
 
 
 def print_uncertainty(stated: "Mapping[str, StatedUncertainty] | None", console: "Console") -> None:

@@ -23,6 +23,7 @@ from zerodrift.app.runs_left_out import (
     keep_uncertainty,
     leave_runs_out,
 )
+from zerodrift.app.trust import remember_code
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError
 from zerodrift.base.journal import change_together, write_all
@@ -160,6 +161,7 @@ def make_firmware(
         force: write the firmware even if the gate refuses it.
         network: the ONNX file that the network comes from.
     """
+    from zerodrift.c_runtime.host import render_sources
     from zerodrift.verify.firmware import build_firmware
 
     with change_together(config.directory):
@@ -176,6 +178,7 @@ def make_firmware(
         result = summarise(firmware, config.directory)
         keep(result, config)
         if firmware.files:
+            remember_code(render_sources(firmware.code))
             keep_uncertainty(firmware, config, dataset, described, left)
     return firmware, result
 

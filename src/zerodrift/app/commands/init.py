@@ -15,6 +15,7 @@ from zerodrift.app.commands.init_toml import (
     write_config,
     write_selectors,
 )
+from zerodrift.app.trust import claim
 from zerodrift.base.clock_config import TIME_UNITS
 from zerodrift.base.config import FILE_NAME, TRAIN, parse_config
 from zerodrift.base.errors import InputError
@@ -98,6 +99,7 @@ def command(
     text = write_config(guess, selectors)
     parse_config(text, target.absolute())
     write_text(target, text)
+    claim(directory)
     if as_json:
         print_result(_summarise(target, guess, selectors))
         return
