@@ -99,6 +99,30 @@ def require_code(texts: Mapping[str, str], folder: Path) -> None:
         remember_code(texts)
 
 
+def require_place(out: Path, directory: Path, named: Path | None = None) -> None:
+    """Refuse a firmware folder outside the project that no user named on the command line.
+
+    Args:
+        out: where the firmware goes, by `[firmware] out` or the command line; links are followed.
+        directory: of the project.
+        named: the folder that `--out` names; where it is this one it is known from now on.
+
+    Raises:
+        InputError: it is outside, and was never named.
+    """
+    place, home = (Path(os.path.realpath(path)) for path in (out, directory))
+    if place.is_relative_to(home):
+        return
+    mark = hashlib.sha256(b"place\0" + os.fsencode(home) + b"\0" + os.fsencode(place)).hexdigest()
+    if named is None and mark not in _read_store():
+        raise InputError(
+            f"{out}: the firmware folder of [firmware] out lies outside the project {directory};"
+            " expected one inside, or one that you name yourself. Run once: zerodrift firmware"
+            f" --out {out}. Nothing was written."
+        )
+    _note({mark: str(place)})
+
+
 def hash_code(texts: Mapping[str, str]) -> str:
     """Return one hash of all files of a model's C."""
     digest = hashlib.sha256()

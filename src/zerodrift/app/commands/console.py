@@ -7,6 +7,7 @@ from dataclasses import astuple, fields
 from typing import TYPE_CHECKING
 
 from zerodrift.base.progress import is_watched, open_text_progress
+from zerodrift.base.terminal import open_terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,11 +26,8 @@ LEAST_WIDTH = 120
 
 def open_console() -> "Console":
     """Return the console for results: plain text of a fixed width unless it is a terminal."""
-    from rich.console import Console
-
     width = None if sys.stdout.isatty() else LEAST_WIDTH
-    # Square brackets and colons are plain text here: [logs], log.csv:100:.
-    return Console(width=width, highlight=False, markup=False, emoji=False)
+    return open_terminal(width=width)
 
 
 def open_table(title: str, left: Sequence[str], right: Sequence[str]) -> "Table":
@@ -85,9 +83,7 @@ def show_progress(first: str) -> Iterator[Callable[[str], None]]:
     if not is_watched():
         yield lambda _: None
         return
-    from rich.console import Console
-
-    with Console(stderr=True).status(first) as status:
+    with open_terminal(stderr=True).status(first) as status:
         _shown.append(status)
         try:
             yield status.update
