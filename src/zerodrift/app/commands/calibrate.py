@@ -14,6 +14,7 @@ from zerodrift.app.commands.common import (
     print_result,
     skip_invalid_option,
 )
+from zerodrift.base.csv_text import mark_frame
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import settle_project, write_all
 from zerodrift.calibration.matrix import CalibrationMatrix
@@ -146,9 +147,8 @@ def render_applied(
         kept = frame.select(names)
         before = sum(name not in fitted.channels for name in frame.columns[:place])
         columns = kept.get_columns()
-        texts[f"{path.stem}.csv"] = pl.DataFrame(
-            [*columns[:before], *added, *columns[before:]]
-        ).write_csv()
+        whole = pl.DataFrame([*columns[:before], *added, *columns[before:]])
+        texts[f"{path.stem}.csv"] = mark_frame(whole).write_csv()
     return texts, notes
 
 
