@@ -20,7 +20,6 @@ from zerodrift.base.journal import settle_project, write_all
 from zerodrift.calibration.matrix import CalibrationMatrix
 
 SUFFIXES = (".toml", ".json", ".h")
-LOG_SUFFIXES = (".csv", ".parquet", ".pq")
 
 
 def find_logs(names: Sequence[str], directory: Path) -> list[Path]:
@@ -29,11 +28,13 @@ def find_logs(names: Sequence[str], directory: Path) -> list[Path]:
     Raises:
         InputError: a name matches no file.
     """
+    from zerodrift.dataset.selectors import list_files
+
     found: list[Path] = []
     for name in names:
         path = directory / name
         if path.is_dir():
-            matches = sorted(p for p in path.iterdir() if p.suffix.lower() in LOG_SUFFIXES)
+            matches = list_files(path)
         elif path.exists():
             matches = [path]
         else:
