@@ -17,7 +17,7 @@ from zerodrift.app.commands.init_toml import (
 )
 from zerodrift.app.trust import claim
 from zerodrift.base.clock_config import TIME_UNITS
-from zerodrift.base.config import FILE_NAME, TRAIN, parse_config
+from zerodrift.base.config import FILE_NAME, TRAIN, Config, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_text
 from zerodrift.dataset.guess import Guess, guess_project
@@ -27,6 +27,7 @@ from zerodrift.dataset.selectors import list_files, order_path
 if TYPE_CHECKING:
     from zerodrift.report.results import InitResult
 
+NOT_YET = "the logs cannot be used yet"
 #: Use -> words in a log's name that suggest it.
 USE_WORDS = {"dwell": ("dwell", "isothermal", "noise"), "test": ("test", "walk", "valid")}
 
@@ -97,13 +98,29 @@ def command(
         only = selectors[TRAIN][0]
         selectors = {"train": [f"{only}@0%:60%"], "test": [f"{only}@60%:100%"], "dwell": []}
     text = write_config(guess, selectors)
-    parse_config(text, target.absolute())
+    guess = try_proposal(guess, parse_config(text, target.absolute()))
     write_text(target, text)
     claim(directory)
     if as_json:
         print_result(_summarise(target, guess, selectors))
         return
     click.echo(_describe_guess(target, guess, selectors))
+
+
+def try_proposal(guess: Guess, config: Config) -> Guess:
+    """Return a guess with what its own logs refuse of it, among what is to be checked.
+
+    Args:
+        guess: what was guessed.
+        config: as it is proposed.
+    """
+    from zerodrift.dataset.load import load_dataset
+
+    try:
+        load_dataset(config)
+    except InputError as error:
+        return replace(guess, refused=str(error), checks=(*guess.checks, f"{NOT_YET}: {error}"))
+    return guess
 
 
 def _upgrade(directory: Path, as_json: bool) -> None:
@@ -138,6 +155,7 @@ def ask(guess: Guess) -> Guess:
             f"{output.measured}: does it drift, and is it to be compensated?", default=True
         ):
             continue
+        alternatives.pop(f"outputs.{output.name}.measured", None)
         if f"outputs.{output.name}.unit" in guess.alternatives:
             unit = click.prompt(f"unit of {output.measured}", default=output.unit)
             output = replace(output, unit=unit, unit_from="you")  # noqa: PLW2901
@@ -247,4 +265,5 @@ def _describe_guess(target: Path, guess: Guess, selectors: dict[str, list[str]])
     lines += [f"  input        {name}: {column}" for name, column in guess.inputs.items()]
     lines += [f"  {use:<12} {', '.join(files)}" for use, files in selectors.items() if files]
     lines += [f"check: {check}" for check in guess.checks]
-    return "\n".join([*lines, "next: zerodrift compare"])
+    begin = "mend what the logs do not allow yet, then " if guess.refused else ""
+    return "\n".join([*lines, f"next: {begin}zerodrift compare"])
