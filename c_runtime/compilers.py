@@ -3,6 +3,7 @@
 import ctypes
 import importlib.util
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -34,7 +35,8 @@ RUNTIME_FILES = (
     INCLUDE_DIRECTORY / "zd_layer_norm.h",
     RUNTIME_DIRECTORY / "src" / "zd_runtime.c",
 )
-"""What has to lie beside a generated model."""
+"""What a generated model may include, with what it is linked with; `list_runtime` says which."""
+_INCLUDED = re.compile(r'^[ \t]*#[ \t]*include[ \t]*"(zd_\w+\.h)"', re.MULTILINE)
 
 HOST_MVE_DIRECTORY = RUNTIME_DIRECTORY / "host_mve"
 """Holds arm_mve.h for a host, by which the rows kernel runs there."""
@@ -93,6 +95,23 @@ class Compiler:
         )
         lines = done.stdout.splitlines()
         return lines[0].strip() if lines else self.name
+
+
+def list_runtime(*texts: str) -> dict[str, str]:
+    """Return the runtime that has to lie beside C: name -> text.
+
+    Args:
+        texts: the C. What it includes is followed, and what that includes, under any condition.
+    """
+    every = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    found = {name: text for name, text in every.items() if name.endswith(".c")}
+    left = [*texts, *found.values()]
+    while left:
+        for name in _INCLUDED.findall(left.pop()):
+            if name in every and name not in found:
+                found[name] = every[name]
+                left.append(every[name])
+    return {name: text for name, text in every.items() if name in found}
 
 
 def find_full(places: Iterable[Path], told: str) -> Path | None:

@@ -203,7 +203,7 @@ def compare_texts(code: GeneratedCode, fresh: GeneratedCode) -> list[str]:
     to have the text that its own number was made of. C from before identities has none.
     """
     there = code.runtime or {}
-    runtime = {p.name: p.read_text(encoding="utf-8") for p in RUNTIME_FILES}
+    runtime = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
     found: list[str] = []
     own = read_code_identities(code.header)
     if own == read_code_identities(fresh.header):

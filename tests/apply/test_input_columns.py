@@ -117,3 +117,8 @@ def test_the_float_model_of_other_outputs_is_refused(scale: Path, zerodrift: Com
 def test_json_counts_the_same_rows(scale: Path, zerodrift: Command) -> None:
     told = json.loads(apply(scale, zerodrift, "--json").out)
     assert told["logs"][0]["rows"] == 400
+
+
+def test_a_model_of_physics_alone_has_no_network_beside_it(built: Path) -> None:
+    there = {path.name for path in (built / "firmware").glob("zd_*")}
+    assert there == {"zd_runtime.h", "zd_runtime.c", "zd_signals.h"}
