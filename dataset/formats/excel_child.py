@@ -10,9 +10,8 @@ import datetime
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
-from python_calamine import CalamineWorkbook
+from python_calamine import CalamineSheet, CalamineWorkbook
 
 TOO_LARGE = 3
 """Exit code: a sheet spans more cells than is allowed."""
@@ -60,7 +59,8 @@ def limit_memory(size: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
 
 
-def _write_sheet(sheet: Any, file: Path) -> None:
+def _write_sheet(sheet: CalamineSheet, file: Path) -> None:
+    assert sheet.start is not None
     dated = {
         number
         for row in sheet.iter_rows()
