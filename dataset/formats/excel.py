@@ -28,7 +28,7 @@ def read(path: Path) -> Iterable[FormatTable]:
     """
     folder = Path(tempfile.mkdtemp(dir=_folder()))
     done = subprocess.run(
-        [sys.executable, "-I", excel_child.__file__, str(path), str(folder), str(MOST_CELLS)],
+        [sys.executable, "-P", excel_child.__file__, str(path), str(folder), str(MOST_CELLS)],
         capture_output=True,
         text=True,
         encoding="utf-8",

@@ -25,15 +25,15 @@ def read(path: Path) -> Iterable[FormatTable]:
     tables: list[FormatTable] = []
     with h5py.File(path, "r") as file:
         _refuse_links(path, file)
-        most_bytes = MOST_PACKED * path.stat().st_size
 
         def visit(name: str, item: object) -> None:
             if isinstance(item, h5py.Group):
                 _refuse_links(path, item)
             if isinstance(item, h5py.Dataset):
-                _refuse_foreign(path, name, item, most_bytes)
+                _refuse_foreign(path, name, item)
             if not isinstance(item, h5py.Dataset) or item.ndim not in (1, 2) or item.shape[0] < 2:
                 return
+            _refuse_claims(path, name, item)
             group, _, column = name.rpartition("/")
             if item.dtype.names:
                 values = item[()]
@@ -70,18 +70,23 @@ def _refuse_links(path: Path, group: h5py.Group) -> None:
             _refuse(path, f"{group.name.rstrip('/')}/{name}", link.filename)
 
 
-def _refuse_foreign(path: Path, name: str, item: h5py.Dataset, most_bytes: int) -> None:
-    """Refuse a data set whose numbers lie in another file, or that is larger than it can be."""
+def _refuse_foreign(path: Path, name: str, item: h5py.Dataset) -> None:
+    """Refuse a data set whose numbers lie in another file."""
     if item.external:
         _refuse(path, name, item.external[0][0])
     if item.is_virtual:
         for source in item.virtual_sources():
             if source.file_name != ".":
                 _refuse(path, name, source.file_name)
-    if item.nbytes > most_bytes:
+
+
+def _refuse_claims(path: Path, name: str, item: h5py.Dataset) -> None:
+    """Refuse a data set that is larger than the file can hold."""
+    size = path.stat().st_size
+    if item.nbytes > MOST_PACKED * size:
         raise InputError(
-            f"{path}: '{name}' claims {item.nbytes:,} bytes in a file of {path.stat().st_size:,};"
-            f" expected {most_bytes:,} at most, which is as far as they can be compressed. The rest"
+            f"{path}: '{name}' claims {item.nbytes:,} bytes in a file of {size:,}; expected"
+            f" {MOST_PACKED * size:,} at most, which is as far as they can be compressed. The rest"
             " was never recorded: write the file with what was."
         )
 
